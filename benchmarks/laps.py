@@ -1,6 +1,7 @@
-"""Measure how `race_pilot` laps, and how far it is from the fastest line, at every difficulty.
+"""Measure how a policy laps, and how far it is from the fastest line, at every difficulty.
 
     python benchmarks/laps.py --out docs/results/race
+    python benchmarks/laps.py --policy docs/results/race/racer --dynamics point_mass --seed 5000000
 
 Of each difficulty: share of drones that finished, gates missed and contacts of a drone, overtakes;
 and of the first drone to start, if it finished, its race time over that of the fastest line. That
@@ -19,6 +20,7 @@ from rich import progress
 import bulletuav
 from bulletuav.analysis.metrics import mean_estimate
 from bulletuav.files import replace_file
+from bulletuav.policies import find_policy
 from bulletuav.policies.race_pilot import RacePilot
 from bulletuav.tasks import find_task
 
@@ -26,12 +28,12 @@ NAMES = ("success", "missed", "contacts", "overtakes", "race_time")
 COLUMNS = ("case", "finished", "missed", "contacts", "overtakes", "ratio", "low", "high", "worst")
 
 
-def races(worlds: int, first: int, **options: object) -> dict[str, np.ndarray]:
+def races(worlds: int, first: int, policy: str, **options: object) -> dict[str, np.ndarray]:
     """Fly a race in each of some worlds; give what drones told last, and the reference times."""
     aviary = bulletuav.Aviary("race", worlds, **options)
-    pilot = RacePilot(aviary)
+    pilot, planner = find_policy(policy, "race")(aviary), RacePilot(aviary)
     observations = aviary.reset(seeds=first)
-    told = {"reference": np.array([pilot.fastest(w, aviary.swarm) for w in range(worlds)])}
+    told = {"reference": np.array([planner.fastest(w, aviary.swarm) for w in range(worlds)])}
     pilot.reset(np.ones(worlds, dtype=bool))
     while aviary.alive.any():
         flown = aviary.alive.copy()
@@ -48,7 +50,8 @@ def measure(case: dict[str, object], arguments: argparse.Namespace) -> list[floa
     parts: list[dict[str, np.ndarray]] = []
     for first in progress.track(range(0, arguments.episodes, arguments.worlds), str(case)):
         worlds = min(arguments.worlds, arguments.episodes - first)
-        parts.append(races(worlds, first, dynamics=arguments.dynamics, **case))
+        seed, how = arguments.seed + first, {"dynamics": arguments.dynamics, **case}
+        parts.append(races(worlds, seed, arguments.policy, **how))
     told = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     finished = told["success"][:, 0]
     ratio = (told["race_time"][:, 0] / told["reference"])[finished]
@@ -69,22 +72,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("--policy", default="race_pilot", help="name or folder")
     known = ",".join(find_task("race").difficulties)
     parser.add_argument("--difficulties", default=known, help=f"such as {known}")
     parser.add_argument("--tracks", default="oval,figure_eight,split_s")
     parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0, help="that of the first race (0)")
     parser.add_argument("--worlds", type=int, default=20, help="that fly at once")
     parser.add_argument("--dynamics", default="bullet")
     parser.add_argument("--out", type=Path, default=Path("out/race"))
     arguments = parser.parse_args()
     rows = [(name, *measure(case, arguments)) for name, case in cases(arguments)]
+    other = "" if arguments.policy == "race_pilot" else f"--policy {arguments.policy} "
+    other += f"--seed {arguments.seed} " if arguments.seed else ""
     lines = [
-        f"`race_pilot`, {arguments.episodes} races of each row, `{arguments.dynamics}`. Missed, "
-        "contacts, overtakes: mean of the drones. Lap: race time of the first drone to start over "
-        "that of the fastest line, mean with 95 % interval, and the worst. Made by",
+        f"`{arguments.policy}`, {arguments.episodes} races of each row, `{arguments.dynamics}`. "
+        "Missed, contacts, overtakes: mean of the drones. Lap: race time of the first drone to "
+        "start over that of the fastest line, mean with 95 % interval, and the worst. Made by",
         "",
         "```bash",
-        f"python benchmarks/laps.py --episodes {arguments.episodes} --dynamics "
+        f"python benchmarks/laps.py {other}--episodes {arguments.episodes} --dynamics "
         f"{arguments.dynamics} --out docs/results/race",
         "```",
         "",

@@ -10,6 +10,7 @@ again: `bulletuav verify docs/results/leaderboard/rows/crossing-ppo-0`. Needs th
 """
 
 import argparse
+import contextlib
 import csv
 import importlib
 import io
@@ -67,6 +68,10 @@ def make(row: Row, out: Path) -> None:
     """
     single_thread()
     work, settings = out / WORK / row.name, row.settings
+    place, before = out / ROWS / row.name, work / "before"
+    # A call that was killed between the two moves below left the old row aside
+    if before.exists() and not place.exists():
+        before.rename(place)
     # What an interrupted call left would make times that are too short
     shutil.rmtree(work, ignore_errors=True)
     kept = work / "row"
@@ -94,9 +99,10 @@ def make(row: Row, out: Path) -> None:
     asked["options"] = settings["options"]
     clocks.append(_clocks())
     replace_file(kept / ROW, _text(row, asked, result, clocks, kept))
-    place = out / ROWS / row.name
-    shutil.rmtree(place, ignore_errors=True)
     place.parent.mkdir(exist_ok=True)
+    # Nothing is deleted before the new row stands
+    with contextlib.suppress(FileNotFoundError):
+        place.rename(before)
     kept.rename(place)
     shutil.rmtree(work)
 

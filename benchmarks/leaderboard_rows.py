@@ -54,12 +54,11 @@ def list_rows(told: Mapping[str, Any]) -> list[Row]:
 
 
 def _learned(told: Mapping[str, Any], task: str, name: str, seed: int) -> Row:
-    """Make the row of an algorithm in a task; what the task says of it goes first."""
+    """Make the row of an algorithm in a task."""
     settings = {**told["algorithms"][name], **told["tasks"][task]}
-    settings |= {**told["tasks"][task].get(name, {})}
     settings |= {key: told[key] for key in ("evaluation", "points")}
     # What other policies do decides nothing here
-    for key in ("tasks", "baselines", "score", *told["algorithms"]):
+    for key in ("tasks", "baselines", "score"):
         settings.pop(key, None)
     return Row(task, name, seed, settings)
 

@@ -177,13 +177,15 @@ class Maddpg:
             goal = reward + self.plan.gamma * goes_on * critic(joint)
         joint = self._joint(seen, action, flown)
         error = (self.critic(joint) - goal).square() * flown
-        descend(self._optimisers[1], error.sum() / flown.sum(), self.critic)
+        # Of those that flew, of which there may be none
+        count = flown.sum().clamp(min=1)
+        descend(self._optimisers[1], error.sum() / count, self.critic)
         # Each drone's own action is the actor's now; those of the others are what they did.
         raw = self.actor(seen)
         own = slice(seen.shape[-1], seen.shape[-1] + self._size)
         joint = torch.cat([joint[..., : own.start], torch.tanh(raw), joint[..., own.stop :]], -1)
         gain = (self.critic(joint) - 1e-3 * raw.square().mean(-1, keepdim=True)) * flown
-        descend(self._optimisers[0], -gain.sum() / flown.sum(), self.actor)
+        descend(self._optimisers[0], -gain.sum() / count, self.actor)
         for target, net in zip(self.targets, (self.actor, self.critic), strict=True):
             follow(target, net, self.plan.tau)
 
@@ -251,10 +253,11 @@ def train(
     each = env.num_envs * env.num_drones
     shape = (env.num_envs, env.num_drones, *env.action_space.shape)
     learner = LEARNERS[name](env, plan)
-    write_settings(learner.form, plan, seed, folder)
+    write_settings(name, plan, seed, folder)
     replay, seen = Replay(plan.kept // each), torch.from_numpy(env.reset(seed=seed)[0])
     for steps in range(each, plan.steps + each, each):
-        is_random = steps < plan.start
+        # What follows a decision is known from the second one on
+        is_random = steps < max(plan.start, 2 * each)
         action = learner.random(seen) if is_random else learner.choose(seen, steps / plan.steps)
         flown = env.alive
         # A world that ended starts anew in the next step, which nobody flies.
@@ -275,12 +278,15 @@ def save(arrays: dict[str, Array], folder: Path) -> None:
     save_file({name: part.numpy() for name, part in arrays.items()}, folder / POLICY)
 
 
-def write_settings(form: str, plan: Plan, seed: int, folder: Path) -> None:
+def write_settings(name: str, plan: Plan, seed: int, folder: Path) -> None:
     """Write what the policy sees and how it is built, as `bulletuav train` does."""
     model = {"features": "swarm", "policy_kwargs": {"net_arch": [64, 64]}}
+    form = LEARNERS[name].form
     config = RunConfig(plan.task, form, seed, plan.steps, plan.worlds, plan.options, model=model)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / CONFIG).write_text(config.text())
+    who = f"`examples/team_critics.py {name}`, whose network has the form of `algo`"
+    text = config.text("algo", "seed", "steps", "worlds", "options", "model", "constants")
+    (folder / CONFIG).write_text(f"# Learned by {who}.\n{text}")
 
 
 def main() -> None:

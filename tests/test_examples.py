@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import bulletuav
 
@@ -177,6 +178,11 @@ def check_fast_ppo(told, folder):
     success, low, high = numbers(r"in bullet: success # \(# to #\)", told)[0]
     assert success == low == 0 < high  # which has learned nothing yet
     assert {path.name for path in folder.rglob("*.*")} == {"run.yaml", "policy.safetensors"}
+    # Of other trainers' settings, such as evaluations on the way, it tells nothing
+    text = (folder / "run.yaml").read_text()
+    assert text.startswith("# Learned by `examples/fast_ppo.py`.\n")
+    told = {"version", "task", "algo", "seed", "steps", "options", "model", "constants"}
+    assert set(yaml.safe_load(text)) == told
     first = folder / "checkpoints" / "000" / "policy.safetensors"
     assert first.read_bytes() != (folder / "policy.safetensors").read_bytes()
 
@@ -185,6 +191,10 @@ def check_team_critics(told, folder):
     success, low, high = numbers(r"drone_success # \(# to #\)", told)[0]
     assert success == low == high == 0  # which has learned nothing yet
     assert {path.name for path in folder.rglob("*.*")} == {"run.yaml", "policy.safetensors"}
+    text = (folder / "run.yaml").read_text()
+    assert text.startswith("# Learned by `examples/team_critics.py maddpg`")
+    told = {"version", "task", "algo", "seed", "steps", "worlds", "options", "model", "constants"}
+    assert set(yaml.safe_load(text)) == told
 
 
 def check_dqn_discrete(told, folder):

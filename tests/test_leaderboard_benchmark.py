@@ -125,6 +125,40 @@ def test_a_row_of_other_settings_is_made_again(board, benchmark):
     assert benchmark.read_told(board, rows["crossing-vdn-0"])
 
 
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_row_stands_until_a_new_one_is_made(board, benchmark, killed, monkeypatch):
+    told = read_settings(board.parent / "leaderboard.yaml", "settings")
+    row = next(row for row in benchmark.list_rows(told) if row.name == "hover-random")
+    place, before = board / "rows" / row.name, board / "work" / row.name / "before"
+    text = (place / "row.json").read_text()
+    rename = Path.rename
+
+    def stop(path, to):
+        assert place.exists()
+        if killed:  # between the two moves
+            rename(path, to)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", stop)
+        with pytest.raises(KeyboardInterrupt):
+            benchmark.make(row, board)
+    assert ((before if killed else place) / "row.json").read_text() == text
+
+    def interrupted(*told, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(benchmark, "evaluate", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            benchmark.make(row, board)
+    assert (place / "row.json").read_text() == text
+    benchmark.make(row, board)
+    made, old = (json.loads(one)["hash"] for one in ((place / "row.json").read_text(), text))
+    assert made == old
+    assert not (board / "work" / row.name).exists()
+
+
 def test_tables_tell_what_was_flown_and_what_was_not(board, benchmark):
     told = read_settings(board.parent / "leaderboard.yaml", "settings")
     rows = benchmark.list_rows(told)
@@ -238,3 +272,27 @@ def test_maddpg_learns_by_a_critic_that_sees_what_others_do(pair):
     done = torch.tanh(learner.actor(seen))[..., 0].mean(0)
     assert done.tolist() == pytest.approx([0.5, -0.5], abs=0.2)
     env.close()
+
+
+def test_maddpg_learns_nothing_where_nobody_flies(pair):
+    import torch
+    from team_critics import Maddpg, Plan
+
+    import bulletuav
+
+    _, seen = pair
+    env = bulletuav.batch_env("converge", 1, num_drones=2, dynamics="point_mass")
+    learner = Maddpg(env, Plan("crossing", {}))
+    before = [part.clone() for part in (*learner.actor.parameters(), *learner.critic.parameters())]
+    learner.learn(seen, learner.random(seen), torch.zeros(64, 2, 3), seen)
+    after = (*learner.actor.parameters(), *learner.critic.parameters())
+    assert all(torch.equal(old, new) for old, new in zip(before, after, strict=True))
+    env.close()
+
+
+def test_team_critics_can_learn_from_the_first_decision_on(benchmark, tmp_path):
+    import team_critics
+
+    plan = team_critics.Plan("converge", {"dynamics": "point_mass"}, 2, 64, start=0, batch=4)
+    team_critics.train("vdn", plan, 0, tmp_path / "never", lambda steps, keep: None)
+    assert (tmp_path / "never" / "policy.safetensors").exists()

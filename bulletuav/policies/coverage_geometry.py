@@ -92,9 +92,10 @@ def kmeans(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
         # Each point belongs to the nearest centre.
         nearest = distances(points, centres).argmin(axis=1)
         member = nearest == np.arange(len(centres))[:, None]
-        # Each centre moves to the mean of its points.
+        # Each centre moves to the mean of its points, summed up in their order.
         count = member.sum(axis=1, keepdims=True)
-        means = member @ points / np.maximum(count, 1)
+        total = np.where(member[..., None], points, 0.0).sum(axis=1)
+        means = total / np.maximum(count, 1)
         means = np.where(count > 0, means, centres)
         is_done = (means == centres).all()
         centres = means

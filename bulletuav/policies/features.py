@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bulletuav.functions import log, log1p
+from bulletuav.kernel import kernel
 from bulletuav.sensors.sight import AHEAD
 
 LINE_OF_SIGHT = 2.0
@@ -32,8 +34,44 @@ def symlog(values: np.ndarray, scale: float = 1.0) -> np.ndarray:
     Returns:
         The compressed numbers, of the same shape.
     """
-    compressed: np.ndarray = np.sign(values) * np.log1p(scale * np.abs(values))
+    compressed: np.ndarray = np.sign(values) * log1p(scale * np.abs(values))
     return compressed
+
+
+def dense(values: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """Multiply by a matrix and add, to the same bits on every processor: W x + b.
+
+    Args:
+        values: (..., inputs) vectors x.
+        weight: (outputs, inputs) W.
+        bias: (outputs,) b.
+
+    Returns:
+        (..., outputs).
+    """
+    rows = np.ascontiguousarray(values.reshape(-1, values.shape[-1]), dtype=float)
+    result = np.empty((len(rows), len(bias)))
+    _multiply(rows, np.ascontiguousarray(weight.T), bias, result)
+    return result.reshape(*values.shape[:-1], len(bias))
+
+
+@kernel
+def _multiply(
+    rows: np.ndarray,
+    columns: np.ndarray,
+    bias: np.ndarray,
+    result: np.ndarray,
+) -> None:
+    """Write the products of rows (M, inputs) and columns (inputs, outputs), plus bias."""
+    count, inputs = rows.shape
+    for m in range(count):
+        # Sums grow input by input, which BLAS does in an order of the processor's own
+        for j in range(len(bias)):
+            result[m, j] = bias[j]
+        for k in range(inputs):
+            number = rows[m, k]
+            for j in range(len(bias)):
+                result[m, j] += number * columns[k, j]
 
 
 class UserFeatures:
@@ -112,7 +150,7 @@ class UserFeatures:
         )
         # Through the layers, and summed over users.
         for weight, bias in self._layers:
-            known = np.maximum(known @ weight.T + bias, 0)
+            known = np.maximum(dense(known, weight, bias), 0)
         each = known.sum(axis=1) / np.sqrt(users.shape[1])
         flat = others.reshape(count, -1)
         return np.concatenate([own / FAR, flat / FAR, each], axis=1)
@@ -133,5 +171,5 @@ def log_gain(offset: np.ndarray, seen: np.ndarray) -> np.ndarray:
     distance = np.sqrt((offset * offset).sum(axis=-1))
     # In single precision, as in training.
     exponent = np.where(seen > 0.5, np.float32(LINE_OF_SIGHT), np.float32(BLOCKED))
-    gain: np.ndarray = -exponent * np.log(distance + 1)
+    gain: np.ndarray = -exponent * log(distance + 1)
     return gain

@@ -13,7 +13,8 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
-from bulletuav.policies.features import Layers, UserFeatures, symlog
+from bulletuav.functions import tanh
+from bulletuav.policies.features import Layers, UserFeatures, dense, symlog
 from bulletuav.policies.layers import Affine, Choose, Clip, Dense, Layer, Relu, Symlog, Tanh
 from bulletuav.policies.swarm_features import SwarmFeatures, find_layout
 from bulletuav.sensors.base import Label
@@ -50,7 +51,7 @@ class Actor(NamedTuple):
 
 def _tanh(values: np.ndarray) -> np.ndarray:
     """Apply the hyperbolic tangent."""
-    return np.asarray(np.tanh(values))
+    return np.asarray(tanh(values))
 
 
 def _relu(values: np.ndarray) -> np.ndarray:
@@ -220,14 +221,14 @@ class Network:
             values = self._swarm(values)
         # Layers.
         for k, (weight, bias) in enumerate(self._layers):
-            values = (self._actor.activation(values) if k else values) @ weight.T + bias
+            values = dense(self._actor.activation(values) if k else values, weight, bias)
         # Actions.
         if self._bounds is None:
             best: np.ndarray = values.argmax(axis=1)
             return best[:, None]
         low, high = self._bounds
         if self._actor.squashed:
-            share = 0.5 * (np.tanh(values) + 1)
+            share = 0.5 * (tanh(values) + 1)
             squashed: np.ndarray = low + share * (high - low)
             return squashed
         clipped: np.ndarray = np.clip(values, low, high)

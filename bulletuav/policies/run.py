@@ -202,9 +202,16 @@ class RunConfig:
         settings = {name: plain_value(value) for name, value in dataclasses.asdict(self).items()}
         return {"version": VERSION, **settings}
 
-    def text(self) -> str:
-        """Write the settings as YAML, which `read` takes back."""
-        return write_settings(self.plain())
+    def text(self, *names: str) -> str:
+        """Write the settings as YAML, which `read` takes back.
+
+        Args:
+            names: Those to write beside the version and the task; all if none is named. Other
+                trainers write those that they used.
+        """
+        plain = self.plain()
+        kept = {"version", "task", *(names or plain)}
+        return write_settings({name: value for name, value in plain.items() if name in kept})
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.policies.features import Layers, symlog
+from bulletuav.functions import log1p
+from bulletuav.policies.features import Layers, dense, symlog
 from bulletuav.policies.layers import Dense, Others, Swarm
 from bulletuav.sensors.base import Label
 
@@ -158,7 +159,7 @@ class SwarmFeatures:
             shared = np.broadcast_to(own[:, None], (*others.shape[:2], own.shape[1]))
             each = np.concatenate([*known, shared], axis=-1)
             for weight, bias in self._layers[word]:
-                each = np.maximum(each @ weight.T + bias, 0)
+                each = np.maximum(dense(each, weight, bias), 0)
             # Who is not there adds nothing
             each = each * is_there
             parts += [each.sum(axis=1) / 2, each.max(axis=1)]
@@ -173,4 +174,4 @@ def _approach(motion: np.ndarray) -> list[np.ndarray]:
     time = np.clip(-along / (square + TINY), 0.0, LOOK_AHEAD)
     place = position + velocity * time
     distance = np.sqrt((place * place).sum(axis=-1, keepdims=True) + TINY)
-    return [symlog(place), np.log1p(distance), time / (LOOK_AHEAD / 2)]
+    return [symlog(place), log1p(distance), time / (LOOK_AHEAD / 2)]

@@ -28,9 +28,9 @@ from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv
 SUMMARY = "summary.json"
 """File that tells how an evaluation went"""
 ROW = "row.json"
-"""File that tells of a policy that was trained, in its own folder, and how its evaluation went"""
+"""File of a row of the leaderboard of algorithms: a policy, and how its evaluation went"""
 ROW_POLICY = "{row}"
-"""What stands for that folder in the call of the evaluation"""
+"""What stands for the row's folder in the call, where the policy was trained and is in it"""
 Report = Callable[[float], None]
 """Function that takes how much is done so far"""
 Show = Callable[[str, int, str], AbstractContextManager[Report]]

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+import yaml
 
 from bulletuav.policies import find_policy
 from bulletuav.policies.run import SHIPPED, VERSION, RunConfig, shipped_tasks
@@ -14,6 +15,15 @@ def test_the_version_is_written_first_and_read(tmp_path):
     path.write_text(told.text())
     assert path.read_text().startswith(f"version: {VERSION}\ntask: crossing\n")
     assert RunConfig.read(path).plain() == told.plain()
+
+
+def test_what_another_trainer_did_not_use_is_not_written(tmp_path):
+    path = tmp_path / "run.yaml"
+    told = RunConfig("crossing", "dqn", seed=3, worlds=7)
+    path.write_text(told.text("algo", "seed"))
+    known = {"version": VERSION, "task": "crossing", "algo": "dqn", "seed": 3}
+    assert yaml.safe_load(path.read_text()) == known
+    assert RunConfig.read(path) == RunConfig("crossing", "dqn", seed=3)
 
 
 @pytest.mark.parametrize("task", shipped_tasks())
