@@ -19,6 +19,7 @@ from bulletuav.vehicle.battery import (
 )
 from bulletuav.vehicle.power import (
     ROTARY_WING,
+    RotaryWing,
     airframe_wing,
     fill_actuator_power,
     propulsion_power,
@@ -68,7 +69,7 @@ class Energy:
             wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe]
             self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING)
             # They never change: laid out once, block by block
-            self._packed = room(-(-parameters.size // WIDTH), len(ROTARY_WING))
+            self._packed = room(-(-parameters.size // WIDTH), len(RotaryWing._fields))
             pack_numbers(self._wings.view(float).reshape(*parameters.shape, -1), self._packed)
 
     def add_start(self, program: Program, worlds: np.ndarray) -> None:
