@@ -91,7 +91,5 @@ def test_who_stays_keeps_what_it_remembers():
 
 def test_a_large_heap_falls_asleep_from_below():
     heap = drop_heap(40, seconds=4.0, seed=1)
-    asleep = (heap.speed == 0.0) & (heap.spin == 0.0)
-    assert asleep.mean() > 0.8
-    assert heap.speed.max() < 0.03
+    assert heap.speed.max() == heap.spin.max() == 0.0
     assert heap.depth < 5e-4
