@@ -19,8 +19,9 @@ def jain(values: np.ndarray) -> float:
     Returns:
         1 when all are equal, or all are zero; 1/n when one has everything.
     """
-    square = len(values) * float((values**2).sum())
-    return float(values.sum()) ** 2 / square if square > 0 else 1.0
+    total, square = float(values.sum()), len(values) * float((values * values).sum())
+    # A product, as powers are rounded otherwise by other C libraries
+    return total * total / square if square > 0 else 1.0
 
 
 @allocating
