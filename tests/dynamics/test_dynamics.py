@@ -165,11 +165,7 @@ def test_rigid_body_agrees_with_an_independent_integration_of_all_forces(make_be
 
 @pytest.mark.parametrize("airframe", AIRFRAMES)
 def test_rigid_body_agrees_with_an_independent_integration_in_a_wake(make_bench, airframe):
-<<<<<<< HEAD
-    """Near the ground, in wind, with a wake that is held within a substep, as `rigid_body` says."""
-=======
     """In wind, with a wake that is held within a substep, as `rigid_body` says."""
->>>>>>> wake
     wind = (2.0, -1.0, 0.3)
     bench = powered(make_bench, "rigid_body", airframe, drones=2, wind=wind)
     arm = bench.airframe.arm
