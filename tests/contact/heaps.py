@@ -18,6 +18,7 @@ class Heap(NamedTuple):
         height: (N,) of the lowest point of each above the ground, m.
         depth: Greatest overlap of two of them, or with the ground, m.
         seconds: Simulated time, s.
+        gained: Greatest gain of their energy over its least so far, as a height of one, m.
     """
 
     speed: np.ndarray
@@ -25,6 +26,7 @@ class Heap(NamedTuple):
     height: np.ndarray
     depth: float
     seconds: float
+    gained: float
 
 
 def drop_heap(
@@ -45,8 +47,7 @@ def drop_heap(
         swarm.position[0, :, 1] = wide * (place // 2)
         swarm.position[0, :, 2] = wide * (1 + layer)
         swarm.quaternion[:] = random_attitudes(rng, 1, drones)
-        rig.place().fly_for(seconds)
-        return _measure(rig)
+        return _watch(rig.place(), seconds)
 
 
 def stack(drones: int = 10, airframe: str = "cf2x", *, hz: int = 240, seconds: float = 2.0) -> Heap:
@@ -55,12 +56,17 @@ def stack(drones: int = 10, airframe: str = "cf2x", *, hz: int = 240, seconds: f
         high = 2 * rig.airframes[0].shape.half[2] + 1e-4
         rig.swarm.position[0, :, :2] = 0
         rig.swarm.position[0, :, 2] = high * (0.5 + np.arange(drones))
-        rig.place().fly_for(seconds)
-        return _measure(rig)
+        return _watch(rig.place(), seconds)
 
 
-def _measure(rig: Rig) -> Heap:
-    """Measure the drones of the only world of a rig."""
+def _watch(rig: Rig, seconds: float) -> Heap:
+    """Fly the only world of a rig freely for a time, then measure its drones."""
+    least, gained = rig.energy().sum(), 0.0
+    while rig.time < seconds - 1e-9:
+        rig.fly()
+        now = rig.energy().sum()
+        gained = max(gained, now - least)
+        least = min(least, now)
     swarm = rig.swarm
     drones = len(rig.airframes)
     lowest = np.array([rig.lowest(i)[0] for i in range(drones)])
@@ -77,6 +83,7 @@ def _measure(rig: Rig) -> Heap:
         height=lowest,
         depth=-min([*near, *lowest]),
         seconds=rig.time,
+        gained=gained / (rig.rows["mass"][0, 0] * rig.gravity),
     )
 
 

@@ -3,6 +3,14 @@
 import numpy as np
 import pytest
 from contact.heaps import drop_heap, slide, stack
+from contact.landings import GAIN_OF_FALL, MOST_GAIN
+
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+
+
+def most_gain(drones, hz):
+    """What energy drones may gain, as a height of one: each as much as one that lands alone."""
+    return drones * (MOST_GAIN + GAIN_OF_FALL * STANDARD_GRAVITY / hz**2)
 
 
 @pytest.mark.parametrize("hz", [60, 240])
@@ -20,6 +28,7 @@ def test_a_stack_of_ten_stands(hz, seconds):
     heap = stack(hz=hz, seconds=seconds)
     assert heap.speed.max() == heap.spin.max() == 0.0
     assert heap.depth < 5e-4
+    assert heap.gained < most_gain(10, hz)
     steps = np.diff(np.sort(heap.height))
     np.testing.assert_allclose(steps, 0.03, atol=2e-4)
 
@@ -29,4 +38,5 @@ def test_a_heap_comes_to_rest_on_the_ground(hz, seed):
     heap = drop_heap(16, hz=hz, seconds=5.0, seed=seed)
     assert heap.speed.max() == heap.spin.max() == 0.0
     assert heap.depth < 5e-4
+    assert heap.gained < most_gain(16, hz)
     assert heap.height.min() == pytest.approx(5e-5, abs=1e-4)
