@@ -19,7 +19,7 @@ def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
 
     Args:
         array: (W, N, K) K numbers of each drone, or (W, N) one; C order. Of bools a condition.
-        first: The first drone. The last one of all stands for those that lack behind it.
+        first: The first drone. Behind the last of all it is that one again.
         number: Which of the K numbers; 0 of one.
     """
     if array.layout != "C" or array.dtype not in (types.float64, types.boolean):

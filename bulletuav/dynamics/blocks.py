@@ -128,7 +128,10 @@ def pack(blocks: Any, air: Any, first: int) -> None:
 
 @func
 def _are_alike(blocks: Any, drone: int) -> bool:
-    """Tell whether `WIDTH` drones from one on have as many rotors; those that lack have them."""
+    """Tell whether `WIDTH` drones from one on have equally many rotors.
+
+    Behind the last drone of all nobody is asked.
+    """
     num_drones = blocks.rows.shape[1]
     count = blocks.rows.shape[0] * num_drones
     rotors = blocks.rows[drone // num_drones, drone % num_drones].num_rotors
@@ -141,7 +144,10 @@ def _are_alike(blocks: Any, drone: int) -> bool:
 
 @func
 def is_block(blocks: Any, b: int) -> bool:
-    """Tell whether enough drones of a block are moved together; takes back the mark of others."""
+    """Tell whether enough drones of a block are marked to be moved together.
+
+    Where they are too few, their marks are taken away: they are moved one by one.
+    """
     count = 0
     for k in range(b * WIDTH, (b + 1) * WIDTH):
         count += blocks.together[k]
