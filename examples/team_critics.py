@@ -33,7 +33,7 @@ from bulletuav.policies.run import CONFIG, POLICY, RunConfig
 from bulletuav.policies.swarm_features import find_layout
 
 Array = torch.Tensor
-Keep = Callable[[Path], None]
+Look = Callable[[int, Callable[[Path], None]], None]
 # Smaller than the task's own weights, as networks like returns of the order of 1.
 WEIGHTS = {"progress": 0.1, "goal": 1.0, "conflict": -4.0, "warning": -0.1, "collision": -4.0}
 WEIGHTS |= {"out_of_bounds": -1.0, "energy": -0.0002, "time": -0.01}
@@ -240,11 +240,7 @@ class Replay:
 
 
 def train(
-    name: str,
-    plan: Plan,
-    seed: int,
-    folder: Path,
-    look: Callable[[int, Keep], None] = lambda steps, keep: None,
+    name: str, plan: Plan, seed: int, folder: Path, look: Look = lambda steps, keep: None
 ) -> None:
     """Train and save; `look` is told how many decisions are flown, and what keeps the policy."""
     torch.manual_seed(seed)
@@ -262,8 +258,7 @@ def train(
         flown = env.alive
         # A world that ended starts anew in the next step, which nobody flies.
         after, reward, ended, _, _ = env.step(action.reshape(shape).numpy())
-        told = np.stack([reward, flown, flown & ~ended], -1)
-        replay.add(seen, action, torch.from_numpy(told))
+        replay.add(seen, action, torch.from_numpy(np.stack([reward, flown, flown & ~ended], -1)))
         seen = torch.from_numpy(after)
         for _ in range(0 if is_random else plan.updates):
             learner.learn(*replay.sample(plan.batch))
@@ -294,7 +289,6 @@ def main() -> None:
     args = parse_arguments()
     torch.set_num_threads(1)
     plan = Plan(args.task, {"dynamics": "point_mass", "weights": WEIGHTS}, steps=args.steps)
-
     train(args.algorithm, plan, args.seed, args.out)
     result = bulletuav.evaluate(args.task, args.out, args.episodes, 1000, dynamics="point_mass")
     for metric in ("drone_success", "conflict", "return"):

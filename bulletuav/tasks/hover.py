@@ -212,8 +212,8 @@ class Hover(Task[HoverConfig]):
         return self._draw([rng])[0]
 
     def spawn_many(self, rngs: Rngs) -> Sequence[Spawn]:
-        """Draw the starts of several worlds, unless one of a task derived from this is its own."""
-        is_own = type(self).spawn is not Hover.spawn
+        """Draw the starts of several worlds; one by one where `spawn` is another's."""
+        is_own = getattr(self.spawn, "__func__", None) is not Hover.spawn
         return super().spawn_many(rngs) if is_own else self._draw(rngs)
 
     def _draw(self, rngs: Rngs) -> list[Spawn]:
