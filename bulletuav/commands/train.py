@@ -16,6 +16,7 @@ from bulletuav.commands.arguments import (
     print_files,
 )
 from bulletuav.commands.progress import show_progress
+from bulletuav.control.actions import CHOICES
 from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
 from bulletuav.policies.run import ALGORITHMS, CONFIG, POLICY, RunConfig, shipped, shipped_tasks
@@ -44,7 +45,6 @@ Result = TypeVar("Result")
 """What some work gives"""
 GIVEN = ("seed", "steps", "worlds", "evaluations", "episodes")
 """Arguments that are fields of `RunConfig` under the same name"""
-DISCRETE_ACTIONS = ("discrete", "discrete_27")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -213,7 +213,7 @@ def _with_action(
     if algo != "dqn":
         return options
     common = resolve(find_task(task), options).options
-    if common.action in DISCRETE_ACTIONS:
+    if common.action in CHOICES:
         return options
     return {**options, "action": "discrete"}
 

@@ -343,22 +343,24 @@ def _make_task(
     return task
 
 
-def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
-    period = 1 / options.decision_hz
+def action_context(options: EnvOptions, task: Task[Any]) -> ActionContext:
+    """Tell makers of actions what they may know of an environment."""
     climb = options.max_climb
-    # No climb limit is the limit of the speed
-    action = make_action(
-        options.action,
-        ActionContext(
-            options.airframe,
-            options.max_speed,
-            options.max_speed if climb is None else min(climb, options.max_speed),
-            task.arena_low,
-            task.arena_high,
-            period,
-            options.gravity,
-        ),
+    return ActionContext(
+        options.airframe,
+        options.max_speed,
+        # No climb limit is the limit of the speed
+        options.max_speed if climb is None else min(climb, options.max_speed),
+        task.arena_low,
+        task.arena_high,
+        1 / options.decision_hz,
+        options.gravity,
     )
+
+
+def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
+    climb = options.max_climb
+    action = make_action(options.action, action_context(options, task))
     # Other actions have no velocity that could be limited
     if climb is not None and action.level != SetpointLevel.VELOCITY:
         raise ValueError(

@@ -12,7 +12,7 @@ from bulletuav.envs.resolve import resolve
 from bulletuav.errors import choose, shown, unknown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunConfig, shipped
-from bulletuav.policies.trained import TRUST, SharedPolicy, Trained
+from bulletuav.policies.trained import TRUST, SharedPolicy, Trained, actions_given
 from bulletuav.policies.versus import (
     VERSUS,
     Rows,
@@ -164,13 +164,19 @@ def _from_sides(
     listed = sides.values() if isinstance(sides, Mapping) else sides
     found = [find_policy(side, task, trust) for side in listed]
     makers = [one.__call__ for one in found]
+    actions = joint_actions([one.actions for one in found])
+    # Each flies by the common action, also where it learned with another one
+    needed = [
+        {**one.options, "action": actions[0]} if "action" in one.options else one.options
+        for one in found
+    ]
     return PolicySpec(
         name=VERSUS.join(one.name for one in found),
-        actions=joint_actions([one.actions for one in found]),
+        actions=actions,
         reads_swarm=any(one.reads_swarm for one in found),
         make=lambda aviary: TeamPolicies(aviary, makers, teams),
         models=tuple(model for one in found for model in one.models),
-        options=joint_options([one.options for one in found]),
+        options=joint_options(needed),
     )
 
 
@@ -246,11 +252,13 @@ def _from_run(
             stacklevel=3,
         )
     path = folder / POLICY
+    actions: tuple[str, ...] = (config.action,)
     if not path.is_file() and (folder / OLD_MODEL).is_file():
         spec = _trusted(folder / OLD_MODEL, name, config.algo, trust)
     else:
         spec = _from_file(name, path, lambda aviary: Trained(aviary, config, path))
-    return spec._replace(actions=(config.action,), options=config.interface)
+        actions = actions_given(config.action)
+    return spec._replace(actions=actions, options=config.interface)
 
 
 def _from_model(

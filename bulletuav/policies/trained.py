@@ -9,7 +9,9 @@ from typing import Any, cast
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
+from bulletuav.control.actions import CHOICES, Action, make_action
 from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.env_spec import action_context
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.policies.base import Policy
 from bulletuav.policies.neural_network import Network, Weights, is_plain, read_weights
@@ -24,8 +26,15 @@ TRUST = (
 """Why a model of stable-baselines3 is not read, and what to do"""
 SB3_POLICY = "bulletuav.adapters.sb3_policy"
 """Module of PyTorch's networks; it is above this room and needs the extra"""
+VELOCITY = "velocity"
+"""Action by which choices among velocities can be given, too"""
 Choose = Callable[[Any], np.ndarray]
 """Function from M rows of observations, or a dict of such arrays, to M rows of actions"""
+
+
+def actions_given(learned: str) -> tuple[str, ...]:
+    """List the actions that a run's policy can give: what it learned, and velocities of choices."""
+    return (learned, VELOCITY) if learned in CHOICES else (learned,)
 
 
 class SharedPolicy(Policy):
@@ -62,7 +71,7 @@ class Trained(SharedPolicy):
     """The policy of a training run, from a file that holds nothing but numbers.
 
     NumPy flies it. PyTorch does, of the extra `sb3`, where it sees pictures or its layers are
-    unusual.
+    unusual. A network that chooses among velocities flies where velocities are asked for, too.
     """
 
     def __init__(
@@ -85,12 +94,25 @@ class Trained(SharedPolicy):
         super().__init__(aviary)
         path = Path(path)
         weights = read_weights(path)
+        self._learned = aviary.action
+        if aviary.options.action != config.action:
+            # It still chooses, and asks for the velocity that it chose
+            context = action_context(aviary.options, aviary.task)
+            self._learned = make_action(config.action, context)
         try:
-            self._choose_rows = _network(aviary, config, weights)
+            self._choose_rows = _network(aviary, config, weights, self._learned)
         except ValueError as error:
             raise ValueError(
                 f"{path} is no policy of {config.algo} for this environment: {error}"
             ) from None
+
+    def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
+        """Choose actions by the network; see `Policy.act`."""
+        aviary = self.aviary
+        actions = super().act(observations, swarm)
+        if self._learned is aviary.action:
+            return actions
+        return self.encoded(self._learned.decode(actions, aviary.commanded)[..., :3])
 
     def _choose(self, rows: Any) -> np.ndarray:
         """Choose the actions of the network."""
@@ -101,10 +123,11 @@ def _network(
     aviary: Aviary,
     config: RunConfig,
     weights: Weights,
+    learned: Action,
 ) -> Choose:
     """Build a run's network from its weights; raise ValueError where they do not fit."""
     observed = aviary.observer.space()
-    given = widest_action_space(aviary.action)
+    given = widest_action_space(learned)
     settings = config.settings
     # Pictures and unusual layers need PyTorch.
     if not isinstance(observed, Box) or not is_plain(config.algo, settings):

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.policies import find_policy
+from bulletuav.policies.run import RunConfig
 from bulletuav.policies.versus import joint_actions, joint_options
+from bulletuav.training import checkpoint
+from bulletuav.training.models import make_model
 
 POINTS = {"dynamics": "single_integrator", "difficulty": "easy"}
 
@@ -91,3 +95,54 @@ def test_actions_and_options_of_sides_must_agree():
     assert joint_options([{"x": 1}, {}, {"x": 1, "y": 2}]) == {"x": 1, "y": 2}
     with pytest.raises(ValueError, match="learned with x 1 and 2"):
         joint_options([{"x": 1}, {"x": 2}])
+
+
+def write_run(folder, action):
+    """Write the folder of a run whose network chooses among velocities, not trained."""
+    options = {**POINTS, "action": action}
+    config = RunConfig("pursuit_evasion", "dqn", options=options, worlds=1)
+    env = DroneVecEnv("pursuit_evasion", 1, **options)
+    folder.mkdir()
+    checkpoint.save(make_model(config, env), folder)
+    env.close()
+    (folder / "run.yaml").write_text(config.text())
+    return folder
+
+
+@pytest.fixture
+def chooser(tmp_path):
+    return write_run(tmp_path / "run", "discrete")
+
+
+@pytest.mark.parametrize("climb", [None, 0.5])
+def test_who_chose_velocities_asks_for_them(chooser, climb):
+    """The same velocities where they are asked for as where they are chosen, to the last digits."""
+    assert find_policy(chooser).actions == ("discrete", "velocity")
+    asked = {}
+    for action in ("discrete", "velocity"):
+        one = bulletuav.Aviary("pursuit_evasion", 20, **POINTS, action=action, max_climb=climb)
+        policy, observations = find_policy(chooser)(one), one.reset(seeds=0)
+        asked[action] = one.action.decode(policy.act(observations, one.swarm), one.commanded)
+        one.close()
+    np.testing.assert_allclose(asked["velocity"], asked["discrete"], atol=1e-12)
+    assert len(np.unique(asked["discrete"].reshape(-1, 4), axis=0)) > 3  # not one choice alone
+
+
+def test_who_chose_velocities_meets_who_asks_for_them(chooser):
+    spec = find_policy(f"{chooser} vs flee")
+    needed = spec.complete("pursuit_evasion", POINTS)
+    assert (spec.actions, needed["action"]) == (("velocity",), "velocity")
+    one = bulletuav.Aviary("pursuit_evasion", 2, **needed)
+    joint, alone = acted(f"{chooser} vs flee", one), acted(chooser, one)
+    np.testing.assert_array_equal(joint[:, :3], alone[:, :3])
+    np.testing.assert_array_equal(joint[:, 3], acted("flee", one)[:, 3])
+    one.close()
+    # Where both sides chose, both choose
+    both = find_policy(f"{chooser} vs {chooser}")
+    assert both.complete("pursuit_evasion", POINTS)["action"] == "discrete"
+
+
+def test_who_chose_among_others_flies_by_a_common_action(chooser, tmp_path):
+    other = write_run(tmp_path / "other", "discrete_27")
+    spec = find_policy(f"{chooser} vs {other}")
+    assert (spec.actions, spec.options["action"]) == (("velocity",), "velocity")

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from bulletuav.control.actions.attitudes import attitude, rates
 from bulletuav.control.actions.base import Action, ActionContext, ActionMaker, limit_norm
-from bulletuav.control.actions.choices import discrete, discrete_27
+from bulletuav.control.actions.choices import CHOICES, discrete, discrete_27
 from bulletuav.control.actions.motion import (
     acceleration,
     heading_speed,
@@ -20,7 +20,15 @@ from bulletuav.control.actions.motion import (
 from bulletuav.control.actions.rotors import hover_rpm, rotor, rpm
 from bulletuav.registry import find
 
-__all__ = ["ACTIONS", "Action", "ActionContext", "ActionMaker", "limit_norm", "make_action"]
+__all__ = [
+    "ACTIONS",
+    "CHOICES",
+    "Action",
+    "ActionContext",
+    "ActionMaker",
+    "limit_norm",
+    "make_action",
+]
 
 ACTIONS: Mapping[str, ActionMaker] = MappingProxyType(
     {

@@ -9,6 +9,9 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.kernel import kernel
 from bulletuav.registry import register
 
+CHOICES = ("discrete", "discrete_27")
+"""Names of the actions of this module"""
+
 
 @kernel
 def _decode(
