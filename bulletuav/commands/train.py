@@ -74,6 +74,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --all or --seeds: runs at once, each in a process (default: 1)",
     )
     parser.add_argument(
+        "--mlflow",
+        action="store_true",
+        help="tell MLflow, too, where MLFLOW_TRACKING_URI says (extra 'mlflow')",
+    )
+    parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: one in training/)"
     )
 
@@ -227,7 +232,8 @@ def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
     default = Path("training") / f"{config.task}-{config.algo}-{config.seed}"
     out = out_folder(arguments.out or default)
     with show_progress(f"training {config.task}", config.steps, "steps") as report:
-        rows = or_tell(out, lambda: train(config, out, report, report.note))
+        mlflow = arguments.mlflow
+        rows = or_tell(out, lambda: train(config, out, report, report.note, mlflow))
     _finish(out, [(config, rows)], [out / CONFIG, out / POLICY, out / CURVE, out / UPDATES])
 
 
@@ -236,7 +242,7 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
     out = out_folder(arguments.out or Path("training"))
     chosen = arguments.seeds or ([0, 1, 2] if arguments.seed is None else [arguments.seed])
     runs = [dataclasses.replace(config, seed=seed) for config in configs for seed in chosen]
-    campaign = Campaign(runs, out / "runs")
+    campaign = Campaign(runs, out / "runs", arguments.mlflow)
     with show_progress(f"training {len(runs)} runs", campaign.total, "steps") as report:
         workers = arguments.workers
         learned = or_tell(out, lambda: campaign.train(workers, report, report.note))

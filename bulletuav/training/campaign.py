@@ -37,16 +37,18 @@ class Campaign:
         total: Steps of all together.
     """
 
-    def __init__(self, configs: Sequence[RunConfig], folder: Path) -> None:
+    def __init__(self, configs: Sequence[RunConfig], folder: Path, mlflow: bool = False) -> None:
         """Plan a campaign.
 
         Args:
             configs: The runs, each of another task or seed.
             folder: Where their folders are, or will be.
+            mlflow: Whether MLflow is told, too.
         """
         self.configs = list(configs)
         self.total = sum(config.steps for config in configs)
         self._folder = folder
+        self._mlflow = mlflow
 
     def place(self, config: RunConfig) -> Path:
         """Return the folder of a run."""
@@ -76,7 +78,8 @@ class Campaign:
         """
         with processes(workers) as pool:
             futures = [
-                pool.submit(train_in_process, config, self.place(config)) for config in self.configs
+                pool.submit(train_in_process, config, self.place(config), self._mlflow)
+                for config in self.configs
             ]
             self._watch(futures, progress, told)
         progress(self.total)
@@ -144,7 +147,7 @@ def _leave_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def train_in_process(config: RunConfig, folder: Path) -> list[Row]:
+def train_in_process(config: RunConfig, folder: Path, mlflow: bool = False) -> list[Row]:
     """Train one run in a process of `processes`; see `bulletuav.training.trainer.train`."""
     from bulletuav.training.trainer import train
 
@@ -155,7 +158,7 @@ def train_in_process(config: RunConfig, folder: Path) -> list[Row]:
         if parent is not None and not parent.is_alive():
             os._exit(1)
 
-    return train(config, folder, end_with_parent)
+    return train(config, folder, end_with_parent, mlflow=mlflow)
 
 
 def _last(folder: Path) -> Row:

@@ -23,6 +23,8 @@ from bulletuav.training.wall_time import WallTime
 
 EVALUATION_SEED = 1_000_000
 """Seed of the first episode of evaluations on the way: no seed of training or of tables"""
+MLFLOW = "bulletuav.adapters.mlflow"
+"""Module that tells MLflow; it needs an extra of its own"""
 MOST_UPDATES = 1000
 """Most points that a run tells TensorBoard and `updates.csv`"""
 RECENT = 100
@@ -46,6 +48,7 @@ def train(
     out: Path,
     progress: Progress = lambda steps: None,
     told: Told = lambda text: None,
+    mlflow: bool = False,
 ) -> list[Row]:
     """Train a policy and keep everything in a folder.
 
@@ -58,18 +61,20 @@ def train(
         out: The folder.
         progress: Told the steps done so far.
         told: Told return, success and speed in words, whenever they are new.
+        mlflow: Whether MLflow is told, too; see `bulletuav.adapters.mlflow`.
 
     Returns:
         The learning curve, see `Store`.
 
     Raises:
         ValueError: The configuration is none that can be, or the folder holds another run.
-        ImportError: The extra `sb3` is missing.
+        ImportError: The extra `sb3`, or `mlflow`, is missing.
+        RuntimeError: MLflow cannot be reached.
     """
     single_thread()
     with opened(out, config) as store:
         if not store.finished:
-            _train(config, store, progress, told)
+            _train(config, store, progress, told, mlflow)
         progress(config.steps)
         return store.rows
 
@@ -79,6 +84,7 @@ def _train(
     store: Store,
     progress: Progress,
     told: Told,
+    mlflow: bool,
 ) -> None:
     """Train until all steps are done."""
     from stable_baselines3.common.logger import configure
@@ -86,6 +92,10 @@ def _train(
     # Told before worlds are made, rather than by an import far below
     if importlib.util.find_spec("tensorboard") is None:
         raise missing("training, which tells TensorBoard of its curves,", "sb3")
+    logger = configure(str(store.folder / "tensorboard"), ["tensorboard"])
+    if mlflow:
+        adapter = importlib.import_module(MLFLOW)
+        logger.output_formats.append(adapter.MlflowWriter(config, store.folder))
     env = DroneVecEnv(
         config.task,
         config.worlds,
@@ -97,7 +107,7 @@ def _train(
     # With rows in the store, the model goes on from its last checkpoint
     try:
         model = _model(config, env, store)
-        model.set_logger(configure(str(store.folder / "tensorboard"), ["tensorboard"]))
+        model.set_logger(logger)
         # Chapters evaluate and save between the steps
         chapters = _Chapters(config, env, store, progress, told)
         # Steps that an earlier call did are not done again
@@ -110,6 +120,7 @@ def _train(
         chapters.end()
     finally:
         env.close()
+        logger.close()
 
 
 def _model(

@@ -1,0 +1,85 @@
+"""Training runs told to MLflow: settings, and curves by update and evaluation.
+
+Where they go is MLflow's to know: its `MLFLOW_TRACKING_URI`, such as http://localhost:5000.
+"""
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+from bulletuav.errors import missing
+from bulletuav.files import replace_file
+from bulletuav.policies.run import RunConfig
+
+try:
+    from mlflow import MlflowClient
+    from mlflow.entities import Metric, Param
+    from mlflow.exceptions import MlflowException
+    from stable_baselines3.common.logger import KVWriter
+except ImportError:
+    raise missing("telling MLflow of a training", "mlflow") from None
+
+EXPERIMENT = "bulletuav"
+"""Name of the experiment that has all runs"""
+RUN_ID = "mlflow.txt"
+"""File with the run's number in MLflow, in the run's folder"""
+
+
+class MlflowWriter(KVWriter):
+    """A run in MLflow to which the logger of stable-baselines3 writes."""
+
+    def __init__(self, config: RunConfig, folder: Path) -> None:
+        """Begin a run in MLflow, or go on with that of an interrupted training.
+
+        Args:
+            config: The settings, which become the run's parameters.
+            folder: The folder of the training.
+
+        Raises:
+            RuntimeError: MLflow cannot be reached, or refuses.
+        """
+        try:
+            self._client = MlflowClient()
+            self._run = self._resumed(folder / RUN_ID) or self._begun(config, folder / RUN_ID)
+        except MlflowException as error:
+            raise RuntimeError(
+                f"MLflow does not take the run: {error.message}; see MLFLOW_TRACKING_URI"
+            ) from None
+
+    def _resumed(self, file: Path) -> str | None:
+        """Open the run of the file again; None where there is none."""
+        if not file.exists():
+            return None
+        run = file.read_text().strip()
+        self._client.update_run(run, status="RUNNING")
+        return run
+
+    def _begun(self, config: RunConfig, file: Path) -> str:
+        """Begin a run, and keep its number in the file."""
+        known = self._client.get_experiment_by_name(EXPERIMENT)
+        place = known.experiment_id if known else self._client.create_experiment(EXPERIMENT)
+        name = f"{config.task}-{config.algo}-{config.seed}"
+        run: str = self._client.create_run(place, run_name=name).info.run_id
+        told = [Param(key, str(value)) for key, value in config.plain().items()]
+        self._client.log_batch(run, params=told)
+        replace_file(file, run + "\n")
+        return run
+
+    def write(
+        self,
+        key_values: dict[str, Any],
+        key_excluded: dict[str, tuple[str, ...]],
+        step: int = 0,
+    ) -> None:
+        """Write numbers at a step; those that are not finite are left out."""
+        now = int(1000 * time.time())
+        numbers = {key: float(value) for key, value in key_values.items()}
+        told = [
+            Metric(key, value, now, step) for key, value in numbers.items() if math.isfinite(value)
+        ]
+        self._client.log_batch(self._run, metrics=told)
+
+    def close(self) -> None:
+        """Tell MLflow that the run has ended."""
+        self._client.set_terminated(self._run)
