@@ -1,6 +1,7 @@
 import gc
 import multiprocessing
 import os
+import sys
 
 # Two processes fly at once: threads of PyTorch and BLAS in each would wait for one another.
 # Set before these are imported, and inherited by what tests start.
@@ -9,6 +10,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # instead of asking the system anew. It reads this when a process starts, as those of xdist do.
 os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", str(2**26))
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", str(2**28))
+# Workers and a hundred children import the package: they read what the first of them compiled.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import bench
 import placing
