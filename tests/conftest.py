@@ -12,12 +12,13 @@ os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", str(2**26))
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", str(2**28))
 # Workers and a hundred children import the package: they read what the first of them compiled.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-sys.dont_write_bytecode = False
 
 import bench
 import placing
 import pytest
 from hypothesis import settings
+
+sys.dont_write_bytecode = False  # of this process, which began before
 
 # TorchRL sets "spawn" for the whole process when it is imported, if nobody has asked before.
 multiprocessing.get_start_method()
