@@ -106,10 +106,16 @@ class Program:
         """Look up the addresses of all functions and arguments; the first run does it otherwise."""
         table = np.zeros((len(self._calls), 2), dtype=np.int64)
         kept: list[np.ndarray] = []
+        # Most calls are given the same tuples and arrays, which live as long as the calls
+        forms: dict[int, Any] = {}
+        known: dict[int, list[int]] = {}
         for row, (made, arguments, _) in zip(table, self._calls, strict=True):
             if made is not None:
-                function, caller = _addresses(made, tuple(map(form_of, arguments)))
-                words = np.array([function, *_flat(arguments)], dtype=np.int64)
+                for one in arguments:
+                    if id(one) not in forms:
+                        forms[id(one)] = form_of(one)
+                function, caller = _addresses(made, tuple(forms[id(one)] for one in arguments))
+                words = np.array([function, *_flat(arguments, known)], dtype=np.int64)
                 row[:] = caller, words.ctypes.data
                 kept.append(words)
         # At once: an interrupt before it leaves no table without some of the calls
@@ -215,7 +221,7 @@ def _of_one_world(value: Any, strides: Iterator[int | None]) -> Iterator[tuple[i
         for part in value:
             yield from _of_one_world(part, strides)
         return
-    numbers = [(number, 0) for number in _flat(value)]
+    numbers = [(number, 0) for number in _flat(value, {})]
     if isinstance(value, np.ndarray):
         stride = next(strides)
         if stride is not None and stride != NO_WORLDS:
@@ -223,19 +229,25 @@ def _of_one_world(value: Any, strides: Iterator[int | None]) -> Iterator[tuple[i
     yield from numbers
 
 
-def _flat(value: Any) -> Iterator[int]:
-    """List the numbers of an argument, in the order in which `_load` reads them."""
+def _flat(value: Any, known: dict[int, list[int]]) -> list[int]:
+    """List the numbers of an argument, in the order in which `_load` reads them.
+
+    `known` has those of arrays and tuples by their `id`.
+    """
     if isinstance(value, np.ndarray):
-        yield from (value.ctypes.data, *value.shape, *value.strides)
-    elif isinstance(value, tuple):
-        for part in value:
-            yield from _flat(part)
-    elif isinstance(value, float):
-        yield np.float64(value).view(np.int64).item()
-    elif isinstance(value, bool | int | np.integer):
-        yield int(value)
-    else:  # a function of C
-        yield ctypes.cast(value, ctypes.c_void_p).value or 0
+        if id(value) not in known:
+            known[id(value)] = [value.ctypes.data, *value.shape, *value.strides]
+        return known[id(value)]
+    if isinstance(value, tuple):
+        if id(value) not in known:
+            known[id(value)] = [word for part in value for word in _flat(part, known)]
+        return known[id(value)]
+    if isinstance(value, float):
+        return [np.float64(value).view(np.int64).item()]
+    if isinstance(value, bool | int | np.integer):
+        return [int(value)]
+    # A function of C
+    return [ctypes.cast(value, ctypes.c_void_p).value or 0]
 
 
 @cache

@@ -7,13 +7,13 @@ import shutil
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
 import numba
 import numpy as np
 import pytest
+from forking import forking
 
 import bulletuav
 from bulletuav import dispatcher, kernel
@@ -33,8 +33,14 @@ class Outer(NamedTuple):
     flag: bool
 
 
+@pytest.fixture(scope="module")
+def run_in():
+    with forking() as run:
+        yield run
+
+
 @pytest.fixture
-def package(tmp_path):
+def package(tmp_path, run_in):
     """A package of our `kernel` module, a helper in one file and its compiled caller in another."""
     folder = tmp_path / "small"
     folder.mkdir()
@@ -55,26 +61,14 @@ def package(tmp_path):
         "@kernel\ndef caller(x):\n    return middle(x) * 10\n"
     )
 
-    def run(before=""):
-        env = {
-            **os.environ,
-            "PYTHONPATH": str(tmp_path),
-            "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-            "PYTHONDONTWRITEBYTECODE": "1",  # Python's own cache would not see the edits
-        }
+    def run(before="", at_once=1, kind="warm"):
         code = (
             before + "from small.caller import caller; "
             "print(caller(1), sum(caller.stats.cache_hits.values()))"
         )
-        out = subprocess.run(
-            [sys.executable, "-c", code],
-            env=env,
-            capture_output=True,
-            text=True,
-            check=True,
-            cwd=tmp_path,
-        )
-        return tuple(int(number) for number in out.stdout.split())
+        told = run_in(tmp_path, *[code] * at_once, kind=kind)
+        found = [tuple(int(number) for number in out.split()) for out in told]
+        return found if at_once > 1 else found[0]
 
     return folder, run
 
@@ -89,9 +83,7 @@ def edit(path, old, new):
 def test_of_processes_that_start_at_once_one_compiles(package):
     """Else both do, and the next compiles what calls the one whose code was overwritten."""
     _, run = package
-    with ThreadPoolExecutor(3) as pool:
-        found = list(pool.map(lambda _: run(), range(3)))
-    assert sorted(found) == [(20, 0), (20, 1), (20, 1)]
+    assert sorted(run(at_once=3)) == [(20, 0), (20, 1), (20, 1)]
     assert run() == (20, 1)
 
 
@@ -159,8 +151,8 @@ def test_stored_code_finds_functions_of_numbas(package):
         "def helper(x):\n    made = np.ones(3)\n"
         "    return x + int(made[1]) * (hash('text') == hash('text'))\n"
     )
-    assert run() == (20, 0)
-    assert run() == (20, 1)
+    assert run(kind="cold") == (20, 0)
+    assert run(kind="cold") == (20, 1)
 
 
 def test_machine_code_with_addresses_of_this_process_is_not_stored(monkeypatch, tmp_path):
@@ -183,7 +175,7 @@ def test_functions_of_arrays_are_made_of_stored_code(package):
         "def caller(x):\n    return helper(x)\n"
         "caller.stats = SimpleNamespace(cache_hits={})\n"
     )
-    assert run() == run() == (2, 0)
+    assert run(kind="cold") == run(kind="cold") == (2, 0)
 
 
 def test_functions_of_numbers_take_numbers_and_arrays():

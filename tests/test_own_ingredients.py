@@ -5,6 +5,7 @@ import functools
 import importlib.util
 import math
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -59,23 +60,6 @@ def sizes():
     found = {name: len(code_lines((FOLDER / f"{name}.py").read_text())) for name in EXAMPLES}
     print("\nlines of code:", ", ".join(f"{name} {count}" for name, count in found.items()))
     return found
-
-
-RUN_EACH = """
-import os, runpy, sys
-import bulletuav
-for path in sys.argv[1:]:
-    sys.argv, child = [path], os.fork()
-    if child == 0:
-        sys.path[0] = os.path.dirname(path)
-        out = os.open(os.path.basename(path) + ".out", os.O_CREAT | os.O_WRONLY)
-        os.dup2(out, 1)
-        runpy.run_path(path, run_name="__main__")
-        sys.exit()
-    if os.waitpid(child, 0)[1]:
-        sys.exit(f"{path} failed")
-"""
-"""Each program runs in a process of its own, forked from one that has imported the package"""
 
 
 def numbers(pattern, text):
@@ -152,20 +136,23 @@ CHECKS = {
 }
 
 
-def test_each_runs_as_a_program(tmp_path):
-    programs = [str(FOLDER / f"{name}.py") for name in EXAMPLES]
-    done = subprocess.run(
-        [sys.executable, "-c", RUN_EACH, *programs],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_each_runs_as_a_program(name, tmp_path, monkeypatch, capsys):
+    path = FOLDER / f"{name}.py"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(path)])
+    monkeypatch.syspath_prepend(FOLDER)
+    runpy.run_path(str(path), run_name="__main__")
+    CHECKS[name](capsys.readouterr().out)
+    assert list(tmp_path.iterdir()) == [], "writes files"
+
+
+def test_one_runs_in_a_process_of_its_own(tmp_path):
+    command = [sys.executable, str(FOLDER / "smoothness.py")]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    for name in EXAMPLES:
-        CHECKS[name]((tmp_path / f"{name}.py.out").read_text())
-    written = {path.name for path in tmp_path.iterdir()}
-    assert written == {f"{name}.py.out" for name in EXAMPLES}, "writes files"
+    check_smoothness(done.stdout)
+    assert list(tmp_path.iterdir()) == [], "writes files"
 
 
 def commands():
