@@ -1,9 +1,7 @@
 import gc
 import multiprocessing
 import os
-import shutil
 import sys
-import tempfile
 
 # Two processes fly at once: threads of PyTorch and BLAS in each would wait for one another.
 # Set before these are imported, and inherited by what tests start.
@@ -19,14 +17,6 @@ import bench
 import placing
 import pytest
 from hypothesis import settings
-
-# Each engine writes files for Bullet and removes them: in memory, where there is room, an
-# environment takes a fifth less time to make. Folders of tests stay where they are.
-MEMORY = "/dev/shm"
-has_room = os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > 2**30
-if has_room and "TMPDIR" not in os.environ:
-    os.environ["PYTEST_DEBUG_TEMPROOT"] = tempfile.gettempdir()
-    os.environ["TMPDIR"] = tempfile.tempdir = MEMORY
 
 sys.dont_write_bytecode = False  # of this process, which began before
 

@@ -107,7 +107,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots, contacts):
     return bench
 
 
-@pytest.mark.parametrize("shots", [10, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("shots", [20, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("dynamics", "contacts"), FLIGHTS)
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_no_shot_passes(make_bench, airframe, dynamics, contacts, shots):
