@@ -56,11 +56,10 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def make_learner(env: CentralTeamAviary, steps: int, seed: int) -> PPO:
-    """Make a model that learns to fly the team of an environment, at least `steps` at a time."""
+def make_learner(env: CentralTeamAviary, seed: int) -> PPO:
+    """Make a model that learns to fly the team of an environment."""
     settings = {"net_arch": [64, 64], "log_std_init": -0.5}
-    rollout = min(steps, 1024)
-    return PPO("MlpPolicy", env, n_steps=rollout, policy_kwargs=settings, seed=seed, device="cpu")
+    return PPO("MlpPolicy", env, n_steps=1024, policy_kwargs=settings, seed=seed, device="cpu")
 
 
 def frozen(model: PPO) -> Rows:
@@ -93,7 +92,7 @@ def main() -> None:
         bulletuav.team_env("pursuit_evasion", team, opponent, central=True, **OPTIONS)
         for team, opponent in (("chasers", "wander"), ("evaders", "lead"))
     ]
-    chaser, evader = (make_learner(env, args.steps, args.seed) for env in arenas)
+    chaser, evader = (make_learner(env, args.seed) for env in arenas)
     for k in range(args.rounds):
         chaser.learn(args.steps, reset_num_timesteps=False)
         arenas[1].opponents = frozen(chaser)

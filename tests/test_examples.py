@@ -29,7 +29,7 @@ EXAMPLES = {
     "torchrl_mappo": "--steps 1 --episodes 2",
     "fast_ppo": "crossing --critic state --steps 1 --episodes 2",
     "team_critics": "maddpg --steps 1 --episodes 2",
-    "self_play": "--rounds 1 --steps 128 --episodes 2",
+    "self_play": "--rounds 1 --steps 1 --episodes 2",
     "plan_ahead": "--decisions 3 --plans 4 --ahead 3",
     "own_pid": "",
     "figure_eight": "--out figure_eight",
