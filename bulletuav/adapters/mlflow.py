@@ -6,7 +6,8 @@ Where they go is MLflow's to know: its `MLFLOW_TRACKING_URI`, such as http://loc
 import math
 import time
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from bulletuav.errors import missing
 from bulletuav.files import replace_file
@@ -27,7 +28,7 @@ RUN_ID = "mlflow.txt"
 
 
 class MlflowWriter(KVWriter):
-    """A run in MLflow to which the logger of stable-baselines3 writes."""
+    """A run in MLflow to which the logger of stable-baselines3 writes: a context manager."""
 
     def __init__(self, config: RunConfig, folder: Path) -> None:
         """Begin a run in MLflow, or go on with that of an interrupted training.
@@ -81,5 +82,20 @@ class MlflowWriter(KVWriter):
         self._client.log_batch(self._run, metrics=told)
 
     def close(self) -> None:
-        """Tell MLflow that the run has ended."""
-        self._client.set_terminated(self._run)
+        """Do nothing: the run ends when what it tells of does."""
+
+    def __enter__(self) -> Self:
+        """Tell MLflow of what happens within."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        _: TracebackType | None,
+    ) -> None:
+        """Tell MLflow how the run has ended: done, interrupted, or by an error."""
+        status = "FINISHED" if kind is None else "FAILED"
+        if kind is not None and not issubclass(kind, Exception):
+            status = "KILLED"
+        self._client.set_terminated(self._run, status)

@@ -5,6 +5,7 @@ It goes on to the weights of a run that was never interrupted.
 
 import importlib.util
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -87,25 +88,21 @@ def _train(
     mlflow: bool,
 ) -> None:
     """Train until all steps are done."""
-    from stable_baselines3.common.logger import configure
-
     # Told before worlds are made, rather than by an import far below
     if importlib.util.find_spec("tensorboard") is None:
         raise missing("training, which tells TensorBoard of its curves,", "sb3")
-    logger = configure(str(store.folder / "tensorboard"), ["tensorboard"])
-    if mlflow:
-        adapter = importlib.import_module(MLFLOW)
-        logger.output_formats.append(adapter.MlflowWriter(config, store.folder))
-    env = DroneVecEnv(
-        config.task,
-        config.worlds,
-        config.stages,
-        Curriculum(len(config.stages), **config.curriculum),
-        config.shared_reward,
-        **config.options,
-    )
-    # With rows in the store, the model goes on from its last checkpoint
-    try:
+    with ExitStack() as open_things:
+        logger = _logger(config, store.folder, mlflow, open_things)
+        env = DroneVecEnv(
+            config.task,
+            config.worlds,
+            config.stages,
+            Curriculum(len(config.stages), **config.curriculum),
+            config.shared_reward,
+            **config.options,
+        )
+        open_things.callback(env.close)
+        # With rows in the store, the model goes on from its last checkpoint
         model = _model(config, env, store)
         model.set_logger(logger)
         # Chapters evaluate and save between the steps
@@ -118,9 +115,24 @@ def _train(
             reset_num_timesteps=False,
         )
         chapters.end()
-    finally:
-        env.close()
-        logger.close()
+
+
+def _logger(
+    config: RunConfig,
+    folder: Path,
+    mlflow: bool,
+    open_things: ExitStack,
+) -> Any:
+    """Make the logger of stable-baselines3; what it writes to is closed with `open_things`."""
+    from stable_baselines3.common.logger import configure
+
+    logger = configure(str(folder / "tensorboard"), ["tensorboard"])
+    open_things.callback(logger.close)
+    if mlflow:
+        adapter = importlib.import_module(MLFLOW)
+        run = open_things.enter_context(adapter.MlflowWriter(config, folder))
+        logger.output_formats.append(run)
+    return logger
 
 
 def _model(

@@ -1,6 +1,7 @@
 """Trainings told to MLflow."""
 
 import csv
+import dataclasses
 import sys
 
 import pytest
@@ -61,6 +62,7 @@ def test_settings_and_curves_are_those_of_the_folder(client, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         train(CONFIG, tmp_path / "run", interrupt, mlflow=True)
+    assert [run.info.status for run in runs(client)] == ["KILLED"]
     train(CONFIG, tmp_path / "run", mlflow=True)
     (run,) = runs(client)
     assert (tmp_path / "run" / RUN_ID).read_text().strip() == run.info.run_id
@@ -76,6 +78,14 @@ def test_settings_and_curves_are_those_of_the_folder(client, tmp_path):
         kept = dict(columns(tmp_path / "run" / file, column))
         assert kept == pytest.approx({step: history[step] for step in kept}), name
         assert kept, name
+
+
+def test_a_training_that_fails_is_told_as_such(client, tmp_path):
+    """Here one whose model cannot be made."""
+    broken = dataclasses.replace(CONFIG, model={**CONFIG.model, "learning_rate": "fast"})
+    with pytest.raises(ValueError, match="fast"):
+        train(broken, tmp_path / "run", mlflow=True)
+    assert [run.info.status for run in runs(client)] == ["FAILED"]
 
 
 def test_several_seeds_are_several_runs(client, tmp_path):
