@@ -1,6 +1,7 @@
 import gc
 import multiprocessing
 import os
+import runpy
 import sys
 
 # Two processes fly at once: threads of PyTorch and BLAS in each would wait for one another.
@@ -96,3 +97,18 @@ def turns(monkeypatch):
     waited = []
     monkeypatch.setattr(Pacer, "wait", lambda self: waited.append(self.period))
     return waited
+
+
+@pytest.fixture
+def run_program(tmp_path, monkeypatch, capsys):
+    """Runs a program as its command does, in an empty folder; gives what it printed."""
+
+    def run(path, arguments=""):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", [str(path), *arguments.split()])
+        # What Python does for a script, and runpy does not
+        monkeypatch.syspath_prepend(path.parent)
+        runpy.run_path(str(path), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run

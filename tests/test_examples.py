@@ -1,8 +1,6 @@
 """Every example runs, in its shortest form, and does what it says."""
 
 import re
-import runpy
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -70,19 +68,6 @@ MODELS = {
 NUMBER = r"(-?\d+(?:\.\d+)?|nan|-?inf)"
 
 
-@pytest.fixture
-def run(tmp_path, monkeypatch, capsys):
-    """Runs an example as its command does, in an empty folder; gives what it printed."""
-
-    def run_it(name, arguments):
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", [f"{name}.py", *arguments.split()])
-        runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
-        return capsys.readouterr().out
-
-    return run_it
-
-
 def numbers(pattern, text):
     """What stands where the pattern has `#`; at least one match."""
     found = re.findall(pattern.replace("#", NUMBER), text)
@@ -101,9 +86,9 @@ def test_every_example_is_tested_and_short():
 
 
 @pytest.mark.parametrize("name", [name for name, arguments in EXAMPLES.items() if arguments])
-def test_help_tells_what_one_sees(name, run, capsys):
+def test_help_tells_what_one_sees(name, run_program, capsys):
     with pytest.raises(SystemExit) as end:
-        run(name, "--help")
+        run_program(FOLDER / f"{name}.py", "--help")
     assert end.value.code == 0
     told = capsys.readouterr().out
     assert f"python examples/{name}.py" in told
@@ -111,8 +96,8 @@ def test_help_tells_what_one_sees(name, run, capsys):
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_it_runs(name, run, tmp_path):
-    told = run(name, EXAMPLES[name])
+def test_it_runs(name, run_program, tmp_path):
+    told = run_program(FOLDER / f"{name}.py", EXAMPLES[name])
     short = Path(name).name
     folder = tmp_path / short
     CHECKS[short](told, folder)

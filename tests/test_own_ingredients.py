@@ -5,7 +5,6 @@ import functools
 import importlib.util
 import math
 import re
-import runpy
 import shlex
 import subprocess
 import sys
@@ -137,13 +136,8 @@ CHECKS = {
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_each_runs_as_a_program(name, tmp_path, monkeypatch, capsys):
-    path = FOLDER / f"{name}.py"
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", [str(path)])
-    monkeypatch.syspath_prepend(FOLDER)
-    runpy.run_path(str(path), run_name="__main__")
-    CHECKS[name](capsys.readouterr().out)
+def test_each_runs_as_a_program(name, run_program, tmp_path):
+    CHECKS[name](run_program(FOLDER / f"{name}.py"))
     assert list(tmp_path.iterdir()) == [], "writes files"
 
 
