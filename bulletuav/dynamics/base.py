@@ -372,8 +372,9 @@ class Dynamics(ABC):
     ) -> None:
         """Add to a program that the height of the surface below drones is written once."""
         engine = self.flight.engine
-        if engine.port is not None:
-            program.call(surface_below, engine.port, swarm.position, alive, surface)
+        port = engine.surface_port
+        if port is not None:
+            program.call(surface_below, port, swarm.position, alive, surface)
             return
 
         def look() -> None:

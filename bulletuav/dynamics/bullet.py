@@ -162,8 +162,9 @@ class BulletDynamics(Dynamics):
     sleeps = True
 
     def __init__(self, flight: Flight) -> None:
-        """Make room for the wrenches."""
+        """Make room for the wrenches, and the bodies that fly."""
         super().__init__(flight)
+        flight.engine.make_bodies()
         self._force, self._torque = np.zeros((2, *flight.parameters.shape, 3))
         self._driven, self._flying = np.zeros((2, *flight.parameters.shape), dtype=bool)
         self._room = np.zeros((2, MAX_ROTORS))

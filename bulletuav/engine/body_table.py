@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Iterable, Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from bulletuav.engine.bodies import (
 from bulletuav.engine.calls import bullet
 from bulletuav.engine.city_layouts import LEVEL, LayoutBodies
 from bulletuav.engine.drones import drawn_files, make_drone
+from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import Shape
 from bulletuav.geometry.solids import Solids
@@ -30,6 +32,26 @@ SPREAD, IN_ROW = 4.0, 32
 """How far apart obstacles are made below their world, m, and how many in a row"""
 
 
+class Contents(NamedTuple):
+    """What is in W worlds of an engine.
+
+    Attributes:
+        airframes: Airframe of each of N drones.
+        obstacles: The K obstacles of each world.
+        layouts: What can stand in a world, one at a time.
+        layout: (W,) which of them stands, see `LayoutBodies`.
+        offset: (W, 3) origins of the tiles, m.
+        parking: (W, N, 3) places of parked drones in Bullet's frame, m.
+    """
+
+    airframes: Sequence[Airframe]
+    obstacles: Sequence[Obstacle]
+    layouts: Sequence[Solids]
+    layout: np.ndarray
+    offset: np.ndarray
+    parking: np.ndarray
+
+
 class BodyTable:
     """Bodies of W worlds of N drones, K obstacles and L city layouts.
 
@@ -40,30 +62,16 @@ class BodyTable:
         layouts: The city layouts.
     """
 
-    def __init__(
-        self,
-        client: int,
-        airframes: Sequence[Airframe],
-        obstacles: Sequence[Obstacle],
-        layouts: Sequence[Solids],
-        offset: np.ndarray,
-        parking: np.ndarray,
-        depth: float,
-        at_once: bool,
-    ) -> None:
+    def __init__(self, client: int, contents: Contents, at_once: bool) -> None:
         """Make the bodies, out of each other's way.
 
         Args:
             client: Number that Bullet gave the client.
-            airframes: Airframe of each of N drones.
-            obstacles: The K obstacles of each world.
-            layouts: What can stand in a world, one at a time.
-            offset: (W, 3) origins of the tiles, m.
-            parking: (W, N, 3) places of the drones in Bullet's frame, m.
-            depth: Depth of the obstacles below the ground, m.
+            contents: What is in the worlds.
             at_once: Whether obstacles and cities are made now, or when somebody first asks for
                 them: Bullet takes time to make each body, and in every step.
         """
+        airframes, obstacles, layouts, layout, offset, parking = contents
         num_drones = len(airframes)
         # Bullet numbers bodies in the order in which they are made, and solves contacts by number.
         self.floor = make_floor(client)
@@ -78,12 +86,12 @@ class BodyTable:
             ]
         self.drone = np.array(drones, dtype=np.int32)
         self._client = client
-        self._obstacles, self._offset, self._depth = obstacles, offset, depth
+        self._obstacles, self._offset = obstacles, offset
         # Obstacles and cities, which may be made later
         self._other_of_body: dict[int, int] = {}
         self._made_later = 0
         diameter = 2 * max(airframe.collision_radius for airframe in airframes)
-        self.layouts = LayoutBodies(client, layouts, offset, diameter)
+        self.layouts = LayoutBodies(client, layouts, layout, offset, diameter)
         self._num_bodies: int = bullet.getNumBodies(client)
         if at_once:
             self.obstacle  # noqa: B018
@@ -103,7 +111,7 @@ class BodyTable:
         """(W, K) the obstacles; they are made when this is first asked for."""
         # Bullet's tree of bodies stays slow forever where many are made at the same place.
         made = [
-            make_solids(self._client, one.shape, one.colour, _below(self._offset, k, self._depth))
+            make_solids(self._client, one.shape, one.colour, _below(self._offset, k))
             for k, one in enumerate(self._obstacles)
         ]
         for k, bodies in enumerate(made):
@@ -205,11 +213,7 @@ class BodyTable:
         return label
 
 
-def _below(
-    offset: np.ndarray,
-    k: int,
-    depth: float,
-) -> list[Pose]:
+def _below(offset: np.ndarray, k: int) -> list[Pose]:
     """Choose places for obstacle k below the middles (W, 3) of all worlds."""
-    place = np.array((SPREAD * (k % IN_ROW), SPREAD * (k // IN_ROW), -depth))
+    place = np.array((SPREAD * (k % IN_ROW), SPREAD * (k // IN_ROW), -PARKING_HEIGHT))
     return [(tuple(one), LEVEL) for one in (offset + place).tolist()]

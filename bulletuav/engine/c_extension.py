@@ -92,6 +92,10 @@ def load(engine: str) -> Extension:
     return Extension(library, spec.origin, "")
 
 
+NO_SESSION = 0
+"""Session of a port through which nothing is asked of Bullet"""
+
+
 class Port(NamedTuple):
     """What compiled code needs to run substeps by itself.
 
@@ -239,8 +243,8 @@ class CExtension:
     """The extension's functions for the drones of one client; they are those of `EngineCalls`.
 
     Attributes:
-        functions: Address of the session, and the functions `batch_substep`, `batch_write` and
-            `batch_rays`.
+        session: Address of what it remembers.
+        library: The loaded extension.
     """
 
     def __init__(self, library: ctypes.PyDLL, body: np.ndarray) -> None:
@@ -253,19 +257,13 @@ class CExtension:
         Raises:
             RuntimeError: Bullet does not answer as expected.
         """
-        self._library = library
+        self.library = library
         self._body = np.ascontiguousarray(body, dtype=np.int32)
         session: int | None = library.batch_open(len(body), _at(self._body, np.int32))
         if not session:
             raise RuntimeError("the engine answers the plugin otherwise than its own calls")
-        self._session = session
         weakref.finalize(self, library.batch_close, session)
-        self.functions = (
-            session,
-            library.batch_substep,
-            library.batch_write,
-            library.batch_rays,
-        )
+        self.session = session
 
     def read(
         self,
@@ -276,8 +274,8 @@ class CExtension:
         omega: np.ndarray,
     ) -> None:
         """Write poses and velocities of the drones into arrays; see `EngineCalls.read`."""
-        self._library.batch_read(
-            self._session,
+        self.library.batch_read(
+            self.session,
             _at(mask, bool),
             *map(_at, (position, quaternion, velocity, omega)),
         )
@@ -291,8 +289,8 @@ class CExtension:
         omega: np.ndarray,
     ) -> None:
         """Give drones poses and velocities; see `EngineCalls.write`."""
-        self._library.batch_write(
-            self._session,
+        self.library.batch_write(
+            self.session,
             _at(mask, bool),
             *map(_at, (position, quaternion, velocity, omega)),
         )
@@ -305,15 +303,15 @@ class CExtension:
         torque: np.ndarray,
     ) -> None:
         """Give drones one force and one torque each; see `EngineCalls.apply`."""
-        self._library.batch_apply(
-            self._session,
+        self.library.batch_apply(
+            self.session,
             _at(mask, bool),
             *map(_at, (position, force, torque)),
         )
 
     def step(self) -> None:
         """Advance everything by one substep."""
-        self._library.batch_step(self._session)
+        self.library.batch_step(self.session)
 
     def rays(
         self,
@@ -323,8 +321,8 @@ class CExtension:
     ) -> np.ndarray:
         """Cast rays; see `EngineCalls.rays`."""
         fraction = np.empty(len(start))
-        self._library.batch_rays(
-            self._session,
+        self.library.batch_rays(
+            self.session,
             len(start),
             _at(start),
             _at(end),
@@ -340,8 +338,8 @@ class CExtension:
         quaternion: np.ndarray,
     ) -> None:
         """Put bodies somewhere, at rest; see `EngineCalls.pose`."""
-        self._library.batch_pose(
-            self._session,
+        self.library.batch_pose(
+            self.session,
             len(body),
             _at(body, np.int32),
             _at(position),
@@ -355,8 +353,8 @@ class CExtension:
         omega: np.ndarray,
     ) -> None:
         """Give bodies velocities; see `EngineCalls.velocity`."""
-        self._library.batch_velocity(
-            self._session,
+        self.library.batch_velocity(
+            self.session,
             len(body),
             _at(body, np.int32),
             _at(velocity),
@@ -370,4 +368,4 @@ class CExtension:
         meets: int,
     ) -> None:
         """Set which bodies meet; see `EngineCalls.filter`."""
-        self._library.batch_filter(self._session, len(body), _at(body, np.int32), group, meets)
+        self.library.batch_filter(self.session, len(body), _at(body, np.int32), group, meets)

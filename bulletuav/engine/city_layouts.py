@@ -12,7 +12,7 @@ import numpy as np
 from bulletuav.engine.bodies import make_city, make_facades
 from bulletuav.engine.c_extension import CExtension
 from bulletuav.engine.calls import EngineCalls
-from bulletuav.geometry.city_grid import NO_LAYOUT, make_city_grid
+from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.solids import Solids
 
 OFFSTAGE_PITCH = 4096.0
@@ -27,8 +27,6 @@ class LayoutBodies:
     """Bodies of L city layouts in each of W worlds. In a world one layout stands, or none.
 
     Attributes:
-        solids: The layouts.
-        city_grid: The pieces of the layouts; its `layout` tells which stands in each world.
         numbers: The bodies that were made.
     """
 
@@ -36,23 +34,26 @@ class LayoutBodies:
         self,
         client: int,
         solids: Sequence[Solids],
+        layout: np.ndarray,
         offset: np.ndarray,
         diameter: float,
     ) -> None:
-        """Note the layouts, none of which stands.
+        """Note the layouts.
 
         Args:
             client: Number that Bullet gave the client.
             solids: The layouts.
+            layout: (W,) which of them stands in each world, or `NO_LAYOUT`; it is looked at again
+                in each call.
             offset: (W, 3) origins of the tiles, m.
             diameter: That of the largest drone, m.
         """
-        self.solids = tuple(solids)
-        self.city_grid = make_city_grid(solids, len(offset))
+        self._solids = tuple(solids)
+        self._layout = layout
         self._client = client
         self._tile = offset
         self._offstage = [
-            offset - [0, 0, OFFSTAGE_PITCH * (layout + 1)] for layout in range(len(self.solids))
+            offset - [0, 0, OFFSTAGE_PITCH * (layout + 1)] for layout in range(len(self._solids))
         ]
         self._apart = diameter + GAP
         self._made: list[list[tuple[list[int], list[int]]]] = []
@@ -63,40 +64,32 @@ class LayoutBodies:
     def make(self) -> list[list[tuple[list[int], list[int]]]]:
         """Give meshes and compounds for each layout and world; the first call makes them."""
         if not self._made:
-            stands = self.city_grid.layout[:, None]
+            stands = self._layout[:, None]
             made = [
                 make_city(
                     self._client, one, self._apart, np.where(stands == k, self._tile, offstage)
                 )
-                for k, (one, offstage) in enumerate(zip(self.solids, self._offstage, strict=True))
+                for k, (one, offstage) in enumerate(zip(self._solids, self._offstage, strict=True))
             ]
             worlds = itertools.chain.from_iterable(made)
             self.numbers = {body for meshes, compounds in worlds for body in meshes + compounds}
             self._made = made
         return self._made
 
-    def put(
-        self,
-        layout: np.ndarray,
-        worlds: np.ndarray,
-        calls: EngineCalls | CExtension,
-    ) -> None:
-        """Change which layouts stand.
+    def follow(self, before: np.ndarray, calls: EngineCalls | CExtension) -> None:
+        """Move bodies after a change of which layouts stand.
 
         Args:
-            layout: (W,) layout that is to stand in each world, or `NO_LAYOUT`.
-            worlds: (W,) bool, worlds to change; the others keep theirs.
+            before: (W,) layouts that stood until now.
             calls: That move bodies.
         """
-        if not self.solids:
+        if not self._made:
             return
-        for w in np.flatnonzero(worlds & (layout != self.city_grid.layout)).tolist():
-            old = int(self.city_grid.layout[w])
-            new = int(layout[w])
-            self.city_grid.layout[w] = new
-            if self._made and old != NO_LAYOUT:
+        for w in np.flatnonzero(before != self._layout).tolist():
+            old, new = int(before[w]), int(self._layout[w])
+            if old != NO_LAYOUT:
                 self._move(calls, self._made[old][w], self._offstage[old][w])
-            if self._made and new != NO_LAYOUT:
+            if new != NO_LAYOUT:
                 self._move(calls, self._made[new][w], self._tile[w])
 
     @staticmethod
@@ -112,7 +105,7 @@ class LayoutBodies:
 
     def solid_bodies(self, world: int) -> list[int]:
         """List the bodies that drones can touch in a world."""
-        layout = self.city_grid.layout[world]
+        layout = self._layout[world]
         return [] if layout == NO_LAYOUT else self.make()[layout][world][1]
 
     @property
@@ -129,9 +122,9 @@ class LayoutBodies:
         Returns:
             Bodies and heights, m: 0 for those of the layout that stands there, else offstage.
         """
-        shown = int(self.city_grid.layout[world])
+        shown = int(self._layout[world])
         if shown != NO_LAYOUT and shown not in self._facade:
-            self._facade[shown] = make_facades(self._client, self.solids[shown])
+            self._facade[shown] = make_facades(self._client, self._solids[shown])
         return [
             (body, 0.0 if layout == shown else -OFFSTAGE_PITCH)
             for layout, bodies in self._facade.items()

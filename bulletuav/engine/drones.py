@@ -5,13 +5,14 @@ import functools
 import tempfile
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from bulletuav.engine.bodies import Body, rims
 from bulletuav.engine.calls import bullet
+from bulletuav.engine.client import connect, disconnect
 from bulletuav.engine.silence import silenced
 from bulletuav.geometry.shapes import CYLINDER, Shape
 from bulletuav.vehicle.airframe import Airframe
@@ -69,20 +70,7 @@ def make_drone(
     Raises:
         ValueError: Bullet cannot load the airframe's URDF.
     """
-    flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
-    flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
-    # Drones of one airframe share what is drawn, which takes Bullet half the time to make.
-    flags |= bullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES
-    try:
-        with silenced():
-            body: Body = bullet.loadURDF(
-                str(file),
-                place.tolist(),
-                flags=flags,
-                physicsClientId=client,
-            )
-    except bullet.error as error:
-        raise ValueError(f"{airframe.urdf}: the engine cannot load it: {error}") from None
+    body = _load(client, airframe.urdf, file, place.tolist())
     # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise. Mass and
     # inertia are ours, as its own reading of the file may round or scale them.
     bullet.changeDynamics(
@@ -96,6 +84,39 @@ def make_drone(
         physicsClientId=client,
     )
     return body
+
+
+def _load(client: int, urdf: Path, file: Path, place: Sequence[float]) -> Body:
+    """Load a file that stands for a URDF; raises ValueError where Bullet cannot."""
+    flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
+    flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
+    # Drones of one airframe share what is drawn, which takes Bullet half the time to make.
+    flags |= bullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES
+    try:
+        with silenced():
+            body: Body = bullet.loadURDF(str(file), place, flags=flags, physicsClientId=client)
+    except bullet.error as error:
+        raise ValueError(f"{urdf}: the engine cannot load it: {error}") from None
+    return body
+
+
+def require_loadable(airframes: Iterable[Airframe]) -> None:
+    """Raise ValueError if Bullet cannot load the URDF of an airframe.
+
+    Drones may be made much later, or never.
+    """
+    for urdf in {airframe.urdf for airframe in airframes}:
+        _try_once(urdf, urdf.read_bytes())
+
+
+@functools.cache
+def _try_once(urdf: Path, _: bytes) -> None:
+    """Load a URDF in a client of its own, once for what is in the file."""
+    client = connect(live=False)
+    try:
+        _load(client, urdf, urdf, (0.0, 0.0, 0.0))
+    finally:
+        disconnect([client])
 
 
 def _write_drawn(urdfs: Iterable[Path], folder: Path) -> dict[Path, Path]:

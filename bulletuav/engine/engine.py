@@ -5,20 +5,22 @@ each held by a test. Bodies are free of Bullet's hidden damping and velocity cla
 leave no trace of the past. A world does not feel what other worlds do.
 """
 
-import warnings
 import weakref
 from collections.abc import Callable, Sequence
+from ctypes import PyDLL
+from functools import cached_property
 
 import numpy as np
 
 from bulletuav.engine.body_source import BodySource, pieces_of, pose_of
-from bulletuav.engine.body_table import BodyTable
-from bulletuav.engine.c_extension import POSTFIX, CExtension, Port, bring_out, load
+from bulletuav.engine.body_table import Contents
+from bulletuav.engine.c_extension import NO_SESSION, CExtension, Port, bring_out, load
 from bulletuav.engine.calls import DRONE_GROUP, SOLID, EngineCalls, bullet
-from bulletuav.engine.client import configure, connect, disconnect
-from bulletuav.engine.parking import PARKING_HEIGHT, parking_places
+from bulletuav.engine.client import disconnect
+from bulletuav.engine.drones import require_loadable
+from bulletuav.engine.in_bullet import InBullet, make_in_bullet
+from bulletuav.engine.parking import parking_places
 from bulletuav.engine.queries import EngineQueries
-from bulletuav.engine.silence import silenced
 from bulletuav.engine.tiles import globalise, localise, tile_offset
 from bulletuav.errors import choose, finite
 from bulletuav.geometry.obstacle import MOST_FRICTION, Obstacle
@@ -41,11 +43,15 @@ PLAIN = Obstacle("sphere", (1.0,))
 class Engine(EngineQueries):
     """W tiles of N drones and K obstacles over one ground plane at z = 0.
 
-    Poses are in each world's own frame, east, north and up from the middle of its tile.
+    Poses are in each world's own frame, east, north and up from the middle of its tile. Bullet is
+    connected to, and all bodies are made, when something first needs them: flights and sensors that
+    compiled code computes never do.
 
     Attributes:
         dt: Length of a substep, s.
         first_world: Number of the first tile.
+        omega: (W, N, 3) angular velocities as Bullet gave them last, world axes, rad/s.
+        closed: True after `close`.
     """
 
     def __init__(
@@ -60,7 +66,7 @@ class Engine(EngineQueries):
         rays: str = "compiled",
         contacts: bool = False,
     ) -> None:
-        """Connect to Bullet and make all bodies; the drones are parked.
+        """Note what stands and flies in the worlds; the drones are parked.
 
         Args:
             airframes: Airframe of each of the N drones of a world.
@@ -79,76 +85,86 @@ class Engine(EngineQueries):
             ValueError: Bullet cannot load the URDF of an airframe, or `rays` is neither.
         """
         choose("rays", rays, dict.fromkeys(RAY_METHODS))
-        client = connect(live)
-        self._open = [client]
-        self._finalizer = weakref.finalize(self, disconnect, self._open)
-        configure(client, dt, live)
-
+        require_loadable(airframes)
         offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])
-        self._parking = parking_places(offset, len(airframes))
-        bodies = BodyTable(
-            client,
+        super().__init__(
             airframes=airframes,
             obstacles=obstacles,
             layouts=layouts,
             offset=offset,
-            parking=self._parking,
-            depth=PARKING_HEIGHT,
-            at_once=live or contacts or not RAY_METHODS[rays],
-        )
-        super().__init__(
-            client,
-            bodies,
-            airframes=airframes,
-            obstacles=obstacles,
-            offset=offset,
             compiled=RAY_METHODS[rays],
         )
         self.dt = dt
+        self._extension = EXTENSION
         self.first_world = first_world
         self._live = live
         self._contacts = contacts
         self._num_added = 0
-        # Positions as Bullet gave them, at which forces act, and angular velocities.
+        self._masses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        # Positions as Bullet gave them, at which forces act
         self._place = np.zeros((*self.shape, 3))
-        self._omega = np.zeros((*self.shape, 3))
+        self.omega = np.zeros((*self.shape, 3))
+        self._contents = Contents(
+            airframes,
+            obstacles,
+            layouts,
+            self.city_grid.layout,
+            offset,
+            parking_places(offset, len(airframes)),
+        )
         # Drones whose bodies are not parked
-        self._out = np.ones(self.shape, dtype=bool)
-        self._calls = self._make_calls(live)
-        self._filter(self._out, 0)
-        self.park(self._out)
+        self._out = np.zeros(self.shape, dtype=bool)
+        self.closed = False
+        self._open: list[int] = []
+        self._finalizer = weakref.finalize(self, disconnect, self._open)
+        if self.asks_bodies:
+            self.make_bodies()
 
-    def _make_calls(self, live: bool) -> EngineCalls | CExtension:
-        """Choose the C extension where it works, else the calls through pybullet."""
-        # Bullet runs in a thread of its own behind a live window.
-        if live or EXTENSION.library is None:
-            return self._calls
-        with silenced():
-            plugin = bullet.loadPlugin(EXTENSION.path, POSTFIX, physicsClientId=self._client)
-        try:
-            if plugin < 0:
-                raise RuntimeError("the engine refused the plugin")
-            return CExtension(EXTENSION.library, self._bodies.drone.ravel())
-        except RuntimeError as error:
-            warnings.warn(
-                f"{error}: bulletuav flies without its extension, slower; see `bulletuav doctor`",
-                stacklevel=3,
-            )
-            return self._calls
+    def make_bodies(self) -> None:
+        """Make all bodies now, and not when something first needs them."""
+        self._bullet  # noqa: B018
+
+    @cached_property
+    def _bullet(self) -> InBullet:
+        """Connect to Bullet and make all bodies, the drones parked."""
+        if self.closed:
+            raise RuntimeError("the engine is closed")
+        how = (self.dt, self._live, self.asks_bodies)
+        made = make_in_bullet(self._contents, *how, self._open, self._extension)
+        self._rest(made.calls, np.ones(self.shape, dtype=bool))
+        for world, masses in self._masses.items():
+            made.set_masses(world, *masses)
+        return made
+
+    @property
+    def _is_made(self) -> bool:
+        """Whether there are bodies in Bullet."""
+        return "_bullet" in self.__dict__
 
     @property
     def port(self) -> Port | None:
         """Arrays and functions for compiled code to run substeps; None without the C extension."""
-        if not isinstance(self._calls, CExtension):
+        calls = self._bullet.calls
+        if not isinstance(calls, CExtension):
             return None
-        session, substep, write, rays = self._calls.functions
+        return self._port(calls.session, calls.library)
+
+    @property
+    def surface_port(self) -> Port | None:
+        """What `port` is, for `surface_below` alone: compiled rays do not need Bullet."""
+        if self._compiled and self._extension.library is not None:
+            return self._port(NO_SESSION, self._extension.library)
+        return self.port
+
+    def _port(self, session: int, library: PyDLL) -> Port:
+        """Put together what compiled code needs."""
         return Port(
             session=session,
-            substep=substep,
-            write=write,
-            rays=rays,
+            substep=library.batch_substep,
+            write=library.batch_write,
+            rays=library.batch_rays,
             place=self._place,
-            omega=self._omega,
+            omega=self.omega,
             offset=self._offset,
             obstacle_radius=self.obstacle_radius,
             city_grid=self.city_grid,
@@ -163,10 +179,13 @@ class Engine(EngineQueries):
             layout: (W,) layout that is to stand in each world, or `NO_LAYOUT`.
             worlds: (W,) bool, worlds to change; the others keep theirs.
         """
-        self._bodies.warn_of_strangers()
-        self._bodies.layouts.put(layout, worlds, self._calls)
+        before = self.city_grid.layout.copy()
+        self.city_grid.layout[worlds] = layout[worlds]
+        if self._is_made:
+            self._bullet.bodies.warn_of_strangers()
+            self._bullet.bodies.layouts.follow(before, self._bullet.calls)
         if self._live:
-            self._renderer.show_city(0)
+            self._bullet.renderer.show_city(0)
 
     def note_obstacles(
         self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray
@@ -189,9 +208,9 @@ class Engine(EngineQueries):
         """
         if self.obstacle_radius.size:
             self.note_obstacles(position, quaternion, worlds)
-            bodies = self._bodies.obstacle[worlds].ravel()
+            bodies = self._bullet.bodies.obstacle[worlds].ravel()
             place = (position + self._offset)[worlds].reshape(-1, 3)
-            self._calls.pose(bodies, place, quaternion[worlds].reshape(-1, 4))
+            self._bullet.calls.pose(bodies, place, quaternion[worlds].reshape(-1, 4))
 
     @property
     def asks_bodies(self) -> bool:
@@ -204,7 +223,7 @@ class Engine(EngineQueries):
         if count:
             place = (self._scenery.place[:, :count] + self._offset).reshape(-1, 3)
             turn = self._scenery.quaternion[:, :count].reshape(-1, 4)
-            self._calls.pose(self._bodies.obstacle.ravel(), place, turn)
+            self._bullet.calls.pose(self._bullet.bodies.obstacle.ravel(), place, turn)
 
     def add_body(
         self,
@@ -250,7 +269,7 @@ class Engine(EngineQueries):
         for p, piece in enumerate(pieces):
             in_bullet = places[worlds, p] + self._offset[worlds, 0]
             poses = zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True)
-            self._bodies.add(piece.shape, like.colour, poses, other)
+            self._bullet.bodies.add(piece.shape, like.colour, poses, other)
         self._scenery = scenery
         self._num_added += 1
         return other
@@ -263,15 +282,9 @@ class Engine(EngineQueries):
             mass: (N,) kg.
             inertia: (N, 3) principal moments of inertia, kg m^2.
         """
-        bodies = self._bodies.drone[world].tolist()
-        for body, kilograms, moments in zip(bodies, mass.tolist(), inertia.tolist(), strict=True):
-            bullet.changeDynamics(
-                body,
-                -1,
-                mass=kilograms,
-                localInertiaDiagonal=moments,
-                physicsClientId=self._client,
-            )
+        self._masses[world] = mass.copy(), inertia.copy()
+        if self._is_made:
+            self._bullet.set_masses(world, mass, inertia)
 
     def set_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Give drones the poses and velocities of a swarm, free of anything from their past.
@@ -300,13 +313,8 @@ class Engine(EngineQueries):
             mask: (W, N) bool, drones to set.
         """
         self._out |= mask
-        globalise(self._place, self._offset, self._omega, mask, swarm)
-        self._calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self._omega)
-
-    @property
-    def omega(self) -> np.ndarray:
-        """(W, N, 3) angular velocities as Bullet gave them last, world axes, rad/s."""
-        return self._omega
+        globalise(self._place, self._offset, self.omega, mask, swarm)
+        self._bullet.calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self.omega)
 
     def restore_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Give drones the poses and velocities that Bullet gave once, to the last bit.
@@ -317,7 +325,7 @@ class Engine(EngineQueries):
         """
         self._out |= mask
         self._place[mask] = (swarm.position + self._offset)[mask]
-        self._calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self._omega)
+        self._bullet.calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self.omega)
 
     def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Show drones where a swarm is, without a change to velocities or contacts.
@@ -328,7 +336,7 @@ class Engine(EngineQueries):
         """
         self._out |= mask
         place = (swarm.position + self._offset)[mask]
-        self._calls.pose(self._bodies.drone[mask], place, swarm.quaternion[mask])
+        self._bullet.calls.pose(self._bullet.bodies.drone[mask], place, swarm.quaternion[mask])
 
     def park(self, mask: np.ndarray) -> None:
         """Take drones out of the airspace, to rest where nothing touches or sees them.
@@ -341,18 +349,23 @@ class Engine(EngineQueries):
             self._out &= ~mask
             if self._contacts:
                 self._filter(mask, 0)
-            self._place[mask] = self._parking[mask]
-            still = np.zeros((*self.shape, 3))
-            upright = np.tile([0.0, 0.0, 0.0, 1.0], (*self.shape, 1))
-            self._calls.write(mask, self._place, upright, still, still)
+            if self._is_made:
+                self._rest(self._bullet.calls, mask)
+
+    def _rest(self, calls: EngineCalls | CExtension, mask: np.ndarray) -> None:
+        """Let the bodies of drones of `mask` (W, N) rest where they are parked."""
+        self._place[mask] = self._contents.parking[mask]
+        still = np.zeros((*self.shape, 3))
+        upright = np.tile([0.0, 0.0, 0.0, 1.0], (*self.shape, 1))
+        calls.write(mask, self._place, upright, still, still)
 
     def _filter(self, mask: np.ndarray, meets: int) -> None:
         """Set the collision groups that drones meet.
 
         It drops the bodies' cached contacts, without which a reset would remember the last episode.
         """
-        bodies = self._bodies.drone[mask]
-        self._calls.filter(bodies, DRONE_GROUP if meets else 0, meets)
+        bodies = self._bullet.bodies.drone[mask]
+        self._bullet.calls.filter(bodies, DRONE_GROUP if meets else 0, meets)
 
     def read_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Write Bullet's poses and velocities of drones into a swarm; rotor speeds stay.
@@ -361,8 +374,8 @@ class Engine(EngineQueries):
             swarm: Whose states are written.
             mask: (W, N) bool, drones to read.
         """
-        self._calls.read(mask, self._place, swarm.quaternion, swarm.velocity, self._omega)
-        localise(self._place, self._offset, self._omega, mask, swarm)
+        self._bullet.calls.read(mask, self._place, swarm.quaternion, swarm.velocity, self.omega)
+        localise(self._place, self._offset, self.omega, mask, swarm)
 
     def apply_wrenches(self, force: np.ndarray, torque: np.ndarray, mask: np.ndarray) -> None:
         """Give drones one force and one torque each for the next step.
@@ -372,19 +385,16 @@ class Engine(EngineQueries):
             torque: (W, N, 3) N m, body axes.
             mask: (W, N) bool, drones to drive.
         """
-        self._calls.apply(mask, self._place, force, torque)
+        self._bullet.calls.apply(mask, self._place, force, torque)
 
     def step(self) -> None:
         """Advance everything by one substep."""
-        self._calls.step()
+        self._bullet.calls.step()
 
     def close(self) -> None:
         """Free Bullet's client; a second call does nothing."""
-        # From here on calls end in Bullet's own errors, not in freed memory.
-        self._calls = EngineCalls(self._client, self._bodies.drone.ravel())
+        if self._is_made and not self.closed:
+            # From here on calls end in Bullet's own errors, not in freed memory.
+            self._bullet = self._bullet.without_extension()
+        self.closed = True
         self._finalizer()
-
-    @property
-    def closed(self) -> bool:
-        """True after `close`."""
-        return not self._open

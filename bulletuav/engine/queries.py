@@ -1,12 +1,11 @@
 """Questions about the worlds of an engine: contacts, rays, distances and pictures."""
 
 import itertools
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
 
-from bulletuav.engine.body_table import BodyTable
-from bulletuav.engine.c_extension import CExtension
 from bulletuav.engine.calls import (
     BODY_A,
     BODY_B,
@@ -15,16 +14,16 @@ from bulletuav.engine.calls import (
     NORMAL_ON_B,
     ON_B,
     VISIBLE,
-    EngineCalls,
     bullet,
 )
-from bulletuav.engine.rendering import SceneRenderer
+from bulletuav.engine.in_bullet import InBullet
 from bulletuav.engine.tiles import columns, cover, land, within_tile
-from bulletuav.geometry.city_grid import CityGrid
+from bulletuav.geometry.city_grid import make_city_grid
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.raycast import meet_drones, walk
 from bulletuav.geometry.rotation import cross, to_world
 from bulletuav.geometry.scenery import Scenery, make_scenery
+from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import Picture
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND, Contacts, Swarm
@@ -33,39 +32,35 @@ PlacedShape = tuple[int, np.ndarray | None, np.ndarray | None]
 """Owner of a collision shape (as `other` in `Contacts`), position (3,) in m, quaternion (4,)"""
 
 
-class EngineQueries:
+class EngineQueries(ABC):
     """Base of `Engine` with the questions about its worlds.
 
     Attributes:
         shape: Number of worlds W and of drones N.
         obstacle_radius: (K,) radii of the obstacles' bounding spheres, m.
+        city_grid: The pieces of the city layouts, and which layout stands in each world.
     """
 
     def __init__(
         self,
-        client: int,
-        bodies: BodyTable,
         airframes: Sequence[Airframe],
         obstacles: Sequence[Obstacle],
+        layouts: Sequence[Solids],
         offset: np.ndarray,
         compiled: bool,
     ) -> None:
-        """Keep the bodies and shapes that questions are about.
+        """Keep the shapes that questions are about.
 
         Args:
-            client: Number that Bullet gave the client.
-            bodies: All bodies.
             airframes: Airframe of each of the N drones of a world.
             obstacles: The K obstacles of each world.
+            layouts: What can stand in a world, one at a time.
             offset: (W, 3) origins of the tiles, m.
             compiled: False to ask Bullet for rays where there is more than ground and boxes.
         """
         self.shape = (len(offset), len(airframes))
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
-        self._client = client
-        self._bodies = bodies
-        self._calls: EngineCalls | CExtension = EngineCalls(client, bodies.drone.ravel())
-        self._renderer = SceneRenderer(client, bodies, offset)
+        self.city_grid = make_city_grid(layouts, len(offset))
         self._offset = offset[:, None, :]
         self._compiled = compiled
         # The same shapes for compiled code, which asks Bullet nothing
@@ -73,14 +68,14 @@ class EngineQueries:
             drones=[airframe.shape for airframe in airframes],
             obstacles=obstacles,
             others=[FIRST_OBSTACLE - k for k in range(len(obstacles))],
-            layouts=bodies.layouts.solids,
-            city_grid=bodies.layouts.city_grid,
+            layouts=layouts,
+            city_grid=self.city_grid,
         )
 
     @property
-    def city_grid(self) -> CityGrid:
-        """The pieces of the city layouts, and which layout stands in each world."""
-        return self._bodies.layouts.city_grid
+    @abstractmethod
+    def _bullet(self) -> InBullet:
+        """What Bullet has of the worlds."""
 
     @property
     def scenery(self) -> Scenery:
@@ -98,21 +93,21 @@ class EngineQueries:
             A row for each point and drone. The velocity is that of the drone's surface after the
             step, whatever it touches.
         """
-        points = bullet.getContactPoints(physicsClientId=self._client)
+        points = bullet.getContactPoints(physicsClientId=self._bullet.client)
         rows = []
         for one in points:
             # Bullet also lists points that are near each other and do not touch.
             if one[NORMAL_FORCE] <= 0 and one[DISTANCE] >= 0:
                 continue
             for mine, theirs, sign in ((BODY_A, BODY_B, 1), (BODY_B, BODY_A, -1)):
-                drone = self._bodies.drone_of(one[mine])
+                drone = self._bullet.bodies.drone_of(one[mine])
                 if drone is not None:
                     w, i = drone
                     place = np.array(one[ON_B]) - self._offset[w, 0]
                     spin = to_world(swarm.quaternion[w, i], swarm.rates[w, i])
                     speed = swarm.velocity[w, i] + cross(spin, place - swarm.position[w, i])
                     normal = sign * np.array(one[NORMAL_ON_B])
-                    other = self._bodies.other(one[theirs])
+                    other = self._bullet.bodies.other(one[theirs])
                     impulse, depth = one[NORMAL_FORCE] * dt, max(0.0, -one[DISTANCE])
                     rows.append((w, i, other, impulse, place, normal, speed, depth))
         if not rows:
@@ -146,7 +141,7 @@ class EngineQueries:
         if len(left):
             last, share = within_tile(start[left], end[left])
             offset = self._offset[world[left], 0]
-            met = self._calls.rays(start[left] + offset, last + offset, VISIBLE)
+            met = self._bullet.calls.rays(start[left] + offset, last + offset, VISIBLE)
             fraction[left] = np.where(met < 1, met * share, 1.0)
         if drones is not None:
             swarm, mask = drones
@@ -197,7 +192,9 @@ class EngineQueries:
             (
                 point[DISTANCE]
                 for a, b in itertools.product(of_one, of_two)
-                for point in bullet.getClosestPoints(a, b, within, physicsClientId=self._client)
+                for point in bullet.getClosestPoints(
+                    a, b, within, physicsClientId=self._bullet.client
+                )
             ),
             default=np.inf,
         )
@@ -210,11 +207,11 @@ class EngineQueries:
         quaternion: np.ndarray | None,
     ) -> list[int]:
         """List the bodies of someone in a world; those that can move are put there."""
-        bodies = self._bodies.bodies_of(world, who)
+        bodies = self._bullet.bodies.bodies_of(world, who)
         if position is not None and who not in (GROUND, CITY):
             place = position + self._offset[world, 0]
             for body in bodies:
-                bullet.resetBasePositionAndOrientation(body, place, quaternion, self._client)
+                bullet.resetBasePositionAndOrientation(body, place, quaternion, self._bullet.client)
         return bodies
 
     def picture(
@@ -239,11 +236,11 @@ class EngineQueries:
             Colours, depths and labels of the pixels.
         """
         if drones is None:
-            return self._renderer.picture(world, view, projection, size)
+            return self._bullet.renderer.picture(world, view, projection, size)
         swarm, mask = drones
         poses = swarm.position[world], swarm.quaternion[world]
-        with self._renderer.collision_shapes(world, *poses, mask[world]):
-            return self._renderer.picture(world, view, projection, size)
+        with self._bullet.renderer.collision_shapes(world, *poses, mask[world]):
+            return self._bullet.renderer.picture(world, view, projection, size)
 
     def look_at(
         self,
@@ -258,4 +255,4 @@ class EngineQueries:
             target: (3,) place in the world's own frame, m.
             distance: Distance to look from, m.
         """
-        self._renderer.look_at(world, target, distance)
+        self._bullet.renderer.look_at(world, target, distance)

@@ -121,7 +121,7 @@ def test_every_call_alone_is_the_same_to_the_bit(pair):
     mask = np.random.default_rng(0).random((2, 100)) < 0.7
     force = np.random.default_rng(1).normal(size=(2, 2, 100, 3))
     for one in benches:
-        assert isinstance(one.engine._calls, CExtension) == (one is fast)
+        assert isinstance(one.engine._bullet.calls, CExtension) == (one is fast)
         one.engine.set_obstacles(
             np.full((2, 1, 3), 0.5), np.tile((0.0, 0, 0, 1), (2, 1, 1)), np.array([True, False])
         )
@@ -136,7 +136,8 @@ def test_every_call_alone_is_the_same_to_the_bit(pair):
         np.testing.assert_array_equal(mine, theirs)
     start = np.random.default_rng(2).uniform(-3, 3, (MAX_RAYS + 100, 3)) + (0, 0, 3)
     fractions = [
-        one.engine._calls.rays(start, start - (0.5, 0.2, 4), SURFACE_GROUP) for one in benches
+        one.engine._bullet.calls.rays(start, start - (0.5, 0.2, 4), SURFACE_GROUP)
+        for one in benches
     ]
     assert fractions[0].tobytes() == fractions[1].tobytes()
     assert 100 < (fractions[0] < 1).sum() < len(start)

@@ -322,14 +322,14 @@ def test_cities_are_bodies_when_somebody_asks_for_them():
     """Compiled rays and contacts do without; who asks finds what stands, where it stands."""
     aviary = bulletuav.Aviary("navigation", 2, area=150.0, leg=50.0, seed=0)
     aviary.reset(seeds=0)
-    engine, client = aviary._engine, aviary._engine._client
+    engine, client = aviary._engine, aviary._engine._bullet.client
     before = bullet.getNumBodies(physicsClientId=client)
     layout = int(aviary.scene.layout[1])
-    standing = engine._bodies.bodies_of(1, CITY)
+    standing = engine._bullet.bodies.bodies_of(1, CITY)
     assert bullet.getNumBodies(physicsClientId=client) > before
-    assert standing == engine._bodies.layouts.make()[layout][1][1]
-    assert all(engine._bodies.other(body) == CITY for body in standing)
-    for k, of_worlds in enumerate(engine._bodies.layouts.make()):
+    assert standing == engine._bullet.bodies.layouts.make()[layout][1][1]
+    assert all(engine._bullet.bodies.other(body) == CITY for body in standing)
+    for k, of_worlds in enumerate(engine._bullet.bodies.layouts.make()):
         for w in range(2):
             for body in [*of_worlds[w][0], *of_worlds[w][1]]:
                 place = bullet.getBasePositionAndOrientation(body, client)[0]
@@ -340,7 +340,7 @@ def test_cities_are_bodies_when_somebody_asks_for_them():
         warnings.simplefilter("error")
         for seed in range(1, 9):
             aviary.reset(seeds=seed)
-            body = engine._bodies.bodies_of(0, CITY)[0]
+            body = engine._bullet.bodies.bodies_of(0, CITY)[0]
             assert bullet.getBasePositionAndOrientation(body, client)[0][2] == 0
     aviary.close()
 
@@ -350,7 +350,7 @@ def test_resets_make_no_bodies_and_remove_none(rays):
     aviary = bulletuav.Aviary(
         "navigation", 2, area=150.0, leg=50.0, num_layouts=3, irregularity=0.5, seed=0, rays=rays
     )
-    client = aviary._engine._client
+    client = aviary._engine._bullet.client
 
     def bodies():
         return [bullet.getBodyUniqueId(k, client) for k in range(bullet.getNumBodies(client))]
@@ -541,7 +541,7 @@ def test_a_city_of_thousands_of_boxes_is_built_and_seen(make_city_bench):
         np.isclose(fraction, 17 / 20, atol=1e-6).sum() == len(place) - 1
     )  # the hull hangs above one of them
     assert np.isclose(fraction, 10 / 20, atol=1e-6).sum() == 1
-    assert len(one.engine._bodies.layouts.facades(0)) == 2
+    assert len(one.engine._bullet.bodies.layouts.facades(0)) == 2
 
 
 def test_nothing_stands_in_a_city_without_buildings(make_city_bench):
@@ -552,7 +552,7 @@ def test_nothing_stands_in_a_city_without_buildings(make_city_bench):
         )
         == 1
     )
-    assert one.engine._bodies.layouts.facades(0) == []
+    assert one.engine._bullet.bodies.layouts.facades(0) == []
 
 
 def test_a_life_in_a_city_leaves_no_memory_behind():

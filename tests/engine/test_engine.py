@@ -30,9 +30,9 @@ def test_obstacles_are_bodies_when_somebody_looks_and_lie_apart_before():
     """Many bodies at one place would slow Bullet's tree down for good."""
     aviary = bulletuav.Aviary("obstacles", 3, num_obstacles=40, area=400.0, render_mode="rgb_array")
     aviary.reset(seeds=0)
-    client = aviary._engine._client
+    client = aviary._engine._bullet.client
     before = bullet.getNumBodies(physicsClientId=client)
-    table = aviary._engine._bodies.obstacle
+    table = aviary._engine._bullet.bodies.obstacle
     assert bullet.getNumBodies(physicsClientId=client) == before + 3 * 40
     places = [bullet.getBasePositionAndOrientation(one, client)[0] for one in table.ravel()]
     assert len(set(places)) == 3 * 40
@@ -282,3 +282,55 @@ def test_a_urdf_that_the_engine_cannot_load_is_refused(urdf):
     path = urdf("cf2x", ('<box size="0.034 0.03 0.018"/>', '<mesh filename="nowhere.obj"/>'))
     with pytest.raises(ValueError, match=r"own.urdf: the engine cannot load it"):
         bulletuav.parallel_env("hover", airframe=path)
+
+
+def is_connected(env):
+    """Whether Bullet has anything of an environment."""
+    return bool(env.aviary._engine._open)
+
+
+@pytest.mark.parametrize("options", [{}, {"dynamics": "bullet"}, {"rays": "bullet"}])
+def test_bullet_is_connected_to_when_something_needs_it(options):
+    """Compiled dynamics, rays and contacts do not; pictures do."""
+    options = {"dynamics": "rigid_body", **options}
+    env = bulletuav.parallel_env("obstacles", num_drones=2, render_mode="rgb_array", **options)
+    needs_it = options["dynamics"] == "bullet" or "rays" in options
+    assert is_connected(env) == needs_it
+    env.reset(seed=0)
+    env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    assert is_connected(env) == needs_it
+    env.render()
+    assert is_connected(env)
+    env.close()
+    assert not is_connected(env)
+
+
+def test_bodies_made_late_are_where_and_as_heavy_as_those_made_at_once():
+    """Also after drones were parked, and masses and layouts changed."""
+    late, soon = (Engine([bulletuav.load_airframe("cf2x")] * 3, 2, 1 / 240) for _ in range(2))
+    soon.make_bodies()
+    swarm = Swarm.zeros(2, 3, 4)
+    swarm.position[:] = np.random.default_rng(0).uniform(1, 5, (2, 3, 3))
+    mask = np.array([[True, False, True], [False, True, True]])
+    states = []
+    for engine in (late, soon):
+        engine.set_masses(1, np.full(3, 0.04), np.full((3, 3), 3e-5))
+        engine.park(np.ones((2, 3), dtype=bool))
+        engine.set_states(swarm, mask)
+        made = engine._bullet
+        bodies = made.bodies.drone.ravel().tolist()
+        poses = [bullet.getBasePositionAndOrientation(one, made.client) for one in bodies]
+        masses = [bullet.getDynamicsInfo(one, -1, made.client)[:3] for one in bodies]
+        states.append((poses, masses))
+        engine.close()
+    assert states[0] == states[1]
+    assert states[0][1][3][0] == 0.04
+
+
+def test_a_closed_engine_does_not_connect():
+    engine = Engine([bulletuav.load_airframe("cf2x")], 1, 1 / 240)
+    engine.close()
+    engine.close()
+    with pytest.raises(RuntimeError, match="the engine is closed"):
+        engine.step()
+    assert not engine._open

@@ -62,8 +62,8 @@ def test_the_engine_gives_the_same(make_world, irregularity):
     way[:5000, 2] = way[5000:6000, 0] = way[6000:7000, 1] = 0  # level, and along the axes
     way *= rng.uniform(1, 300, (len(start), 1)) / np.linalg.norm(way, axis=1, keepdims=True)
     walked = cast(engine, start, start + way)
-    engine._bodies.layouts.make()
-    reference = engine._calls.rays(start, start + way, VISIBLE)
+    engine._bullet.bodies.layouts.make()
+    reference = engine._bullet.calls.rays(start, start + way, VISIBLE)
     apart = np.abs(walked - reference) * np.linalg.norm(way, axis=1)
     assert (walked < 1).mean() > 0.3
     # Those that differ graze an edge, where the engine's triangles are wider.
@@ -73,7 +73,7 @@ def test_the_engine_gives_the_same(make_world, irregularity):
     # A hand's breadth aside both tell the same, on one side at least.
     for k in np.flatnonzero(apart > 1e-6):
         sides = start[k] + [beside[k], -beside[k]]
-        gaps = cast(engine, sides, sides + way[k]) - engine._calls.rays(
+        gaps = cast(engine, sides, sides + way[k]) - engine._bullet.calls.rays(
             sides, sides + way[k], VISIBLE
         )
         assert np.abs(gaps).min() < 1e-9

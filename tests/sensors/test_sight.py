@@ -343,16 +343,16 @@ def test_what_overlaps_is_deep_in_all_of_it(make_world):
 def test_measuring_moves_no_body(make_world):
     engine = make_world((BLOCK,), drones=2, obstacles=(Obstacle("sphere", (1.0,)),))
     swarm = swarm_at(engine, [(0, 0, 20), (3, 0, 20)])
-    engine._bodies.layouts.make(), engine._bodies.obstacle  # all that can be moved
-    bodies = [bullet.getBodyUniqueId(k, engine._client) for k in range(7)]
-    before = [bullet.getBasePositionAndOrientation(k, engine._client) for k in bodies]
+    engine._bullet.bodies.layouts.make(), engine._bullet.bodies.obstacle  # all that can be moved
+    bodies = [bullet.getBodyUniqueId(k, engine._bullet.client) for k in range(7)]
+    before = [bullet.getBasePositionAndOrientation(k, engine._bullet.client) for k in bodies]
     everyone = np.ones((1, 2), dtype=bool)
     moved = swarm.copy()
     moved.position[:] += 5
     clearances(engine, moved, everyone, 50.0)
-    after = [bullet.getBasePositionAndOrientation(k, engine._client) for k in bodies]
+    after = [bullet.getBasePositionAndOrientation(k, engine._bullet.client) for k in bodies]
     assert after == before
-    assert bullet.getNumBodies(engine._client) == len(bodies)
+    assert bullet.getNumBodies(engine._bullet.client) == len(bodies)
 
 
 def test_overlap_is_negative(make_world):

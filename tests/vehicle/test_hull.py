@@ -98,7 +98,7 @@ def test_rays_meet_a_hull_drone_and_the_engine_loads_it(hull_urdf):
     # At 5 mm below the origin the roof begins at x = 0.075.
     np.testing.assert_allclose(share, (0.99 / 2, 0.99 / 2, 0.925 / 2, 1), atol=1e-12)
     low, high = bulletuav.engine.engine.bullet.getAABB(
-        one.engine._bodies.drone[0, 0], physicsClientId=one.engine._client
+        one.engine._bullet.bodies.drone[0, 0], physicsClientId=one.engine._bullet.client
     )
     np.testing.assert_allclose(np.subtract(high, low), (0.2, 0.12, 0.04), atol=7e-3)
     one.engine.close()
