@@ -101,9 +101,6 @@ class Engine(EngineQueries):
         self._contacts = contacts
         self._num_added = 0
         self._masses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        # Positions as Bullet gave them, at which forces act
-        self._place = np.zeros((*self.shape, 3))
-        self.omega = np.zeros((*self.shape, 3))
         self._contents = Contents(
             airframes,
             obstacles,
@@ -112,6 +109,9 @@ class Engine(EngineQueries):
             offset,
             parking_places(offset, len(airframes)),
         )
+        # Positions as Bullet gave them, at which forces act
+        self._place = self._contents.parking.copy()
+        self.omega = np.zeros((*self.shape, 3))
         # Drones whose bodies are not parked
         self._out = np.zeros(self.shape, dtype=bool)
         self.closed = False
@@ -349,15 +349,15 @@ class Engine(EngineQueries):
             self._out &= ~mask
             if self._contacts:
                 self._filter(mask, 0)
+            self._place[mask] = self._contents.parking[mask]
             if self._is_made:
                 self._rest(self._bullet.calls, mask)
 
     def _rest(self, calls: EngineCalls | CExtension, mask: np.ndarray) -> None:
         """Let the bodies of drones of `mask` (W, N) rest where they are parked."""
-        self._place[mask] = self._contents.parking[mask]
         still = np.zeros((*self.shape, 3))
         upright = np.tile([0.0, 0.0, 0.0, 1.0], (*self.shape, 1))
-        calls.write(mask, self._place, upright, still, still)
+        calls.write(mask, self._contents.parking, upright, still, still)
 
     def _filter(self, mask: np.ndarray, meets: int) -> None:
         """Set the collision groups that drones meet.
