@@ -251,13 +251,13 @@ def save(agent: Agent, folder: Path) -> None:
     save_file({**arrays, LOW: -ones, HIGH: ones}, folder / POLICY)
 
 
-def write_settings(plan: Plan, seed: int, folder: Path) -> None:
+def write_settings(plan: Plan, seed: int, folder: Path, by: str = "fast_ppo") -> None:
     """Write what the policy sees and how it is built, as `bulletuav train` does."""
     features = {"features_extractor_kwargs": {"scale": plan.scale}}
     model = {"features": "swarm", "policy_kwargs": {"net_arch": [64, 64], **features}}
     config = RunConfig(plan.task, seed=seed, steps=plan.steps, options=plan.options, model=model)
     text = config.text("algo", "seed", "steps", "options", "model", "constants")
-    (folder / CONFIG).write_text(f"# Learned by `examples/fast_ppo.py`.\n{text}")
+    (folder / CONFIG).write_text(f"# Learned by `examples/{by}.py`.\n{text}")
 
 
 def main() -> None:

@@ -1,6 +1,8 @@
 """Every example runs, in its shortest form, and does what it says."""
 
+import importlib
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,8 @@ EXAMPLES = {
     "behaviour_cloning": "--flights 20 --epochs 1 --episodes 2",
     "torchrl_mappo": "--steps 1 --episodes 2",
     "fast_ppo": "crossing --critic state --steps 1 --episodes 2",
+    "pillars": "--density 0.6 --episodes 2",
+    "pillars_learn": "--rounds 2 --decisions 5 --updates 2 --episodes 1",
     "team_critics": "maddpg --steps 1 --episodes 2",
     "self_play": "--rounds 1 --steps 1 --episodes 2",
     "plan_ahead": "--decisions 3 --plans 4 --ahead 3",
@@ -47,6 +51,7 @@ PICTURES = {
     "custom_airframe": "step.png",
     "ppo_hover": "flight.png",
     "ppo_crossing": "flight.png",
+    "pillars": "paths.png",
     "camera_cnn": "flight.png",
     "figure_eight": "eight.png",
     "rotor_control": "recovery.png",
@@ -170,6 +175,47 @@ def check_fast_ppo(told, folder):
     assert set(yaml.safe_load(text)) == told
     first = folder / "checkpoints" / "000" / "policy.safetensors"
     assert first.read_bytes() != (folder / "policy.safetensors").read_bytes()
+
+
+def check_pillars(told, folder):
+    there, low, high, lost = numbers(r"at the goal # \(# to #\), lost #", told)[0]
+    assert 0.8 < there <= 1
+    assert low <= there <= high
+    assert 0 <= lost <= 1 - there
+
+
+def test_the_teacher_among_pillars_knows_when_it_touches():
+    """By hand: a point at 2 m/s, balls of 1 m around it; one that moves along, one that is left."""
+    sys.path.insert(0, str(FOLDER))
+    try:
+        time_to = importlib.import_module("pillars").time_to
+    finally:
+        sys.path.remove(str(FOLDER))
+    gap = np.array([[[[3.0, 0.0, 0.0], [0.0, 4.0, 3.0]]]])
+    tries = np.array([[[[2.0, 0.0, 0.0], [0.0, 1.6, 1.2], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]]])
+    reach = np.ones((1, 1, 2))
+    still = time_to(gap, tries, 0 * gap, reach)
+    np.testing.assert_allclose(still, [[[1.0, 2.0, np.inf, np.inf]]])
+    # Whoever flies away as fast is never met, and whoever comes is met though one waits
+    moved = np.array([[[[2.0, 0.0, 0.0], [0.0, -0.8, -0.6]]]])
+    np.testing.assert_allclose(time_to(gap, tries, moved, reach), [[[np.inf, 4 / 3, np.inf, 4.0]]])
+    # Within reach it is at once if it comes nearer, and never if it leaves
+    np.testing.assert_allclose(time_to(gap, tries, 0 * gap, 3.5 * reach)[0, 0, [0, 2]], [0, np.inf])
+
+
+def check_pillars_learn(told, folder):
+    assert numbers("# decisions: loss #", told)[0, 0] == 5 * 272
+    rows = numbers(r"density #, # drones: at the goal # \(.*\), lost # \(", told)
+    assert [tuple(row) for row in rows[:, :2]] == [
+        (0.2, 8),
+        (0.6, 8),
+        (0.8, 8),
+        (0.6, 32),
+        (0.8, 32),
+    ]
+    assert (rows[:, 2] < 0.5).all()  # which has learned nothing yet
+    assert {path.name for path in folder.rglob("*.*")} == {"run.yaml", "policy.safetensors"}
+    assert "Learned by `examples/pillars_learn.py`" in (folder / "run.yaml").read_text()
 
 
 def check_team_critics(told, folder):

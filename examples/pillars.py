@@ -1,0 +1,297 @@
+"""Fly a swarm among pillars at thrust level: a task and a policy of one's own.
+
+The arena is that of quad-swarm-rl (Z. Huang et al., Collision avoidance and navigation for a
+quadrotor swarm using end-to-end deep reinforcement learning, ICRA 2024): a room of 10 m, and in its
+middle 8 x 8 cells of 1 m. Pillars of 0.6 m across stand in a share of the cells, the density.
+Drones fly from free cells to free cells in 15 s. Who touches anything is out.
+
+Drones give body rates and thrust 25 times a second. The policy `Teacher` knows where everything is:
+it tries velocities, takes the best, and turns it into rates and thrust. A network that sees six
+pillars and six drones learns from it in `pillars_learn.py`.
+
+Run it:
+
+    python examples/pillars.py --density 0.8 --drones 8
+    python examples/pillars.py --policy pillars_learn
+
+Takes 10 seconds to a minute. Draws the paths of one flight, `pillars/paths.png`.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from matplotlib.patches import Circle
+from scipy.spatial.transform import Rotation
+
+import bulletuav
+from bulletuav.control.actions.attitudes import MAX_RATES
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.rotation import Vec3
+from bulletuav.policies import find_policy
+from bulletuav.policies.base import Policy
+from bulletuav.report.pictures import blank_figure
+from bulletuav.sensors import Label
+from bulletuav.tasks import Spawn, Task, TaskConfig, block, end
+from bulletuav.tasks.ends import collision, leaves_arena
+from bulletuav.vehicle.airframes import load_airframe
+
+CELLS = 8  # along each side
+RADIUS, HEIGHT = 0.3, 10.0  # of a pillar, m
+LOWEST, HIGHEST = 1.0, 3.0  # where drones start and end, m
+STOREY = 1.5  # m between drones that start above each other, where cells are too few
+SEEN = 6  # pillars that a drone sees
+SPEED = 1.5  # of the teacher, m/s
+LEVEL, FLAT = np.float32([[1.0, 1.0, 0.0], [1.0, 1.0, 0.6]])
+"""Pillars are tall, and drones keep more room above each other, where wakes are"""
+FAR, TINY = 100.0, 1e-9
+
+
+@dataclass(frozen=True)
+class PillarsConfig(TaskConfig):
+    """Share of cells with pillars, distance from the goal that is success (m), and `d_safe` (m)."""
+
+    density: float = field(default=0.6, metadata={"least": 0.0, "most": 0.9})
+    goal_radius: float = 0.5
+    d_safe: float = 0.3
+
+
+@block(
+    tuple(
+        Label(f"obstacle {k} position {axis}", "m", -10.0, 10.0)
+        for k in range(1, SEEN + 1)
+        for axis in "xy"
+    )
+)
+def pillars(known_position: Vec3, all_obstacle: np.ndarray, out: np.ndarray) -> None:
+    """Places of the nearest pillars from the drone, nearest first; zeros where there are fewer."""
+    before = -1.0
+    for k in range(SEEN):
+        nearest, x, y = np.inf, 0.0, 0.0
+        for j in range(len(all_obstacle)):
+            east = all_obstacle[j, 0] - known_position[0]
+            north = all_obstacle[j, 1] - known_position[1]
+            square = east * east + north * north
+            if before < square < nearest:
+                nearest, x, y = square, east, north
+        out[2 * k] = x
+        out[2 * k + 1] = y
+        before = nearest
+
+
+@end
+def at_goal(distance: float, goal_radius: float) -> bool:
+    """Tell whether the drone is at its goal."""
+    return distance <= goal_radius
+
+
+class Pillars(Task[PillarsConfig]):
+    """Flight of a swarm among pillars, from free cells to free cells."""
+
+    name = "pillars"
+    defaults: ClassVar = {
+        "num_drones": 8,
+        "airframe": "cf2x",
+        "action": "rates",
+        "dynamics": "rigid_body",
+        "physics_hz": 200,
+        "decision_hz": 25,
+        "horizon": 375,
+        "max_speed": 3.0,
+        "num_neighbours": 6,
+    }
+    observation = ("goal_offset", "velocity", "attitude", "rates", pillars, "intruders")
+    reward: ClassVar = {"progress": 1.0, "collision": -3.0}
+    ends = (collision, leaves_arena)
+    success = at_goal
+
+    def __init__(self, config: PillarsConfig, context: Any) -> None:
+        super().__init__(config, context)
+        self.arena_low, self.arena_high = np.array([[-5.0, -5.0, 0.0], [5.0, 5.0, 10.0]])
+        self._count = int(config.density * CELLS**2)
+
+    def obstacles(self) -> Sequence[Obstacle]:
+        """Tell the pillars."""
+        return [Obstacle("cylinder", (RADIUS, HEIGHT))] * self._count
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Draw cells for pillars, starts and goals."""
+        cell = rng.permutation(CELLS**2)
+        middle = np.stack([cell % CELLS, cell // CELLS], axis=1) - (CELLS - 1) / 2
+        taken, free = np.split(middle, [self._count])
+        start, goal = (self._places(free, rng) for _ in range(2))
+        pillar = np.column_stack([taken, np.full(self._count, HEIGHT / 2)])
+        return Spawn(position=start, goal=goal, obstacle=pillar, obstacle_velocity=0 * pillar)
+
+    def _places(self, free: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Draw places in free cells (F, 2), above each other where there are more drones."""
+        drone = np.arange(self.context.num_drones)
+        storey, cell = np.divmod(drone, len(free))
+        spread = HIGHEST - LOWEST if len(drone) <= len(free) else 0.5
+        height = LOWEST + STOREY * storey + rng.uniform(0.0, spread, len(drone))
+        return np.column_stack([rng.permutation(free)[cell], height])
+
+
+class Teacher(Policy):
+    """A policy that knows where all are, and tries velocities: the best is free and leads on."""
+
+    name = "teacher"
+    actions = ("rates",)
+    reads_swarm = True
+
+    def __init__(self, aviary: Any) -> None:
+        super().__init__(aviary)
+        turn = 2 * np.pi * np.arange(16) / 16
+        level = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+        climbs = [[0.0, 0.0, climb] for climb in (-0.6, -0.3, 0.0, 0.3, 0.6)]
+        ways = [share * level + climb for share in (0.35, 0.7, 1.0) for climb in climbs[1:4]]
+        self._tries = SPEED * np.float32([*climbs, *np.concatenate(ways)])  # (T, 3)
+        self._airframe = load_airframe(Pillars.defaults["airframe"])
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Do nothing, as no world is remembered."""
+
+    def act(self, observations: Any, swarm: Any) -> np.ndarray:
+        """Tell body rates and thrust of all drones, (W, N, 4)."""
+        velocity = self._velocity(*(np.float32(part) for part in (swarm.position, swarm.velocity)))
+        # From a velocity to a force, at most 6 m/s^2 beside the weight
+        push = (velocity - swarm.velocity) * (4.0, 4.0, 6.0)
+        push *= np.minimum(1.0, 6.0 / (norm(push) + TINY))
+        push[..., 2] += 9.81
+        # Turn the thrust to the force, and the nose to the east
+        turn = Rotation.from_quat(swarm.quaternion.reshape(-1, 4)).as_matrix()
+        turn = turn.reshape(*push.shape, 3)
+        ahead, left, up = np.moveaxis((push[..., None] * turn).sum(axis=-2) / norm(push), -1, 0)
+        thrust = 2 * self._airframe.mass * norm(push)[..., 0] * up / self._airframe.max_thrust - 1
+        rates = (-7 * left, 7 * ahead, -1.5 * np.arctan2(turn[..., 1, 0], turn[..., 0, 0]))
+        scaled = np.stack([*rates, thrust], axis=-1) / (*MAX_RATES, 1.0)
+        return np.clip(scaled, -1.0, 1.0)
+
+    def _velocity(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Choose velocities (W, N, 3), m/s."""
+        scene, alive = self.aviary.scene, self.aviary.alive
+        # Towards the goal, slower near it
+        gap = np.float32(scene.goal) - position
+        wish = gap * np.minimum(SPEED / (norm(gap) + TINY), 1.2)
+        # Velocities to try: the wish, the present one, and some to all sides
+        same = np.broadcast_to(self._tries, (*wish.shape[:2], *self._tries.shape))
+        tries = np.concatenate([wish[:, :, None], velocity[:, :, None], same], axis=2)
+        # The nearest pillars: who is nearer than the margin must not come nearer still
+        gap = (np.float32(scene.obstacle)[:, None] - position[:, :, None]) * LEVEL
+        gap = nearest(gap, gap, 8)
+        reach = np.clip(norm(gap)[..., 0], RADIUS + 0.06, RADIUS + 0.14)
+        pillar = time_to(gap, tries * LEVEL, 0 * gap, reach)
+        # The nearest drones: both do half of what avoids the other (J. van den Berg et al.,
+        # Reciprocal velocity obstacles, ICRA 2008)
+        gap = (position[:, None] - position[:, :, None]) * FLAT
+        hidden = ~alive[:, None] | np.eye(alive.shape[1], dtype=bool)
+        gap[hidden] = FAR
+        moved = np.broadcast_to((velocity[:, None] + velocity[:, :, None]) * FLAT, gap.shape)
+        moved, gap = nearest(moved, gap, 7), nearest(gap, gap, 7)
+        reach = np.clip(0.95 * norm(gap)[..., 0], 0.15, 0.5)
+        drone = time_to(gap, 2 * tries * FLAT, moved, reach)
+        left = np.maximum(0.0, position[:, :, None, 2] - 0.3)
+        floor = left / np.maximum(-tries[..., 2], TINY)
+        # Off the wish, another velocity than now, and soon at a pillar or a drone
+        off = norm(tries - tries[:, :, :1]) + 0.15 * norm(tries - tries[:, :, 1:2])
+        soon = np.maximum(0.0, 1 / (pillar + 0.05) - 0.8)
+        soon += np.maximum(0.0, 1 / (drone + 0.05) - 0.4)
+        soon += np.maximum(0.0, 1 / (floor + 0.05) - 0.8)
+        best = (off[..., 0] + 0.8 * soon).argmin(axis=-1)
+        return np.take_along_axis(tries, best[..., None, None], axis=2)[:, :, 0]
+
+
+def norm(vectors: np.ndarray) -> np.ndarray:
+    """Compute the lengths (..., 1) of vectors (..., 3)."""
+    return np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
+
+
+def nearest(values: np.ndarray, gap: np.ndarray, count: int) -> np.ndarray:
+    """Choose the values (W, N, count, 3) of those with the least gaps (W, N, K, 3)."""
+    order = norm(gap).argsort(axis=2)[:, :, :count]
+    return np.take_along_axis(values, order, axis=2)
+
+
+def time_to(gap: np.ndarray, tries: np.ndarray, moved: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Tell when the first of others is within reach, for each velocity that is tried.
+
+    The gaps are (W, N, K, 3), m, the tries (W, N, T, 3), m/s, the reach (W, N, K), m. What is
+    `moved` (W, N, K, 3) is taken from the tries to come to closing velocities. Gives (W, N, T), s.
+    """
+    clear = ((gap * gap).sum(-1) - reach * reach)[..., None]
+    tries = np.moveaxis(tries, -1, -2)
+    closing = gap @ tries - (gap * moved).sum(-1)[..., None]
+    speed = (tries * tries).sum(-2)[:, :, None] - 2 * moved @ tries
+    speed += (moved * moved).sum(-1)[..., None]
+    # First root of |gap - t v| = reach
+    square = closing * closing - clear * speed
+    meets = (closing > 0.0) & (square > 0.0)
+    later = closing + np.sqrt(np.where(meets, square, 1.0))
+    time = np.where(meets, np.maximum(0.0, clear) / np.where(meets, later, 1.0), np.inf)
+    return time.min(axis=2, initial=np.inf)
+
+
+class lost:  # noqa: N801  # its name in tables
+    """Share of the drones that touched something, or left the room."""
+
+    def __init__(self, aviary: Any) -> None:
+        self.lost = np.zeros((aviary.num_worlds, aviary.num_drones), dtype=bool)
+
+    def __call__(self, step: Any, aviary: Any) -> np.ndarray:
+        """Take a decision; give the share so far for each world, (W,)."""
+        self.lost |= step.terminated
+        return self.lost.mean(axis=1)
+
+
+def show(policy: Any, density: float, drones: int, episodes: int) -> str:
+    """Fly, and tell which share of the drones was at its goal in the end, and which was lost."""
+    options = {"density": density, "num_drones": drones, "metrics": (lost,), "trust": True}
+    found = bulletuav.evaluate(Pillars, policy, episodes, 1000, **options).estimates()
+    there, gone = (
+        f"{name} {found[key].mean:.3f} ({found[key].low:.3f} to {found[key].high:.3f})"
+        for name, key in (("at the goal", "drone_success"), ("lost", "lost"))
+    )
+    return f"density {density}, {drones} drones: {there}, {gone}"
+
+
+def draw(policy: Any, density: float, drones: int, file: Path) -> None:
+    """Draw the paths of one flight from above."""
+    aviary = bulletuav.Aviary(Pillars, 1, density=density, num_drones=drones)
+    pilot = find_policy(policy, Pillars, trust=True)(aviary)
+    seen, paths = aviary.reset(seeds=1000), []
+    for _ in range(aviary.options.horizon):
+        paths.append(np.where(aviary.alive[0, :, None], aviary.swarm.position[0], np.nan))
+        seen = aviary.step(pilot.act(seen, aviary.swarm)).observations
+    figure = blank_figure(6, 6)
+    axes = figure.subplots()
+    for x, y, _ in aviary.scene.obstacle[0]:
+        axes.add_patch(Circle((x, y), RADIUS, color="0.8"))
+    axes.plot(*np.moveaxis(np.array(paths)[..., :2], -1, 0))
+    axes.plot(*aviary.scene.goal[0, :, :2].T, "k*", label="goals")
+    axes.set(xlabel="east (m)", ylabel="north (m)", xlim=(-5, 5), ylim=(-5, 5), aspect="equal")
+    axes.legend()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file)
+
+
+def main() -> None:
+    """Fly a policy, and draw one of its flights."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--density", type=float, default=0.8)
+    parser.add_argument("--drones", type=int, default=8)
+    parser.add_argument("--policy", type=Path, help="folder of a network (default: the teacher)")
+    parser.add_argument("--episodes", type=int, default=20)
+    parser.add_argument("--out", type=Path, default=Path("pillars"), help="folder for the picture")
+    args = parser.parse_args()
+    policy = args.policy or Teacher
+    print(show(policy, args.density, args.drones, args.episodes))
+    draw(policy, args.density, args.drones, args.out / "paths.png")
+
+
+if __name__ == "__main__":
+    main()
