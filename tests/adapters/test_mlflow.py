@@ -5,11 +5,13 @@ import dataclasses
 import sys
 
 import pytest
+from inline import no_processes
 from mlflow import MlflowClient
 
 from bulletuav.adapters.mlflow import EXPERIMENT, RUN_ID, MlflowWriter
 from bulletuav.cli import main
 from bulletuav.policies.run import RunConfig
+from bulletuav.training import campaign
 from bulletuav.training.trainer import train
 
 OPTIONS = {
@@ -88,7 +90,9 @@ def test_a_training_that_fails_is_told_as_such(client, tmp_path):
     assert [run.info.status for run in runs(client)] == ["FAILED"]
 
 
-def test_several_seeds_are_several_runs(client, tmp_path):
+def test_several_seeds_are_several_runs(client, tmp_path, monkeypatch):
+    """Here one after the other; what a process is given is told by other tests."""
+    monkeypatch.setattr(campaign, "processes", no_processes)
     sets = [f"--set={name}={value}" for name, value in (("horizon", 12), ("num_drones", 2))]
     usual = ["--steps", "64", "--worlds", "2", "--evaluations", "1", "--episodes", "1"]
     usual += ["--model", "n_steps=16", "--model", "batch_size=32", "--seeds", "0,1", "--mlflow"]

@@ -1,12 +1,11 @@
 """Studies: what varies, what is tried, and how an interrupted one goes on; runs are stand-ins."""
 
-import concurrent.futures
-import contextlib
 import csv
 import math
 import os
 
 import pytest
+from inline import no_processes
 
 from bulletuav.cli import main
 from bulletuav.files import replace_file
@@ -34,18 +33,6 @@ SPACE = parse_space(
 STUDY = Study(RUN, SPACE, trials=8, batch=3)
 
 
-class Inline(concurrent.futures.Executor):
-    """Does the work at once, in this process."""
-
-    def submit(self, work, *given):
-        future = concurrent.futures.Future()
-        try:
-            future.set_result(work(*given))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
 @pytest.fixture
 def trained(monkeypatch):
     """The configurations that were trained; the return has its maximum at 1e-3 and 6 epochs."""
@@ -60,7 +47,7 @@ def trained(monkeypatch):
         return [{"return": -9.0, "length": 1.0}, {"return": result, "length": float(epochs)}]
 
     monkeypatch.setattr(trainer, "train", train)
-    monkeypatch.setattr(studies, "processes", lambda workers: contextlib.nullcontext(Inline()))
+    monkeypatch.setattr(studies, "processes", no_processes)
     return configs
 
 
