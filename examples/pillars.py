@@ -7,12 +7,12 @@ Drones fly from free cells to free cells in 15 s. Who touches anything is out.
 
 Drones give body rates and thrust 25 times a second. The policy `Teacher` knows where everything is:
 it tries velocities, takes the best, and turns it into rates and thrust. A network that sees six
-pillars and six drones learns from it in `pillars_learn.py`.
+pillars and six drones learns from it in `dagger.py`.
 
 Run it:
 
     python examples/pillars.py --density 0.8 --drones 8
-    python examples/pillars.py --policy pillars_learn
+    python examples/pillars.py --policy dagger
 
 Takes 10 seconds to a minute. Draws the paths of one flight, `pillars/paths.png`.
 """

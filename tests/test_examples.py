@@ -29,7 +29,7 @@ EXAMPLES = {
     "torchrl_mappo": "--steps 1 --episodes 2",
     "fast_ppo": "crossing --critic state --steps 1 --episodes 2",
     "pillars": "--density 0.6 --episodes 2",
-    "pillars_learn": "--rounds 2 --decisions 5 --updates 2 --episodes 1",
+    "dagger": "pillars --rounds 2 --decisions 5 --updates 2 --episodes 1",
     "team_critics": "maddpg --steps 1 --episodes 2",
     "self_play": "--rounds 1 --steps 1 --episodes 2",
     "plan_ahead": "--decisions 3 --plans 4 --ahead 3",
@@ -203,8 +203,8 @@ def test_the_teacher_among_pillars_knows_when_it_touches():
     np.testing.assert_allclose(time_to(gap, tries, 0 * gap, 3.5 * reach)[0, 0, [0, 2]], [0, np.inf])
 
 
-def check_pillars_learn(told, folder):
-    assert numbers("# decisions: loss #", told)[0, 0] == 5 * 272
+def check_dagger(told, folder):
+    assert numbers("# decisions: loss #", told)[0, 0] == 5 * 336
     rows = numbers(r"density #, # drones: at the goal # \(.*\), lost # \(", told)
     assert [tuple(row) for row in rows[:, :2]] == [
         (0.2, 8),
@@ -215,7 +215,7 @@ def check_pillars_learn(told, folder):
     ]
     assert (rows[:, 2] < 0.5).all()  # which has learned nothing yet
     assert {path.name for path in folder.rglob("*.*")} == {"run.yaml", "policy.safetensors"}
-    assert "Learned by `examples/pillars_learn.py`" in (folder / "run.yaml").read_text()
+    assert "Learned by `examples/dagger.py`" in (folder / "run.yaml").read_text()
 
 
 def check_team_critics(told, folder):

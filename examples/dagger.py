@@ -1,0 +1,160 @@
+"""Learn what a policy does that sees everything, from what drones see: DAgger in one file.
+
+The network flies, the teacher tells what it would have done there, and the network learns that,
+round by round. S. Ross et al., A reduction of imitation learning and structured prediction to
+no-regret online learning, AISTATS 2011.
+
+`pillars` are swarms of 8 and 32 Crazyflies among pillars, by body rates and thrust: `pillars.py`
+has the task and the teacher. `streets` flies by a range finder through a city that the `planner`
+knows, `race` through gates after the `race_pilot`.
+
+Run it:
+
+    python examples/dagger.py pillars
+    python examples/pillars.py --policy dagger --density 0.8 --drones 32
+
+Takes 5 to 20 minutes on one core. Needs the extra `sb3`. The folder it writes flies without
+PyTorch: `--policy FOLDER`.
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from fast_ppo import Agent, Plan, Worlds, save, write_settings
+from pillars import Pillars, Teacher, show
+
+import bulletuav
+from bulletuav.policies import find_policy
+
+PILLARS = [(0.2, 8, 4), (0.4, 8, 4), (0.6, 8, 6), (0.8, 8, 8), (0.6, 32, 2), (0.8, 32, 2)]
+"""Density, drones and worlds that are learned from"""
+TABLE = [(0.2, 8), (0.6, 8), (0.8, 8), (0.6, 32), (0.8, 32)]
+"""Density and drones that are flown to see what was learned"""
+MINIBATCH = 4096
+
+
+class Lesson(NamedTuple):
+    """What is learned: task, its options, batches of worlds, and from whom."""
+
+    task: str
+    options: dict[str, Any]
+    batches: list[dict[str, Any]]
+    teacher: Any
+    rounds: int = 60
+    decisions: int = 250  # of all drones in a round
+    updates: int = 200  # of the network in a round
+    noise: float = 0.08  # of actions, which shows how to come back
+
+
+AMONG = [{"task": Pillars, "density": d, "num_drones": n, "num_envs": w} for d, n, w in PILLARS]
+STREETS = {"difficulty": "easy", "dynamics": "rigid_body", "num_drones": 3, "num_envs": 32}
+RACE = {"difficulty": "easy", "dynamics": "rigid_body", "num_envs": 64}
+LESSONS = {
+    "pillars": Lesson("pillars:Pillars", {}, AMONG, Teacher, rounds=80),
+    "streets": Lesson("lidar_navigation", {}, [{"task": "lidar_navigation", **STREETS}], "planner"),
+    "race": Lesson("race", {}, [{"task": "race", **RACE}], "race_pilot"),
+}
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
+    parser.add_argument("lesson", choices=LESSONS)
+    parser.add_argument("--rounds", type=int, help="of flying and learning")
+    parser.add_argument("--decisions", type=int, help="of all drones in a round")
+    parser.add_argument("--updates", type=int, help="of the network in a round")
+    parser.add_argument("--rate", type=float, default=2e-3)
+    parser.add_argument("--episodes", type=int, default=50, help="of each evaluation")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("dagger"), help="folder for the policy")
+    return parser.parse_args()
+
+
+class School:
+    """Worlds with a teacher each, and all that was seen and taught in them."""
+
+    def __init__(self, lesson: Lesson, plan: Plan, seed: int) -> None:
+        self.worlds = Worlds(plan, seed, with_state=False)
+        self.envs = self.worlds.envs
+        self._noise, self._decisions = lesson.noise, lesson.decisions
+        self._teachers = [find_policy(lesson.teacher, lesson.task)(env.aviary) for env in self.envs]
+        for teacher, env in zip(self._teachers, self.envs, strict=True):
+            teacher.reset(np.ones(env.num_envs, dtype=bool))
+        self.seen = torch.zeros(0, self.worlds.seen.shape[1])
+        self.taught = torch.zeros(0, self.envs[0].action_space.shape[0])
+
+    @torch.no_grad()
+    def fly(self, agent: Agent | None) -> None:
+        """Fly some decisions of the network, or of the teacher; keep what living drones saw."""
+        seen, taught = [self.seen], [self.taught]
+        for _ in range(self._decisions):
+            known, right = self.worlds.seen, self._right()
+            action = agent(known, torch.zeros(len(known), 0))[0] if agent else right
+            begins = [env.ended for env in self.envs]
+            lived = self.worlds.step(action + self._noise * torch.randn_like(action))[0].bool()
+            for teacher, fresh in zip(self._teachers, begins, strict=True):
+                teacher.reset(fresh)
+            seen.append(known[lived])
+            taught.append(right[lived])
+        self.seen, self.taught = torch.cat(seen), torch.cat(taught)
+
+    def _right(self) -> torch.Tensor:
+        """Ask the teachers what they would do, (M, A)."""
+        pairs = zip(self._teachers, self.envs, strict=True)
+        told = [teacher.act(None, env.aviary.swarm) for teacher, env in pairs]
+        rows = np.concatenate([one.reshape(-1, one.shape[-1]) for one in told])
+        return torch.from_numpy(rows.astype(np.float32)).clamp(-1.0, 1.0)
+
+
+def learn(lesson: Lesson, args: argparse.Namespace) -> None:
+    """Fly and learn in turn, and save the policy."""
+    torch.manual_seed(args.seed)
+    steps = lesson.rounds * lesson.updates
+    plan = Plan(lesson.task, lesson.options, lesson.batches, steps, log_std=-2.0)
+    school = School(lesson, plan, args.seed)
+    agent = Agent(school.envs[0], plan, told=0)
+    optimiser = torch.optim.Adam(agent.parameters(), args.rate)
+    falls = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: 1 - step / steps)
+    for k in range(lesson.rounds):
+        school.fly(agent if k else None)
+        for _ in range(lesson.updates):
+            chosen = torch.randint(len(school.seen), (MINIBATCH,))
+            mean, _ = agent(school.seen[chosen], torch.zeros(MINIBATCH, 0))
+            loss = (mean - school.taught[chosen]).square().mean()
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
+            optimiser.step()
+            falls.step()
+        if k % 5 == 0 or k == lesson.rounds - 1:
+            print(f"{len(school.seen):8d} decisions: loss {loss.item():.5f}", flush=True)
+    for env in school.envs:
+        env.close()
+    save(agent, args.out)
+    write_settings(plan, args.seed, args.out, "dagger")
+
+
+def main() -> None:
+    """Learn, and show what was learned."""
+    args = parse_arguments()
+    torch.set_num_threads(1)
+    lesson = LESSONS[args.lesson]
+    told = {name: getattr(args, name) for name in ("rounds", "decisions", "updates")}
+    lesson = lesson._replace(**{name: value for name, value in told.items() if value})
+    learn(lesson, args)
+    if args.lesson == "pillars":
+        for density, drones in TABLE:
+            print(show(args.out, density, drones, args.episodes))
+        return
+    found = bulletuav.evaluate(lesson.task, args.out, args.episodes, 1000, difficulty="easy")
+    for name in ("drone_success", "collision", "return"):
+        mean, low, high, _ = found.estimates()[name]
+        print(f"in bullet: {name} {mean:.3f} ({low:.3f} to {high:.3f})")
+
+
+if __name__ == "__main__":
+    main()
