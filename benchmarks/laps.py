@@ -1,7 +1,7 @@
 """Measure how a policy laps, and how far it is from the fastest line, at every difficulty.
 
     python benchmarks/laps.py --out docs/results/race
-    python benchmarks/laps.py --policy docs/results/race/racer --dynamics point_mass --seed 5000000
+    python benchmarks/laps.py --policy docs/results/race/racer --difficulties easy --seed 5000000
 
 Of each difficulty: share of drones that finished, gates missed and contacts of a drone, overtakes;
 and of the first drone to start, if it finished, its race time over that of the fastest line. That
@@ -30,8 +30,10 @@ COLUMNS = ("case", "finished", "missed", "contacts", "overtakes", "ratio", "low"
 
 def races(worlds: int, first: int, policy: str, **options: object) -> dict[str, np.ndarray]:
     """Fly a race in each of some worlds; give what drones told last, and the reference times."""
-    aviary = bulletuav.Aviary("race", worlds, **options)
-    pilot, planner = find_policy(policy, "race")(aviary), RacePilot(aviary)
+    found = find_policy(policy, "race")
+    # What a network observes goes with it
+    aviary = bulletuav.Aviary("race", worlds, **found.complete("race", options))
+    pilot, planner = found(aviary), RacePilot(aviary)
     observations = aviary.reset(seeds=first)
     told = {"reference": np.array([planner.fastest(w, aviary.swarm) for w in range(worlds)])}
     pilot.reset(np.ones(worlds, dtype=bool))
