@@ -13,7 +13,7 @@ Run it:
     python examples/dagger.py pillars --out swarm
     python examples/pillars.py --policy swarm --density 0.8 --drones 32
 
-Takes 10 to 20 minutes on one core. Needs the extra `sb3`. The folder it writes flies without
+Takes 15 to 30 minutes on one core. Needs the extra `sb3`. The folder it writes flies without
 PyTorch: `--policy FOLDER`.
 """
 
