@@ -28,16 +28,13 @@ from matplotlib.patches import Circle
 from scipy.spatial.transform import Rotation
 
 import bulletuav
-from bulletuav.control.actions.attitudes import MAX_RATES
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import Vec3
-from bulletuav.policies import find_policy
-from bulletuav.policies.base import Policy
+from bulletuav.policies import Policy, find_policy
 from bulletuav.report.pictures import blank_figure
 from bulletuav.sensors import Label
 from bulletuav.tasks import Spawn, Task, TaskConfig, block, end
 from bulletuav.tasks.ends import collision, leaves_arena
-from bulletuav.vehicle.airframes import load_airframe
 
 CELLS = 8  # along each side
 RADIUS, HEIGHT = 0.3, 10.0  # of a pillar, m
@@ -48,6 +45,7 @@ SPEED = 1.5  # of the teacher, m/s
 LEVEL, FLAT = np.float32([[1.0, 1.0, 0.0], [1.0, 1.0, 0.6]])
 """Pillars are tall, and drones keep more room above each other, where wakes are"""
 FAR, TINY = 100.0, 1e-9
+SCALE = 2 * np.pi, 2 * np.pi, np.pi, 1.0  # of action `rates`, rad/s, and of the thrust
 
 
 @dataclass(frozen=True)
@@ -149,7 +147,7 @@ class Teacher(Policy):
         climbs = [[0.0, 0.0, climb] for climb in (-0.6, -0.3, 0.0, 0.3, 0.6)]
         ways = [share * level + climb for share in (0.35, 0.7, 1.0) for climb in climbs[1:4]]
         self._tries = SPEED * np.float32([*climbs, *np.concatenate(ways)])  # (T, 3)
-        self._airframe = load_airframe(Pillars.defaults["airframe"])
+        self._airframe = bulletuav.load_airframe(Pillars.defaults["airframe"])
 
     def reset(self, mask: np.ndarray) -> None:
         """Do nothing, as no world is remembered."""
@@ -167,7 +165,7 @@ class Teacher(Policy):
         ahead, left, up = np.moveaxis((push[..., None] * turn).sum(axis=-2) / norm(push), -1, 0)
         thrust = 2 * self._airframe.mass * norm(push)[..., 0] * up / self._airframe.max_thrust - 1
         rates = (-7 * left, 7 * ahead, -1.5 * np.arctan2(turn[..., 1, 0], turn[..., 0, 0]))
-        scaled = np.stack([*rates, thrust], axis=-1) / (*MAX_RATES, 1.0)
+        scaled = np.stack([*rates, thrust], axis=-1) / SCALE
         return np.clip(scaled, -1.0, 1.0)
 
     def _velocity(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
