@@ -89,7 +89,7 @@ class School:
         seen, taught = [self.seen], [self.taught]
         for _ in range(self._decisions):
             known, right = self.worlds.seen, self._right()
-            action = agent(known, torch.zeros(len(known), 0))[0] if agent else right
+            action = agent(known, self.worlds.state())[0] if agent else right
             begins = [env.ended for env in self.envs]
             lived = self.worlds.step(action + self._noise * torch.randn_like(action))[0].bool()
             for teacher, fresh in zip(self._teachers, begins, strict=True):

@@ -28,13 +28,14 @@ from matplotlib.patches import Circle
 from scipy.spatial.transform import Rotation
 
 import bulletuav
+from bulletuav.analysis.recording import fly_episode
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import Vec3
 from bulletuav.policies import Policy, find_policy
 from bulletuav.report.pictures import blank_figure
 from bulletuav.sensors import Label
-from bulletuav.tasks import Spawn, Task, TaskConfig, block, end
-from bulletuav.tasks.ends import collision, leaves_arena
+from bulletuav.tasks import Spawn, Task, TaskConfig, block
+from bulletuav.tasks.ends import at_goal, collision, leaves_arena
 
 CELLS = 8  # along each side
 RADIUS, HEIGHT = 0.3, 10.0  # of a pillar, m
@@ -78,12 +79,6 @@ def pillars(known_position: Vec3, all_obstacle: np.ndarray, out: np.ndarray) -> 
         out[2 * k] = x
         out[2 * k + 1] = y
         before = nearest
-
-
-@end
-def at_goal(distance: float, goal_radius: float) -> bool:
-    """Tell whether the drone is at its goal."""
-    return distance <= goal_radius
 
 
 class Pillars(Task[PillarsConfig]):
@@ -179,7 +174,7 @@ class Teacher(Policy):
         tries = np.concatenate([wish[:, :, None], velocity[:, :, None], same], axis=2)
         # The nearest pillars: who is nearer than the margin must not come nearer still
         gap = (np.float32(scene.obstacle)[:, None] - position[:, :, None]) * LEVEL
-        gap = nearest(gap, gap, 8)
+        gap = np.take_along_axis(gap, nearest(gap, 8), axis=2)
         reach = np.clip(norm(gap)[..., 0], RADIUS + 0.06, RADIUS + 0.14)
         pillar = time_to(gap, tries * LEVEL, 0 * gap, reach)
         # The nearest drones: both do half of what avoids the other (J. van den Berg et al.,
@@ -188,7 +183,8 @@ class Teacher(Policy):
         hidden = ~alive[:, None] | np.eye(alive.shape[1], dtype=bool)
         gap[hidden] = FAR
         moved = np.broadcast_to((velocity[:, None] + velocity[:, :, None]) * FLAT, gap.shape)
-        moved, gap = nearest(moved, gap, 7), nearest(gap, gap, 7)
+        order = nearest(gap, 7)
+        moved, gap = (np.take_along_axis(part, order, axis=2) for part in (moved, gap))
         reach = np.clip(0.95 * norm(gap)[..., 0], 0.15, 0.5)
         drone = time_to(gap, 2 * tries * FLAT, moved, reach)
         left = np.maximum(0.0, position[:, :, None, 2] - 0.3)
@@ -204,13 +200,12 @@ class Teacher(Policy):
 
 def norm(vectors: np.ndarray) -> np.ndarray:
     """Compute the lengths (..., 1) of vectors (..., 3)."""
-    return np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
+    return np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def nearest(values: np.ndarray, gap: np.ndarray, count: int) -> np.ndarray:
-    """Choose the values (W, N, count, 3) of those with the least gaps (W, N, K, 3)."""
-    order = norm(gap).argsort(axis=2)[:, :, :count]
-    return np.take_along_axis(values, order, axis=2)
+def nearest(gap: np.ndarray, count: int) -> np.ndarray:
+    """Tell where the least of gaps (W, N, K, 3) are, nearest first: (W, N, count, 1)."""
+    return norm(gap).argsort(axis=2)[:, :, :count]
 
 
 def time_to(gap: np.ndarray, tries: np.ndarray, moved: np.ndarray, reach: np.ndarray) -> np.ndarray:
@@ -258,17 +253,14 @@ def show(policy: Any, density: float, drones: int, episodes: int) -> str:
 def draw(policy: Any, density: float, drones: int, file: Path) -> None:
     """Draw the paths of one flight from above."""
     aviary = bulletuav.Aviary(Pillars, 1, density=density, num_drones=drones)
-    pilot = find_policy(policy, Pillars, trust=True)(aviary)
-    seen, paths = aviary.reset(seeds=1000), []
-    for _ in range(aviary.options.horizon):
-        paths.append(np.where(aviary.alive[0, :, None], aviary.swarm.position[0], np.nan))
-        seen = aviary.step(pilot.act(seen, aviary.swarm)).observations
+    flight = fly_episode(aviary, find_policy(policy, Pillars, trust=True)(aviary), seed=1000)
+    paths = np.where(flight.alive[..., None], flight.position, np.nan)
     figure = blank_figure(6, 6)
     axes = figure.subplots()
-    for x, y, _ in aviary.scene.obstacle[0]:
+    for x, y, _ in flight.obstacle[0]:
         axes.add_patch(Circle((x, y), RADIUS, color="0.8"))
-    axes.plot(*np.moveaxis(np.array(paths)[..., :2], -1, 0))
-    axes.plot(*aviary.scene.goal[0, :, :2].T, "k*", label="goals")
+    axes.plot(*np.moveaxis(paths[..., :2], -1, 0))
+    axes.plot(*flight.goal[0, :, :2].T, "k*", label="goals")
     axes.set(xlabel="east (m)", ylabel="north (m)", xlim=(-5, 5), ylim=(-5, 5), aspect="equal")
     axes.legend()
     file.parent.mkdir(parents=True, exist_ok=True)

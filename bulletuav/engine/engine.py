@@ -97,9 +97,9 @@ class Engine(EngineQueries):
         self.dt = dt
         self._extension = EXTENSION
         self.first_world = first_world
-        self._live = live
-        self._contacts = contacts
+        self._live, self._contacts = live, contacts
         self._num_added = 0
+        # Of bodies that are not made yet
         self._masses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._contents = Contents(
             airframes,
@@ -112,7 +112,7 @@ class Engine(EngineQueries):
         # Positions as Bullet gave them, at which forces act
         self._place = self._contents.parking.copy()
         self.omega = np.zeros((*self.shape, 3))
-        # Drones whose bodies are not parked
+        # Drones whose bodies are not parked: none before they are made
         self._out = np.zeros(self.shape, dtype=bool)
         self.closed = False
         self._open: list[int] = []
@@ -282,9 +282,10 @@ class Engine(EngineQueries):
             mass: (N,) kg.
             inertia: (N, 3) principal moments of inertia, kg m^2.
         """
-        self._masses[world] = mass.copy(), inertia.copy()
         if self._is_made:
             self._bullet.set_masses(world, mass, inertia)
+        else:
+            self._masses[world] = mass.copy(), inertia.copy()
 
     def set_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Give drones the poses and velocities of a swarm, free of anything from their past.
@@ -350,8 +351,7 @@ class Engine(EngineQueries):
             if self._contacts:
                 self._filter(mask, 0)
             self._place[mask] = self._contents.parking[mask]
-            if self._is_made:
-                self._rest(self._bullet.calls, mask)
+            self._rest(self._bullet.calls, mask)
 
     def _rest(self, calls: EngineCalls | CExtension, mask: np.ndarray) -> None:
         """Let the bodies of drones of `mask` (W, N) rest where they are parked."""
@@ -393,7 +393,7 @@ class Engine(EngineQueries):
 
     def close(self) -> None:
         """Free Bullet's client; a second call does nothing."""
-        if self._is_made and not self.closed:
+        if self._is_made:
             # From here on calls end in Bullet's own errors, not in freed memory.
             self._bullet = self._bullet.without_extension()
         self.closed = True

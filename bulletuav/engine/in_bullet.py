@@ -71,10 +71,10 @@ def make_in_bullet(
     clients.append(client)
     configure(client, dt, live)
     bodies = BodyTable(client, contents, at_once)
+    drone = bodies.drone.ravel()
     # Bullet runs in a thread of its own behind a live window.
-    usable = Extension(None, "", "a live window") if live else extension
-    calls = _make_calls(client, bodies.drone.ravel(), usable)
-    calls.filter(bodies.drone.ravel(), 0, 0)
+    calls = EngineCalls(client, drone) if live else _make_calls(client, drone, extension)
+    calls.filter(drone, 0, 0)
     return InBullet(client, bodies, calls, SceneRenderer(client, bodies, contents.offset))
 
 

@@ -306,7 +306,7 @@ def test_bullet_is_connected_to_when_something_needs_it(options):
 
 
 def test_bodies_made_late_are_where_and_as_heavy_as_those_made_at_once():
-    """Also after drones were parked, and masses and layouts changed."""
+    """Also after drones were parked, and masses changed."""
     late, soon = (Engine([bulletuav.load_airframe("cf2x")] * 3, 2, 1 / 240) for _ in range(2))
     soon.make_bodies()
     swarm = Swarm.zeros(2, 3, 4)
