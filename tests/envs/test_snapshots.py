@@ -41,6 +41,7 @@ CASES = {
     "late": {
         "task": "converge",
         "num_drones": 2,
+        "take_off": True,
         "sensors": (Imperfect(Imu(), delay=0.3, noise=0.1),),
         "observation": ("velocity", "imu"),
     },
