@@ -57,6 +57,7 @@ class Plan(NamedTuple):
     gamma: float = 0.99
     log_std: float = -1.0
     scale: float = 1.0
+    width: int = 64  # of the layers
     decay: float = 1.0  # share of the training, at its end, in which the rate falls
     evaluation: dict[str, Any] = MEDIUM  # options of the environment where it shows what it learned
 
@@ -107,10 +108,10 @@ class Agent(nn.Module):
         layout = find_layout(env.observation_labels)
         self.features_extractor = SwarmFeatures(env.observation_space, layout, scale=plan.scale)
         inputs, size = self.features_extractor.features_dim, env.action_space.shape[0]
-        nets = {"policy_net": two_layers(inputs), "value_net": two_layers(inputs + told)}
-        self.mlp_extractor = nn.ModuleDict(nets)
-        self.action_net = scaled(nn.Linear(64, size), 0.01)
-        self.value_net = scaled(nn.Linear(64, 1), 1.0)
+        actor, critic = (two_layers(count, plan.width) for count in (inputs, inputs + told))
+        self.mlp_extractor = nn.ModuleDict({"policy_net": actor, "value_net": critic})
+        self.action_net = scaled(nn.Linear(plan.width, size), 0.01)
+        self.value_net = scaled(nn.Linear(plan.width, 1), 1.0)
         self.log_std = nn.Parameter(torch.full((size,), plan.log_std))
 
     def forward(self, seen: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -132,9 +133,9 @@ def scaled(layer: nn.Linear, gain: float) -> nn.Linear:
     return layer
 
 
-def two_layers(inputs: int) -> nn.Sequential:
+def two_layers(inputs: int, width: int) -> nn.Sequential:
     """Make two hidden layers."""
-    first, second = (scaled(nn.Linear(size, 64), 2**0.5) for size in (inputs, 64))
+    first, second = (scaled(nn.Linear(size, width), 2**0.5) for size in (inputs, width))
     return nn.Sequential(first, nn.Tanh(), second, nn.Tanh())
 
 
@@ -254,7 +255,7 @@ def save(agent: Agent, folder: Path) -> None:
 def write_settings(plan: Plan, seed: int, folder: Path, by: str = "fast_ppo") -> None:
     """Write what the policy sees and how it is built, as `bulletuav train` does."""
     features = {"features_extractor_kwargs": {"scale": plan.scale}}
-    model = {"features": "swarm", "policy_kwargs": {"net_arch": [64, 64], **features}}
+    model = {"features": "swarm", "policy_kwargs": {"net_arch": [plan.width] * 2, **features}}
     config = RunConfig(plan.task, seed=seed, steps=plan.steps, options=plan.options, model=model)
     text = config.text("algo", "seed", "steps", "options", "model", "constants")
     (folder / CONFIG).write_text(f"# Learned by `examples/{by}.py`.\n{text}")

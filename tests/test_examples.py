@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sensing
 import yaml
 
 import bulletuav
@@ -28,6 +29,7 @@ EXAMPLES = {
     "torchrl_mappo": "--steps 1 --episodes 2",
     "fast_ppo": "crossing --critic state --steps 1 --episodes 2",
     "pillars": "--density 0.6 --episodes 1",
+    "streets": "--stack --steps 1 --episodes 1",
     "dagger": "race --rounds 2 --decisions 5 --updates 2",
     "team_critics": "maddpg --steps 1 --episodes 2",
     "self_play": "--rounds 1 --steps 1 --episodes 2",
@@ -206,6 +208,38 @@ def check_dagger(told, folder):
     assert yaml.safe_load(text)["steps"] == 10 * 128
     result = bulletuav.evaluate("race", folder, 1, difficulty="easy")
     assert result.estimates()["drone_success"].mean == 0  # which has learned nothing yet
+
+
+def check_streets(told, folder):
+    assert numbers("# decisions: mean return #", told)[0, 0] == 64 * (40 * 3 + 24 * 5 + 15 * 8)
+    reached, low, high = numbers(r"at medium # \(# to #\) reach their goals", told)[0]
+    assert reached == low == 0 <= high  # which has learned nothing yet
+    # It flies with the sensor that it learned with, where its module is trusted
+    settings = yaml.safe_load((folder / "run.yaml").read_text())
+    assert settings["options"]["sensors"] == ["streets:Earlier"]
+    with pytest.raises(ValueError, match="whose module would be imported"):
+        bulletuav.evaluate("lidar_navigation", folder, 1)
+
+
+def test_ranges_of_half_a_second_ago_are_of_the_same_episode(monkeypatch):
+    """By hand: a range that grows by 1 m in each decision of 0.25 s, in two worlds."""
+    monkeypatch.syspath_prepend(FOLDER)
+    earlier = runpy.run_path(str(FOLDER / "streets.py"))["Earlier"]
+    sensor = sensing.sensor_of(earlier, (2, 1), period=0.25, beams=((0.0, 0.0), (90.0, 0.0)))
+    swarm, told = sensing.swarm_of(2, 1), []
+    for steps, ranges in [
+        ((0, 0), (9, 4)),
+        ((1, 1), (10, 5)),
+        ((2, 0), (11, 6)),
+        ((3, 1), (12, 7)),
+    ]:
+        readings = {"lidar": np.broadcast_to(np.reshape(ranges, (2, 1, 1)), (2, 1, 2)) * (1.0, 2.0)}
+        told.append(sensing.measure(sensor, swarm, steps=steps, readings=readings)["earlier"])
+    # The first world remembers two decisions, the second began anew in the third
+    beam = np.exp(np.array(told)[..., 0, 0])
+    np.testing.assert_allclose(beam[:, 0], [1, 10 / 11, 10 / 12, 11 / 13])
+    np.testing.assert_allclose(beam[:, 1], [1, 5 / 6, 1, 7 / 8])
+    np.testing.assert_allclose(np.exp(told[-1][0, 0, 1]), 21 / 25)
 
 
 def check_team_critics(told, folder):

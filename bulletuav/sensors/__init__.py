@@ -1,5 +1,13 @@
 """What drones measure: one file a sensor."""
 
-from bulletuav.sensors.base import Image, Label, Moment, Sensor, Uncertain, vector_labels
+from bulletuav.sensors.base import (
+    Image,
+    Label,
+    Moment,
+    Sensor,
+    SensorSetup,
+    Uncertain,
+    vector_labels,
+)
 
-__all__ = ["Image", "Label", "Moment", "Sensor", "Uncertain", "vector_labels"]
+__all__ = ["Image", "Label", "Moment", "Sensor", "SensorSetup", "Uncertain", "vector_labels"]

@@ -25,6 +25,8 @@ from bulletuav.policies import find_policy
 from bulletuav.policies.neural_network import read_weights
 from bulletuav.policies.run import RunConfig
 from bulletuav.report.charts import plot_curves
+from bulletuav.sensors.imperfect import Imperfect
+from bulletuav.sensors.imu import Imu
 from bulletuav.training.campaign import Campaign, learning_table, wall_time
 from bulletuav.training.models import make_model
 from bulletuav.training.store import WALL, Store, opened
@@ -330,6 +332,13 @@ def test_a_run_flies_with_the_observation_that_it_learned_with(run):
         bulletuav.evaluate("converge", str(folder), 1, observation="position", **calm)
     with pytest.raises(FileNotFoundError, match=r"run\.yaml of a run"):
         find_policy(folder / "checkpoints")
+
+
+def test_sensors_and_the_limit_of_climbs_hold_where_the_policy_flies():
+    """With options of training alone beside them, such as noise."""
+    held = {"sensors": (Imperfect(Imu(), delay=0.1),), "max_climb": 2.0}
+    told = RunConfig("hover", options={**held, "randomization": {"imu_noise": 0.1}})
+    assert told.interface == held
 
 
 def test_what_a_preset_says_of_actions_holds_where_the_policy_flies():
