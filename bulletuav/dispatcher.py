@@ -279,6 +279,21 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
                 self.add_overload(found)
         return super().compile(sig)
 
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Find the form of the function for a call; numbers that stand there are as all others.
+
+        Numba would compile one form for each number. LLVM knows them where it copies the function.
+        """
+        args = tuple(_any_number(kind) for kind in args)
+        kws = {name: _any_number(kind) for name, kind in kws.items()}
+        return super().get_call_template(args, kws)
+
+
+def _any_number(kind: Any) -> Any:
+    """Give the type of all numbers for that of a single one; other types as they are."""
+    is_single = isinstance(kind, (types.IntegerLiteral, types.BooleanLiteral))
+    return types.unliteral(kind) if is_single else kind
+
 
 class Dispatcher(_Stored):
     """A compiled function as Python calls it."""

@@ -218,13 +218,15 @@ def learn(agent: Agent, optimiser: Any, rows: list[torch.Tensor], plan: Plan) ->
             optimiser.step()
 
 
-def train(plan: Plan, seed: int, central: bool, folder: Path, look: Any = None) -> None:
+def train(
+    plan: Plan, seed: int, central: bool, folder: Path, look: Any = None, by: str = "fast_ppo"
+) -> None:
     """Train, print how the reward of a decision rises, and save what it was before and after."""
     torch.manual_seed(seed)
     worlds = Worlds(plan, seed, central)
     agent = Agent(worlds.envs[0], plan, worlds.state().shape[1])
     save(agent, folder / CHECKPOINTS / "000")
-    write_settings(plan, seed, folder)
+    write_settings(plan, seed, folder, by)
     optimiser = torch.optim.Adam(agent.parameters(), plan.rate, eps=1e-5)
     each = len(worlds.seen) * plan.decisions
     rounds = max(1, plan.steps // each)
@@ -252,7 +254,7 @@ def save(agent: Agent, folder: Path) -> None:
     save_file({**arrays, LOW: -ones, HIGH: ones}, folder / POLICY)
 
 
-def write_settings(plan: Plan, seed: int, folder: Path, by: str = "fast_ppo") -> None:
+def write_settings(plan: Plan, seed: int, folder: Path, by: str) -> None:
     """Write what the policy sees and how it is built, as `bulletuav train` does."""
     features = {"features_extractor_kwargs": {"scale": plan.scale}}
     model = {"features": "swarm", "policy_kwargs": {"net_arch": [plan.width] * 2, **features}}

@@ -84,13 +84,12 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Train, save, and fly every difficulty."""
+    """Train, save, and evaluate what was saved."""
     args = parse_arguments()
     torch.set_num_threads(1)
     options = {**LEARN, **STACK} if args.stack else LEARN
-    train(
-        Plan(TASK, options, BATCHES, args.steps, rate=7e-4, width=128), args.seed, False, args.out
-    )
+    plan = Plan(TASK, options, BATCHES, args.steps, rate=7e-4, width=128)
+    train(plan, args.seed, central=False, folder=args.out, by="streets")
     result = bulletuav.evaluate(
         TASK, args.out, args.episodes, 1000, difficulty="medium", trust=True
     )
