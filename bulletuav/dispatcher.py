@@ -262,7 +262,7 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
 
         Numba does the same, and takes the time of each call of LLVM meanwhile.
         """
-        kinds, _ = sigutils.normalize_signature(sig)
+        kinds, result = sigutils.normalize_signature(sig)
         with global_compiler_lock:
             if kinds not in self.overloads and isinstance(self._cache, Cache):
                 found = self._cache.load_overload(sig, self.targetctx)
@@ -271,13 +271,22 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
                     with self._cache.alone():
                         found = self._cache.load_overload(sig, self.targetctx)
                         if found is None:
-                            return super().compile(sig)
+                            self._make(sig, kinds, result)
+                            return self.overloads[kinds].entry_point
                 self._cache_hits[sig] += 1
                 self.targetctx.insert_user_function(
                     found.entry_point, found.fndesc, [found.library]
                 )
                 self.add_overload(found)
         return super().compile(sig)
+
+    def _make(self, sig: Any, kinds: Any, result: Any) -> None:
+        """Compile and store what no process has."""
+        with self._compiling_counter:
+            self._cache_misses[sig] += 1
+            made = self._compiler.compile(kinds, result)
+            self.add_overload(made)
+            self._cache.save_overload(sig, made)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Find the form of the function for a call; numbers that stand there are as all others.
@@ -292,7 +301,7 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
 def _any_number(kind: Any) -> Any:
     """Give the type of all numbers for that of a single one; other types as they are."""
     is_single = isinstance(kind, (types.IntegerLiteral, types.BooleanLiteral))
-    return types.unliteral(kind) if is_single else kind
+    return kind.literal_type if is_single else kind
 
 
 class Dispatcher(_Stored):

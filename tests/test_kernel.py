@@ -323,6 +323,23 @@ def test_kernels_refuse_to_make_arrays():
     assert may_make(3).tolist() == [0, 0, 0]
 
 
+def test_a_number_that_stands_in_a_call_makes_no_form_of_its_own():
+    """Plain numba would compile five; flags and numbers may have defaults, too."""
+
+    @kernel.func
+    def scaled(x, times, back=False):
+        return -times * x if back else times * x
+
+    @kernel.kernel
+    def all_of(x, n):
+        return scaled(x, 2) + scaled(x, 3) + scaled(x, n, True) + scaled(x, n, False) + scaled(x, n)
+
+    assert all_of(1.0, 7) == 2 + 3 - 7 + 7 + 7
+    forms = set(scaled.inner.overloads)
+    assert {form[:2] for form in forms} == {(numba.float64, numba.int64)}
+    assert len(forms) == 2  # with a flag, and without
+
+
 def test_borrowed_arrays_are_the_same_ones():
     class Two(NamedTuple):
         one: np.ndarray

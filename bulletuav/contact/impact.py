@@ -217,7 +217,8 @@ def _hold(
         if trial < FORESIGHT and (1.0 - time) * world.dt > SHORTEST:
             for k in range(given):
                 more = foresee(space, world, pairs[active[k]], time, points, size)
-                owner[size:more] = active[k]
+                for p in range(size, more):
+                    owner[p] = active[k]
                 size = more
         if size == before:
             break
@@ -292,7 +293,8 @@ def push_apart(
     near = 0
     for k in range(given):
         more = add_points(space, world, pairs[active[k]], time, points, size)
-        owner[size:more] = active[k]
+        for p in range(size, more):
+            owner[p] = active[k]
         if more > size:
             active[near] = active[k]
             near += 1

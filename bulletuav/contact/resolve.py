@@ -34,7 +34,8 @@ def _start_drone(
         row = world.parameters[world.w, i]
         begin(space.motions[i], world.start, end, world.w, i, row, world.dt)
         space.motions[i].bears = world.asleep[world.w, i]
-        space.motions[i].load[:] = 0.0
+        for k in range(3):
+            space.motions[i].load[0, k] = space.motions[i].load[1, k] = 0.0
 
 
 @kernel

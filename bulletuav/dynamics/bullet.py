@@ -119,8 +119,10 @@ def advance(
     """
     port, swarm, cascade, air = borrowed((port, swarm, cascade, air))
     contact = in_memory(contact)
-    # Whom a contact stops in a substep rests until the end of the decision
-    driven[:] = alive
+    # All in flight; whom a contact stops in a substep rests until the end of the decision
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            driven[w, i] = alive[w, i]
     for piece in range(substeps):
         remember_all(contact, swarm)
         # Wrenches from the state before the substep, then the engine's step
@@ -146,7 +148,9 @@ def advance(
         # What they would have flown into; the engine goes on from there
         if meet_all(contact, swarm, alive, parameters, piece, substeps, dt):
             write_states(port, swarm, contact.changed)
-            driven[:] = alive & ~contact.stopped
+            for w in range(alive.shape[0]):
+                for i in range(alive.shape[1]):
+                    driven[w, i] = alive[w, i] and not contact.stopped[w, i]
 
 
 @register("dynamics")

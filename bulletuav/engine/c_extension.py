@@ -154,10 +154,13 @@ def surface_below(
         share = np.empty(count)
         for k in range(count):
             m = left[k]
-            first[k] = start[m] + port.offset[who[m, 0], 0]
-            last[k] = end[m] + port.offset[who[m, 0], 0]
+            for axis in range(3):
+                origin = port.offset[who[m, 0], 0, axis]
+                first[k, axis] = start[m, axis] + origin
+                last[k, axis] = end[m, axis] + origin
         port.rays(port.session, count, first.ctypes, last.ctypes, VISIBLE, share.ctypes)
-        fraction[left] = share
+        for k in range(count):
+            fraction[left[k]] = share[k]
     land(surface, who, start, fraction)
 
 

@@ -60,7 +60,9 @@ def localise(
                     # Each world has a tile of Bullet's plane, and its own origin
                     swarm.position[w, i, k] = place[w, i, k] - offset[w, 0, k]
                 # Bullet tells angular velocities in world axes
-                swarm.rates[w, i] = to_body(swarm.quaternion[w, i], omega[w, i])
+                rates = to_body(quat4(swarm.quaternion, w, i), vec3(omega, w, i))
+                for k in range(3):
+                    swarm.rates[w, i, k] = rates[k]
 
 
 @kernel
@@ -162,16 +164,16 @@ def columns(
         (world, drone) (M, 2); start and end (M, 3) of rays straight down, m.
     """
     who = np.empty((count, 2), np.int64)
-    start = np.empty((count, 3))
+    start, end = np.empty((count, 3)), np.empty((count, 3))
     m = 0
     for w in range(surface.shape[0]):
         for i in range(surface.shape[1]):
             if np.isnan(surface[w, i]):
                 who[m, 0], who[m, 1] = w, i
-                start[m] = position[w, i]
+                for k in range(3):
+                    start[m, k] = end[m, k] = position[w, i, k]
+                end[m, 2] -= RAY_LENGTH
                 m += 1
-    end = start.copy()
-    end[:, 2] -= RAY_LENGTH
     return who, start, end
 
 
