@@ -271,8 +271,7 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
                     with self._cache.alone():
                         found = self._cache.load_overload(sig, self.targetctx)
                         if found is None:
-                            self._make(sig, kinds, result)
-                            return self.overloads[kinds].entry_point
+                            return self._make(sig, kinds, result)
                 self._cache_hits[sig] += 1
                 self.targetctx.insert_user_function(
                     found.entry_point, found.fndesc, [found.library]
@@ -280,22 +279,19 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
                 self.add_overload(found)
         return super().compile(sig)
 
-    def _make(self, sig: Any, kinds: Any, result: Any) -> None:
-        """Compile and store what no process has."""
+    def _make(self, sig: Any, kinds: Any, result: Any) -> Any:
+        """Compile and store what no process has; tells where it is."""
         with self._compiling_counter:
             self._cache_misses[sig] += 1
             made = self._compiler.compile(kinds, result)
             self.add_overload(made)
             self._cache.save_overload(sig, made)
+        return made.entry_point
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Find the form of the function for a call; numbers that stand there are as all others.
-
-        Numba would compile one form for each number. LLVM knows them where it copies the function.
-        """
-        args = tuple(_any_number(kind) for kind in args)
-        kws = {name: _any_number(kind) for name, kind in kws.items()}
-        return super().get_call_template(args, kws)
+        """Find the form for a call: one for all numbers in its place; numba makes one for each."""
+        named = {name: _any_number(kind) for name, kind in kws.items()}
+        return super().get_call_template(tuple(map(_any_number, args)), named)
 
 
 def _any_number(kind: Any) -> Any:
