@@ -57,9 +57,9 @@ class Plan(NamedTuple):
     gamma: float = 0.99
     log_std: float = -1.0
     scale: float = 1.0
-    width: int = 64  # of the layers
     decay: float = 1.0  # share of the training, at its end, in which the rate falls
     evaluation: dict[str, Any] = MEDIUM  # options of the environment where it shows what it learned
+    width: int = 64  # of the layers
 
 
 POINTS = {"dynamics": "point_mass"}  # which are fast

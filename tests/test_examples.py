@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import typing
 from pathlib import Path
 
 import numpy as np
@@ -176,6 +177,15 @@ def check_fast_ppo(told, folder):
     assert set(yaml.safe_load(text)) == told
     first = folder / "checkpoints" / "000" / "policy.safetensors"
     assert first.read_bytes() != (folder / "policy.safetensors").read_bytes()
+
+
+def test_every_plan_of_fast_ppo_is_of_the_types_that_it_names():
+    """Of each only one is trained here."""
+    found = runpy.run_path(str(FOLDER / "fast_ppo.py"))
+    for name, plan in found["PLANS"].items():
+        for field, kind in found["Plan"].__annotations__.items():
+            value = getattr(plan, field)
+            assert isinstance(value, typing.get_origin(kind) or kind), (name, field, value)
 
 
 def check_pillars(told, folder):
