@@ -74,6 +74,14 @@ def choose_flying(
             flying[w, i] = flying[w, i] and not contact.asleep[w, i]
 
 
+@kernel
+def _choose_driven(alive: np.ndarray, contact: Contact, driven: np.ndarray) -> None:
+    """Write whose rotors turn (W, N): all in flight but whom a contact stopped in the decision."""
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            driven[w, i] = alive[w, i] and not contact.stopped[w, i]
+
+
 @allocating
 def advance(
     port: Port,
@@ -119,10 +127,7 @@ def advance(
     """
     port, swarm, cascade, air = borrowed((port, swarm, cascade, air))
     contact = in_memory(contact)
-    # All in flight; whom a contact stops in a substep rests until the end of the decision
-    for w in range(alive.shape[0]):
-        for i in range(alive.shape[1]):
-            driven[w, i] = alive[w, i]
+    _choose_driven(alive, contact, driven)
     for piece in range(substeps):
         remember_all(contact, swarm)
         # Wrenches from the state before the substep, then the engine's step
@@ -148,9 +153,7 @@ def advance(
         # What they would have flown into; the engine goes on from there
         if meet_all(contact, swarm, alive, parameters, piece, substeps, dt):
             write_states(port, swarm, contact.changed)
-            for w in range(alive.shape[0]):
-                for i in range(alive.shape[1]):
-                    driven[w, i] = alive[w, i] and not contact.stopped[w, i]
+            _choose_driven(alive, contact, driven)
 
 
 @register("dynamics")
