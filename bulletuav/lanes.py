@@ -18,6 +18,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.imputils import lower_builtin, lower_cast, lower_getattr_generic
+from numba.core.registry import cpu_target
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import (
     AbstractTemplate,
@@ -31,8 +32,10 @@ from numba.np.arrayobj import make_array
 
 from bulletuav.dispatcher import stamp_of
 
-WIDTH = 8
-"""Drones in a block"""
+# numba's codegen knows the features that the environment took away, too
+WIDTH = 8 if "+avx512f" in cpu_target.target_context.codegen().magic_tuple()[2] else 4
+"""Drones in a block: numbers in the processor's widest vectors, as others overflow its registers.
+Bits do not depend on it."""
 _STAMP = f"{WIDTH} {stamp_of(__file__)}"
 """Part of the types' names: machine code for them is old when this file is"""
 _NUMBER = ir.DoubleType()

@@ -50,7 +50,7 @@ EMULATED = {
     "a C library without FMA": {
         "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX2_Usable,-FMA_Usable"
     },
-    "compiled code for any processor": {"NUMBA_CPU_NAME": "generic"},
+    "compiled code for any processor": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
 }
 ONCE = "NumPy without vector units", "a C library without FMA", "another BLAS"
 EMULATED["all of these at once"] = {k: v for name in ONCE for k, v in EMULATED[name].items()}
