@@ -38,6 +38,8 @@ from numba.core.registry import CPUDispatcher
 from numba.core.runtime import _nrt_python
 from numba.core.serialize import dumps
 
+from bulletuav.compiling import PartCompiler, any_number, seldom_collected
+
 fcntl: ModuleType | None
 try:
     import fcntl
@@ -167,6 +169,7 @@ class Cache:
         with contextlib.ExitStack() as stack:
             with contextlib.suppress(OSError):
                 _wait_for(stack.enter_context(open(self._folder / ".lock", "ab")))
+            stack.enter_context(seldom_collected())
             self._locked.add(self._folder)
             try:
                 yield
@@ -290,14 +293,8 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Find the form for a call: one for all numbers in its place; numba makes one for each."""
-        named = {name: _any_number(kind) for name, kind in kws.items()}
-        return super().get_call_template(tuple(map(_any_number, args)), named)
-
-
-def _any_number(kind: Any) -> Any:
-    """Give the type of all numbers for that of a single one; other types as they are."""
-    is_single = isinstance(kind, (types.IntegerLiteral, types.BooleanLiteral))
-    return kind.literal_type if is_single else kind
+        named = {name: any_number(kind) for name, kind in kws.items()}
+        return super().get_call_template(tuple(map(any_number, args)), named)
 
 
 class Dispatcher(_Stored):
@@ -320,9 +317,10 @@ class Dispatcher(_Stored):
     def inner(self) -> Any:
         """The same function for callers that are compiled, without a wrapper for Python."""
         options = {**self.targetoptions, "no_cpython_wrapper": True}
-        made = _Stored(self.py_func, dict(self.locals), options)
+        apart = not options.get("forceinline")
+        pipeline = Compiler if apart else PartCompiler
+        made = _Stored(self.py_func, dict(self.locals), options, pipeline)
         if self._folder is not None:
-            apart = not options.get("forceinline")
             made._cache = Cache(self.py_func, self._folder, "-inner", apart)
         return made
 

@@ -3,7 +3,6 @@ import ctypes
 import math
 import os
 import re
-import shutil
 import subprocess
 import sys
 import time
@@ -16,7 +15,7 @@ import pytest
 from forking import forking
 
 import bulletuav
-from bulletuav import dispatcher, kernel
+from bulletuav import compiling, dispatcher, kernel
 
 TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
 """A function of the C library, at an address of this process"""
@@ -41,12 +40,13 @@ def run_in():
 
 @pytest.fixture
 def package(tmp_path, run_in):
-    """A package of our `kernel` module, a helper in one file and its compiled caller in another."""
+    """A package of our modules that compile, a helper in one file, its caller in another."""
     folder = tmp_path / "small"
     folder.mkdir()
-    shutil.copy(dispatcher.__file__, folder / "dispatcher.py")
-    code = Path(kernel.__file__).read_text()
-    (folder / "kernel.py").write_text(code.replace("from bulletuav.", "from small."))
+    for module in (kernel, dispatcher, compiling):
+        file = Path(module.__file__)
+        code = file.read_text().replace("from bulletuav.", "from small.")
+        (folder / file.name).write_text(code)
     (folder / "__init__.py").write_text("")
     (folder / "unrelated.py").write_text("x = 1\n")
     (folder / "helper.py").write_text(

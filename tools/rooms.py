@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
-    ("version", "errors", "files", "dispatcher", "forms"),
+    ("version", "errors", "files", "compiling", "dispatcher", "forms"),
     ("kernel", "lanes", "registry"),
     ("functions", "gather", "program"),
     ("geometry", "earth"),

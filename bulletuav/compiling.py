@@ -1,0 +1,69 @@
+"""How functions are compiled in less time than numba takes: fewer forms, and less of each."""
+
+import contextlib
+import gc
+from collections.abc import Iterator
+from typing import Any
+
+import llvmlite.binding as llvm
+from numba.core import types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+
+OBJECTS = 20_000
+"""New objects before Python looks for garbage while it compiles; usually it is 700"""
+
+
+def any_number(kind: Any) -> Any:
+    """Give the type of all numbers for that of a single one; other types as they are."""
+    is_single = isinstance(kind, (types.IntegerLiteral, types.BooleanLiteral))
+    return kind.literal_type if is_single else kind
+
+
+@contextlib.contextmanager
+def seldom_collected() -> Iterator[None]:
+    """Let Python look for garbage less often.
+
+    Compilation makes many objects, of which most stay: a tenth of its time goes into searches.
+    """
+    usual = gc.get_threshold()
+    # 0 is never
+    if 0 < usual[0] < OBJECTS:
+        gc.set_threshold(OBJECTS, 50, 50)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*usual)
+
+
+class _Part(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
+    """Code of a function that callers copy, for LLVM.
+
+    Numba makes machine code of it by itself, too, which nobody would call. That takes a tenth of
+    all that compilation takes.
+    """
+
+    def _optimize_final_module(self) -> None:
+        """Leave it as it is: it is optimised where it is copied to."""
+
+    def _finalize_final_module(self) -> None:
+        """Keep the code for callers, and make machine code of its variable alone.
+
+        Numba writes the address of the function's environment there.
+        """
+        self._finalized = True
+        variables = map(str, self._get_module_for_linking().global_variables)
+        kept = [one for one in variables if "_ZN08NumbaEnv" in one.partition("=")[0]]
+        self._final_module = llvm.parse_assembly("\n".join(kept))
+        super()._finalize_final_module()
+
+
+class PartCompiler(Compiler):  # type: ignore[misc]  # numba has no types
+    """Compiles a function that callers copy."""
+
+    def _compile_core(self) -> Any:
+        """Take a library of ours instead of numba's."""
+        state = self.state
+        state.library = _Part(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return super()._compile_core()
