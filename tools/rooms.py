@@ -14,7 +14,8 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
-    ("version", "errors", "files", "compiling", "dispatcher", "forms"),
+    ("version", "errors", "files", "compiling"),
+    ("dispatcher", "forms"),
     ("kernel", "lanes", "registry"),
     ("functions", "gather", "program"),
     ("geometry", "earth"),
