@@ -1,11 +1,13 @@
 """Parts of a batch: each process flies some of the worlds, through shared arrays."""
 
+import contextlib
 import ctypes
 import math
 import multiprocessing
 import os
 import signal
 import sys
+import time
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -18,6 +20,11 @@ from bulletuav.tasks import TaskSource
 
 GLANCE = 2.0
 """Seconds after which a process that is asked nothing looks whether the one that asks is there"""
+PATIENCE = 5.0
+"""Time that all workers have to end, s"""
+SPIN = 2e-4
+"""Time for which a process looks for what comes next before it sleeps, s: waking up takes as long
+as several such looks, and many decisions are shorter"""
 Layout = dict[str, tuple[tuple[int, ...], Any]]
 """Shape and NumPy type of each shared array, by name; the first axis is that of worlds"""
 
@@ -58,6 +65,7 @@ class SharedArrays:
 
 def work(
     pipe: Connection,
+    spin: float,
     shared: SharedArrays,
     first: int,
     last: int,
@@ -73,6 +81,7 @@ def work(
 
     Args:
         pipe: Brings questions, takes answers; the first answer tells that the worlds are made.
+        spin: Time for which it looks for a question before it sleeps, s.
         shared: Arrays of all worlds.
         first: First world of this process.
         last: World after the last one of this process.
@@ -87,11 +96,12 @@ def work(
     except Exception as error:
         pipe.send(portable(error))
         return
-    answers = shared.views(first, last)["answers"]
+    views = shared.views(first, last)
+    questions, answers = views["questions"], views["answers"]
     pipe.send(None)
     answers[0] += 1  # after it has been sent: who sees it need not wait for the pipe
     # Answer one question after the other.
-    while (question := _next(pipe)) is not None:
+    while (question := _next(pipe, questions, int(answers[0]), spin)) is not None:
         pipe.send(part.answer(*question))
         answers[0] += 1
     part.close()
@@ -174,7 +184,38 @@ def portable(error: Exception) -> Exception:
     return told
 
 
-def _next(pipe: Connection) -> Any:
+def end_processes(owner: int, pipes: list[Connection], processes: list[Any]) -> None:
+    """Ask the processes to end, and kill those that do not."""
+    # A copy of the owner, made by a fork, has no say.
+    if os.getpid() != owner:
+        return
+    for pipe in pipes:
+        # The process may have ended already.
+        with contextlib.suppress(OSError):
+            pipe.send(None)
+    end = time.monotonic() + PATIENCE
+    for process in processes:
+        process.join(max(0.0, end - time.monotonic()))
+        process.kill()  # ends one that is stopped, too; a record of it is kept until it is joined
+        process.join(PATIENCE)
+
+
+def came(numbers: np.ndarray, number: int, spin: float) -> bool:
+    """Look for a number until it is there, or for a time.
+
+    Args:
+        numbers: Shared array, whose first number is waited for.
+        number: What it will be.
+        spin: Longest time, s.
+    """
+    end = time.perf_counter() + spin
+    while numbers[0] != number:
+        if time.perf_counter() > end:
+            return False
+    return True
+
+
+def _next(pipe: Connection, questions: np.ndarray, answered: int, spin: float) -> Any:
     """Wait for the next question; None when the asking process has ended.
 
     Its end of the pipe may still be open then, in a fork. So it is looked after now and then:
@@ -183,7 +224,8 @@ def _next(pipe: Connection) -> Any:
     parent = multiprocessing.parent_process()
     assert parent is not None
     try:
-        while not pipe.poll(GLANCE):
+        there = came(questions, answered, spin)
+        while not there and not pipe.poll(GLANCE):
             if not parent.is_alive():
                 return None
         return pipe.recv()

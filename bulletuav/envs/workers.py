@@ -22,32 +22,24 @@ from bulletuav.envs.shared_infos import SharedInfos, merged, room_for
 from bulletuav.envs.snapshot import Snapshot, require_snapshot
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
-from bulletuav.envs.worker import Layout, Part, SharedArrays, by_shared_name, raise_first, work
+from bulletuav.envs.worker import (
+    SPIN,
+    Layout,
+    Part,
+    SharedArrays,
+    by_shared_name,
+    came,
+    end_processes,
+    raise_first,
+    work,
+)
 from bulletuav.errors import as_int, choose, finite, numbers_of
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import VECTOR, Observation
 
-PATIENCE = 5.0
-"""Time that all workers have to end, s"""
 MOST_WORKERS = 256
 TIMEOUT = 600.0
 """Time that an answer may take, s: longer than any decision, and than compiling for a first one"""
-
-
-def _end_processes(owner: int, pipes: list[Connection], processes: list[Any]) -> None:
-    """Ask the processes to end, and kill those that do not."""
-    # A copy of the owner, made by a fork, has no say.
-    if os.getpid() != owner:
-        return
-    for pipe in pipes:
-        # The process may have ended already.
-        with contextlib.suppress(OSError):
-            pipe.send(None)
-    end = time.monotonic() + PATIENCE
-    for process in processes:
-        process.join(max(0.0, end - time.monotonic()))
-        process.kill()  # ends one that is stopped, too; a record of it is kept until it is joined
-        process.join(PATIENCE)
 
 
 class WorkerAviary(LabelledEnvironment):
@@ -108,6 +100,8 @@ class WorkerAviary(LabelledEnvironment):
         if (mode := self._spec.options.render_mode) not in (None, "rgb_array"):
             raise ValueError(f"render_mode is {mode!r}: a live view needs workers=1")
         self._timeout = float(timeout)
+        # Who looks for answers takes a core
+        self._spin = SPIN if _cores() >= workers else 0.0
         self.observation_space: Box | Dict = self._observer.space()
         self.action_space: Space[Any] = widest_action_space(self._spec.action)
         # The worlds of each process
@@ -120,7 +114,7 @@ class WorkerAviary(LabelledEnvironment):
         self._processes: list[Any] = []
         self._owner = os.getpid()
         self._finalizer = weakref.finalize(
-            self, _end_processes, self._owner, self._pipes, self._processes
+            self, end_processes, self._owner, self._pipes, self._processes
         )
         self._started = False
         with self._closed_by_errors():
@@ -134,7 +128,7 @@ class WorkerAviary(LabelledEnvironment):
         self._arrays = shared.views(0, self.num_envs)
         self._infos = SharedInfos(self._arrays["info"])
         for part in self._parts[1:]:
-            self._start_worker(context, (shared, part.start, part.stop, *recipe))
+            self._start_worker(context, (self._spin, shared, part.start, part.stop, *recipe))
         self._here = Part(shared, 0, self._parts[0].stop, *recipe)
 
     def _start_worker(self, context: Any, arguments: tuple[Any, ...]) -> None:
@@ -179,7 +173,9 @@ class WorkerAviary(LabelledEnvironment):
             "truncated": (drones, bool),
             "alive": (drones, bool),
             "ended": ((self.num_envs,), bool),
-            "answers": ((self.num_envs,), np.int64),  # of each part, at its first world
+            # How many each part was asked and has answered, at its first world
+            "questions": ((self.num_envs,), np.int64),
+            "answers": ((self.num_envs,), np.int64),
             "info": ((drones[0], room_for(len(self._spec.task.weights)), drones[1]), np.float64),
         }
 
@@ -193,6 +189,7 @@ class WorkerAviary(LabelledEnvironment):
                 # A dead worker takes no question; that it gives no answer either tells why.
                 with contextlib.suppress(OSError):
                     self._pipes[k - 1].send((method, keywords[k]))
+                self._arrays["questions"][self._parts[k].start] = self._asked[k]
                 self._asked[k] += 1
             # The first part is flown here meanwhile
             own = [self._here.answer(method, keywords[0])] if 0 in keywords else []
@@ -210,7 +207,8 @@ class WorkerAviary(LabelledEnvironment):
         try:
             for k in workers:
                 left = max(0.0, end - time.monotonic())
-                is_there = self._arrays["answers"][self._parts[k].start] == self._asked[k]
+                given = self._arrays["answers"][self._parts[k]]
+                is_there = came(given, self._asked[k], min(self._spin, left))
                 if not is_there and not self._pipes[k - 1].poll(left):
                     # It would not hear a request to end.
                     self._processes[k - 1].kill()
@@ -346,6 +344,13 @@ class WorkerAviary(LabelledEnvironment):
         self._finalizer()
         if self._here is not None:
             self._here.close()
+
+
+def _cores() -> int:
+    """Count the cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:

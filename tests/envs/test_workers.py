@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import bulletuav
-from bulletuav.envs.workers import PATIENCE
+from bulletuav.envs.worker import PATIENCE, came
 
 
 def rolled(workers, task="crossing", steps=25, num_envs=5, **options):
@@ -76,6 +77,33 @@ def test_the_number_of_processes_changes_no_bit(workers, options):
     plain = {name: value for name, value in options.items() if name != "start_method"}
     for mine, theirs in zip(rolled(1, **plain), rolled(workers, **options), strict=True):
         assert_same(mine, theirs, None)
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_who_has_fewer_cores_than_processes_sleeps_at_once(cores, monkeypatch):
+    monkeypatch.setattr("bulletuav.envs.workers._cores", lambda: cores)
+    looked = []
+    look = came
+    monkeypatch.setattr(
+        "bulletuav.envs.workers.came", lambda *given: looked.append(given[2]) or look(*given)
+    )
+    some = rolled(2, steps=3)
+    assert looked
+    assert (max(looked) > 0.0) is (cores == 2)
+    for mine, theirs in zip(rolled(1, steps=3), some, strict=True):
+        assert_same(mine, theirs, None)
+
+
+def test_a_number_in_shared_memory_is_looked_for_until_it_is_there_or_for_a_time():
+    numbers = np.array([3, 0])
+    assert came(numbers, 3, 0.0)
+    begin = time.perf_counter()
+    assert not came(numbers, 4, 0.01)
+    assert 0.01 <= time.perf_counter() - begin < 5.0
+    late = threading.Timer(0.02, numbers.__setitem__, (0, 5))
+    late.start()
+    assert came(numbers, 5, 5.0)
+    late.join()
 
 
 def test_final_observations_of_several_processes():
@@ -200,7 +228,7 @@ def test_processes_that_cannot_be_are_refused_however_many_there_are(workers):
 
 
 def test_closing_does_not_wait_for_ever_for_a_stopped_worker(monkeypatch):
-    monkeypatch.setattr("bulletuav.envs.workers.PATIENCE", 0.5)
+    monkeypatch.setattr("bulletuav.envs.worker.PATIENCE", 0.5)
     env = bulletuav.batch_env("hover", 2, workers=2, start_method="fork")
     children = [psutil.Process(process.pid) for process in env._processes]
     os.kill(children[0].pid, signal.SIGSTOP)
