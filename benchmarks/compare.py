@@ -1,6 +1,7 @@
 """Measure bulletuav beside its peers and its own floor: per CPU-second, one thread, medians.
 
     python benchmarks/compare.py --out out/benchmark [--gym-pybullet-drones CHECKOUT]
+        [--drone-swarm CHECKOUT]
 
 Each simulator runs in a process and an environment of its own. Environments are made on the first
 run, below `--environments`. A measurement of bulletuav and one of its peer follow each other,
@@ -21,7 +22,7 @@ from typing import NamedTuple
 import matplotlib
 from rich.console import Console
 from rich.progress import Progress
-from simulators import Server, install, single_thread_variables
+from simulators import PACKAGES, Server, install, single_thread_variables
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
@@ -30,6 +31,8 @@ import bulletuav
 
 ALWAYS = ("PyFlyt", "crazyflow", "VMAS")
 """Peers that are installed from the package registry"""
+CHECKOUTS = {"gym-pybullet-drones": "gym_pybullet_drones", "drone_swarm": "drone_swarm"}
+"""Peers that are taken from a folder of their sources, and what is in it"""
 REAL_TIME_1000 = 1000 * 240
 """Drone-substeps a second of 1,000 drones in real time"""
 
@@ -136,6 +139,18 @@ COMPARISONS = [
         "agent-decisions/s",
         15,
     ),
+    *(
+        Comparison(
+            f"random rotor speeds up to {percent} %, rigid_body, 64 x 8",
+            f"random rotors, {percent} %",
+            "drone_swarm",
+            f"{precision}, {percent} %",
+            "agent-decisions/s",
+            goal,
+        )
+        for precision, goal in (("single", 0.85), ("double", None))
+        for percent in (10, 100)
+    ),
     Comparison(
         "reset of 10 drones", "reset, 10", "gym-pybullet-drones", "reset, 10", "resets/s", 100
     ),
@@ -181,16 +196,17 @@ class Row(NamedTuple):
         return None if self.goal is None else self.ratio >= self.goal
 
 
-def _servers(names: Sequence[str], folder: Path, checkout: Path | None) -> dict[str, Server]:
+def _servers(names: Sequence[str], folder: Path, checkouts: dict[str, Path]) -> dict[str, Server]:
     """Start the peers asked for, and bulletuav twice, the second time to be its own floor."""
     servers = {
         "bulletuav": Server(sys.executable, "serve_bulletuav.py"),
         "the floor in C": Server(sys.executable, "serve_bulletuav.py"),
     }
-    for name in names:
+    for name in (*names, *checkouts):
         script = f"serve_{name.lower().replace('-', '_')}.py"
-        arguments = [str(checkout)] if name == "gym-pybullet-drones" else []
-        servers[name] = Server(install(name, folder), script, *arguments)
+        python = install(name, folder) if name in PACKAGES else sys.executable
+        arguments = [str(checkouts[name])] if name in checkouts else []
+        servers[name] = Server(python, script, *arguments)
     return servers
 
 
@@ -306,16 +322,21 @@ def write(rows: list[Row], started: dict[str, float], out: Path) -> None:
 
 
 def _plot(rows: list[Row], path: Path) -> None:
-    """Draw the ratios as bars, blue where the goal is reached, with the goals as black lines."""
+    """Draw the ratios as bars, with the goals as black lines.
+
+    Bars are blue where the goal is reached, red where it is missed, and grey where there is none.
+    """
+    colors = {True: "#1b6ca8", False: "#c8553d", None: "#8a8a8a"}
     figure, axes = pyplot.subplots(figsize=(9, 0.45 * len(rows) + 1.2), layout="constrained")
     for place, row in enumerate(rows):
-        axes.barh(place, row.ratio, color="#1b6ca8" if row.reached else "#c8553d", height=0.6)
-        axes.plot([row.goal] * 2, [place - 0.4, place + 0.4], color="black", lw=2)
+        axes.barh(place, row.ratio, color=colors[row.reached], height=0.6)
+        if row.goal is not None:
+            axes.plot([row.goal] * 2, [place - 0.4, place + 0.4], color="black", lw=2)
         axes.text(row.ratio * 1.08, place, f"{row.ratio:.3g}", va="center", fontsize=9)
     axes.set_yticks(
         range(len(rows)), [f"{row.title}\nagainst {row.against}" for row in rows], fontsize=8
     )
-    axes.invert_yaxis()
+    axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_xscale("log")
     axes.set_xlim(0.3, 3 * max(row.ratio for row in rows))
     axes.set_xlabel("times as fast (black: goal)")
@@ -381,12 +402,14 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argpar
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure, write, print."""
     parser = make_parser(__doc__, "out/benchmark")
-    parser.add_argument(
-        "--gym-pybullet-drones",
-        type=Path,
-        metavar="CHECKOUT",
-        help="folder of its sources; without it this peer is left out",
-    )
+    for peer in CHECKOUTS:
+        parser.add_argument(
+            f"--{peer.replace('_', '-')}",
+            dest=peer,
+            type=Path,
+            metavar="CHECKOUT",
+            help="folder of its sources; without it this peer is left out",
+        )
     parser.add_argument(
         "--peers",
         nargs="*",
@@ -395,17 +418,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         help="which peers (all); none when none is named",
     )
     arguments = parse(parser, argv)
-    checkout = arguments.gym_pybullet_drones
-    if checkout is not None and not (checkout / "gym_pybullet_drones").is_dir():
-        parser.error(
-            f"{checkout} is no checkout of gym-pybullet-drones: "
-            "it has no folder gym_pybullet_drones"
-        )
-    names = list(arguments.peers)
-    if checkout is not None:
-        names.append("gym-pybullet-drones")
-        checkout = checkout.resolve()
-    servers = _servers(names, arguments.environments, checkout)
+    checkouts = {peer: path for peer in CHECKOUTS if (path := vars(arguments)[peer]) is not None}
+    for peer, path in checkouts.items():
+        if not (path / CHECKOUTS[peer]).is_dir():
+            parser.error(f"{path} is no checkout of {peer}: it has no folder {CHECKOUTS[peer]}")
+        checkouts[peer] = path.resolve()
+    servers = _servers(arguments.peers, arguments.environments, checkouts)
     # Comparisons with real time have no peer to be there.
     comparisons = [
         comparison

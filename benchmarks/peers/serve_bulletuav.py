@@ -115,6 +115,20 @@ def own_loop(drones: int, hz: int):
     return step, 1
 
 
+def random_rotors(percent: int):
+    """Fly swarms by random rotor speeds up to a share of their range, resets among them."""
+    options = {"dynamics": "rigid_body", "action": "hover_rpm", "decision_hz": 240}
+    env = bulletuav.batch_env("hover", 64, num_drones=8, **options)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    share = percent / 100
+
+    def fly() -> None:
+        env.step(rng.uniform(-share, share, (64, 8, 4)))
+
+    return fly, 64 * 8
+
+
 def hovering_at(hz: int) -> dict:
     """Options of `hover` for rotor speeds about those of hover, at so many decisions a second."""
     return {"action": "hover_rpm", "decision_hz": hz, "horizon": 10**9}
@@ -294,6 +308,8 @@ if __name__ == "__main__":
             "bullet, 64 x 8": partial(flight, 64, 8, "bullet"),
             "rigid_body with PID, 64 x 8": partial(flight, 64, 8, "rigid_body", controller="pid"),
             "crossing, 8": partial(crossing, 8),
+            "random rotors, 10 %": partial(random_rotors, 10),
+            "random rotors, 100 %": partial(random_rotors, 100),
             "crossing of points, 64 x 8": partial(batched_crossing, 64, 8),
             **{
                 f"PettingZoo, {drones}, {hz} Hz": partial(decide, drones, hz)

@@ -81,6 +81,38 @@ def test_a_simulator_that_is_not_there_is_left_out(tmp_path, monkeypatch, capsys
     assert "VMAS" not in captured.out
 
 
+def test_a_peer_in_c_is_built_of_its_sources(tmp_path):
+    """Sources of ours in the place of those of PufferLib: each decision counts up an action."""
+    folder = tmp_path / "drone_swarm"
+    folder.mkdir()
+    (folder / "drone_swarm.h").write_text("""
+#include <math.h>
+#include <stdlib.h>
+#include "raylib.h"
+typedef struct {
+    int num_agents, max_rings;
+    float *observations, *actions, *rewards;
+    unsigned char *terminals;
+    Camera3D camera;
+} DroneSwarm;
+static float rndf(float low, float high) { return low + (high - low) * rand() / (float)RAND_MAX; }
+void init(DroneSwarm *one) { one->rewards[0] = 0; }
+void c_reset(DroneSwarm *one) { one->observations[0] = sqrtf(PI); }
+void c_step(DroneSwarm *one) { one->rewards[0] += one->actions[0]; }
+void c_close_client(Client *client) { DrawWhatNobodyHas(); }
+""")
+    given = (sys.executable, "serve_drone_swarm.py", str(tmp_path))
+    server = compare.Server(*given)
+    for case in {one.theirs for one in compare.COMPARISONS if one.peer == "drone_swarm"}:
+        assert server.rate(case, 0.001) > 0
+    server.close()
+    (folder / "drone_swarm.h").write_text("void c_close_client(")
+    server = compare.Server(*given)
+    with pytest.raises(RuntimeError, match="gcc"):
+        server.rate("single, 10 %", 0.001)
+    server.close()
+
+
 def test_environments_are_made_once(tmp_path, monkeypatch):
     commands = []
 
@@ -96,9 +128,11 @@ def test_environments_are_made_once(tmp_path, monkeypatch):
 
 
 def test_a_folder_that_is_no_checkout(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        compare.main(["--gym-pybullet-drones", str(tmp_path)])
-    assert "no checkout" in capsys.readouterr().err
+    for peer, folder in compare.CHECKOUTS.items():
+        with pytest.raises(SystemExit):
+            compare.main([f"--{peer.replace('_', '-')}", str(tmp_path)])
+        told = f"is no checkout of {peer}: it has no folder {folder}"
+        assert told in capsys.readouterr().err
     for wrong in (["--rounds", "0"], ["--seconds", "-1"]):
         with pytest.raises(SystemExit):
             compare.main(wrong)
