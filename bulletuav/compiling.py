@@ -11,7 +11,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
 OBJECTS = 20_000
-"""New objects before Python looks for garbage while it compiles; usually it is 700"""
+"""New objects before Python looks for garbage while it compiles; Python's own number is far less"""
 
 
 def any_number(kind: Any) -> Any:
@@ -51,6 +51,8 @@ class _Part(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
 
         Numba writes the address of the function's environment there.
         """
+        # Before they are gone: code with addresses of this process is not stored
+        self._finalize_dynamic_globals()
         self._finalized = True
         variables = map(str, self._get_module_for_linking().global_variables)
         kept = [one for one in variables if "_ZN08NumbaEnv" in one.partition("=")[0]]

@@ -34,8 +34,8 @@ from bulletuav.dispatcher import stamp_of
 
 # numba's codegen knows the features that the environment took away, too
 WIDTH = 8 if "+avx512f" in cpu_target.target_context.codegen().magic_tuple()[2] else 4
-"""Drones in a block: numbers in the processor's widest vectors, as others overflow its registers.
-Bits do not depend on it."""
+"""Drones in a block. Eight numbers fit into one vector of AVX-512; others have half its registers,
+and four take less time there. Bits do not depend on it."""
 _STAMP = f"{WIDTH} {stamp_of(__file__)}"
 """Part of the types' names: machine code for them is old when this file is"""
 _NUMBER = ir.DoubleType()

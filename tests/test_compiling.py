@@ -1,11 +1,21 @@
 """Compilation takes less than numba's own, and gives the same functions."""
 
+import ctypes
 import gc
+import math
 
 import pytest
 
 from bulletuav import kernel
 from bulletuav.compiling import OBJECTS, any_number, seldom_collected
+
+TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
+"""A function of the C library, at an address of this process"""
+
+
+@kernel.func
+def squashed(x):
+    return TANH(x)
 
 
 def rooted(x):
@@ -42,6 +52,15 @@ def test_it_is_stored_for_other_callers_with_its_errors(tmp_path):
     for compiled in (caller, copied):
         with pytest.raises(ValueError, match="^negative$"):
             compiled(-1.0)
+
+
+def test_copied_code_with_addresses_of_this_process_is_not_stored(monkeypatch, tmp_path):
+    monkeypatch.setattr(kernel, "_CACHE", tmp_path)
+    squashed.keep_in(tmp_path)
+    caller = kernel.kernel(lambda x: squashed(x) + 1.0)
+    assert caller(0.5) == math.tanh(0.5) + 1.0
+    assert len(squashed.inner.overloads) == 1
+    assert not list(tmp_path.glob("*.nbc"))
 
 
 @pytest.mark.parametrize(

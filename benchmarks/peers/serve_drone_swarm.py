@@ -1,7 +1,8 @@
 """PufferLib's drone_swarm (S. Turner, F. Sanders 2025), C alone, from a checkout of stmio/drone.
 
 The path of the checkout is the first argument. gcc builds the environment without its pictures.
-"double" is the same in double precision, and with the arithmetic that was written down.
+"double" is the same in double precision, and with the arithmetic that was written down. Constants
+stay as they are, and the four functions of the C library that it calls become those of doubles.
 """
 
 from serve import serve  # first: it takes care of what others print
@@ -9,6 +10,7 @@ from serve import serve  # first: it takes care of what others print
 # isort: split
 
 import ctypes
+import functools
 import subprocess
 import sys
 import tempfile
@@ -65,8 +67,9 @@ void fly(int decisions, int percent) {{
 """
 
 
+@functools.cache
 def build(precision: str, folder: Path) -> ctypes.CDLL:
-    """Build the environment with a driver of ours in a folder, and load it."""
+    """Build the environment with a driver of ours in a folder, load it, and make the worlds."""
     whole = (SOURCES / "drone_swarm.h").read_text()
     (folder / "headless.h").write_text(whole[: whole.index(BEHIND)])
     (folder / "raylib.h").write_text(f"#pragma once\n{PICTURES}")
@@ -82,13 +85,14 @@ def build(precision: str, folder: Path) -> ctypes.CDLL:
     ]
     built = folder / f"{precision}.so"
     subprocess.run([*command, folder / "driver.c", "-o", built, "-lm"], check=True)
-    return ctypes.CDLL(str(built))
+    library = ctypes.CDLL(str(built))
+    library.begin()
+    return library
 
 
 def random_flight(precision: str, percent: int, folder: Path):
     """Fly random actions up to a share of the rotors' range, resets among them."""
     library = build(precision, folder)
-    library.begin()
     return partial(library.fly, DECISIONS, percent), WORLDS * DRONES * DECISIONS
 
 

@@ -347,7 +347,7 @@ class WorkerAviary(LabelledEnvironment):
 
 
 def _cores() -> int:
-    """Count the cores that this process may use."""
+    """Count the cores that this process may use; quotas of containers are not seen."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -2,6 +2,7 @@
 
 import csv
 import importlib.util
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -81,6 +82,7 @@ def test_a_simulator_that_is_not_there_is_left_out(tmp_path, monkeypatch, capsys
     assert "VMAS" not in captured.out
 
 
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 def test_a_peer_in_c_is_built_of_its_sources(tmp_path):
     """Sources of ours in the place of those of PufferLib: each decision counts up an action."""
     folder = tmp_path / "drone_swarm"

@@ -13,6 +13,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import bulletuav
+from bulletuav.envs import worker
 from bulletuav.envs.worker import PATIENCE, came
 
 
@@ -92,6 +93,30 @@ def test_who_has_fewer_cores_than_processes_sleeps_at_once(cores, monkeypatch):
     assert (max(looked) > 0.0) is (cores == 2)
     for mine, theirs in zip(rolled(1, steps=3), some, strict=True):
         assert_same(mine, theirs, None)
+
+
+def test_questions_and_answers_are_counted_on_both_sides():
+    env = bulletuav.batch_env("crossing", 4, workers=2, num_drones=2)
+    env.reset(seed=0)
+    for asked in (1, 2, 3):
+        env.step(np.zeros((4, 2, *env.action_space.shape)))
+        questions, answers = (env._arrays[name][2] for name in ("questions", "answers"))
+        assert (questions, answers) == (asked + 1, asked + 2)
+    env.close()
+
+
+def test_who_sees_a_question_does_not_wait_for_the_pipe(monkeypatch):
+    class Pipe:
+        def poll(self, seconds):
+            raise AssertionError("waits")
+
+        def recv(self):
+            return "question"
+
+    monkeypatch.setattr(worker.multiprocessing, "parent_process", lambda: "somebody")
+    assert worker._next(Pipe(), np.array([7]), 7, 1.0) == "question"
+    with pytest.raises(AssertionError, match="waits"):
+        worker._next(Pipe(), np.array([6]), 7, 0.0)
 
 
 def test_a_number_in_shared_memory_is_looked_for_until_it_is_there_or_for_a_time():
