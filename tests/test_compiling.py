@@ -1,21 +1,13 @@
 """Compilation takes less than numba's own, and gives the same functions."""
 
-import ctypes
 import gc
-import math
 
+import numba
 import pytest
+from numba.core.registry import cpu_target
 
 from bulletuav import kernel
 from bulletuav.compiling import OBJECTS, any_number, seldom_collected
-
-TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
-"""A function of the C library, at an address of this process"""
-
-
-@kernel.func
-def squashed(x):
-    return TANH(x)
 
 
 def rooted(x):
@@ -54,15 +46,6 @@ def test_it_is_stored_for_other_callers_with_its_errors(tmp_path):
             compiled(-1.0)
 
 
-def test_copied_code_with_addresses_of_this_process_is_not_stored(monkeypatch, tmp_path):
-    monkeypatch.setattr(kernel, "_CACHE", tmp_path)
-    squashed.keep_in(tmp_path)
-    caller = kernel.kernel(lambda x: squashed(x) + 1.0)
-    assert caller(0.5) == math.tanh(0.5) + 1.0
-    assert len(squashed.inner.overloads) == 1
-    assert not list(tmp_path.glob("*.nbc"))
-
-
 @pytest.mark.parametrize(
     ("usual", "meanwhile"),
     [
@@ -83,9 +66,9 @@ def test_garbage_is_looked_for_less_often_meanwhile(usual, meanwhile):
 
 
 def test_all_numbers_are_of_one_kind_and_others_as_they_are():
-    typeof = kernel.cpu_target.typing_context.resolve_value_type
-    literal = kernel.numba.types.literal
+    typeof = cpu_target.typing_context.resolve_value_type
+    literal = numba.types.literal
     assert any_number(literal(3)) == typeof(3)
     assert any_number(literal(True)) == typeof(True)
-    for kind in (literal("word"), kernel.numba.types.float64):
+    for kind in (literal("word"), numba.types.float64):
         assert any_number(kind) is kind

@@ -21,6 +21,11 @@ TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(N
 """A function of the C library, at an address of this process"""
 
 
+@kernel.func
+def squashed(x):
+    return TANH(x)
+
+
 class Inner(NamedTuple):
     numbers: np.ndarray
     scale: float
@@ -160,6 +165,15 @@ def test_machine_code_with_addresses_of_this_process_is_not_stored(monkeypatch, 
     compiled = kernel.kernel(lambda x: TANH(x))
     assert compiled(0.5) == math.tanh(0.5)
     assert list(tmp_path.glob("*.nbc")) == []
+
+
+def test_copied_code_with_addresses_of_this_process_is_not_stored(monkeypatch, tmp_path):
+    monkeypatch.setattr(kernel, "_CACHE", tmp_path)
+    squashed.keep_in(tmp_path)
+    caller = kernel.kernel(lambda x: squashed(x) + 1.0)
+    assert caller(0.5) == math.tanh(0.5) + 1.0
+    assert len(squashed.inner.overloads) == 1
+    assert not list(tmp_path.glob("*.nbc"))
 
 
 def test_functions_of_arrays_are_made_of_stored_code(package):

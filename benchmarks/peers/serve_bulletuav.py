@@ -118,15 +118,8 @@ def own_loop(drones: int, hz: int):
 def random_rotors(percent: int):
     """Fly swarms by random rotor speeds up to a share of their range, resets among them."""
     options = {"dynamics": "rigid_body", "action": "hover_rpm", "decision_hz": 240}
-    env = bulletuav.batch_env("hover", 64, num_drones=8, **options)
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    share = percent / 100
-
-    def fly() -> None:
-        env.step(rng.uniform(-share, share, (64, 8, 4)))
-
-    return fly, 64 * 8
+    step, worlds = random_flight("hover", 64, 0, percent / 100, num_drones=8, **options)
+    return step, 8 * worlds
 
 
 def hovering_at(hz: int) -> dict:
@@ -154,8 +147,8 @@ def floor(worlds: int, drones: int):
     return cases["engine calls"], worlds * drones * SUBSTEPS
 
 
-def random_flight(task: str, worlds: int, settle: int, **options):
-    """Fly a task with random actions.
+def random_flight(task: str, worlds: int, settle: int, share: float = 1.0, **options):
+    """Fly a task with random actions up to a share of their range.
 
     First come `settle` steps, after which worlds begin anew at different times.
     """
@@ -165,7 +158,7 @@ def random_flight(task: str, worlds: int, settle: int, **options):
     shape = (worlds, env.num_drones, *env.action_space.shape)
 
     def step() -> None:
-        env.step(rng.uniform(-1, 1, shape))
+        env.step(rng.uniform(-share, share, shape))
 
     for _ in range(settle):
         step()

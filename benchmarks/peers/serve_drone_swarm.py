@@ -10,11 +10,10 @@ from serve import serve  # first: it takes care of what others print
 # isort: split
 
 import ctypes
-import functools
 import subprocess
 import sys
 import tempfile
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 SOURCES = Path(sys.argv[1], "drone_swarm")
@@ -67,7 +66,7 @@ void fly(int decisions, int percent) {{
 """
 
 
-@functools.cache
+@cache
 def build(precision: str, folder: Path) -> ctypes.CDLL:
     """Build the environment with a driver of ours in a folder, load it, and make the worlds."""
     whole = (SOURCES / "drone_swarm.h").read_text()

@@ -238,17 +238,17 @@ class BulletDynamics(Dynamics):
     def _fly_by_calls(self, inputs: "_Inputs") -> None:
         """Fly all substeps through the engine's own calls."""
         flight, contact, swarm, alive = self.flight, self.contact, inputs.swarm, inputs.alive
-        driven = alive
+        _choose_driven(alive, contact, self._driven)
         for piece in range(flight.substeps):
             # Contacts need the states before the substep, and where obstacles are then
             remember_all(contact, swarm)
             place_obstacles(contact, piece / flight.substeps, flight.substeps * flight.dt)
-            self._advance_once(inputs._replace(alive=driven))
+            self._advance_once(inputs._replace(alive=self._driven))
             # States that contacts changed go back to the engine
             parameters = flight.parameters
             if meet_all(contact, swarm, alive, parameters, piece, flight.substeps, flight.dt):
                 flight.engine.write_states(swarm, contact.changed)
-                driven = alive & ~contact.stopped
+                _choose_driven(alive, contact, self._driven)
 
     def _inputs(
         self,

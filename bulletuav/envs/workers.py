@@ -109,7 +109,6 @@ class WorkerAviary(LabelledEnvironment):
         self._parts = [slice(*pair) for pair in itertools.pairwise(bounds)]
         # The first part, flown here; the others' processes, and what ends them
         self._here: Part | None = None
-        self._asked = [1] * workers  # answers that each part is to give; the first when it is made
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
         self._owner = os.getpid()
@@ -189,8 +188,7 @@ class WorkerAviary(LabelledEnvironment):
                 # A dead worker takes no question; that it gives no answer either tells why.
                 with contextlib.suppress(OSError):
                     self._pipes[k - 1].send((method, keywords[k]))
-                self._arrays["questions"][self._parts[k].start] = self._asked[k]
-                self._asked[k] += 1
+                self._arrays["questions"][self._parts[k].start] += 1
             # The first part is flown here meanwhile
             own = [self._here.answer(method, keywords[0])] if 0 in keywords else []
             answers = [*own, *self._answers(others)]
@@ -207,8 +205,9 @@ class WorkerAviary(LabelledEnvironment):
         try:
             for k in workers:
                 left = max(0.0, end - time.monotonic())
-                given = self._arrays["answers"][self._parts[k]]
-                is_there = came(given, self._asked[k], min(self._spin, left))
+                asked, given = (self._arrays[it][self._parts[k]] for it in ("questions", "answers"))
+                # One more than questions: the first tells that the worlds are made
+                is_there = came(given, int(asked[0]) + 1, min(self._spin, left))
                 if not is_there and not self._pipes[k - 1].poll(left):
                     # It would not hear a request to end.
                     self._processes[k - 1].kill()
