@@ -1,15 +1,23 @@
-"""Foresight: where a pair that touches will be too close next, although it is not now."""
+"""Foresight: where a pair will be too close next, although it is not now."""
 
 import numpy as np
 
 from bulletuav.contact.impulses import slip
 from bulletuav.contact.motion import pose_at, valid_until, vector
-from bulletuav.contact.points import MIDDLE, SLIP, Workspace, World, fill, surface_of
-from bulletuav.contact.touch import gap_at, separation_along
+from bulletuav.contact.points import (
+    MIDDLE,
+    SLIP,
+    Workspace,
+    World,
+    coefficients,
+    fill,
+    surface_of,
+)
+from bulletuav.contact.touch import TOUCH, gap_at, separation_along
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus, to_body, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 
 LOOKS = 4
 """Times at which points of a pair that touches repeatedly are foreseen, each a quarter as far"""
@@ -81,6 +89,10 @@ def foresee(
             break
     if later >= enough:
         return size
+    if not pair.held:
+        # It touches as others do that are held already
+        pair.held = True
+        pair.floor = 0.25 * TOUCH
     place = _as_now(scenery, motions, w, a, time, end, dt, on_a)
     position_b, _ = pose_at(scenery, motions, w, b, time, dt)
     if b < scenery.first_body:
@@ -97,3 +109,39 @@ def foresee(
     point.approach = 0.0
     point.least = closing + (wanted - later) / ((end - time) * dt)
     return size + 1
+
+
+@func
+def _may_come(space: Workspace, world: World, pair: np.record) -> bool:
+    """Tell whether a pair within an island may touch later in the substep, without a rebound."""
+    motions = space.motions
+    if not motions[pair.a].member or dot(pair.normal, pair.normal) == 0.0:
+        return False
+    if pair.b < motions.shape[0] and not motions[pair.b].member:
+        return False
+    _, lively = coefficients(world, pair.a)
+    _, lively_b = coefficients(world, pair.b)
+    return lively * lively_b == 0.0
+
+
+@allocating
+def add_coming(
+    space: Workspace,
+    world: World,
+    pairs: np.ndarray,
+    count: int,
+    active: np.ndarray,
+    near: int,
+) -> int:
+    """Add the pairs of a heap that do not touch, but may do so later; returns how many there are.
+
+    `foresee` looks at them, too: each would be an impact of its own of the whole heap.
+    """
+    listed = np.zeros(count, dtype=np.bool_)
+    for k in range(near):
+        listed[active[k]] = True
+    for p in range(count):
+        if not listed[p] and _may_come(space, world, pairs[p]):
+            active[near] = p
+            near += 1
+    return near

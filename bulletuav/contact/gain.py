@@ -139,7 +139,7 @@ def lose_gain(
         put_vector(motion.spin, motion.before[1])
     for k in range(size):
         points[k].least = min(points[k].least, 0.0)
-    relax(points, size, motions, FIRM)
+    relax(points, size, motions, world.dt, FIRM)
     had += _work(space, world, members, frame, rest)
     calm = moving_energy(space, world, members, frame, 0.0)
     half = 0.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletuav.contact.foresight import foresee
+from bulletuav.contact.foresight import add_coming, foresee
 from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_before
 from bulletuav.contact.impulses import POINT, eased, slip
 from bulletuav.contact.island import gather, touching
@@ -37,6 +37,8 @@ FORESIGHT = 4
 """How often an impact looks what its pairs will touch with at the end of the substep"""
 SHORTEST = 1e-6
 """Rest of a substep below which nothing is foreseen, s"""
+HEAP = 3
+"""Drones of an island from which on it is a heap"""
 FREE = -1e9
 """Velocity that a point may have which does not count, m/s"""
 
@@ -82,12 +84,12 @@ def _rebound(
         frame = frame_of(points, size)
         had = moving_energy(space, world, members, frame, 0.0)
         remember_before(space, members, points, size)
-        relax(points, size, space.motions, FIRM)
+        relax(points, size, space.motions, world.dt, FIRM)
         keep(points, size)
         lose_gain(space, world, members, points, size, frame, had, 0.0)
     elif closes and slow:
         # What is only stopped gains no energy
-        relax(points, size, space.motions, FIRM_ENOUGH)
+        relax(points, size, space.motions, world.dt, FIRM_ENOUGH)
         keep(points, size)
     return slow
 
@@ -196,13 +198,13 @@ def _hold(
     for trial in range(FORESIGHT + 1):
         if trial == 0:
             recall(memory, motions, radii, world.w, points, owner, pairs, size, 1.0 - time)
-        relax(points, size, motions, firm, trial == 0)
+        relax(points, size, motions, world.dt, firm, trial == 0)
         if trial == 0:
             island = space.island
             note(memory, motions, world.w, island, members, points, owner, pairs, size, 1.0 - time)
         keep(points, size)
         if trial == 0 and damp_tipping(points, size, motions):
-            relax(points, size, motions, firm)
+            relax(points, size, motions, world.dt, firm)
             keep(points, size)
         if trial > 0:
             lose_gain(space, world, members, points, size, frame, had, 1.0 - time)
@@ -287,7 +289,7 @@ def push_apart(
         if motions[pairs[p].a].member and touching(pairs[p], time):
             active[given] = p
             given += 1
-    points = np.empty(given * (MOST_POINTS + FORESIGHT), dtype=POINT)
+    points = np.empty(given * MOST_POINTS + count * FORESIGHT, dtype=POINT)
     owner = np.empty(points.shape[0], dtype=np.int64)
     size = 0
     near = 0
@@ -299,6 +301,8 @@ def push_apart(
             active[near] = active[k]
             near += 1
         size = more
+    if members >= HEAP:
+        near = add_coming(space, world, pairs, count, active, near)
     # Velocities before, of which the first point of a pair is told
     slips = np.zeros((points.shape[0], 3))
     for k in range(size):

@@ -169,9 +169,9 @@ def coefficients(world: World, who: int) -> tuple[float, float]:
     return world.friction, world.restitution
 
 
-Surface = tuple[int, int, Vec3, float, float, float, float, float, float]
-"""Of a pair: a, b or -1, drift of b, friction, restitution, damping, resistance of both to rolling
-and to turning about the normal."""
+Surface = tuple[int, int, Vec3, float, float, float, Vec3, Vec3]
+"""Of a pair: a, b or -1, drift of b, friction, restitution, damping, resistance to rolling of both
+and to turning about the normal, and the axis about which b resists."""
 
 
 @func
@@ -197,8 +197,11 @@ def surface_of(
     drift = (0.0, 0.0, 0.0)
     other = -1
     resist_b = 0.0
+    axis_b = drift
     if b < scenery.first_body:
+        # A sleeper does not yield, but resists rolling about its own axis
         other = -1 if space.motions[b].bears else b
+        axis_b = axes(quaternion_of(space.motions[b]))[2]
         resist_b = ROLLING * table.half[b, 0] if _rolls(table.kind[b]) else 0.0
     else:
         move, _ = change_rates(scenery, space.motions, world.w, b, world.dt)
@@ -218,9 +221,8 @@ def surface_of(
         math.sqrt(rough * rough_b),
         math.sqrt(lively * lively_b),
         TIPPING * radius * math.sqrt(radius / STANDARD_GRAVITY),
-        resist_a,
-        resist_b,
-        pivoting,
+        (resist_a, resist_b, pivoting),
+        axis_b,
     )
 
 
@@ -246,22 +248,20 @@ def fill(
     surface: Surface,
 ) -> None:
     """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
-    a, b, drift, friction, restitution, damping, resist_a, resist_b, pivoting = surface
+    a, b, drift, friction, restitution, damping, resist, axis_b = surface
     point.a = a
     point.b = b
     put_vector(point.drift, drift)
     point.friction = friction
     point.restitution = restitution
     point.damping = damping
-    point.resist[0] = resist_a
-    point.resist[1] = resist_b
-    point.resist[2] = pivoting
+    put_vector(point.resist, resist)
     prepare(point, motions)
-    if resist_a > 0.0:
+    if resist[0] > 0.0:
         _set_axis(motions, point, 0, axes(quaternion_of(motions[a]))[2])
-    if resist_b > 0.0:
-        _set_axis(motions, point, 1, axes(quaternion_of(motions[b]))[2])
-    if pivoting > 0.0:
+    if resist[1] > 0.0:
+        _set_axis(motions, point, 1, axis_b)
+    if resist[2] > 0.0:
         _set_axis(motions, point, 2, vector(point.normal))
 
 

@@ -31,8 +31,16 @@ FIRM_IN_HEAPS = 1e-5
 """The same of drones that hold each other; rest begins at hundreds of it"""
 SWEEPS = 200
 """Most sweeps over the points of a small island"""
-WORK = 20_000
-"""Most visits of points of an island, unless that is less than `FEWEST` sweeps"""
+SMALL = 16
+"""Most points of a small island"""
+GROWTH = 4.0
+"""How far the square of changes may be above the least so far while a large island goes on"""
+MOMENTUM = 0.9
+"""Share of its way by which it goes on at most"""
+WORK = 10_000
+"""Visits of points that a large island gets, unless that is less than `FEWEST` sweeps"""
+WORK_A_SECOND = 3_000_000
+"""The same over the length of the substep, if that is more: forces do more in a longer one"""
 CALM = 0.02
 """Spin below which tipping is not damped, rad/s"""
 FEWEST = 20
@@ -208,6 +216,7 @@ def relax(
     points: np.ndarray,
     count: int,
     motions: np.ndarray,
+    dt: float,
     firm: float,
     warm: bool = False,
 ) -> int:
@@ -217,6 +226,7 @@ def relax(
         points: Rows of `POINT`; impulses are written.
         count: How many of them count.
         motions: (N,) rows of `MOTION`; velocities and spins are changed.
+        dt: Length of the substep, s.
         firm: Change of velocity below which a sweep changes nothing, as share of the greatest one
             or 1 m/s.
         warm: Whether impulses start from those that are there, instead of zero.
@@ -238,8 +248,10 @@ def relax(
     for k in range(count):
         moving = slip(points[k], motions)
         fastest = max(fastest, math.sqrt(dot(moving, moving)))
-    most = max(FEWEST, min(SWEEPS, WORK // max(1, count)))
+    work = max(WORK, int(dt * WORK_A_SECOND))
+    most = max(FEWEST, min(SWEEPS, work // max(1, count)))
     before = 0.0
+    least = math.inf
     for sweep in range(most):
         change = 0.0
         square = 0.0
@@ -252,8 +264,12 @@ def relax(
         if change <= firm * fastest:
             return sweep + 1
         if sweep > 0 and sweep + 1 < most:
-            _go_on(points, count, motions, square / before)
+            share = square / before
+            if count > SMALL:
+                share = min(share, MOMENTUM) if square <= GROWTH * least else 2.0
+            _go_on(points, count, motions, share)
         before = square
+        least = min(least, square)
     return most
 
 

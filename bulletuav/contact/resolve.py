@@ -15,7 +15,7 @@ from bulletuav.contact.motion import aim, begin, finish, is_spent, put_vector, v
 from bulletuav.contact.pairs import SLACK, collect, rest_budget, sweeps_apart
 from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.staying import halt
-from bulletuav.contact.touch import EXACT, NEVER, ROUGH, touch_time
+from bulletuav.contact.touch import EXACT, IN_TOUCH, NEVER, ROUGH, is_kept_apart, touch_time
 from bulletuav.contact.touches import Touches
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
 from bulletuav.kernel import allocating, func, kernel
@@ -56,7 +56,22 @@ def _time_pair(
     pair.near = False
     if over:
         return
-    if not sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
+    apart = sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt)
+    if not apart and not world.stops:
+        # Of a pair that is held it is known that it is in touch
+        apart = is_kept_apart(
+            world.scenery,
+            motions,
+            world.w,
+            pair.a,
+            pair.b,
+            start,
+            -math.inf if pair.held else IN_TOUCH,
+            pair.floor,
+            world.dt,
+            vector(pair.normal),
+        )
+    if not apart:
         # A pair that is held already needs no exact time
         pair.time, normal, pair.near = touch_time(
             world.scenery,

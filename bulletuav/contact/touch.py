@@ -121,6 +121,48 @@ def _swing(
     return radius * across, radius * across * _length(turn)
 
 
+@func
+def is_kept_apart(
+    scenery: Scenery,
+    motions: np.ndarray,
+    w: int,
+    a: int,
+    b: int,
+    start: float,
+    least: float,
+    floor: float,
+    dt: float,
+    normal: Vec3,
+) -> bool:
+    """Tell whether one plane tells already that a pair does not touch on its way.
+
+    Args:
+        scenery: As this and others are in `touch_time`.
+        motions: As there.
+        w: As there.
+        a: As there.
+        b: As there.
+        start: As there.
+        least: Distance that they must have at the start, m.
+        floor: Distance that they must keep, m.
+        dt: As there.
+        normal: Unit vector across the plane, from b to a, or zeros.
+    """
+    if dot(normal, normal) == 0.0:
+        return False
+    end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
+    before, _, _ = separation_along(scenery, motions, w, a, b, start, dt, normal)
+    if before <= max(least, floor):
+        return False
+    after, _, _ = separation_along(scenery, motions, w, a, b, end, dt, normal)
+    _, turn_a = change_rates(scenery, motions, w, a, dt)
+    _, turn_b = change_rates(scenery, motions, w, b, dt)
+    _, bend_a = _swing(scenery.table.radius[a], normal, turn_a)
+    _, bend_b = _swing(scenery.table.radius[b], normal, turn_b)
+    dip = 0.125 * (bend_a + bend_b) * (end - start) ** 2
+    return min(before, after) - dip > floor
+
+
 @kernel
 def touch_time(
     scenery: Scenery,

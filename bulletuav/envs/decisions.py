@@ -361,7 +361,7 @@ class Decisions(Worlds):
             world: Index of the world of which they tell, in arrays (N,); of all, (W, N), when left
                 out.
         """
-        told: dict[str, np.ndarray] = {}
+        more: dict[str, np.ndarray] = {}
         if self._tells_more:
             landed = {"landed": self._live.landed} if self.task.lands else {}
             told = {
@@ -370,6 +370,6 @@ class Decisions(Worlds):
                 **self._uncertainty.info(),
                 **self._sensors.info(),
             }
-        # What stays as it is can wait to be copied until somebody asks
-        more = {name: value if stays(value) else np.array(value) for name, value in told.items()}
+            # What stays as it is can wait to be copied until somebody asks
+            more = {name: one if stays(one) else np.array(one) for name, one in told.items()}
         return Told(self._table.copy(), self._rows, more, world)

@@ -97,3 +97,25 @@ def test_the_extension_does_not_matter(monkeypatch):
             start(rig, 0, 4)
             states.append(trace(rig)[0])
     np.testing.assert_array_equal(*states)
+
+
+def test_the_order_of_drones_does_not_matter_to_heaps_that_fall_asleep():
+    """A sleeper resists rolling about its own axis, not about that of the last drone."""
+    count = 12
+    rng = np.random.default_rng(0)
+    order = rng.permutation(count)
+    place = rng.uniform(-0.06, 0.06, (count, 3))
+    place[:, 2] = 0.1 + 0.14 * np.arange(count)
+    attitude = random_attitudes(rng, count)
+    with Rig(["cf2x"] * count, worlds=2, substeps=12) as rig:
+        rig.swarm.position[:] = place, place[order]
+        rig.swarm.quaternion[:] = attitude, attitude[order]
+        rig.place()
+        dozed = False
+        for _ in range(60):
+            rig.fly()
+            asleep = rig.dynamics.contact.asleep[0]
+            dozed = dozed or (asleep.any() and not asleep.all())
+        state = np.concatenate(rig.swarm, axis=-1)
+    assert dozed
+    np.testing.assert_array_equal(state[0][order], state[1])

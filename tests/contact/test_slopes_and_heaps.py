@@ -40,3 +40,11 @@ def test_a_heap_comes_to_rest_on_the_ground(hz, seed):
     assert heap.depth < 5e-4
     assert heap.gained < most_gain(16, hz)
     assert heap.height.min() == pytest.approx(5e-5, abs=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hz", [60, 120, 240, 500])
+def test_a_heap_of_a_hundred_comes_to_rest(hz):
+    heap = drop_heap(100, hz=hz, seconds=8.0)
+    assert heap.speed.max() == heap.spin.max() == 0.0
+    assert heap.depth < 5e-4

@@ -6,7 +6,7 @@ from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
 from contact.shots import TARGETS
 from scipy.spatial.transform import Rotation
 
-from bulletuav.contact.touch import EXACT, NEVER, TOUCH, touch_time
+from bulletuav.contact.touch import EXACT, IN_TOUCH, NEVER, TOUCH, is_kept_apart, touch_time
 from bulletuav.kernel import allocating
 
 DT = 1 / 240
@@ -22,6 +22,17 @@ def _times(scenery, motions, room):  # type: ignore[no-untyped-def]
         found[m] = touch_time(
             scenery, alone, 0, 0, 1, 0.0, TOUCH, EXACT, DT, (0.0, 0.0, 0.0), room
         )[0]
+    return found
+
+
+@allocating
+def _kept_apart(scenery, motions, normals, start, least, floor):  # type: ignore[no-untyped-def]
+    """Return whether one plane each tells that drones of `motions` (M,) do not touch the other."""
+    found = np.zeros(len(motions), dtype=np.bool_)
+    for m in range(len(motions)):
+        normal = (normals[m, 0], normals[m, 1], normals[m, 2])
+        alone = motions[m : m + 1]
+        found[m] = is_kept_apart(scenery, alone, 0, 0, 1, start, least, floor, DT, normal)
     return found
 
 
@@ -124,3 +135,32 @@ def test_nobody_leaps_over_a_graze(name: str) -> None:
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
         assert times[0] < SAMPLES[gaps.argmin()]
         assert abs(_gaps(rig, motions, times)[0] - TOUCH) < 1e-11
+
+
+def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
+    """Whatever the plane is, and most often where it is that of the distance."""
+    rng = np.random.default_rng(5)
+    count = 2000
+    with Rig(["iris"], obstacles=[TARGETS["wall of 2 mm"]]) as rig:
+        rig.obstacle[:] = 0.0
+        rig.place()
+        scenery, room = rig.engine.scenery, rig.dynamics.contact.space.room
+        motions = np.repeat(rig.dynamics.contact.space.motions, count)
+        motions["time"], motions["until"] = 0.0, 1.0
+        motions["quaternion"] = random_attitudes(rng, count)
+        motions["turn"] = 10 ** rng.uniform(-4, -0.3, (count, 1)) * random_directions(rng, count)
+        motions["move"] = 10 ** rng.uniform(-4, -1, (count, 1)) * random_directions(rng, count)
+        motions["position"] = rng.uniform(-0.5, 0.5, (count, 3))
+        motions["position"][:, 0] = 0.0
+        motions["position"][:, 0] = rng.uniform(0.05, 0.4, count)
+        touches = _times(scenery, motions, room) < NEVER
+        across = np.tile([1.0, 0.0, 0.0], (count, 1))
+        shares = []
+        for normals in (across, random_directions(rng, count)):
+            apart = _kept_apart(scenery, motions, normals, 0.0, IN_TOUCH, TOUCH)
+            assert not (apart & touches).any()
+            shares.append(apart[~touches].mean())
+        none = _kept_apart(scenery, motions, np.zeros((count, 3)), 0.0, IN_TOUCH, TOUCH)
+        assert not none.any()
+    assert touches.sum() > 100
+    assert shares[0] > 0.5
