@@ -3,6 +3,7 @@
 import numpy as np
 
 from bulletuav.contact.impulses import slip
+from bulletuav.contact.island import in_island
 from bulletuav.contact.motion import pose_at, valid_until, vector
 from bulletuav.contact.points import (
     MIDDLE,
@@ -114,10 +115,7 @@ def foresee(
 @func
 def _may_come(space: Workspace, world: World, pair: np.record) -> bool:
     """Tell whether a pair within an island may touch later in the substep, without a rebound."""
-    motions = space.motions
-    if not motions[pair.a].member or dot(pair.normal, pair.normal) == 0.0:
-        return False
-    if pair.b < motions.shape[0] and not motions[pair.b].member:
+    if not in_island(space.motions, pair) or dot(pair.normal, pair.normal) == 0.0:
         return False
     _, lively = coefficients(world, pair.a)
     _, lively_b = coefficients(world, pair.b)

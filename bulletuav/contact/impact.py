@@ -5,7 +5,7 @@ import numpy as np
 from bulletuav.contact.foresight import add_coming, foresee
 from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_before
 from bulletuav.contact.impulses import POINT, eased, slip
-from bulletuav.contact.island import gather, touching
+from bulletuav.contact.island import gather, in_island, touching
 from bulletuav.contact.memory import note, recall
 from bulletuav.contact.motion import (
     aim,
@@ -286,7 +286,7 @@ def push_apart(
     active = np.empty(count, dtype=np.int64)
     given = 0
     for p in range(count):
-        if motions[pairs[p].a].member and touching(pairs[p], time):
+        if in_island(motions, pairs[p]) and touching(pairs[p], time):
             active[given] = p
             given += 1
     points = np.empty(given * MOST_POINTS + count * FORESIGHT, dtype=POINT)

@@ -7,7 +7,7 @@ on. So a heap falls asleep from below. A sleeper that is hit yields, and all who
 import numpy as np
 
 from bulletuav.contact.impulses import set_ease, surface_velocity
-from bulletuav.contact.motion import advance_to
+from bulletuav.contact.motion import advance_to, is_spent
 from bulletuav.contact.points import Workspace, World, measure
 from bulletuav.contact.touch import IN_TOUCH
 from bulletuav.geometry.rotation import Vec3, dot
@@ -41,6 +41,15 @@ def join(
 def touching(pair: np.record, time: float) -> bool:
     """Tell whether a pair may be in touch at a time."""
     found: bool = pair.held or pair.near or pair.time <= time
+    return found
+
+
+@func
+def in_island(motions: np.ndarray, pair: np.record) -> bool:
+    """Tell whether both of a pair belong to the island, or the one that can move."""
+    if not motions[pair.a].member:
+        return False
+    found: bool = pair.b >= motions.shape[0] or pair.leans or motions[pair.b].member
     return found
 
 
@@ -132,6 +141,9 @@ def gather(
             if pair.b >= world.scenery.first_body or not touching(pair, time):
                 continue
             if pair.leans or motions[pair.a].member == motions[pair.b].member:
+                continue
+            # Who stays for too many impacts hands none on before the next substep
+            if is_spent(motions[pair.a]) and is_spent(motions[pair.b]):
                 continue
             if _one_bears(motions, pair):
                 members = _lean(space, world, pairs, count, pair, members, time)
