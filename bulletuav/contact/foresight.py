@@ -4,7 +4,7 @@ import numpy as np
 
 from bulletuav.contact.impulses import slip
 from bulletuav.contact.island import in_island
-from bulletuav.contact.motion import pose_at, valid_until, vector
+from bulletuav.contact.motion import pose_at, put_vector, valid_until, vector
 from bulletuav.contact.points import (
     MIDDLE,
     SLIP,
@@ -18,7 +18,7 @@ from bulletuav.contact.touch import TOUCH, gap_at, separation_along
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus, to_body, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
-from bulletuav.kernel import allocating, func, kernel
+from bulletuav.kernel import func, kernel
 
 LOOKS = 4
 """Times at which points of a pair that touches repeatedly are foreseen, each a quarter as far"""
@@ -49,17 +49,16 @@ def foresee(
     world: World,
     pair: np.record,
     time: float,
-    points: np.ndarray,
-    size: int,
-) -> int:
-    """Add the point at which a pair would be too close at the end of its way, if there is one.
+    point: np.record,
+) -> bool:
+    """Fill in the point at which a pair would be too close at the end of its way, if there is one.
 
     Velocities are those at the end of the substep, and `aim` was called. Of a pair that turns,
     other points than those of now may come together: without them it would sink, and take many
     impacts to stop.
 
     Returns:
-        The number of points.
+        Whether there is one.
     """
     a = pair.a
     b = pair.b
@@ -89,7 +88,7 @@ def foresee(
         if later < enough:
             break
     if later >= enough:
-        return size
+        return False
     if not pair.held:
         # It touches as others do that are held already
         pair.held = True
@@ -99,7 +98,6 @@ def foresee(
     if b < scenery.first_body:
         other = _as_now(scenery, motions, w, b, time, end, dt, on_b)
         place = plus(place, 0.5, minus(other, place))
-    point = points[size]
     for k in range(3):
         point.normal[k] = normal[k]
         point.arm_a[k] = place[k] - motions[a].position[k]
@@ -108,38 +106,19 @@ def foresee(
     closing = dot(slip(point, motions), normal)
     point.distance = now
     point.approach = 0.0
+    put_vector(point.slip, (0.0, 0.0, 0.0))
     point.least = closing + (wanted - later) / ((end - time) * dt)
-    return size + 1
+    return True
 
 
 @func
-def _may_come(space: Workspace, world: World, pair: np.record) -> bool:
-    """Tell whether a pair within an island may touch later in the substep, without a rebound."""
+def may_come(space: Workspace, world: World, pair: np.record) -> bool:
+    """Tell whether a pair within an island may touch later in the substep, without a rebound.
+
+    In heaps it is foreseen, too: it would be an impact of its own of the whole heap.
+    """
     if not in_island(space.motions, pair) or dot(pair.normal, pair.normal) == 0.0:
         return False
     _, lively = coefficients(world, pair.a)
     _, lively_b = coefficients(world, pair.b)
     return lively * lively_b == 0.0
-
-
-@allocating
-def add_coming(
-    space: Workspace,
-    world: World,
-    pairs: np.ndarray,
-    count: int,
-    active: np.ndarray,
-    near: int,
-) -> int:
-    """Add the pairs of a heap that do not touch, but may do so later; returns how many there are.
-
-    `foresee` looks at them, too: each would be an impact of its own of the whole heap.
-    """
-    listed = np.zeros(count, dtype=np.bool_)
-    for k in range(near):
-        listed[active[k]] = True
-    for p in range(count):
-        if not listed[p] and _may_come(space, world, pairs[p]):
-            active[near] = p
-            near += 1
-    return near

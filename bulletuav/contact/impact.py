@@ -2,15 +2,14 @@
 
 import numpy as np
 
-from bulletuav.contact.foresight import add_coming, foresee
+from bulletuav.contact.foresight import foresee, may_come
 from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_before
-from bulletuav.contact.impulses import POINT, eased, slip
+from bulletuav.contact.impulses import POINT, eased
 from bulletuav.contact.island import gather, in_island, touching
 from bulletuav.contact.memory import note, recall
 from bulletuav.contact.motion import (
     aim,
     is_spent,
-    put_vector,
     vector,
 )
 from bulletuav.contact.points import (
@@ -26,7 +25,7 @@ from bulletuav.contact.staying import STILL, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS
-from bulletuav.geometry.rotation import Vec3, cross, plus
+from bulletuav.geometry.rotation import cross, plus
 from bulletuav.kernel import allocating, func, kernel
 
 SLOW = 0.02
@@ -98,7 +97,6 @@ def _rebound(
 def _allow(
     pairs: np.ndarray,
     points: np.ndarray,
-    owner: np.ndarray,
     size: int,
     dt: float,
 ) -> None:
@@ -112,14 +110,14 @@ def _allow(
     while k < size:
         end = k
         deepest = 0.0
-        while end < size and owner[end] == owner[k]:
+        while end < size and points[end].pair == points[k].pair:
             deepest = max(deepest, MIDDLE - points[end].distance)
             end += 1
         rate = 1.0 / max(dt, deepest / LIFT)
         for m in range(k, end):
             point = points[m]
             point.least = rate * (MIDDLE - point.distance)
-            if pairs[owner[k]].leans and deepest <= MIDDLE:
+            if pairs[points[k].pair].leans and deepest <= MIDDLE:
                 point.least = min(0.0, point.least)
             # What rebounds when it arrives is left to its own impact
             if point.distance > IN_TOUCH and point.restitution > 0.0 and point.approach < -SLOW:
@@ -167,11 +165,9 @@ def _hold(
     space: Workspace,
     world: World,
     pairs: np.ndarray,
-    active: np.ndarray,
-    given: int,
+    count: int,
     members: int,
     points: np.ndarray,
-    owner: np.ndarray,
     size: int,
     time: float,
     slow: bool,
@@ -184,7 +180,7 @@ def _hold(
     Returns the number of points, those that were foreseen among them.
     """
     motions = space.motions
-    _allow(pairs, points, owner, size, world.dt)
+    _allow(pairs, points, size, world.dt)
     frame = frame_of(points, size)
     had = moving_energy(space, world, members, frame, LIFT)
     add_forces(space, members, time, 1.0)
@@ -193,15 +189,15 @@ def _hold(
     radii = world.scenery.table.radius
     firm = FIRM_ENOUGH if members == 1 else FIRM_IN_HEAPS
     alone = members == 1
-    for k in range(given):
-        alone = alone and not pairs[active[k]].leans
+    for p in range(count):
+        alone = alone and not (pairs[p].joins and pairs[p].leans)
     for trial in range(FORESIGHT + 1):
         if trial == 0:
-            recall(memory, motions, radii, world.w, points, owner, pairs, size, 1.0 - time)
+            recall(memory, motions, radii, world.w, points, pairs, size, 1.0 - time)
         relax(points, size, motions, world.dt, firm, trial == 0)
         if trial == 0:
             island = space.island
-            note(memory, motions, world.w, island, members, points, owner, pairs, size, 1.0 - time)
+            note(memory, motions, world.w, island, members, points, pairs, size, 1.0 - time)
         keep(points, size)
         if trial == 0 and damp_tipping(points, size, motions):
             relax(points, size, motions, world.dt, firm)
@@ -217,11 +213,10 @@ def _hold(
                 _take_mean(motion, time, world.dt)
         before = size
         if trial < FORESIGHT and (1.0 - time) * world.dt > SHORTEST:
-            for k in range(given):
-                more = foresee(space, world, pairs[active[k]], time, points, size)
-                for p in range(size, more):
-                    owner[p] = active[k]
-                size = more
+            for p in range(count):
+                if pairs[p].joins and foresee(space, world, pairs[p], time, points[size]):
+                    points[size].pair = p
+                    size += 1
         if size == before:
             break
     # Back to velocities at the time of the impact: forces are added on the way
@@ -236,11 +231,10 @@ def _tell_point(
     w: int,
     point: np.record,
     other: int,
-    velocity: Vec3,
 ) -> None:
     """Tell a point of contact, for both sides if both are drones."""
     place = plus(vector(space.motions[point.a].position), 1.0, vector(point.arm_a))
-    normal = vector(point.normal)
+    normal, velocity = vector(point.normal), vector(point.slip)
     tell(touches, w, point.a, other, point.total[0], place, normal, velocity, 0.0, 1.0)
     # Also who sleeps and bears it
     if other < space.motions.shape[0]:
@@ -283,38 +277,29 @@ def push_apart(
         if is_spent(motion):
             end_forces(motion, time)
     # Points of all pairs of the island that are in touch
-    active = np.empty(count, dtype=np.int64)
-    given = 0
+    most = 0
     for p in range(count):
-        if in_island(motions, pairs[p]) and touching(pairs[p], time):
-            active[given] = p
-            given += 1
-    points = np.empty(given * MOST_POINTS + count * FORESIGHT, dtype=POINT)
-    owner = np.empty(points.shape[0], dtype=np.int64)
+        pairs[p].joins = in_island(motions, pairs[p]) and touching(pairs[p], time)
+        most += MOST_POINTS if pairs[p].joins else 0
+    points = np.empty(most + count * FORESIGHT, dtype=POINT)
     size = 0
-    near = 0
-    for k in range(given):
-        more = add_points(space, world, pairs[active[k]], time, points, size)
-        for p in range(size, more):
-            owner[p] = active[k]
-        if more > size:
-            active[near] = active[k]
-            near += 1
+    for p in range(count):
+        more = size
+        if pairs[p].joins:
+            more = add_points(space, world, pairs[p], time, points, size)
+        for k in range(size, more):
+            points[k].pair = p
+        coming = members >= HEAP and may_come(space, world, pairs[p])
+        pairs[p].joins = more > size or coming
         size = more
-    if members >= HEAP:
-        near = add_coming(space, world, pairs, count, active, near)
-    # Velocities before, of which the first point of a pair is told
-    slips = np.zeros((points.shape[0], 3))
-    for k in range(size):
-        put_vector(slips[k], slip(points[k], motions))
     slow = _rebound(space, world, members, points, size)
-    size = _hold(space, world, pairs, active, near, members, points, owner, size, time, slow)
+    size = _hold(space, world, pairs, count, members, points, size, time, slow)
     for k in range(size):
         # Who parts was near, but touches nothing
         if points[k].total[0] <= 0.0 and points[k].approach >= -STILL:
             continue
-        other = pairs[owner[k]].b
-        _tell_point(touches, space, world.w, points[k], other, vector(slips[k]))
+        other = pairs[points[k].pair].b
+        _tell_point(touches, space, world.w, points[k], other)
         if other < motions.shape[0] and motions[other].bears:
             _load(motions[other], points[k])
     let_stay(space, world, pairs, count, members, time)

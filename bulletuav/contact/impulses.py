@@ -18,6 +18,7 @@ POINT = np.dtype(
     [
         ("a", "i8"),
         ("b", "i8"),
+        ("pair", "i8"),
         ("normal", "f8", 3),
         ("tangent", "f8", (2, 3)),
         ("arm_a", "f8", 3),
@@ -31,6 +32,7 @@ POINT = np.dtype(
         ("restitution", "f8"),
         ("distance", "f8"),
         ("approach", "f8"),
+        ("slip", "f8", 3),
         ("mass", "f8"),
         ("grip", "f8", 4),
         ("hold", "f8", (3, 3)),
@@ -53,6 +55,7 @@ POINT = np.dtype(
 Attributes:
     a: Index of the drone that `normal` pushes.
     b: Index of the other drone, or -1 for what does not yield.
+    pair: Number of its pair.
     normal: Unit vector from b to a.
     tangent: Two unit vectors across it.
     arm_a: From the centre of mass of a to the point, m.
@@ -66,6 +69,7 @@ Attributes:
     restitution: Coefficient of restitution.
     distance: Signed distance of the surfaces along the normal, m.
     approach: Velocity along the normal before the impact, m/s.
+    slip: Velocity of a against b there, m/s; zeros where it was foreseen.
     mass: That the point feels along the normal, kg.
     grip: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22; and
         its least eigenvalue, kg.

@@ -54,7 +54,6 @@ def recall(
     radii: np.ndarray,
     w: int,
     points: np.ndarray,
-    owner: np.ndarray,
     pairs: np.ndarray,
     size: int,
     rest: float,
@@ -67,7 +66,6 @@ def recall(
         radii: Of all shapes, m.
         w: The world.
         points: Rows of `POINT`; impulses are written.
-        owner: Numbers of the pairs of the points.
         pairs: Rows of `PAIR`.
         size: How many points count.
         rest: Share of the substep that is left.
@@ -84,7 +82,7 @@ def recall(
         best = -1
         least = (SAME_PLACE * radii[point.a]) ** 2
         for m in range(memory.number[w, point.a]):
-            if rows[m].other == pairs[owner[k]].b and rows[m].free:
+            if rows[m].other == pairs[points[k].pair].b and rows[m].free:
                 off = minus(vector(rows[m].arm), arm)
                 if dot(off, off) < least:
                     best = m
@@ -106,7 +104,6 @@ def note(
     island: np.ndarray,
     members: int,
     points: np.ndarray,
-    owner: np.ndarray,
     pairs: np.ndarray,
     size: int,
     rest: float,
@@ -135,7 +132,7 @@ def note(
             normal * point.normal[1] + one * point.tangent[0, 1] + two * point.tangent[1, 1],
             normal * point.normal[2] + one * point.tangent[0, 2] + two * point.tangent[1, 2],
         )
-        row.other = pairs[owner[k]].b
+        row.other = pairs[points[k].pair].b
         put_vector(row.arm, to_body(turn, vector(point.arm_a)))
         put_vector(row.force, to_body(turn, force))
         row.free = True

@@ -311,5 +311,7 @@ def add_points(
             point.arm_b[k] = space.found[m, k] - offset[k]
         fill(motions, point, surface)
         point.distance = space.found[m, 3]
-        point.approach = dot(slip(point, motions), normal)
+        moving = slip(point, motions)
+        put_vector(point.slip, moving)
+        point.approach = dot(moving, normal)
     return size + found

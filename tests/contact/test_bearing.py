@@ -84,7 +84,7 @@ def test_who_stays_keeps_what_it_remembers():
     motions.impacts[:] = MOST_IMPACTS
     assert not taken(memory, points, pairs, motions).any()
     island = np.array([0])
-    note.py_func(memory, motions, 0, island, 1, points, np.arange(2), pairs, 2, 0.5)
+    note.py_func(memory, motions, 0, island, 1, points, pairs, 2, 0.5)
     motions.impacts[:] = 0
     assert taken(memory, points, pairs, motions).any(axis=1).all()
 

@@ -23,6 +23,7 @@ def touching(arms, turn, others=(2, 2)):
     points.tangent[:] = turn.apply([1, 0, 0]), turn.apply([0, 1, 0])
     points.arm_a[:] = turn.apply(arms)
     pairs.b[:] = others
+    points.pair[:] = np.arange(len(arms))
     return points, pairs, motions
 
 
@@ -36,14 +37,13 @@ def remembered(rest=1.0):
     memory = make_memory(1, 2)
     memory = memory._replace(rows=memory.rows.view(np.recarray))
     island = np.array([0])
-    note.py_func(memory, motions, 0, island, 1, points, np.arange(2), pairs, 2, rest)
+    note.py_func(memory, motions, 0, island, 1, points, pairs, 2, rest)
     return memory
 
 
 def taken(memory, points, pairs, motions, rest=1.0):
     """Impulses with which points begin."""
-    owner = np.arange(len(points))
-    recall.py_func(memory, motions, RADII, 0, points, owner, pairs, len(points), rest)
+    recall.py_func(memory, motions, RADII, 0, points, pairs, len(points), rest)
     return points.impulse
 
 
@@ -77,5 +77,5 @@ def test_nothing_is_remembered_of_no_time_and_no_more_than_there_is_room_for():
     points, pairs, motions = touching([ARMS[0]] * many, Rotation.identity(), 2)
     memory = make_memory(1, 2)
     memory = memory._replace(rows=memory.rows.view(np.recarray))
-    note.py_func(memory, motions, 0, np.array([0]), 1, points, np.arange(many), pairs, many, 1.0)
+    note.py_func(memory, motions, 0, np.array([0]), 1, points, pairs, many, 1.0)
     assert memory.number[0, 0] == ROWS
