@@ -31,8 +31,8 @@ ROUGH = 1e-7
 """The same of shapes that touched already, m; well below `SLIP` in `points`"""
 NEAR = 1e-3
 """Distance from a touch at which Newton's method takes over, m"""
-MOST_STEPS = 200
-"""Most steps to a touch"""
+MOST_STEPS = 20_000
+"""Most steps to a touch: mostly there are five, but who grazes by 10 nm takes hundreds"""
 NEVER = 2.0
 """Time of a touch that does not happen"""
 

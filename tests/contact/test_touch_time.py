@@ -137,6 +137,31 @@ def test_nobody_leaps_over_a_graze(name: str) -> None:
         assert abs(_gaps(rig, motions, times)[0] - TOUCH) < 1e-11
 
 
+PASSES_BY = (
+    (-0.28275330768, -0.37440983008, 0.41394313282),
+    (-0.89400972663, -0.42929478511, -0.10543394635, 0.07304984008),
+    (-0.00852844051, -0.01826717994, -0.00082291301),
+    (0.10639913048, -0.30584888929, 0.15517814362),
+)
+"""Place, attitude, move and turn of a racer that passes by 0.9 um farther away than a touch"""
+
+
+def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
+    """After 200 steps the search ended here, 0.2 mm before the least gap, as if that touched."""
+    with Rig(["racer"], obstacles=[TARGETS["hull"]]) as rig:
+        rig.obstacle[:] = 0.0
+        rig.place()
+        motions = rig.dynamics.contact.space.motions
+        motions["time"], motions["until"] = 0.0, 1.0
+        columns = ("position", "quaternion", "move", "turn")
+        for column, values in zip(columns, PASSES_BY, strict=True):
+            motions[column] = values
+        gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
+        assert 0 < gaps.min() - TOUCH < 1e-6
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+    assert times[0] == NEVER
+
+
 def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
     """Whatever the plane is, and most often where it is that of the distance."""
     rng = np.random.default_rng(5)
@@ -151,7 +176,6 @@ def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
         motions["turn"] = 10 ** rng.uniform(-4, -0.3, (count, 1)) * random_directions(rng, count)
         motions["move"] = 10 ** rng.uniform(-4, -1, (count, 1)) * random_directions(rng, count)
         motions["position"] = rng.uniform(-0.5, 0.5, (count, 3))
-        motions["position"][:, 0] = 0.0
         motions["position"][:, 0] = rng.uniform(0.05, 0.4, count)
         touches = _times(scenery, motions, room) < NEVER
         across = np.tile([1.0, 0.0, 0.0], (count, 1))
@@ -164,3 +188,50 @@ def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
         assert not none.any()
     assert touches.sum() > 100
     assert shares[0] > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize("airframe", ["cf2x", "racer", "iris"])
+def test_of_grazes_by_nanometres_none_is_told_wrongly(airframe: str, name: str) -> None:
+    """Ways are moved until the least gap on them is that of a touch, and then by 1 nm to 0.1 mm."""
+    rng = np.random.default_rng(1)
+    count = 1000
+    shares = np.linspace(0, 1, 65)
+    with Rig([airframe], obstacles=[TARGETS[name]]) as rig:
+        rig.obstacle[:] = 0.0
+        rig.place()
+        motions = np.repeat(rig.dynamics.contact.space.motions, count)
+        motions["time"], motions["until"] = 0.0, 1.0
+        motions["quaternion"] = random_attitudes(rng, count)
+        motions["turn"] = 10 ** rng.uniform(-3, -0.3, (count, 1)) * random_directions(rng, count)
+        motions["move"] = 10 ** rng.uniform(-3, -1, (count, 1)) * random_directions(rng, count)
+        away = random_directions(rng, count)
+        near, far = np.zeros(count), np.full(count, 6.0)
+        for _ in range(40):
+            middle = 0.5 * (near + far)
+            motions["position"] = middle[:, None] * away
+            apart = _least(rig, motions, shares) > TOUCH
+            near, far = np.where(apart, near, middle), np.where(apart, middle, far)
+        shift = 10 ** rng.uniform(-9, -4, count) * rng.choice([-1, 1], count)
+        motions["position"] = (far + shift)[:, None] * away
+        least = _least(rig, motions, shares)
+        outside = _gaps(rig, motions, np.zeros(count)) > TOUCH
+        touched = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room) < NEVER
+    assert 100 < touched.sum() < count - 100
+    assert not (touched & (least > TOUCH + 1e-12)).any()
+    assert not (~touched & outside & (least < TOUCH - 1e-12)).any()
+
+
+def _least(rig: Rig, motions: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Return the least gaps on ways: of samples, and by the golden section about the least one."""
+    gaps = np.array([_gaps(rig, motions, np.full(len(motions), share)) for share in shares])
+    lowest = gaps.argmin(axis=0)
+    begin = shares[np.maximum(lowest - 1, 0)]
+    end = shares[np.minimum(lowest + 1, len(shares) - 1)]
+    golden = 0.5 * (np.sqrt(5) - 1)
+    for _ in range(40):
+        one, two = end - golden * (end - begin), begin + golden * (end - begin)
+        first = _gaps(rig, motions, one) < _gaps(rig, motions, two)
+        begin, end = np.where(first, begin, one), np.where(first, two, end)
+    return np.minimum(gaps.min(axis=0), _gaps(rig, motions, 0.5 * (begin + end)))
