@@ -15,6 +15,8 @@ from bulletuav.kernel import func
 
 ROWS = 16
 """Points of contact that are remembered of a drone"""
+SHORT = 1e-4
+"""Rest of a substep, as a share of it, whose impulses are not remembered: they are of an impact"""
 SAME_PLACE = 0.3
 """Distance of points on a drone that count as one, as share of its radius"""
 
@@ -117,7 +119,7 @@ def note(
                 memory.rows[w, i, k].free = True
         else:
             memory.number[w, i] = 0
-    if rest <= 0.0:
+    if rest < SHORT:
         return
     for k in range(size):
         point = points[k]

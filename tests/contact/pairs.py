@@ -102,9 +102,25 @@ def meet_in_pairs(
         swarm.velocity[:, 0] = share * fast[:, None] * way
         swarm.velocity[:, 1] = (share - 1) * fast[:, None] * way
         rig.place()
+        start = tuple(array.copy() for array in swarm)
         passes = np.zeros(worlds, dtype=bool) if kind == "spinning" else _passes(rig, fast, apart)
         met = _follow(rig, fast, way, max(16, int(4 * reach / (speed[0] / hz))))
+        for world in np.flatnonzero(~(met.told | passes)):
+            seconds = 2 * apart[world] / fast[world]
+            passes[world] = _passes_slowly([array[world] for array in start], airframes, seconds)
         return met._replace(told=met.told | passes)
+
+
+def _passes_slowly(start: list[np.ndarray], airframes: tuple[str, str], seconds: float) -> bool:
+    """Tell whether two pass each other within some seconds, in steps of at most 2 mm."""
+    with Rig(airframes, hz=20_000, gravity=0.0) as rig:
+        for array, values in zip(rig.swarm, start, strict=True):
+            array[0] = values
+        rig.place()
+        while rig.time < seconds and rig.gaps(0, 1)[0] > 0.0:
+            if len(rig.fly().world):
+                return False
+        return bool(rig.gaps(0, 1)[0] > 0.0)
 
 
 def _passes(rig: Rig, fast: np.ndarray, apart: np.ndarray) -> np.ndarray:

@@ -73,6 +73,8 @@ def test_each_impulse_is_taken_once():
 
 def test_nothing_is_remembered_of_no_time_and_no_more_than_there_is_room_for():
     assert remembered(rest=0.0).number.tolist() == [[0, 0]]
+    assert remembered(rest=1e-5).number.tolist() == [[0, 0]]
+    assert remembered(rest=1e-3).number.tolist() == [[2, 0]]
     many = ROWS + 3
     points, pairs, motions = touching([ARMS[0]] * many, Rotation.identity(), 2)
     memory = make_memory(1, 2)

@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
-from contact.pairs import KINDS, meet_in_pairs
+from contact.pairs import HEIGHT, KINDS, meet_in_pairs
+from contact.rig import Rig
+
+from bulletuav.contact.touch import TOUCH
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.6, 1.0])
@@ -23,3 +26,21 @@ def test_unlike_pairs_keep_what_they_must(airframes, hz):
 def test_restitution_is_as_set(restitution):
     meetings = meet_in_pairs("head-on", restitution=restitution, worlds=12)
     np.testing.assert_allclose(meetings.rebound, restitution, atol=1e-8)
+
+
+@pytest.mark.parametrize("late", [1e-2, 1e-3, 1e-4, 3e-6, 1e-7])
+def test_who_meets_at_the_end_of_a_substep_keeps_momentum_in_the_next(late):
+    """The impulse of so short a rest must not be what the next substep begins with."""
+    velocity = np.array([1.9, 2.7, 0.0])
+    fast = np.linalg.norm(velocity)
+    with Rig(["cf2x"] * 2, gravity=0.0) as rig:
+        apart = 2 * rig.airframes[0].shape.half[0] + TOUCH + (2 - late) * fast * rig.dt
+        rig.swarm.position[:] = 0.0, 0.0, HEIGHT
+        rig.swarm.position[0, 1] += apart * velocity / fast
+        rig.swarm.velocity[0, 0] = velocity
+        rig.place()
+        before = rig.momentum().sum(axis=1)
+        told = [len(rig.fly().world) for _ in range(4)]
+        change = rig.momentum().sum(axis=1) - before
+    assert told[:3] == [0, 2, 2]
+    assert np.abs(change).max() < 1e-12 * np.abs(before).max()
