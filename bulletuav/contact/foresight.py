@@ -1,20 +1,18 @@
-"""Foresight: where a pair will be too close next, although it is not now."""
+"""Foresight: where a pair that touches will be too close next, although it is not now."""
 
 import numpy as np
 
 from bulletuav.contact.impulses import slip
-from bulletuav.contact.island import in_island
 from bulletuav.contact.motion import pose_at, put_vector, valid_until, vector
 from bulletuav.contact.points import (
     MIDDLE,
     SLIP,
     Workspace,
     World,
-    coefficients,
     fill,
     surface_of,
 )
-from bulletuav.contact.touch import TOUCH, gap_at, separation_along
+from bulletuav.contact.touch import gap_at, separation_along
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus, to_body, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
@@ -89,10 +87,6 @@ def foresee(
             break
     if later >= enough:
         return False
-    if not pair.held:
-        # It touches as others do that are held already
-        pair.held = True
-        pair.floor = 0.25 * TOUCH
     place = _as_now(scenery, motions, w, a, time, end, dt, on_a)
     position_b, _ = pose_at(scenery, motions, w, b, time, dt)
     if b < scenery.first_body:
@@ -109,16 +103,3 @@ def foresee(
     put_vector(point.slip, (0.0, 0.0, 0.0))
     point.least = closing + (wanted - later) / ((end - time) * dt)
     return True
-
-
-@func
-def may_come(space: Workspace, world: World, pair: np.record) -> bool:
-    """Tell whether a pair within an island may touch later in the substep, without a rebound.
-
-    In heaps it is foreseen, too: it would be an impact of its own of the whole heap.
-    """
-    if not in_island(space.motions, pair) or dot(pair.normal, pair.normal) == 0.0:
-        return False
-    _, lively = coefficients(world, pair.a)
-    _, lively_b = coefficients(world, pair.b)
-    return lively * lively_b == 0.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletuav.contact.foresight import foresee, may_come
+from bulletuav.contact.foresight import foresee
 from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_before
 from bulletuav.contact.impulses import POINT, eased
 from bulletuav.contact.island import gather, in_island, touching
@@ -36,8 +36,6 @@ FORESIGHT = 4
 """How often an impact looks what its pairs will touch with at the end of the substep"""
 SHORTEST = 1e-6
 """Rest of a substep below which nothing is foreseen, s"""
-HEAP = 3
-"""Drones of an island from which on it is a heap"""
 FREE = -1e9
 """Velocity that a point may have which does not count, m/s"""
 
@@ -289,8 +287,7 @@ def push_apart(
             more = add_points(space, world, pairs[p], time, points, size)
         for k in range(size, more):
             points[k].pair = p
-        coming = members >= HEAP and may_come(space, world, pairs[p])
-        pairs[p].joins = more > size or coming
+        pairs[p].joins = more > size
         size = more
     slow = _rebound(space, world, members, points, size)
     size = _hold(space, world, pairs, count, members, points, size, time, slow)

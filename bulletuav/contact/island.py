@@ -142,8 +142,10 @@ def gather(
                 continue
             if pair.leans or motions[pair.a].member == motions[pair.b].member:
                 continue
-            # Who stays for too many impacts hands none on before the next substep
-            if is_spent(motions[pair.a]) and is_spent(motions[pair.b]):
+            # Who stays for too many impacts hands none on before the next substep, unless an
+            # obstacle that moves may take along who lies below
+            both = is_spent(motions[pair.a]) and is_spent(motions[pair.b])
+            if both and world.speed == 0.0:
                 continue
             if _one_bears(motions, pair):
                 members = _lean(space, world, pairs, count, pair, members, time)

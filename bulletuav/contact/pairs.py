@@ -58,7 +58,7 @@ Attributes:
     near: Whether they were in touch when this time was found, even if they do not come closer.
     knot: Whether they do not touch at `time`, but one of them flies on about another axis.
     leans: Whether a lies on b, who sleeps and bears it.
-    joins: Whether it is looked at in an impact: who is in touch, and in heaps who may come.
+    joins: Whether it is in touch in the present impact.
 """
 
 

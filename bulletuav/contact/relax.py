@@ -30,11 +30,11 @@ FIRM_ENOUGH = 1e-6
 FIRM_IN_HEAPS = 1e-5
 """The same of drones that hold each other; rest begins at hundreds of it"""
 SWEEPS = 200
-"""Most sweeps over the points of a small island"""
+"""Most sweeps over the points of any island"""
 SMALL = 16
-"""Most points of a small island"""
+"""Most points of an island whose sweeps begin anew whenever changes grow"""
 GROWTH = 4.0
-"""How far the square of changes may be above the least so far while a large island goes on"""
+"""Square of the changes of a larger island over the least so far, above which it begins anew"""
 MOMENTUM = 0.9
 """Share of its way by which it goes on at most"""
 WORK = 10_000

@@ -31,8 +31,12 @@ ROUGH = 1e-7
 """The same of shapes that touched already, m; well below `SLIP` in `points`"""
 NEAR = 1e-3
 """Distance from a touch at which Newton's method takes over, m"""
+NEARLY = 1e-9
+"""The same for ways that take more than `MANY_STEPS`, m"""
+MANY_STEPS = 1_000
+"""Steps after which nanometres do not matter any more; mostly a search takes five"""
 MOST_STEPS = 20_000
-"""Most steps to a touch: mostly there are five, but who grazes by 10 nm takes hundreds"""
+"""Most steps to a touch; who grazes by a micrometre may take a thousand"""
 NEVER = 2.0
 """Time of a touch that does not happen"""
 
@@ -209,7 +213,9 @@ def touch_time(
     # The touch is between a time at which they were apart and one at which they were too close
     apart, close = start, NEVER
     safe, leapt = start, False
-    for _ in range(MOST_STEPS):
+    for step_number in range(MOST_STEPS):
+        if step_number == MANY_STEPS:
+            exact = max(exact, NEARLY)
         distance, normal, on_a, on_b = gap_at(
             scenery, motions, w, a, b, time, dt, normal, room, plain
         )

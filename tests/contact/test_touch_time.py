@@ -6,7 +6,7 @@ from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
 from contact.shots import TARGETS
 from scipy.spatial.transform import Rotation
 
-from bulletuav.contact.touch import EXACT, IN_TOUCH, NEVER, TOUCH, is_kept_apart, touch_time
+from bulletuav.contact.touch import EXACT, IN_TOUCH, NEARLY, NEVER, TOUCH, is_kept_apart, touch_time
 from bulletuav.kernel import allocating
 
 DT = 1 / 240
@@ -162,69 +162,30 @@ def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
     assert times[0] == NEVER
 
 
-def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
-    """Whatever the plane is, and most often where it is that of the distance."""
-    rng = np.random.default_rng(5)
-    count = 2000
-    with Rig(["iris"], obstacles=[TARGETS["wall of 2 mm"]]) as rig:
-        rig.obstacle[:] = 0.0
-        rig.place()
-        scenery, room = rig.engine.scenery, rig.dynamics.contact.space.room
-        motions = np.repeat(rig.dynamics.contact.space.motions, count)
-        motions["time"], motions["until"] = 0.0, 1.0
-        motions["quaternion"] = random_attitudes(rng, count)
-        motions["turn"] = 10 ** rng.uniform(-4, -0.3, (count, 1)) * random_directions(rng, count)
-        motions["move"] = 10 ** rng.uniform(-4, -1, (count, 1)) * random_directions(rng, count)
-        motions["position"] = rng.uniform(-0.5, 0.5, (count, 3))
-        motions["position"][:, 0] = rng.uniform(0.05, 0.4, count)
-        touches = _times(scenery, motions, room) < NEVER
-        across = np.tile([1.0, 0.0, 0.0], (count, 1))
-        shares = []
-        for normals in (across, random_directions(rng, count)):
-            apart = _kept_apart(scenery, motions, normals, 0.0, IN_TOUCH, TOUCH)
-            assert not (apart & touches).any()
-            shares.append(apart[~touches].mean())
-        none = _kept_apart(scenery, motions, np.zeros((count, 3)), 0.0, IN_TOUCH, TOUCH)
-        assert not none.any()
-    assert touches.sum() > 100
-    assert shares[0] > 0.5
+def _grazing(
+    rig: Rig, rng: np.random.Generator, count: int, steps: int, least_turn: float = -3.0
+) -> np.ndarray:
+    """Return ways whose least gap is that of a touch, with turns from 10**least_turn rad on."""
+    motions = np.repeat(rig.dynamics.contact.space.motions, count)
+    motions["time"], motions["until"] = 0.0, 1.0
+    motions["quaternion"] = random_attitudes(rng, count)
+    angle = 10 ** rng.uniform(least_turn, -0.3, (count, 1))
+    motions["turn"] = angle * random_directions(rng, count)
+    motions["move"] = 10 ** rng.uniform(-3, -1, (count, 1)) * random_directions(rng, count)
+    away = random_directions(rng, count)
+    near, far = np.zeros(count), np.full(count, 6.0)
+    for _ in range(steps):
+        middle = 0.5 * (near + far)
+        motions["position"] = middle[:, None] * away
+        apart = _least(rig, motions) > TOUCH
+        near, far = np.where(apart, near, middle), np.where(apart, middle, far)
+    motions["position"] = far[:, None] * away
+    return motions
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TARGETS)
-@pytest.mark.parametrize("airframe", ["cf2x", "racer", "iris"])
-def test_of_grazes_by_nanometres_none_is_told_wrongly(airframe: str, name: str) -> None:
-    """Ways are moved until the least gap on them is that of a touch, and then by 1 nm to 0.1 mm."""
-    rng = np.random.default_rng(1)
-    count = 1000
-    shares = np.linspace(0, 1, 65)
-    with Rig([airframe], obstacles=[TARGETS[name]]) as rig:
-        rig.obstacle[:] = 0.0
-        rig.place()
-        motions = np.repeat(rig.dynamics.contact.space.motions, count)
-        motions["time"], motions["until"] = 0.0, 1.0
-        motions["quaternion"] = random_attitudes(rng, count)
-        motions["turn"] = 10 ** rng.uniform(-3, -0.3, (count, 1)) * random_directions(rng, count)
-        motions["move"] = 10 ** rng.uniform(-3, -1, (count, 1)) * random_directions(rng, count)
-        away = random_directions(rng, count)
-        near, far = np.zeros(count), np.full(count, 6.0)
-        for _ in range(40):
-            middle = 0.5 * (near + far)
-            motions["position"] = middle[:, None] * away
-            apart = _least(rig, motions, shares) > TOUCH
-            near, far = np.where(apart, near, middle), np.where(apart, middle, far)
-        shift = 10 ** rng.uniform(-9, -4, count) * rng.choice([-1, 1], count)
-        motions["position"] = (far + shift)[:, None] * away
-        least = _least(rig, motions, shares)
-        outside = _gaps(rig, motions, np.zeros(count)) > TOUCH
-        touched = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room) < NEVER
-    assert 100 < touched.sum() < count - 100
-    assert not (touched & (least > TOUCH + 1e-12)).any()
-    assert not (~touched & outside & (least < TOUCH - 1e-12)).any()
-
-
-def _least(rig: Rig, motions: np.ndarray, shares: np.ndarray) -> np.ndarray:
+def _least(rig: Rig, motions: np.ndarray) -> np.ndarray:
     """Return the least gaps on ways: of samples, and by the golden section about the least one."""
+    shares = np.linspace(0, 1, 65)
     gaps = np.array([_gaps(rig, motions, np.full(len(motions), share)) for share in shares])
     lowest = gaps.argmin(axis=0)
     begin = shares[np.maximum(lowest - 1, 0)]
@@ -235,3 +196,50 @@ def _least(rig: Rig, motions: np.ndarray, shares: np.ndarray) -> np.ndarray:
         first = _gaps(rig, motions, one) < _gaps(rig, motions, two)
         begin, end = np.where(first, begin, one), np.where(first, two, end)
     return np.minimum(gaps.min(axis=0), _gaps(rig, motions, 0.5 * (begin + end)))
+
+
+def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
+    """Also where the pair is apart at both ends, and comes together in between."""
+    rng = np.random.default_rng(5)
+    with Rig(["iris"], obstacles=[TARGETS["wall of 20 cm"]]) as rig:
+        rig.obstacle[:] = 0.0
+        rig.place()
+        scenery = rig.engine.scenery
+        motions = _grazing(rig, rng, 200, 20, least_turn=-0.5)
+        side = np.sign(motions["position"][:, :1])
+        across = side * (1.0, 0.0, 0.0)
+        told = {}
+        # A little nearer than a touch, and well away from one
+        for shift in (-1e-5, 0.02):
+            motions["position"] += shift * across
+            floor = _least(rig, motions)
+            ends = np.minimum(_gaps(rig, motions, 0 * floor), _gaps(rig, motions, 1 + 0 * floor))
+            told[shift] = _kept_apart(scenery, motions, across, 0.0, IN_TOUCH, TOUCH)
+            assert not (told[shift] & (floor < TOUCH)).any()
+            if shift < 0.0:
+                assert ((ends > 2 * IN_TOUCH) & (floor < TOUCH)).sum() > 10
+        assert told[0.02].mean() > 0.5
+        none = _kept_apart(scenery, motions, 0.0 * across, 0.0, IN_TOUCH, TOUCH)
+        assert not none.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize("airframe", ["cf2x", "racer", "iris"])
+def test_of_grazes_by_nanometres_none_is_told_wrongly(airframe: str, name: str) -> None:
+    """Ways are moved until the least gap on them is that of a touch, and then by 1 nm to 0.1 mm."""
+    rng = np.random.default_rng(1)
+    count = 1000
+    with Rig([airframe], obstacles=[TARGETS[name]]) as rig:
+        rig.obstacle[:] = 0.0
+        rig.place()
+        motions = _grazing(rig, rng, count, 40)
+        away = motions["position"] / np.linalg.norm(motions["position"], axis=1, keepdims=True)
+        shift = 10 ** rng.uniform(-9, -4, (count, 1)) * rng.choice([-1, 1], (count, 1))
+        motions["position"] += shift * away
+        least = _least(rig, motions)
+        outside = _gaps(rig, motions, np.zeros(count)) > TOUCH
+        touched = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room) < NEVER
+    assert 100 < touched.sum() < count - 100
+    assert not (touched & (least > TOUCH + NEARLY)).any()
+    assert not (~touched & outside & (least < TOUCH - 1e-12)).any()
