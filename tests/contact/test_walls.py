@@ -6,7 +6,6 @@ from contact.rig import Rig
 from contact.shots import TARGETS, Range
 from contact.trains import push
 
-from bulletuav.contact.motion import MOST_IMPACTS
 from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.vehicle.airframes import available_airframes
 
@@ -76,8 +75,8 @@ def test_nobody_ends_within_what_stands_however_fast_it_spins(ranges, name):
     assert not {"beyond", "depth"} & set(shots.missed())
 
 
-def test_who_touches_too_often_goes_along_with_an_obstacle() -> None:
-    """This drone rolls off the end of a wire that moves at 2 m/s, in 16 touches and more."""
+def test_who_rolls_off_an_obstacle_that_moves_touches_it_once() -> None:
+    """This drone leaves the end of a wire that moves at 2 m/s, where searches once gave up."""
     wire = list(TARGETS).index("wire of 2 cm")
     with Rig(["firefly"], hz=60, gravity=0.0, obstacles=list(TARGETS.values())) as rig:
         rig.obstacle[0, wire] = 9.242109607e-02, 7.275863391e-03, 9.995263270e01
@@ -89,12 +88,12 @@ def test_who_touches_too_often_goes_along_with_an_obstacle() -> None:
         swarm.quaternion[0, 0] = 0.333877776, 0.013555912, -0.106930069, 0.936433568
         swarm.rates[0, 0] = -9.940837260, -28.73479209, -3.461065054e-03
         rig.place().fly()
-        assert rig.dynamics.contact.space.motions["impacts"][0] == MOST_IMPACTS
+        assert rig.dynamics.contact.space.motions["impacts"][0] == 1
         assert rig.gaps(0, rig.engine.scenery.first_body + wire)[0] > 0.0
 
 
-def test_who_touches_nothing_in_too_many_looks_goes_along_too() -> None:
-    """The search for a touch gives up here 16 times, beside the corner of a box that moves."""
+def test_who_touches_nothing_in_many_looks_is_told_nothing() -> None:
+    """The search for a touch takes more than 200 steps here, beside the corner of a moving box."""
     box = list(TARGETS).index("corner")
     with Rig(["iris"], hz=60, gravity=0.0, obstacles=list(TARGETS.values())) as rig:
         rig.obstacle[0, box] = 0.010212627280, -0.10271730430, 100.06674658
@@ -105,6 +104,6 @@ def test_who_touches_nothing_in_too_many_looks_goes_along_too() -> None:
         swarm.velocity[0, 0] = 1.829187668, 4.9300734101, -0.0502967701
         swarm.quaternion[0, 0] = -0.4810046409, 0.4011859175, 0.4022639236, 0.6677335777
         swarm.rates[0, 0] = -23.951834773, -19.670279150, 0.0
-        rig.place().fly()
-        assert rig.dynamics.contact.space.motions["impacts"][0] == MOST_IMPACTS
+        assert len(rig.place().fly().world) == 0
+        assert rig.dynamics.contact.space.motions["impacts"][0] == 0
         assert rig.gaps(0, rig.engine.scenery.first_body + box)[0] > 0.0
