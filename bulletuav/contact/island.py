@@ -7,7 +7,7 @@ on. So a heap falls asleep from below. A sleeper that is hit yields, and all who
 import numpy as np
 
 from bulletuav.contact.impulses import set_ease, surface_velocity
-from bulletuav.contact.motion import advance_to, is_spent
+from bulletuav.contact.motion import advance_to
 from bulletuav.contact.points import Workspace, World, measure
 from bulletuav.contact.touch import IN_TOUCH
 from bulletuav.geometry.rotation import Vec3, dot
@@ -141,11 +141,6 @@ def gather(
             if pair.b >= world.scenery.first_body or not touching(pair, time):
                 continue
             if pair.leans or motions[pair.a].member == motions[pair.b].member:
-                continue
-            # Who stays for too many impacts hands none on before the next substep, unless an
-            # obstacle that moves may take along who lies below
-            both = is_spent(motions[pair.a]) and is_spent(motions[pair.b])
-            if both and world.speed == 0.0:
                 continue
             if _one_bears(motions, pair):
                 members = _lean(space, world, pairs, count, pair, members, time)
