@@ -7,11 +7,7 @@ from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_
 from bulletuav.contact.impulses import POINT, eased
 from bulletuav.contact.island import gather, in_island, touching
 from bulletuav.contact.memory import note, recall
-from bulletuav.contact.motion import (
-    aim,
-    is_spent,
-    vector,
-)
+from bulletuav.contact.motion import aim, is_spent, vector
 from bulletuav.contact.points import (
     LIFT,
     MIDDLE,
@@ -115,7 +111,7 @@ def _allow(
         for m in range(k, end):
             point = points[m]
             point.least = rate * (MIDDLE - point.distance)
-            if pairs[points[k].pair].leans and deepest <= MIDDLE:
+            if pairs[point.pair].leans and deepest <= MIDDLE:
                 point.least = min(0.0, point.least)
             # What rebounds when it arrives is left to its own impact
             if point.distance > IN_TOUCH and point.restitution > 0.0 and point.approach < -SLOW:
@@ -278,8 +274,9 @@ def push_apart(
     most = 0
     for p in range(count):
         pairs[p].joins = in_island(motions, pairs[p]) and touching(pairs[p], time)
-        most += MOST_POINTS if pairs[p].joins else 0
-    points = np.empty(most + count * FORESIGHT, dtype=POINT)
+        if pairs[p].joins:
+            most += MOST_POINTS + FORESIGHT
+    points = np.empty(most, dtype=POINT)
     size = 0
     for p in range(count):
         more = size

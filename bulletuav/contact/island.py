@@ -46,7 +46,10 @@ def touching(pair: np.record, time: float) -> bool:
 
 @func
 def in_island(motions: np.ndarray, pair: np.record) -> bool:
-    """Tell whether both of a pair belong to the island, or the one that can move."""
+    """Tell whether both of a pair belong to the island, or the one that can move.
+
+    Others were measured when it was gathered, and are not in touch.
+    """
     if not motions[pair.a].member:
         return False
     found: bool = pair.b >= motions.shape[0] or pair.leans or motions[pair.b].member

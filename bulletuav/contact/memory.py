@@ -84,7 +84,7 @@ def recall(
         best = -1
         least = (SAME_PLACE * radii[point.a]) ** 2
         for m in range(memory.number[w, point.a]):
-            if rows[m].other == pairs[points[k].pair].b and rows[m].free:
+            if rows[m].other == pairs[point.pair].b and rows[m].free:
                 off = minus(vector(rows[m].arm), arm)
                 if dot(off, off) < least:
                     best = m
@@ -134,7 +134,7 @@ def note(
             normal * point.normal[1] + one * point.tangent[0, 1] + two * point.tangent[1, 1],
             normal * point.normal[2] + one * point.tangent[0, 2] + two * point.tangent[1, 2],
         )
-        row.other = pairs[points[k].pair].b
+        row.other = pairs[point.pair].b
         put_vector(row.arm, to_body(turn, vector(point.arm_a)))
         put_vector(row.force, to_body(turn, force))
         row.free = True

@@ -197,7 +197,7 @@ def surface_of(
     drift = (0.0, 0.0, 0.0)
     other = -1
     resist_b = 0.0
-    axis_b = drift
+    axis_b = (0.0, 0.0, 0.0)
     if b < scenery.first_body:
         # A sleeper does not yield, but resists rolling about its own axis
         other = -1 if space.motions[b].bears else b

@@ -197,11 +197,12 @@ def _go_on(
     count: int,
     motions: np.ndarray,
     share: float,
+    anew: bool,
 ) -> None:
-    """Let impulses go on the way of the sweeps before, by a share of it; not if that is above 1."""
+    """Let impulses go on the way of the sweeps before, by a share of it, or begin a new way."""
     for k in range(count):
         row = points[k]
-        if share > 1.0:
+        if anew:
             put_vector(row.way, (0.0, 0.0, 0.0))
             continue
         way = vector(row.way)
@@ -265,9 +266,11 @@ def relax(
             return sweep + 1
         if sweep > 0 and sweep + 1 < most:
             share = square / before
+            anew = share > 1.0
             if count > SMALL:
-                share = min(share, MOMENTUM) if square <= GROWTH * least else 2.0
-            _go_on(points, count, motions, share)
+                share = min(share, MOMENTUM)
+                anew = square > GROWTH * least
+            _go_on(points, count, motions, share, anew)
         before = square
         least = min(least, square)
     return most

@@ -15,7 +15,7 @@ from bulletuav.contact.motion import aim, begin, finish, is_spent, put_vector, v
 from bulletuav.contact.pairs import SLACK, collect, rest_budget, sweeps_apart
 from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.staying import halt
-from bulletuav.contact.touch import EXACT, IN_TOUCH, NEVER, ROUGH, is_kept_apart, touch_time
+from bulletuav.contact.touch import NEVER, touch_time
 from bulletuav.contact.touches import Touches
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
 from bulletuav.kernel import allocating, func, kernel
@@ -56,23 +56,7 @@ def _time_pair(
     pair.near = False
     if over:
         return
-    apart = sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt)
-    if not apart and not world.stops:
-        # Of a pair that is held it is known that it is in touch
-        apart = is_kept_apart(
-            world.scenery,
-            motions,
-            world.w,
-            pair.a,
-            pair.b,
-            start,
-            -math.inf if pair.held else IN_TOUCH,
-            pair.floor,
-            world.dt,
-            vector(pair.normal),
-        )
-    if not apart:
-        # A pair that is held already needs no exact time
+    if not sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
         pair.time, normal, pair.near = touch_time(
             world.scenery,
             motions,
@@ -81,7 +65,7 @@ def _time_pair(
             pair.b,
             start,
             pair.floor,
-            ROUGH if pair.held else EXACT,
+            pair.held,
             world.dt,
             vector(pair.normal),
             space.room,

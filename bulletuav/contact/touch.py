@@ -126,6 +126,25 @@ def _swing(
 
 
 @func
+def _swings(
+    scenery: Scenery,
+    a: int,
+    b: int,
+    normal: Vec3,
+    turn_a: Vec3,
+    turn_b: Vec3,
+) -> tuple[float, float, float]:
+    """Bound how fast rotations move both of a pair along `normal`, and how far ways bend between.
+
+    Returns:
+        The bounds of both, m per substep, and the bend in a whole substep, m.
+    """
+    bound_a, bend_a = _swing(scenery.table.radius[a], normal, turn_a)
+    bound_b, bend_b = _swing(scenery.table.radius[b], normal, turn_b)
+    return bound_a, bound_b, 0.125 * (bend_a + bend_b)
+
+
+@func
 def is_kept_apart(
     scenery: Scenery,
     motions: np.ndarray,
@@ -161,10 +180,8 @@ def is_kept_apart(
     after, _, _ = separation_along(scenery, motions, w, a, b, end, dt, normal)
     _, turn_a = change_rates(scenery, motions, w, a, dt)
     _, turn_b = change_rates(scenery, motions, w, b, dt)
-    _, bend_a = _swing(scenery.table.radius[a], normal, turn_a)
-    _, bend_b = _swing(scenery.table.radius[b], normal, turn_b)
-    dip = 0.125 * (bend_a + bend_b) * (end - start) ** 2
-    return min(before, after) - dip > floor
+    _, _, bend = _swings(scenery, a, b, normal, turn_a, turn_b)
+    return min(before, after) - bend * (end - start) ** 2 > floor
 
 
 @kernel
@@ -176,7 +193,7 @@ def touch_time(
     b: int,
     start: float,
     floor: float,
-    exact: float,
+    held: bool,
     dt: float,
     guess: Vec3,
     room: np.ndarray,
@@ -192,7 +209,7 @@ def touch_time(
         b: Number of the other shape.
         start: Share of the substep from which on to look.
         floor: The distance, m.
-        exact: Precision of that distance, m.
+        held: Whether they touched already in this substep, so that no exact time is needed.
         dt: Length of the substep, s.
         guess: Direction of an earlier separation, or zeros.
         room: See `bulletuav.geometry.gjk.make_room`.
@@ -203,6 +220,11 @@ def touch_time(
         where they do not; the direction of the last separation; and whether they are in touch at
         `start`.
     """
+    # Of a pair that is held it is known that it is in touch
+    least = -math.inf if held else IN_TOUCH
+    if not plain and is_kept_apart(scenery, motions, w, a, b, start, least, floor, dt, guess):
+        return NEVER, guess, False
+    exact = ROUGH if held else EXACT
     move_a, turn_a = change_rates(scenery, motions, w, a, dt)
     move_b, turn_b = change_rates(scenery, motions, w, b, dt)
     move = minus(move_a, move_b)
@@ -221,10 +243,8 @@ def touch_time(
         )
         near = near or (time == start and distance <= IN_TOUCH)
         # How fast the gap can close, and how far ways bend in between
-        bound_a, bend_a = _swing(scenery.table.radius[a], normal, turn_a)
-        bound_b, bend_b = _swing(scenery.table.radius[b], normal, turn_b)
+        bound_a, bound_b, bend = _swings(scenery, a, b, normal, turn_a, turn_b)
         bound = max(0.0, -dot(move, normal)) + bound_a + bound_b
-        bend = 0.125 * (bend_a + bend_b)
         left = distance - floor
         rest = end - time
         landed, leapt = leapt and left > 0.0, False

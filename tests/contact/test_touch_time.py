@@ -6,7 +6,7 @@ from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
 from contact.shots import TARGETS
 from scipy.spatial.transform import Rotation
 
-from bulletuav.contact.touch import EXACT, IN_TOUCH, NEARLY, NEVER, TOUCH, is_kept_apart, touch_time
+from bulletuav.contact.touch import IN_TOUCH, NEARLY, NEVER, TOUCH, is_kept_apart, touch_time
 from bulletuav.kernel import allocating
 
 DT = 1 / 240
@@ -20,19 +20,19 @@ def _times(scenery, motions, room):  # type: ignore[no-untyped-def]
     for m in range(len(motions)):
         alone = motions[m : m + 1]
         found[m] = touch_time(
-            scenery, alone, 0, 0, 1, 0.0, TOUCH, EXACT, DT, (0.0, 0.0, 0.0), room
+            scenery, alone, 0, 0, 1, 0.0, TOUCH, False, DT, (0.0, 0.0, 0.0), room
         )[0]
     return found
 
 
 @allocating
-def _kept_apart(scenery, motions, normals, start, least, floor):  # type: ignore[no-untyped-def]
+def _kept_apart(scenery, motions, normals):  # type: ignore[no-untyped-def]
     """Return whether one plane each tells that drones of `motions` (M,) do not touch the other."""
     found = np.zeros(len(motions), dtype=np.bool_)
     for m in range(len(motions)):
         normal = (normals[m, 0], normals[m, 1], normals[m, 2])
         alone = motions[m : m + 1]
-        found[m] = is_kept_apart(scenery, alone, 0, 0, 1, start, least, floor, DT, normal)
+        found[m] = is_kept_apart(scenery, alone, 0, 0, 1, 0.0, IN_TOUCH, TOUCH, DT, normal)
     return found
 
 
@@ -101,6 +101,15 @@ def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
         assert np.abs(_gaps(rig, motions, times) - TOUCH).max() < 1e-11
 
 
+def _on_a_way(rig: Rig, way: tuple[tuple[float, ...], ...]) -> np.ndarray:
+    """Return the motion (1,) of a rig's only drone: place, attitude, move and turn."""
+    motions = rig.dynamics.contact.space.motions
+    motions["time"], motions["until"] = 0.0, 1.0
+    for column, values in zip(("position", "quaternion", "move", "turn"), way, strict=True):
+        motions[column] = values
+    return motions
+
+
 GRAZES = {
     "hull": (
         (-0.2696170430, -0.4391763274, 0.4271825507),
@@ -124,12 +133,7 @@ def test_nobody_leaps_over_a_graze(name: str) -> None:
     with Rig(obstacles=[TARGETS[name]]) as rig:
         rig.obstacle[:] = 0.0
         rig.place()
-        motions = rig.dynamics.contact.space.motions
-        motions["time"], motions["until"] = 0.0, 1.0
-        for column, values in zip(
-            ("position", "quaternion", "move", "turn"), GRAZES[name], strict=True
-        ):
-            motions[column] = values
+        motions = _on_a_way(rig, GRAZES[name])
         gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
         assert gaps[0] > TOUCH > gaps.min()
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
@@ -151,11 +155,7 @@ def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
     with Rig(["racer"], obstacles=[TARGETS["hull"]]) as rig:
         rig.obstacle[:] = 0.0
         rig.place()
-        motions = rig.dynamics.contact.space.motions
-        motions["time"], motions["until"] = 0.0, 1.0
-        columns = ("position", "quaternion", "move", "turn")
-        for column, values in zip(columns, PASSES_BY, strict=True):
-            motions[column] = values
+        motions = _on_a_way(rig, PASSES_BY)
         gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
         assert 0 < gaps.min() - TOUCH < 1e-6
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
@@ -208,19 +208,18 @@ def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
         motions = _grazing(rig, rng, 200, 20, least_turn=-0.5)
         side = np.sign(motions["position"][:, :1])
         across = side * (1.0, 0.0, 0.0)
-        told = {}
-        # A little nearer than a touch, and well away from one
-        for shift in (-1e-5, 0.02):
-            motions["position"] += shift * across
-            floor = _least(rig, motions)
-            ends = np.minimum(_gaps(rig, motions, 0 * floor), _gaps(rig, motions, 1 + 0 * floor))
-            told[shift] = _kept_apart(scenery, motions, across, 0.0, IN_TOUCH, TOUCH)
-            assert not (told[shift] & (floor < TOUCH)).any()
-            if shift < 0.0:
-                assert ((ends > 2 * IN_TOUCH) & (floor < TOUCH)).sum() > 10
-        assert told[0.02].mean() > 0.5
-        none = _kept_apart(scenery, motions, 0.0 * across, 0.0, IN_TOUCH, TOUCH)
-        assert not none.any()
+        # A little nearer than a touch
+        motions["position"] -= 1e-5 * across
+        touches = _least(rig, motions) < TOUCH
+        ends = np.minimum(*(_gaps(rig, motions, np.full(200, share)) for share in (0.0, 1.0)))
+        assert ((ends > 2 * IN_TOUCH) & touches).sum() > 10
+        assert not (_kept_apart(scenery, motions, across) & touches).any()
+        # Well away from one
+        motions["position"] += 0.02 * across
+        apart = _kept_apart(scenery, motions, across)
+        assert not (apart & (_least(rig, motions) < TOUCH)).any()
+        assert apart.mean() > 0.5
+        assert not _kept_apart(scenery, motions, 0.0 * across).any()
 
 
 @pytest.mark.slow
