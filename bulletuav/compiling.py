@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import llvmlite.binding as llvm
-from numba.core import types
+from numba.core import cgutils, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
@@ -18,6 +18,27 @@ def any_number(kind: Any) -> Any:
     """Give the type of all numbers for that of a single one; other types as they are."""
     is_single = isinstance(kind, (types.IntegerLiteral, types.BooleanLiteral))
     return kind.literal_type if is_single else kind
+
+
+def invoke(
+    context: Any, builder: Any, address: Any, result: Any, arguments: tuple[Any, ...], values: Any
+) -> Any:
+    """Write a call of what is at an address (a number), after which an error goes on up.
+
+    Args:
+        context: Numba's, as it gives both to who writes code.
+        builder: As there.
+        address: Where the function is.
+        result: Numba's type of what it returns.
+        arguments: Those of its arguments.
+        values: The arguments.
+    """
+    form = context.call_conv.get_function_type(result, arguments)
+    function = builder.inttoptr(address, form.as_pointer())
+    status, done = context.call_conv.call_function(builder, function, result, arguments, values)
+    with cgutils.if_unlikely(builder, status.is_error):
+        context.call_conv.return_status_propagate(builder, status)
+    return done
 
 
 @contextlib.contextmanager

@@ -9,8 +9,7 @@ functions of different object files call each other. Functions that become part 
 Numba also writes a wrapper that takes apart what Python gives, which for tuples of arrays is longer
 than the function itself. Here only what Python calls gets one.
 
-And numba stamps what it stores with the function's own file alone, so that it survives an edit of
-a helper in another file. Here the stamp covers all files that the function's file imports.
+And numba stamps what it stores with the function's own file alone; see `bulletuav.stamps`.
 """
 
 import contextlib
@@ -30,7 +29,6 @@ from types import ModuleType
 from typing import IO, Any, ClassVar, NamedTuple
 
 import llvmlite.binding as llvm
-import numba
 from numba.core import sigutils, types
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
@@ -39,6 +37,7 @@ from numba.core.runtime import _nrt_python
 from numba.core.serialize import dumps
 
 from bulletuav.compiling import PartCompiler, any_number, seldom_collected
+from bulletuav.stamps import stamp_of
 
 fcntl: ModuleType | None
 try:
@@ -50,11 +49,6 @@ MANY = 20
 """Functions that a process compiles before it tells why nothing else happens"""
 PATIENCE = 300.0
 """Time after which a process that compiles is taken for one that was stopped, s"""
-PACKAGE = Path(__file__).parent
-_IMPORT = re.compile(
-    PACKAGE.name.encode() + rb"\.?([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n]*))?"
-)
-"""What names a module of the package; that it may stand in a text does no harm"""
 
 
 class Need(NamedTuple):
@@ -74,12 +68,10 @@ class Need(NamedTuple):
 
     def is_met(self) -> bool:
         """Compile or load the function, and tell whether that gives it under the same symbol."""
-        found = getattr(import_module(self.module), self.name, None)
-        if not isinstance(found, Dispatcher):
+        found = dispatcher_of(self.module, self.name)
+        if found is None:
             return False
-        compiled = found.inner
-        compiled.compile(self.arguments)
-        return bool(compiled.overloads[self.arguments].fndesc.mangled_name == self.symbol)
+        return bool(found.compiled(self.arguments).fndesc.mangled_name == self.symbol)
 
 
 class Cache:
@@ -139,7 +131,7 @@ class Cache:
         """Store machine code."""
         library = compiled.library
         linked = (need for other in library._linking_libraries for need in _asked(other))
-        library.needs = tuple(dict.fromkeys(linked))
+        library.needs = tuple(dict.fromkeys((*getattr(library, "doors", ()), *linked)))
         if self._is_apart():
             # What is stored for callers to copy: the name alone, which numba reads
             name = compiled.fndesc.mangled_name
@@ -298,8 +290,14 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
 
 
 class Dispatcher(_Stored):
-    """A compiled function as Python calls it."""
+    """A compiled function as Python calls it.
 
+    Attributes:
+        door: What compiled callers find under its name if it is compiled later than they are; see
+            `bulletuav.deferred`.
+    """
+
+    door: Any = None
     _folder: Path | None = None
 
     def __init__(
@@ -327,7 +325,22 @@ class Dispatcher(_Stored):
     @property
     def _numba_type_(self) -> Any:
         """What compiled callers find under the function's name."""
-        return types.Dispatcher(self.inner)
+        return self.door or types.Dispatcher(self.inner)
+
+    def compiled(self, arguments: tuple[Any, ...]) -> Any:
+        """Compile it for other machine code, or load it; tells all about it.
+
+        Args:
+            arguments: Numba's types of its arguments.
+        """
+        self.inner.compile(arguments)
+        return self.inner.overloads[arguments]
+
+    def address(self, arguments: tuple[Any, ...]) -> int:
+        """Tell where its machine code for some types of arguments is."""
+        made = self.compiled(arguments)
+        place: int = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
+        return place
 
     def keep_in(self, folder: Path) -> None:
         """Keep both on disk."""
@@ -335,61 +348,10 @@ class Dispatcher(_Stored):
         self._cache = Cache(self.py_func, folder)
 
 
-@functools.cache
-def stamp_of(file: str) -> str:
-    """Hash a file, all files that it imports of its package, and those that they import.
-
-    Args:
-        file: Path of the file.
-
-    Returns:
-        16 hexadecimal digits, with the version of numba in them.
-    """
-    digest = hashlib.sha256(numba.__version__.encode())
-    seen = {file}
-    waiting = [file]
-    while waiting:
-        new = _imported(waiting.pop()) - seen
-        seen |= new
-        waiting.extend(new)
-    for one in sorted(seen):
-        digest.update(_hash(one))
-    return digest.hexdigest()[:16]
-
-
-@functools.cache
-def _source(file: str) -> bytes:
-    return Path(file).read_bytes()
-
-
-@functools.cache
-def _hash(file: str) -> bytes:
-    return hashlib.sha256(_source(file)).digest()
-
-
-@functools.cache
-def _imported(file: str) -> frozenset[str]:
-    """List the files of our package that a file imports, in whatever place of it."""
-    modules = _modules()
-    found: set[str] = set()
-    for module, names in _IMPORT.findall(_source(file)):
-        home = module.decode()
-        members = [f"{home}.{name}".lstrip(".") for name in re.findall(r"\w+", names.decode())]
-        found.update(modules[one] for one in (home, *members) if one in modules)
-    return frozenset(found)
-
-
-@functools.cache
-def _modules() -> dict[str, str]:
-    """List the files of our package by the names of their modules in it, but its first."""
-    modules = {}
-    for folder, _, files in os.walk(PACKAGE):
-        home = Path(folder).relative_to(PACKAGE).parts
-        for name in files:
-            own = () if name == "__init__.py" else (name.removesuffix(".py"),)
-            modules[".".join((*home, *own))] = os.path.join(folder, name)
-    modules.pop("", None)
-    return modules
+def dispatcher_of(module: str, name: str) -> Dispatcher | None:
+    """Find a compiled function by its place; None if something else is there."""
+    found = getattr(import_module(module), name, None)
+    return found if isinstance(found, Dispatcher) else None
 
 
 @functools.cache

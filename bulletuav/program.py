@@ -8,7 +8,7 @@ without Python in between. Where a call needs Python, its turn comes right there
 import ctypes
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numba import types
@@ -16,6 +16,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
+from bulletuav.compiling import invoke
+from bulletuav.dispatcher import Dispatcher
 from bulletuav.forms import form_of, type_of
 from bulletuav.kernel import kernel
 
@@ -258,19 +260,12 @@ def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
         TypeError: The function returns something else than a bool.
     """
     arguments = tuple(map(type_of, forms))
-    function, result = _compiled(kernel, arguments)
+    result = kernel.compiled(arguments).signature.return_type
     if result not in (types.none, types.boolean):
         raise TypeError(f"{kernel.__name__} returns {result}: a bool, or nothing, is needed")
     kind = types.TypeRef(types.Tuple((result, types.Tuple(arguments))))
-    return function, _compiled(_call, (_WORD, kind))[0]
-
-
-def _compiled(dispatcher: Any, arguments: tuple[types.Type, ...]) -> tuple[int, types.Type]:
-    """Compile a function for some types; tells its address, and the type of its result."""
-    dispatcher.inner.compile(arguments)
-    made = dispatcher.inner.overloads[arguments]
-    address: int = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
-    return address, made.signature.return_type
+    caller = cast(Dispatcher, _call)
+    return kernel.address(arguments), caller.address((_WORD, kind))
 
 
 def _load(context: Any, builder: Any, kind: types.Type, words: Any, k: int) -> tuple[Any, int]:
@@ -317,9 +312,7 @@ def _called(_: Any, words: Any, kind: Any) -> Any:
         place = builder.inttoptr(given[0], word.as_pointer())
         values = _load(context, builder, arguments, place, 1)[0]
         values = cgutils.unpack_tuple(builder, values, len(arguments))
-        form = context.call_conv.get_function_type(result, tuple(arguments))
-        function = builder.inttoptr(builder.load(place), form.as_pointer())
-        done = _invoked(context, builder, function, result, tuple(arguments), values)
+        done = invoke(context, builder, builder.load(place), result, tuple(arguments), values)
         if result == types.none:
             return context.get_constant(_WORD, 0)
         return context.cast(builder, done, result, _WORD)
@@ -332,23 +325,11 @@ def _at(_: Any, caller: Any, words: Any) -> Any:
     """Call what stands at an address, of the form of `_call`."""
 
     def generate(context: Any, builder: Any, _: Any, given: Any) -> Any:
-        form = context.call_conv.get_function_type(_WORD, (_WORD, _KIND))
-        function = builder.inttoptr(given[0], form.as_pointer())
         nothing = cgutils.get_null_value(context.get_value_type(_KIND))
         values = [given[1], nothing]
-        return _invoked(context, builder, function, _WORD, (_WORD, _KIND), values)
+        return invoke(context, builder, given[0], _WORD, (_WORD, _KIND), values)
 
     return _WORD(caller, words), generate
-
-
-def _invoked(
-    context: Any, builder: Any, function: Any, result: Any, kinds: tuple[Any, ...], values: Any
-) -> Any:
-    """Write a call, after which an error goes on up."""
-    status, done = context.call_conv.call_function(builder, function, result, kinds, values)
-    with cgutils.if_unlikely(builder, status.is_error):
-        context.call_conv.return_status_propagate(builder, status)
-    return done
 
 
 @kernel

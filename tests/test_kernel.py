@@ -15,7 +15,7 @@ import pytest
 from forking import forking
 
 import bulletuav
-from bulletuav import compiling, dispatcher, kernel
+from bulletuav import compiling, dispatcher, kernel, stamps
 
 TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
 """A function of the C library, at an address of this process"""
@@ -48,7 +48,7 @@ def package(tmp_path, run_in):
     """A package of our modules that compile, a helper in one file, its caller in another."""
     folder = tmp_path / "small"
     folder.mkdir()
-    for module in (kernel, dispatcher, compiling):
+    for module in (kernel, dispatcher, compiling, stamps):
         file = Path(module.__file__)
         code = file.read_text().replace("from bulletuav.", "from small.")
         (folder / file.name).write_text(code)
@@ -273,7 +273,7 @@ def test_imports_are_found_as_python_finds_them():
                 place = PACKAGE.parent.joinpath(*name.split("."))
                 expected |= {place.with_suffix(".py"), place / "__init__.py"}
         files = {one for one in expected if PACKAGE in one.parents and one.is_file()}
-        found = set(map(Path, dispatcher._imported(str(path))))
+        found = set(map(Path, stamps._imported(str(path))))
         assert files - {PACKAGE / "__init__.py"} <= found, path
 
 

@@ -14,9 +14,9 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
-    ("version", "errors", "files", "compiling"),
+    ("version", "errors", "files", "compiling", "stamps"),
     ("dispatcher", "forms"),
-    ("kernel", "lanes", "registry"),
+    ("kernel", "deferred", "lanes", "registry"),
     ("functions", "gather", "program"),
     ("geometry", "earth"),
     ("conflict", "vehicle"),

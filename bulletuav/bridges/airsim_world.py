@@ -353,7 +353,7 @@ class World:
 
     def warm_up(self) -> None:
         """Compile what flies, which takes minutes at the first time; drones stay where they are."""
-        self.airspace.step()
+        self.airspace.warm_up()
         self.reset()
 
     def close(self) -> None:

@@ -111,7 +111,7 @@ class HilBodies:
 
     def warm_up(self) -> None:
         """Compile what flies, which takes minutes at the first time; bodies stay where they are."""
-        self.airspace.step()
+        self.airspace.warm_up()
         self._stand()
 
     def _stand(self) -> None:

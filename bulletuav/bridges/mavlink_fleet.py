@@ -115,7 +115,7 @@ class MavlinkFleet:
 
     def warm_up(self) -> None:
         """Compile what flies, which takes minutes at the first time; drones stay where they are."""
-        self.airspace.step()
+        self.airspace.warm_up()
         self.airspace.place(None, self._starts, NORTH)
 
     def _sense(self) -> None:

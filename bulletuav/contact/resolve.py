@@ -8,6 +8,7 @@ what is left of the substep. A touch is a distance of `TOUCH`, so that shapes st
 import math
 
 import numpy as np
+from numba import types
 
 from bulletuav.contact.impact import add_forces, push_apart
 from bulletuav.contact.island import join
@@ -17,12 +18,14 @@ from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.staying import halt
 from bulletuav.contact.touch import NEVER, touch_time
 from bulletuav.contact.touches import Touches
+from bulletuav.deferred import deferred
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
 from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 
-@func
+@deferred(types.none)
+@kernel
 def _start_drone(
     space: Workspace,
     world: World,
@@ -268,11 +271,30 @@ def _fly_through(
     touches: Touches,
 ) -> bool:
     """Take the drones that are due through the touches of a substep, in the order of time."""
+    order = space.order
+    set_order(order, world.start.position, world.w)
+    pairs, count = find_pairs(space, world, end, order)
+    if count == 0:
+        return False
+    return _touch(space, world, end, pairs, count, stopped, changed, touches)
+
+
+@deferred(types.boolean)
+@allocating
+def _touch(
+    space: Workspace,
+    world: World,
+    end: Swarm,
+    pairs: np.ndarray,
+    count: int,
+    stopped: np.ndarray,
+    changed: np.ndarray,
+    touches: Touches,
+) -> bool:
+    """Take pairs that may touch through a substep; returns whether any does."""
     w = world.w
     motions = space.motions
     order = space.order
-    set_order(order, world.start.position, w)
-    pairs, count = find_pairs(space, world, end, order)
     for p in range(count):
         _time_pair(space, world, pairs[p], 0.0)
     eventful = False

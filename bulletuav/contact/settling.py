@@ -3,13 +3,15 @@
 import math
 
 import numpy as np
+from numba import types
 
 from bulletuav.contact.motion import vector
 from bulletuav.contact.points import World
 from bulletuav.contact.rest import LONG, Contact, wake
 from bulletuav.contact.support import find_support, holds, pressing
+from bulletuav.deferred import deferred
 from bulletuav.geometry.rotation import Vec3, dot, plus, point, quat4, to_world, vec3
-from bulletuav.kernel import func
+from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 SLOWEST = 5e-3
@@ -70,47 +72,65 @@ def settle(
     """
     w = world.w
     for i in range(world.alive.shape[1]):
-        changed = contact.changed[w, i]
         velocity, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
         slow = _is_slow(contact, w, i, velocity, rates)
-        if contact.asleep[w, i]:
-            if changed and slow:
-                _put_back(contact, swarm, w, i)
-            elif changed or _is_overloaded(contact, world, i):
-                wake(contact, w, i)
-            continue
-        if not (changed and slow):
+        if contact.asleep[w, i] or (contact.changed[w, i] and slow):
+            _look_at_rest(contact, world, swarm, i, slow, last)
+        else:
             contact.quiet[w, i] = 0.0
-            continue
-        speed = _speed(swarm, w, i)
-        if contact.quiet[w, i] == 0.0:
-            contact.pace[w, i] = speed
-        contact.quiet[w, i] += world.dt
-        if contact.quiet[w, i] >= SHORT and last and _is_borne(contact, w, i):
-            _note_support(contact, world, swarm, i)
-            contact.dozes[w, i] = _is_safe(contact, world, i)
-        if contact.quiet[w, i] >= LONG:
-            # Who slides ever faster down a slope that is hardly steep enough does not rest
-            if speed > contact.pace[w, i] + FASTER:
-                contact.quiet[w, i] = 0.0
-                contact.dozes[w, i] = False
-            else:
-                contact.dozes[w, i] = last and _is_borne(contact, w, i)
     # All at once, so that their order does not matter
     for i in range(world.alive.shape[1]):
         if contact.dozes[w, i]:
+            _fall_asleep(contact, world, swarm, i)
+
+
+@deferred(types.none)
+@kernel
+def _look_at_rest(
+    contact: Contact, world: World, swarm: Swarm, i: int, slow: bool, last: bool
+) -> None:
+    """Look whether a sleeper is to wake, or a drone at rest to fall asleep."""
+    w = world.w
+    changed = contact.changed[w, i]
+    if contact.asleep[w, i]:
+        if changed and slow:
+            _put_back(contact, swarm, w, i)
+        elif changed or _is_overloaded(contact, world, i):
+            wake(contact, w, i)
+        return
+    speed = _speed(swarm, w, i)
+    if contact.quiet[w, i] == 0.0:
+        contact.pace[w, i] = speed
+    contact.quiet[w, i] += world.dt
+    if contact.quiet[w, i] >= SHORT and last and _is_borne(contact, w, i):
+        _note_support(contact, world, swarm, i)
+        contact.dozes[w, i] = _is_safe(contact, world, i)
+    if contact.quiet[w, i] >= LONG:
+        # Who slides ever faster down a slope that is hardly steep enough does not rest
+        if speed > contact.pace[w, i] + FASTER:
+            contact.quiet[w, i] = 0.0
             contact.dozes[w, i] = False
-            contact.asleep[w, i] = True
-            contact.load[w, i, 0] = np.nan
-            _note_support(contact, world, swarm, i)
-            support = contact.support[w, i]
-            if support.span > 0.0:
-                # What its support takes from it
-                lost = world.parameters[w, i].mass * dot(vec3(swarm.velocity, w, i), support.normal)
-                contact.touches.impulse[w, i, 0] -= lost
-            for k in range(3):
-                swarm.velocity[w, i, k] = 0.0
-                swarm.rates[w, i, k] = 0.0
+        else:
+            contact.dozes[w, i] = last and _is_borne(contact, w, i)
+
+
+@deferred(types.none)
+@kernel
+def _fall_asleep(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
+    """Let a drone fall asleep, which stops it."""
+    w = world.w
+    contact.dozes[w, i] = False
+    contact.asleep[w, i] = True
+    contact.load[w, i, 0] = np.nan
+    _note_support(contact, world, swarm, i)
+    support = contact.support[w, i]
+    if support.span > 0.0:
+        # What its support takes from it
+        lost = world.parameters[w, i].mass * dot(vec3(swarm.velocity, w, i), support.normal)
+        contact.touches.impulse[w, i, 0] -= lost
+    for k in range(3):
+        swarm.velocity[w, i, k] = 0.0
+        swarm.rates[w, i, k] = 0.0
 
 
 @func

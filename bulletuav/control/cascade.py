@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
 from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import (
@@ -24,6 +25,7 @@ from bulletuav.control.lee import (
 from bulletuav.control.observers import MEMORY, learned
 from bulletuav.control.pid import pid_rotors
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.deferred import deferred
 from bulletuav.geometry.rotation import (
     Quat4,
     Quat4Like,
@@ -35,7 +37,7 @@ from bulletuav.geometry.rotation import (
     plus,
     quat4,
 )
-from bulletuav.kernel import func
+from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get
 
@@ -165,47 +167,6 @@ def turn_by(
 
 
 @func
-def lee_rotors(
-    level: int,
-    setpoint: Quat4Like,
-    state: State,
-    total_speed: float,
-    push: Vec3,
-    twist: Vec3,
-    nominal: np.record,
-    gain: GainRow,
-    gravity: float,
-    command: np.ndarray,
-) -> None:
-    """Run the steps of the Lee controller from a level down to rotor speeds.
-
-    Args:
-        level: `SetpointLevel` of the setpoint, above ROTOR.
-        setpoint: The setpoint's four numbers.
-        state: State of the drone.
-        total_speed: Sum of its rotors' speeds, rad/s.
-        push: Acceleration that is to be made up for, m/s^2, world.
-        twist: Torque that is to be made up for, N m, body axes.
-        nominal: Row of `PARAMETERS`.
-        gain: Row of `GAINS`.
-        gravity: Gravitational acceleration, m/s^2.
-        command: (R,) speed of each rotor, rad/s, which is written.
-    """
-    # The first three numbers go down the cascade; the fourth is yaw or thrust, by the level.
-    target = (setpoint[0], setpoint[1], setpoint[2])
-    thrust = setpoint[3]
-    if level <= SetpointLevel.ACCELERATION:
-        ahead = nose(setpoint[3])
-        thrust, target = rates_of_motion(
-            level, target, ahead, state, total_speed, push, nominal, gain, gravity
-        )
-    elif level == SetpointLevel.ATTITUDE:
-        desired = axes(from_euler(target[0], target[1], target[2]))
-        target = rates_setpoint(state[1], desired, gain)
-    turn_by(thrust, target, state[3], total_speed, twist, nominal, gain, command)
-
-
-@func
 def pid_errors(
     level: int,
     setpoint: Quat4Like,
@@ -232,7 +193,8 @@ def pid_errors(
     return (0.0, 0.0, 0.0), slow
 
 
-@func
+@deferred(types.none)
+@kernel
 def step_pid(
     level: int,
     setpoint: Quat4Like,
@@ -286,6 +248,54 @@ def step_pid(
     for k in range(3):
         memory[w, i, k] = integrals[0][k]
         memory[w, i, 3 + k] = integrals[1][k]
+
+
+@deferred(types.none)
+@kernel
+def step_lee(
+    level: int,
+    setpoint: Quat4Like,
+    state: State,
+    speeds: np.ndarray,
+    memory: np.ndarray,
+    integral: bool,
+    dt: float,
+    gravity: float,
+    nominal: np.record,
+    gain: GainRow,
+    command: np.ndarray,
+) -> None:
+    """Run the steps of the Lee controller from a level down to rotor speeds, and what it learns.
+
+    Args:
+        level: `SetpointLevel` of the setpoint, above ROTOR.
+        setpoint: The setpoint's four numbers.
+        state: State of the drone.
+        speeds: (R,) its rotor speeds, rad/s.
+        memory: (M,) what its observers remember; written.
+        integral: Whether it learns steady pushes.
+        dt: Time since the last step, s.
+        gravity: Gravitational acceleration, m/s^2.
+        nominal: Row of `PARAMETERS`.
+        gain: Row of `GAINS`.
+        command: (R,) speed of each rotor, rad/s, which is written.
+    """
+    # What pushes and turns the drone anyway
+    rotors = rotor_wrench(speeds, 0.0, nominal)
+    total = rotors[2]
+    push, twist = learned(state, rotors, memory, integral, dt, gravity, nominal, gain)
+    # The first three numbers go down the cascade; the fourth is yaw or thrust, by the level.
+    target = (setpoint[0], setpoint[1], setpoint[2])
+    thrust = setpoint[3]
+    if level <= SetpointLevel.ACCELERATION:
+        ahead = nose(setpoint[3])
+        thrust, target = rates_of_motion(
+            level, target, ahead, state, total, push, nominal, gain, gravity
+        )
+    elif level == SetpointLevel.ATTITUDE:
+        desired = axes(from_euler(target[0], target[1], target[2]))
+        target = rates_setpoint(state[1], desired, gain)
+    turn_by(thrust, target, state[3], total, twist, nominal, gain, command)
 
 
 @func
@@ -358,18 +368,5 @@ def command_rotors(
         target = quat4(setpoint, w, i)
         step_pid(level, target, state, memory, w, i, dt, gravity, nominal, gain, command)
     else:
-        # All that is known and learned goes down the cascade
-        rotors = rotor_wrench(swarm.rotor_speed[w, i], 0.0, nominal)
-        push, twist = learned(state, rotors, memory[w, i], integral, dt, gravity, nominal, gain)
-        lee_rotors(
-            level,
-            quat4(setpoint, w, i),
-            state,
-            rotors[2],
-            push,
-            twist,
-            nominal,
-            gain,
-            gravity,
-            command,
-        )
+        target, speeds, past = quat4(setpoint, w, i), swarm.rotor_speed[w, i], memory[w, i]
+        step_lee(level, target, state, speeds, past, integral, dt, gravity, nominal, gain, command)

@@ -8,8 +8,10 @@ others to fly with is moved alone. That gives the same bits.
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from bulletuav.control.cascade import Cascade
+from bulletuav.deferred import deferred
 from bulletuav.dynamics.integration import stepped, turn_rotors
 from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
 from bulletuav.gather import copy_numbers, four, gathered, three
@@ -164,6 +166,7 @@ def is_steered(blocks: Any, drone: int) -> bool:
     return bool(blocks.together[drone]) and bool(blocks.steering.level[drone // WIDTH] != ALONE)
 
 
+@deferred(types.none)
 @kernel
 def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> None:
     """Steer and move those drones of a block that are marked, by one step of RK4.

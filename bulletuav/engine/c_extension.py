@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
+from bulletuav.deferred import deferred
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.tiles import columns, cover, globalise, land, localise
 from bulletuav.geometry.city_grid import CityGrid
@@ -144,6 +146,13 @@ def surface_below(
     covered = cover(position, mask, port.scenery, surface)
     if covered == 0:
         return
+    _cast_down(port, position, surface, covered)
+
+
+@deferred(types.none)
+@allocating
+def _cast_down(port: Port, position: np.ndarray, surface: np.ndarray, covered: int) -> None:
+    """Write the height of what is below drones for which `cover` wrote NaN."""
     who, start, end = columns(position, surface, covered)
     fraction, left = walk(port.scenery, start, end, who[:, 0], port.compiled)
     # Bullet answers the others.

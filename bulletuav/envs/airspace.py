@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.deferred import compile_deferred
 from bulletuav.envs.airspace_inputs import (
     YAW,
     Angle,
@@ -204,6 +205,17 @@ class Airspace(AirspaceParts):
             # So that `place` is enough to go on
             self._dynamics.force[:] = self._dynamics.torque[:] = 0.0
             raise
+
+    def warm_up(self) -> None:
+        """Fly a step, and compile what later ones may need, such as contacts.
+
+        Otherwise the first touch waits for its code, half a minute at the first time.
+
+        Raises:
+            RuntimeError: As `step` does.
+        """
+        self.step()
+        compile_deferred()
 
     def _make_program(self) -> Program:
         """Make the program of a step, in the order in which things happen."""

@@ -9,7 +9,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
+from bulletuav.deferred import deferred
 from bulletuav.geometry.rotation import quat4, to_body
 from bulletuav.kernel import func, kernel
 from bulletuav.lanes import WIDTH, lanes_of, room
@@ -237,6 +239,7 @@ def _blow(
             felt[world, i, 1 + k] += torque[k]
 
 
+@deferred(types.none)
 @kernel
 def sum_wakes(
     swarm: Any,

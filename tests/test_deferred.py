@@ -1,0 +1,146 @@
+"""Functions that are compiled when they are first called."""
+
+import time
+
+import numpy as np
+import pytest
+from forking import forking
+from numba import types
+
+from bulletuav import deferred as module
+from bulletuav.deferred import Door, compile_deferred, deferred
+from bulletuav.kernel import func, kernel
+
+
+@deferred(types.float64)
+@kernel
+def rarely(numbers, k):
+    if numbers[k] < 0.0:
+        raise ValueError("negative")
+    numbers[k] += 1.0
+    return 2.0 * numbers[k]
+
+
+@func
+def twice(numbers, k):
+    return rarely(numbers, k) + rarely(numbers, 1)
+
+
+@kernel
+def caller(numbers, times):
+    total = 0.0
+    for _ in range(times):
+        total += twice(numbers, 0)
+    return total
+
+
+@deferred(types.none)
+@kernel
+def grow(numbers):
+    numbers[0] *= 10.0
+
+
+@kernel
+def call_grow(numbers, wanted):
+    if wanted:
+        grow(numbers)
+
+
+@deferred(types.int64)
+@kernel
+def wrong(number):
+    return 0.5 * number
+
+
+@kernel
+def call_wrong(number):
+    return wrong(number)
+
+
+@deferred(types.none)
+@kernel
+def outer(numbers):
+    call_grow(numbers, numbers[0] > 1e9)
+
+
+@kernel
+def call_outer(numbers, wanted):
+    if wanted:
+        outer(numbers)
+
+
+def forms(function):
+    return len(function.inner.overloads)
+
+
+def test_they_are_compiled_at_the_first_call_once_for_all_numbers():
+    numbers = np.zeros(2)
+    assert caller(numbers, 0) == 0.0
+    assert forms(rarely) == 0
+    # 2 (1 + 1 + 2 + 2)
+    assert caller(numbers, 2) == 12.0
+    assert numbers.tolist() == [2.0, 2.0]
+    assert forms(rarely) == 1
+    assert rarely(numbers, 0) == 6.0  # for Python it is as any other
+
+
+def test_what_they_raise_goes_on_up():
+    with pytest.raises(ValueError, match="^negative$"):
+        caller(np.array([-1.0, 0.0]), 1)
+
+
+def test_stored_callers_find_them_and_need_nothing_of_them_before(tmp_path):
+    (tmp_path / "seldom.py").write_text(
+        "from numba import types\nfrom bulletuav.deferred import deferred\n"
+        "from bulletuav.kernel import func, kernel\n"
+        "@deferred(types.int64)\n@kernel\ndef far(x):\n    return x + 1\n"
+        "@func\ndef middle(x):\n    return far(x) if x > 2 else 0\n"
+        "@kernel\ndef near(x):\n    return middle(x)\n"
+    )
+    code = (
+        "import seldom as s; a = s.near(1), len(s.far.inner.overloads), s.near(3); "
+        "print(*a, *(sum(one._cache_hits.values()) for one in (s.near, s.far.inner)))"
+    )
+    with forking() as run:
+        assert run(tmp_path, code) == ["0 0 4 0 0\n"]
+        assert run(tmp_path, code) == ["0 0 4 1 1\n"]
+
+
+def test_all_can_be_compiled_before_they_are_called():
+    numbers = np.ones(1)
+    call_outer(numbers, False)
+    assert forms(outer) == forms(grow) == 0
+    compile_deferred()
+    assert forms(outer) == forms(grow) == 1
+    call_grow(numbers, True)
+    assert numbers[0] == 10.0
+
+
+def test_a_wrong_type_of_the_result_is_told(caplog):
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match=r"wrong could not be compiled; see the error that"):
+            call_wrong(3)
+    texts = [str(one.exc_info[1]) for one in caplog.records]
+    assert texts == ["wrong returns float64, but is deferred as int64"] * 2
+    # compile_deferred of other tests would meet it again
+    for door in [one for one in module._OPENERS if one.name == "wrong"]:
+        del module._OPENERS[door]
+
+
+def test_an_interrupt_meanwhile_is_told_after_it(monkeypatch, caplog):
+    open_now, tries = Door.open, []
+
+    def interrupted(door):
+        tries.append(door.name)
+        if len(tries) < 3:
+            raise KeyboardInterrupt
+        return open_now(door)
+
+    monkeypatch.setattr(Door, "open", interrupted)
+    numbers = np.ones(1, dtype=np.float32)
+    call_grow(numbers, True)
+    assert numbers[0] == 10.0
+    with pytest.raises(KeyboardInterrupt):
+        time.sleep(5.0)
+    assert tries == ["grow"] * 3
+    assert len(caplog.records) == 2
