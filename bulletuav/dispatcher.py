@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import IO, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import llvmlite.binding as llvm
 from numba.core import sigutils, types
@@ -82,8 +82,8 @@ class Cache:
     """
 
     _made = itertools.count(1)
-    _locked: ClassVar[set[Path]] = set()
-    """Folders in which this process compiles; numba's own lock keeps its other threads out"""
+    _locks: ClassVar[dict[Path, int]] = {}
+    """An open file of each folder in which this process compiles; to close it frees its locks"""
 
     def __init__(
         self,
@@ -148,25 +148,29 @@ class Cache:
             )
 
     @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
-        """Keep other processes from compiling into the folder meanwhile.
+    def alone(self, signature: Any, context: Any) -> Iterator[None]:
+        """Keep other processes from compiling the function for some types meanwhile.
 
-        They would compile the same functions under other symbols, and callers of either would be
-        compiled once more by the next process. Without locks, or a folder that can be written, each
-        goes on by itself.
+        They would compile it under another symbol, and callers of either would be compiled once
+        more by the next process. They compile other functions at the same time: as no function
+        calls itself, by others or not, nobody waits for whoever waits for them. Without locks, or a
+        folder that can be written, each goes on by itself.
         """
-        if fcntl is None or self._folder in self._locked:
-            yield  # a function that is compiled for its caller
-            return
-        with contextlib.ExitStack() as stack:
-            with contextlib.suppress(OSError):
-                _wait_for(stack.enter_context(open(self._folder / ".lock", "ab")))
-            stack.enter_context(seldom_collected())
-            self._locked.add(self._folder)
-            try:
+        place = int(self._file(signature, context).name.split(".")[2][:15], 16)
+        lock = None
+        with contextlib.suppress(OSError):
+            if fcntl is not None and self._folder not in self._locks:
+                self._locks[self._folder] = os.open(self._folder / ".lock", os.O_CREAT | os.O_RDWR)
+            lock = self._locks.get(self._folder)
+            if lock is not None:
+                _wait_for(lock, place)
+        try:
+            with seldom_collected():
                 yield
-            finally:
-                self._locked.discard(self._folder)
+        finally:
+            if fcntl is not None and lock is not None:
+                with contextlib.suppress(OSError):
+                    fcntl.lockf(lock, fcntl.LOCK_UN, 1, place)
 
     def _file(self, signature: Any, context: Any) -> Path:
         """Name the file for some types of arguments."""
@@ -222,14 +226,17 @@ def _name_helpers() -> None:
         llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
-def _wait_for(lock: IO[bytes]) -> None:
-    """Lock a file, unless another process holds it for longer than compilation takes."""
+def _wait_for(lock: int, place: int) -> None:
+    """Lock a byte of a file, unless another process holds it for longer than compilation takes.
+
+    The byte need not be there.
+    """
     assert fcntl is not None
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         # It ends with the process, and is not handed on to forks
         with contextlib.suppress(BlockingIOError):
-            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
             return
         time.sleep(0.02)
 
@@ -263,7 +270,7 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
                 found = self._cache.load_overload(sig, self.targetctx)
                 if found is None:
                     # Another process may have compiled it while this one waited
-                    with self._cache.alone():
+                    with self._cache.alone(sig, self.targetctx):
                         found = self._cache.load_overload(sig, self.targetctx)
                         if found is None:
                             return self._make(sig, kinds, result)

@@ -92,11 +92,18 @@ def test_of_processes_that_start_at_once_one_compiles(package):
     assert run() == (20, 1)
 
 
-def test_a_process_that_was_stopped_is_not_waited_for_for_ever(package, tmp_path):
+@pytest.mark.parametrize(
+    ("part", "patience"),
+    [
+        ("", 0.3),  # all functions, by a process that was stopped
+        (", 1, 5", 300.0),  # one, but another one
+    ],
+)
+def test_other_processes_are_not_waited_for_in_vain(package, tmp_path, part, patience):
     folder, run = package
     (folder / "held.py").write_text(
         "import fcntl, sys, time\nlock = open(sys.argv[1], 'ab')\n"
-        "fcntl.lockf(lock, fcntl.LOCK_EX)\nprint('locked', flush=True)\ntime.sleep(60)\n"
+        f"fcntl.lockf(lock, fcntl.LOCK_EX{part})\nprint('locked', flush=True)\ntime.sleep(60)\n"
     )
     assert run() == (20, 0)
     (lock,) = (tmp_path / "cache").rglob(".lock")
@@ -105,7 +112,7 @@ def test_a_process_that_was_stopped_is_not_waited_for_for_ever(package, tmp_path
     with subprocess.Popen(command, stdout=subprocess.PIPE) as holder:
         assert holder.stdout.readline() == b"locked\n"
         begin = time.monotonic()
-        assert run("import small.dispatcher as d; d.PATIENCE = 0.3; ") == (30, 0)
+        assert run(f"import small.dispatcher as d; d.PATIENCE = {patience}; ") == (30, 0)
         assert time.monotonic() - begin < 30
         holder.kill()
 
