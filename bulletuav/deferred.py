@@ -67,7 +67,7 @@ class Door(NamedTuple):
         address, interrupted = 0, False
         while address == 0:
             try:
-                address = self.open()
+                address = self.address()
             except KeyboardInterrupt:
                 _LOG.warning("compiling: the interrupt comes after it, in half a minute at most")
                 interrupted = True
@@ -78,7 +78,7 @@ class Door(NamedTuple):
         if interrupted:
             threading.Timer(_SOON, _thread.interrupt_main).start()
 
-    def open(self) -> int:
+    def address(self) -> int:
         """Compile or load the function; tells its address.
 
         Raises:
@@ -102,7 +102,7 @@ def compile_deferred() -> None:
     # What is behind a door may have doors of its own
     while waiting := [door for door in _OPENERS if door not in opened]:
         for door in waiting:
-            door.open()
+            door.address()
         opened.update(waiting)
 
 

@@ -128,7 +128,7 @@ def test_a_wrong_type_of_the_result_is_told(caplog):
 
 
 def test_an_interrupt_meanwhile_is_told_after_it(monkeypatch, caplog):
-    open_now, tries = Door.open, []
+    open_now, tries = Door.address, []
 
     def interrupted(door):
         tries.append(door.name)
@@ -136,7 +136,7 @@ def test_an_interrupt_meanwhile_is_told_after_it(monkeypatch, caplog):
             raise KeyboardInterrupt
         return open_now(door)
 
-    monkeypatch.setattr(Door, "open", interrupted)
+    monkeypatch.setattr(Door, "address", interrupted)
     numbers = np.ones(1, dtype=np.float32)
     call_grow(numbers, True)
     assert numbers[0] == 10.0
