@@ -18,6 +18,8 @@ from bulletuav.geometry.shapes import CYLINDER, Shape
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.urdf import UrdfFile
 
+DISC = "disc.stl"
+"""The file of a rotor's disc, beside those that name it"""
 ROUND = 24
 """Sides of a rotor's disc in pictures"""
 
@@ -121,19 +123,28 @@ def _try_once(urdf: Path, _: bytes) -> None:
 
 def _write_drawn(urdfs: Iterable[Path], folder: Path) -> dict[Path, Path]:
     """Write what is loaded in place of those URDF that name no meshes."""
-    disc = Path(folder, "disc.stl")
-    disc.write_bytes(_disc())
+    Path(folder, DISC).write_bytes(_disc())
     files = {}
     for k, urdf in enumerate(urdfs):
-        robot = UrdfFile(urdf).root
-        if robot.find(".//mesh") is None:
+        drawn = _drawn(urdf, urdf.read_bytes())
+        if drawn is not None:
             files[urdf] = Path(folder, f"{k}.urdf")
-            _replace_cylinders(robot, disc)
-            files[urdf].write_bytes(ElementTree.tostring(robot))
+            files[urdf].write_bytes(drawn)
     return files
 
 
-def _replace_cylinders(robot: ElementTree.Element, disc: Path) -> None:
+@functools.cache
+def _drawn(urdf: Path, _: bytes) -> bytes | None:
+    """Return what is loaded in place of a URDF, once for what is in it; None if it names meshes."""
+    robot = UrdfFile(urdf).root
+    if robot.find(".//mesh") is not None:
+        return None
+    _replace_cylinders(robot)
+    written: bytes = ElementTree.tostring(robot)
+    return written
+
+
+def _replace_cylinders(robot: ElementTree.Element) -> None:
     """Replace the cylinders that pictures show by a mesh of radius and length 1 that is scaled."""
     for geometry in robot.iterfind("link/visual/geometry"):
         for cylinder in geometry.findall("cylinder"):
@@ -141,7 +152,7 @@ def _replace_cylinders(robot: ElementTree.Element, disc: Path) -> None:
             if radius and length:  # Bullet tells what is missing
                 geometry.remove(cylinder)
                 scale = f"{radius} {radius} {length}"
-                ElementTree.SubElement(geometry, "mesh", filename=str(disc), scale=scale)
+                ElementTree.SubElement(geometry, "mesh", filename=DISC, scale=scale)
 
 
 @functools.cache

@@ -9,6 +9,7 @@ Airframes have names: those of the files in assets/urdf, and those that are regi
 "airframe" (see `bulletuav.registry`), as an `Airframe` or as the path of a URDF.
 """
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +115,8 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
     path = require_file(
         "airframe", source, f"pass the path of a URDF or one of {available_airframes()}"
     )
-    return _read_airframe(path.resolve())
+    path = path.resolve()
+    return _read_shipped(path) if path.parent == URDF_FOLDER else _read_airframe(path)
 
 
 def _find_by_name(name: str) -> str | Path | Airframe:
@@ -132,6 +134,12 @@ def _find_by_name(name: str) -> str | Path | Airframe:
 def _is_airframe_or_path(ingredient: object) -> bool:
     """Tell whether an object of the registry can be an airframe."""
     return isinstance(ingredient, str | Path | Airframe)
+
+
+@functools.cache
+def _read_shipped(path: Path) -> Airframe:
+    """Read a file of the package, once in a process."""
+    return _read_airframe(path)
 
 
 def _read_airframe(path: Path) -> Airframe:

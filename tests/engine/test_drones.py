@@ -3,7 +3,6 @@
 import re
 import tempfile
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,7 +37,7 @@ def test_cylinders_that_are_drawn_become_discs_of_their_size(name):
         ]
         assert len(drawn.findall("link/visual")) == len(told.findall("link/visual"))
         assert drawn.find("link/collision/geometry/cylinder") is not None
-        corners, normals = triangles(Path(meshes[0]["filename"]))
+        corners, normals = triangles(file.parent / meshes[0]["filename"])
     assert not file.exists()
     assert np.linalg.norm(corners[..., :2], axis=-1) == pytest.approx(1, abs=1e-6)
     assert np.abs(corners[..., 2]) == pytest.approx(0.5)
