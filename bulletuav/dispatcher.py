@@ -15,7 +15,6 @@ And numba stamps what it stores with the function's own file alone; see `bulletu
 import contextlib
 import functools
 import hashlib
-import itertools
 import logging
 import os
 import pickle
@@ -47,6 +46,8 @@ except ImportError:  # Windows has no such locks
 
 MANY = 20
 """Functions that a process compiles before it tells why nothing else happens"""
+PAUSE = 5.0
+"""Time without compilation after which it tells that anew, s"""
 PATIENCE = 300.0
 """Time after which a process that compiles is taken for one that was stopped, s"""
 
@@ -81,7 +82,10 @@ class Cache:
     reads an index first, and makes all that compilation needs before it looks.
     """
 
-    _made = itertools.count(1)
+    _made: ClassVar[int] = 0
+    """Functions that were compiled since this process last did something else"""
+    _last: ClassVar[float] = 0.0
+    """When the last of them was, s"""
     _locks: ClassVar[dict[Path, int]] = {}
     """An open file of each folder in which this process compiles; to close it frees its locks"""
 
@@ -142,7 +146,10 @@ class Cache:
             _replace(file, dumps((library.needs, compiled._reduce())))
             self._forget_old(file)
         self._link(compiled)
-        if next(self._made) == MANY:
+        now = time.monotonic()
+        Cache._made = 1 if now - Cache._last > PAUSE else Cache._made + 1
+        Cache._last = now
+        if Cache._made == MANY:
             logging.getLogger(__name__).warning(
                 "compiling for this machine, for a minute or two; later runs start at once"
             )

@@ -381,16 +381,20 @@ def test_borrowed_arrays_are_the_same_ones():
     assert (sys.getrefcount(two.one), sys.getrefcount(two.rest[0])) == before
 
 
-def test_a_first_run_tells_that_it_compiles(monkeypatch, caplog, tmp_path):
+def test_who_compiles_for_long_tells_it(monkeypatch, caplog, tmp_path):
     monkeypatch.setattr(kernel, "_CACHE", tmp_path)
-    monkeypatch.setattr(dispatcher, "MANY", next(dispatcher.Cache._made) + 2)
+    monkeypatch.setattr(dispatcher, "MANY", 2)
+    monkeypatch.setattr(dispatcher.Cache, "_last", -10.0)
     compiled = kernel.kernel(lambda x: x + 1)
-    for number in (1, 1.0, 1j):
-        compiled(number)
-    assert len(list(tmp_path.glob("*.nbc"))) == 3
-    assert [one.message for one in caplog.records] == [
-        "compiling for this machine, for a minute or two; later runs start at once"
-    ]
+    # Again after a pause, as at a first touch
+    for count, numbers in enumerate([(1, 1.0, 1j), (True, np.float32(1.0))]):
+        dispatcher.Cache._last -= 10.0
+        for number in numbers:
+            compiled(number)
+        assert [one.message for one in caplog.records] == [
+            "compiling for this machine, for a minute or two; later runs start at once"
+        ] * (count + 1)
+    assert len(list(tmp_path.glob("*.nbc"))) == 5
 
 
 def test_tuples_in_memory_are_read_by_name_and_their_arrays_written_in_place():
