@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.contact.budgets import is_due
 from bulletuav.contact.impact import tell_pair
 from bulletuav.contact.points import World
 from bulletuav.contact.resolve import find_pairs, resolve, set_order
@@ -55,29 +56,6 @@ def place_obstacles(contact: Contact, share: float, period: float) -> None:
 
 
 @func
-def _is_due(contact: Contact, swarm: Swarm, alive: np.ndarray, w: int, dt: float) -> bool:
-    """Take what drones moved off their budgets; tells whether the world needs a closer look."""
-    found = False
-    before = contact.start.position
-    way = contact.speed[w] * dt
-    for i in range(alive.shape[1]):
-        contact.changed[w, i] = False
-        contact.due[w, i] = False
-        if not alive[w, i]:
-            continue
-        if contact.asleep[w, i]:
-            # Obstacles that move may come near to who sleeps
-            found = found or way > 0.0
-            continue
-        moved = minus(vec3(swarm.position, w, i), vec3(before, w, i))
-        contact.budget[w, i] -= math.sqrt(dot(moved, moved)) + way
-        if contact.budget[w, i] < 0.0:
-            contact.due[w, i] = True
-            found = True
-    return found
-
-
-@func
 def meet(
     contact: Contact,
     swarm: Swarm,
@@ -103,7 +81,7 @@ def meet(
     Returns:
         Whether anything was touched.
     """
-    if not _is_due(contact, swarm, alive, w, dt):
+    if not is_due(contact, swarm, alive, w, dt):
         return False
     return _look(contact, swarm, alive, parameters, w, piece, pieces, dt)
 
@@ -147,6 +125,7 @@ def _look(
         swarm,
         contact.due,
         contact.budget,
+        contact.turns,
         contact.stopped,
         contact.changed,
         contact.touches,

@@ -1,11 +1,7 @@
-"""Broad phase: which pairs may touch within a substep, and how long a drone needs no look at all.
+"""Broad phase: which pairs may touch within a substep.
 
-Every drone has a budget: how far it may move before anything can be near. Only drones that have
-used it up are looked at. Budgets change no result: no touch is possible while both of a pair have
-some left. Whoever a pair is, it is told by the numbers of its shapes, see `Scenery`.
+Whoever a pair is, it is told by the numbers of its shapes, see `Scenery`.
 """
-
-import math
 
 import numpy as np
 
@@ -16,17 +12,8 @@ from bulletuav.geometry.closest_approach import closest_squared
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
-from bulletuav.kernel import allocating, func, kernel
-from bulletuav.vehicle.swarm import Swarm
+from bulletuav.kernel import allocating, func
 
-SPARE = 1e-3
-"""Metres that budgets leave, beside a touch, for rounding"""
-FARTHEST = 20.0
-"""Greatest budget, m"""
-VIEW = 5.0
-"""Distance within which a city is looked at for a budget, m"""
-SOON = 0.2
-"""Speed that is added to those by which drones share what is between them, m/s"""
 SLACK = 2e-3
 """Metres beyond its way within which a drone's pairs are collected"""
 ORIGIN = (0.0, 0.0, 0.0)
@@ -111,7 +98,7 @@ def body_distance(
 
 
 @func
-def _piece_distance(
+def piece_distance(
     city_grid: CityGrid,
     p: int,
     place: Vec3,
@@ -171,7 +158,7 @@ def collect(
                 cell = column * city_grid.cells + row
                 for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
                     p = city_grid.item[m]
-                    if _piece_distance(city_grid, p, here) < far:
+                    if piece_distance(city_grid, p, here) < far:
                         other = scenery.first_piece + p
                         pairs, count = _with_pair(pairs, count, known, i, other)
     # Drones in the order of their places, the lower one first
@@ -275,66 +262,3 @@ def _passes_box(
         if low > half[k] + margin or high < -half[k] - margin:
             return True
     return False
-
-
-@func
-def _pace(
-    swarm: Swarm,
-    w: int,
-    i: int,
-) -> float:
-    """Return the speed of a drone, and some more, as even a slow one will have, m/s."""
-    velocity = vec3(swarm.velocity, w, i)
-    return math.sqrt(dot(velocity, velocity)) + SOON
-
-
-@kernel
-def rest_budget(
-    scenery: Scenery,
-    swarm: Swarm,
-    alive: np.ndarray,
-    budget: np.ndarray,
-    w: int,
-    i: int,
-) -> None:
-    """Give drone i of world w the metres that it may move before anything can touch it.
-
-    Args:
-        scenery: What stands.
-        swarm: State of all drones.
-        alive: (W, N) bool, drones that can be touched.
-        budget: (W, N) m; that of drone i is set, and those of others are lowered where i is near.
-        w: The world.
-        i: The drone.
-    """
-    here = vec3(swarm.position, w, i)
-    own = scenery.table.radius[i] + TOUCH + SPARE
-    least = min(FARTHEST, here[2] - own)
-    # Bodies may be many: none nearer than what is known already needs its box
-    for k in range(scenery.place.shape[1]):
-        least = min(least, body_distance(scenery, w, k, here) - own)
-    city_grid = scenery.city_grid
-    layout = city_grid.layout[w]
-    if layout != NO_LAYOUT and least > 0.0:
-        far = min(VIEW, least) + own
-        least = min(least, VIEW)
-        left, right, bottom, top = reached(
-            city_grid, here[0] - far, here[0] + far, here[1] - far, here[1] + far
-        )
-        for column in range(left, right):
-            for row in range(bottom, top):
-                cell = column * city_grid.cells + row
-                for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
-                    distance = _piece_distance(city_grid, city_grid.item[m], here)
-                    least = min(least, distance - own)
-    # What is between two drones is for both, more of it for the faster one
-    pace = _pace(swarm, w, i)
-    for j in range(alive.shape[1]):
-        if j != i and alive[w, j]:
-            gap = minus(vec3(swarm.position, w, j), here)
-            left = math.sqrt(dot(gap, gap)) - own - scenery.table.radius[j]
-            if least + budget[w, j] > left:
-                share = pace / (pace + _pace(swarm, w, j))
-                least = min(least, share * left)
-                budget[w, j] = min(budget[w, j], left - share * left)
-    budget[w, i] = least

@@ -10,10 +10,11 @@ import math
 import numpy as np
 from numba import types
 
+from bulletuav.contact.budgets import rest_budget
 from bulletuav.contact.impact import add_forces, push_apart
 from bulletuav.contact.island import join
 from bulletuav.contact.motion import aim, begin, finish, is_spent, put_vector, valid_until, vector
-from bulletuav.contact.pairs import SLACK, collect, rest_budget, sweeps_apart
+from bulletuav.contact.pairs import SLACK, collect, sweeps_apart
 from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.staying import halt
 from bulletuav.contact.touch import NEVER, touch_time
@@ -330,6 +331,7 @@ def resolve(
     end: Swarm,
     due: np.ndarray,
     budget: np.ndarray,
+    turns: np.ndarray,
     stopped: np.ndarray,
     changed: np.ndarray,
     touches: Touches,
@@ -342,6 +344,7 @@ def resolve(
         end: State at the end of the substep as flown freely; changed.
         due: (W, N) bool, drones that must be looked at.
         budget: (W, N) how far each drone may move before it must be looked at, m; changed.
+        turns: (W, N) bool, drones whose turns count there; changed.
         stopped: (W, N) bool, drones that stopped; changed.
         changed: (W, N) bool, drones whose state was changed; changed.
         touches: What was touched; added to.
@@ -357,6 +360,6 @@ def resolve(
             finish(space.motions[i], end, w, i, world.parameters[w, i])
     for i in range(changed.shape[1]):
         if space.motions[i].due and world.alive[w, i]:
-            rest_budget(world.scenery, end, world.alive, budget, w, i)
+            rest_budget(world.scenery, end, world.alive, budget, turns, w, i)
             budget[w, i] -= world.speed
     return eventful

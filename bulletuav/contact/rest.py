@@ -36,6 +36,7 @@ class Contact(NamedTuple):
         start: State at the beginning of the present substep.
         due: (W, N) bool, drones whose budget the present substep used up.
         budget: (W, N) how far each drone may move before it must be looked at, m.
+        turns: (W, N) bool, drones that fly low: their turns count there as ways.
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Their coefficient of restitution.
         stops: Whether drones stop where they touch, instead of being pushed.
@@ -62,6 +63,7 @@ class Contact(NamedTuple):
     start: Swarm
     due: np.ndarray
     budget: np.ndarray
+    turns: np.ndarray
     friction: float
     restitution: float
     stops: bool
@@ -110,6 +112,7 @@ def make_contact(
         start=Swarm.zeros(*each, 0),
         due=np.zeros(each, dtype=bool),
         budget=np.full(each, -1.0),
+        turns=np.zeros(each, dtype=bool),
         friction=friction,
         restitution=restitution,
         stops=stops,

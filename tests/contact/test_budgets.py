@@ -1,0 +1,63 @@
+"""Who has some budget left touches nothing: looking at it in each substep changes no bit."""
+
+import numpy as np
+import pytest
+from contact.rig import Rig, random_attitudes
+
+
+def hop(anew, dynamics, airframe):
+    """Fly spinning drones low over the ground; tells all states, touches, and how many looks."""
+    rng = np.random.default_rng(3)
+    worlds = 40
+    with Rig([airframe] * 2, dynamics=dynamics, worlds=worlds, restitution=0.8) as rig:
+        radius = rig.airframes[0].collision_radius
+        rig.swarm.position[:, 1, 0] = rng.uniform(2.1, 4.0, worlds) * radius
+        rig.swarm.position[..., 2] = rng.uniform(1.05, 1.5, (worlds, 2)) * radius
+        rig.swarm.velocity[:] = rng.normal(size=(worlds, 2, 3)) * 0.3
+        rig.swarm.quaternion[:] = random_attitudes(rng, worlds, 2)
+        if rig.contacts == "impulse":
+            rig.swarm.rates[:] = rng.normal(size=(worlds, 2, 3)) * 8.0
+        rig.place()
+        states, touches, looks = [], [], 0
+        for _ in range(150):
+            if anew:
+                rig.dynamics.contact.budget[:] = -1.0
+            touches.append(rig.fly())
+            states.append([one.copy() for one in rig.swarm])
+            looks += rig.dynamics.contact.due.sum()
+        return states, touches, looks
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "airframe"),
+    [
+        ("rigid_body", "cf2x"),
+        ("rigid_body", "iris"),
+        ("bullet", "cf2x"),
+        ("double_integrator", "cf2x"),
+    ],
+)
+def test_looking_in_each_substep_changes_nothing(dynamics, airframe):
+    states, touches, looks = hop(False, dynamics, airframe)
+    all_states, all_touches, all_looks = hop(True, dynamics, airframe)
+    for one, other in zip(states, all_states, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    for one, other in zip(touches, all_touches, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    assert sum(len(one.world) for one in touches) > 20
+    assert looks < 0.75 * all_looks
+
+
+def test_who_flies_low_is_seldom_looked_at():
+    """The sphere about it reaches into the ground all the time."""
+    with Rig(["cf2x"], gravity=0.0) as rig:
+        rig.swarm.position[..., 2] = 0.04
+        rig.swarm.velocity[..., 0] = 0.3
+        rig.swarm.rates[..., 2] = 1.0
+        rig.place()
+        looks = 0
+        for _ in range(240):
+            assert len(rig.fly().world) == 0
+            looks += rig.dynamics.contact.due.sum()
+        # 0.3 m, and 1 rad of the outermost points, over the 24 mm that are free
+        assert 10 < looks < 20
