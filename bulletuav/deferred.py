@@ -4,14 +4,15 @@ Who touches nothing need not wait until all of contacts is compiled. A caller as
 of such a function when it gets there, and keeps it: later calls look at memory once more.
 """
 
-import _thread
+import contextlib
 import ctypes
 import functools
 import hashlib
 import inspect
 import logging
+import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar, cast
 
 import llvmlite.binding as llvm
@@ -27,8 +28,34 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _LOG = logging.getLogger(__name__)
 _FAILED = 1
 """In the place of an address: there is none"""
-_SOON = 0.05
-"""Time after which an interrupt is told that came while a function was compiled, s"""
+_SOON = 0.01
+"""Time after which a signal is told that came while a function was compiled, s"""
+
+
+@contextlib.contextmanager
+def signals_later() -> Iterator[None]:
+    """Let what programs do at a signal, such as an interrupt, wait until shortly after this.
+
+    Compilation cannot be left just anywhere: LLVM's objects would be freed twice.
+    """
+    known = {one: signal.getsignal(one) for one in signal.valid_signals()}
+    is_main = threading.current_thread() is threading.main_thread()
+    handlers = {one: what for one, what in known.items() if callable(what) and is_main}
+    noted: list[int] = []
+
+    def note(number: int, _: Any) -> None:
+        _LOG.warning("%s waits until this is compiled", signal.Signals(number).name)
+        noted.append(number)
+
+    for one in handlers:
+        signal.signal(one, note)
+    try:
+        yield
+    finally:
+        for one, what in handlers.items():
+            signal.signal(one, what)
+        for number in dict.fromkeys(noted):
+            threading.Timer(_SOON, signal.raise_signal, [number]).start()
 
 
 class Door(NamedTuple):
@@ -62,21 +89,15 @@ class Door(NamedTuple):
     def _answer(self, place: int) -> None:
         """Write the address of the function, or `_FAILED`, to where machine code reads it.
 
-        That waits in the middle of a flight: an interrupt is told after it.
+        That waits in the middle of a flight, and asks again if nothing is written.
         """
-        address, interrupted = 0, False
-        while address == 0:
-            try:
+        try:
+            with signals_later():
                 address = self.address()
-            except KeyboardInterrupt:
-                _LOG.warning("compiling: the interrupt comes after it, in half a minute at most")
-                interrupted = True
-            except Exception:
-                _LOG.exception("%s.%s", self.module, self.name)
-                address = _FAILED
+        except Exception:
+            _LOG.exception("%s.%s", self.module, self.name)
+            address = _FAILED
         ctypes.c_int64.from_address(place).value = address
-        if interrupted:
-            threading.Timer(_SOON, _thread.interrupt_main).start()
 
     def address(self) -> int:
         """Compile or load the function; tells its address.
@@ -97,10 +118,14 @@ _OPENERS: dict[Door, Any] = {}
 
 
 def compile_deferred() -> None:
-    """Compile or load all that was deferred, for flights in real time, which cannot wait for it."""
+    """Compile or load all that was deferred, for flights in real time, which cannot wait for it.
+
+    Raises:
+        TypeError: A function returns something else than was told.
+    """
     opened: set[Door] = set()
     # What is behind a door may have doors of its own
-    while waiting := [door for door in _OPENERS if door not in opened]:
+    while waiting := [door for door in list(_OPENERS) if door not in opened]:
         for door in waiting:
             door.address()
         opened.update(waiting)
@@ -153,7 +178,7 @@ def _through(door: Door, context: Any, builder: Any, _: Any, values: Any) -> Any
     builder.position_at_end(look)
     address = builder.load(place)
     builder.cbranch(builder.icmp_unsigned("==", address, word(0)), ask, known)
-    # Until there is an answer: an interrupt may have come before it was written
+    # Until there is an answer: a signal may have come before it was written
     builder.position_at_end(ask)
     form = ir.FunctionType(ir.VoidType(), [word])
     opener = cgutils.get_or_insert_function(builder.module, form, door.symbol)

@@ -24,7 +24,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any, ClassVar, NamedTuple
 
 import llvmlite.binding as llvm
@@ -118,6 +118,8 @@ class Cache:
             data = self._file(signature, context).read_bytes()
         except FileNotFoundError:
             return None
+        if not data.endswith(pickle.STOP):
+            return None  # the system stopped before all of it was on disk
         _name_helpers()
         if b"hashsecret" in data:
             # Numba names these where it is imported, which takes longer than most
@@ -143,8 +145,11 @@ class Cache:
         # Addresses of this process would be wrong in another
         if not library.has_dynamic_globals:
             file = self._file(signature, compiled.target_context)
-            _replace(file, dumps((library.needs, compiled._reduce())))
-            self._forget_old(file)
+            try:
+                _replace(file, dumps((library.needs, compiled._reduce())))
+                self._forget_old(file)
+            except OSError as error:
+                _tell_once(f"{error}: what is compiled is not kept for later runs")
         self._link(compiled)
         now = time.monotonic()
         Cache._made = 1 if now - Cache._last > PAUSE else Cache._made + 1
@@ -159,15 +164,17 @@ class Cache:
         """Keep other processes from compiling the function for some types meanwhile.
 
         They would compile it under another symbol, and callers of either would be compiled once
-        more by the next process. They compile other functions at the same time: as no function
-        calls itself, by others or not, nobody waits for whoever waits for them. Without locks, or a
+        more by the next process. They compile other functions at the same time. No function calls
+        itself, by others or not: so nobody waits for whoever waits for them. Without locks, or a
         folder that can be written, each goes on by itself.
         """
-        place = int(self._file(signature, context).name.split(".")[2][:15], 16)
+        name = self._file(signature, context).name.encode()
+        place = int(hashlib.sha256(name).hexdigest()[:15], 16)
         lock = None
         with contextlib.suppress(OSError):
             if fcntl is not None and self._folder not in self._locks:
-                self._locks[self._folder] = os.open(self._folder / ".lock", os.O_CREAT | os.O_RDWR)
+                file = self._folder / ".lock"
+                self._locks[self._folder] = os.open(file, os.O_CREAT | os.O_RDWR, 0o600)
             lock = self._locks.get(self._folder)
             if lock is not None:
                 _wait_for(lock, place)
@@ -185,7 +192,11 @@ class Cache:
         cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
         kinds = repr(sigutils.normalize_signature(signature))
         key = hashlib.sha256(f"{kinds} {_machine(context.codegen())}".encode())
-        key.update(function.__code__.co_code)
+        code = function.__code__
+        key.update(code.co_code)
+        # Functions of one line may differ in these alone
+        constants = [one for one in code.co_consts if not isinstance(one, CodeType | frozenset)]
+        key.update(repr((constants, code.co_names)).encode())
         key.update(dumps(cells) if cells else b"")
         stamp = stamp_of(function.__code__.co_filename)
         return self._folder / f"{self._base}.{stamp}.{key.hexdigest()[:24]}.nbc"
@@ -231,6 +242,12 @@ def _name_helpers() -> None:
     """
     for name, address in _nrt_python.c_helpers.items():
         llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
+
+
+@functools.cache
+def _tell_once(text: str) -> None:
+    """Log a warning, once in a process."""
+    logging.getLogger(__name__).warning(text)
 
 
 def _wait_for(lock: int, place: int) -> None:
@@ -293,8 +310,9 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
         with self._compiling_counter:
             self._cache_misses[sig] += 1
             made = self._compiler.compile(kinds, result)
-            self.add_overload(made)
+            # Linked before callers may find it, whatever happens meanwhile
             self._cache.save_overload(sig, made)
+            self.add_overload(made)
         return made.entry_point
 
     def get_call_template(self, args: Any, kws: Any) -> Any:

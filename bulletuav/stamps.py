@@ -1,7 +1,7 @@
 """Stamps of source files, by which stored machine code cannot go stale.
 
-Numba stamps what it stores with the function's own file alone, so that it survives an edit of a
-helper in another file. Here the stamp covers all files that the function's file imports.
+Numba stamps what it stores with the function's own file alone. So it survives an edit of a helper
+in another file. Here the stamp covers all files that the function's file imports.
 """
 
 import functools

@@ -175,7 +175,7 @@ def fly(drones: int, program: Path, folder: Path) -> list[np.ndarray]:
     with contextlib.ExitStack() as stack:
         airspace = Airspace(places, frame, physics_hz=2 * HZ, decision_hz=HZ)
         stack.callback(airspace.close)
-        airspace.step()  # compiles what flies
+        airspace.warm_up()  # compiles what flies
         airspace.place(None, places)
         for i in range(drones):
             (folder / str(i)).mkdir()

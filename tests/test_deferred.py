@@ -1,5 +1,9 @@
 """Functions that are compiled when they are first called."""
 
+import os
+import signal
+import sys
+import threading
 import time
 
 import numpy as np
@@ -132,20 +136,61 @@ def test_a_wrong_type_of_the_result_is_told(caplog):
         del module._OPENERS[door]
 
 
-def test_an_interrupt_meanwhile_is_told_after_it(monkeypatch, caplog):
-    open_now, tries = Door.address, []
+def give_up(number, _):
+    raise TimeoutError(number)
+
+
+@pytest.mark.parametrize(
+    ("number", "handler", "raised", "kind"),
+    [
+        (signal.SIGINT, signal.default_int_handler, KeyboardInterrupt, np.float32),
+        (signal.SIGUSR1, give_up, TimeoutError, np.int32),
+    ],
+)
+def test_a_signal_meanwhile_is_told_after_it(monkeypatch, caplog, number, handler, raised, kind):
+    find_address, numbers = Door.address, np.ones(1, dtype=kind)
 
     def interrupted(door):
-        tries.append(door.name)
-        if len(tries) < 3:
-            raise KeyboardInterrupt
-        return open_now(door)
+        for _ in range(3):
+            os.kill(os.getpid(), number)
+            be_idle(0.02)
+        return find_address(door)
+
+    def grow_and_wait():
+        call_grow(numbers, True)
+        be_idle(10.0)
 
     monkeypatch.setattr(Door, "address", interrupted)
-    numbers = np.ones(1, dtype=np.float32)
+    before = signal.signal(number, handler)
+    try:
+        with pytest.raises(raised):
+            grow_and_wait()
+    finally:
+        signal.signal(number, before)
+    assert numbers[0] == 10
+    waits = f"{number.name} waits until this is compiled"
+    assert [one.message for one in caplog.records].count(waits) == 3
+
+
+def test_whoever_gets_no_answer_asks_again(monkeypatch):
+    find_address, asked, told = Door.address, [], []
+
+    def ask(door):
+        asked.append(door.name)
+        if len(asked) == 1:
+            raise SystemExit
+        return find_address(door)
+
+    monkeypatch.setattr(Door, "address", ask)
+    monkeypatch.setattr(sys, "unraisablehook", lambda one: told.append(one.exc_type))
+    numbers = np.ones(1, dtype=np.int16)
     call_grow(numbers, True)
-    assert numbers[0] == 10.0
-    with pytest.raises(KeyboardInterrupt):
-        be_idle(10.0)
-    assert tries == ["grow"] * 3
-    assert len(caplog.records) == 2
+    assert (numbers[0], asked, told) == (10, ["grow"] * 2, [SystemExit])
+
+
+def test_threads_compile_them_too():
+    numbers = np.ones(1, dtype=np.int64)
+    thread = threading.Thread(target=call_grow, args=(numbers, True))
+    thread.start()
+    thread.join()
+    assert numbers[0] == 10

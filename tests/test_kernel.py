@@ -117,6 +117,52 @@ def test_other_processes_are_not_waited_for_in_vain(package, tmp_path, part, pat
         holder.kill()
 
 
+def test_each_form_of_each_function_has_a_lock_of_its_own(monkeypatch, tmp_path):
+    """Two functions with one lock could wait for each other."""
+    places = []
+    monkeypatch.setattr(dispatcher, "_wait_for", lambda lock, place: places.append(place))
+    monkeypatch.setattr(kernel, "_CACHE", tmp_path)
+    one, other = kernel.kernel(lambda x: x + 1), kernel.kernel(lambda x: x + 2)
+    assert (one(1), one(1.5), other(1), other(1.5)) == (2, 2.5, 3, 3.5)
+    assert len(set(places)) == 4
+
+
+def test_what_is_not_whole_on_disk_is_compiled_anew(package):
+    folder, run = package
+    assert run() == (20, 0)
+    for file in (folder.parent / "cache").rglob("*.nbc"):
+        file.write_bytes(file.read_bytes()[: 0 if "helper" in file.name else 100])
+    assert run() == (20, 0)
+    assert run() == (20, 1)
+
+
+def test_where_nothing_can_be_kept_it_is_told_once(monkeypatch, caplog, tmp_path):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(dispatcher, "_replace", full)
+    monkeypatch.setattr(kernel, "_CACHE", tmp_path)
+    squared = kernel.kernel(lambda x: x * x)
+    assert (squared(3), squared(0.5)) == (9, 0.25)
+    (told,) = [one.message for one in caplog.records]
+    assert told == "[Errno 28] No space left on device: what is compiled is not kept for later runs"
+
+
+def test_who_is_interrupted_before_it_is_linked_is_compiled_anew(monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(kernel, "_CACHE", tmp_path)
+    cubed = kernel.kernel(lambda x: x * x * x)
+    with monkeypatch.context() as patch:
+        patch.setattr(dispatcher, "_replace", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            cubed(3)
+    assert not cubed.overloads
+    assert cubed(3) == 27
+    assert len(list(tmp_path.glob("*.nbc"))) == 1
+
+
 def test_an_edit_of_a_helper_in_another_file_is_seen_by_its_cached_caller(package):
     folder, run = package
     assert run() == (20, 0)

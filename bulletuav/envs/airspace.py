@@ -213,6 +213,7 @@ class Airspace(AirspaceParts):
 
         Raises:
             RuntimeError: As `step` does.
+            TypeError: Something cannot be compiled.
         """
         self.step()
         compile_deferred()
