@@ -1,6 +1,7 @@
 """Impacts: how drones that touch at one time push each other and what stands."""
 
 import numpy as np
+from numba import types
 
 from bulletuav.contact.foresight import foresee
 from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_before
@@ -20,6 +21,7 @@ from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FIRM_IN_HEAPS, damp_tippi
 from bulletuav.contact.staying import STILL, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
+from bulletuav.deferred import deferred
 from bulletuav.geometry.contact_points import MOST_POINTS
 from bulletuav.geometry.rotation import cross, plus
 from bulletuav.kernel import allocating, func, kernel
@@ -248,6 +250,7 @@ def _load(motion: np.record, point: np.record) -> None:
         motion.load[1, k] += turned[k]
 
 
+@deferred(types.int64)
 @allocating
 def push_apart(
     space: Workspace,

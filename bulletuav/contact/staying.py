@@ -3,12 +3,14 @@
 import math
 
 import numpy as np
+from numba import types
 
 from bulletuav.contact.impulses import POINT
 from bulletuav.contact.island import join, touching
 from bulletuav.contact.motion import MOST_IMPACTS, change_rates, is_spent, put_vector, stay, vector
 from bulletuav.contact.points import Workspace, World, add_points
 from bulletuav.contact.touches import Touches, tell
+from bulletuav.deferred import deferred
 from bulletuav.geometry.contact_points import MOST_POINTS
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus
 from bulletuav.kernel import allocating, func
@@ -90,6 +92,7 @@ def _way_velocity(
     )
 
 
+@deferred(types.int64)
 @allocating
 def halt(
     space: Workspace,
