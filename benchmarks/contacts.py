@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import bulletuav
+from bulletuav.deferred import compile_deferred
 from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.tasks import find_task
 from bulletuav.vehicle.airframes import available_airframes
@@ -228,6 +229,7 @@ def _step_rate(dynamics: str, hz: int, random: bool) -> float:
         shape = (hz * SECONDS, 64, 8, aviary.swarm.rotor_speed.shape[-1])
         actions = rng.uniform(-1, 1, shape) if random else np.zeros(shape)
         aviary.step(actions[0])
+        compile_deferred()
         spent = _seconds(lambda: _fly(aviary, actions))
         return float(64 * len(actions) / spent)
     finally:

@@ -12,6 +12,7 @@ import bulletuav
 from bulletuav.analysis.benchmark import SUBSTEPS, floors, hovering
 from bulletuav.city.generator import generate
 from bulletuav.city.statistics import KINDS
+from bulletuav.deferred import compile_deferred
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.gymnasium import CentralAviary
@@ -319,5 +320,6 @@ if __name__ == "__main__":
             "floor, 64 x 8": partial(floor, 64, 8),
             **in_cities(),
             **at_the_edge(),
-        }
+        },
+        compile_deferred,
     )
