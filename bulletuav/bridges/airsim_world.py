@@ -352,7 +352,7 @@ class World:
         self._due, self._ticks = 0.0, 0
 
     def warm_up(self) -> None:
-        """Compile what flies, which takes minutes at the first time; drones stay where they are."""
+        """Compile what flies, which takes a minute the first time; drones stay where they are."""
         self.airspace.warm_up()
         self.reset()
 

@@ -98,7 +98,7 @@ class Fleet:
         ]
 
     def warm_up(self) -> None:
-        """Compile what flies, which takes minutes at the first time; drones stay where they are."""
+        """Compile what flies, which takes a minute the first time; drones stay where they are."""
         self.airspace.warm_up()
         for variable in LOGS.values():
             variable.read(self.vehicles[0].telemetry(_pressure))

@@ -110,7 +110,7 @@ class HilBodies:
         return len(self._starts)
 
     def warm_up(self) -> None:
-        """Compile what flies, which takes minutes at the first time; bodies stay where they are."""
+        """Compile what flies, which takes a minute the first time; bodies stay where they are."""
         self.airspace.warm_up()
         self._stand()
 

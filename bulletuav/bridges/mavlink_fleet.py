@@ -114,7 +114,7 @@ class MavlinkFleet:
         return [one.due(self.tick) for one in self.services]
 
     def warm_up(self) -> None:
-        """Compile what flies, which takes minutes at the first time; drones stay where they are."""
+        """Compile what flies, which takes a minute the first time; drones stay where they are."""
         self.airspace.warm_up()
         self.airspace.place(None, self._starts, NORTH)
 

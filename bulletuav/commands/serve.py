@@ -27,7 +27,7 @@ ABOUT = {
   bulletuav serve hil --wind 3 0 0""",
 }
 LOOPBACK = "127.0.0.1"
-COMPILING = "compiling what flies; minutes at the first time"
+COMPILING = "compiling what flies; a minute the first time"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
