@@ -170,8 +170,9 @@ def _hold(
 ) -> int:
     """Let contacts hold against forces for the rest of the substep, and what closes stop.
 
-    Where all is slow they fly on with the mean of velocities before and after, as forces act all
-    the way.
+    Where all is slow and something bears them they fly on with the mean of velocities before and
+    after, as forces act all the way. In free fall nothing does, and to move by another velocity
+    than they have would change their angular momentum.
 
     Returns the number of points, those that were foreseen among them.
     """
@@ -185,8 +186,11 @@ def _hold(
     radii = world.scenery.table.radius
     firm = FIRM_ENOUGH if members == 1 else FIRM_IN_HEAPS
     alone = members == 1
+    held = False
     for p in range(count):
         alone = alone and not (pairs[p].joins and pairs[p].leans)
+        bears = pairs[p].leans or pairs[p].b >= motions.shape[0]
+        held = held or (pairs[p].joins and bears)
     for trial in range(FORESIGHT + 1):
         if trial == 0:
             recall(memory, motions, radii, world.w, points, pairs, size, 1.0 - time)
@@ -205,7 +209,7 @@ def _hold(
             motion = motions[i]
             aim(motion, world.dt, world.parameters[world.w, i])
             # At a later impact of a heap velocities before are what holds it, and no way it goes
-            if slow and trial == 0 and (alone or motion.impacts == 1):
+            if held and slow and trial == 0 and (alone or motion.impacts == 1):
                 _take_mean(motion, time, world.dt)
         before = size
         if trial < FORESIGHT and (1.0 - time) * world.dt > SHORTEST:

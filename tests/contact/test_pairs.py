@@ -44,3 +44,27 @@ def test_who_meets_at_the_end_of_a_substep_keeps_momentum_in_the_next(late):
         change = rig.momentum().sum(axis=1) - before
     assert told[:3] == [0, 2, 2]
     assert np.abs(change).max() < 1e-12 * np.abs(before).max()
+
+
+def test_a_slow_touch_in_free_fall_keeps_angular_momentum():
+    """These two close slowly, as who rests does; but nothing bears them."""
+    with Rig(["cf2p"] * 2, hz=60, gravity=0.0) as rig:
+        swarm = rig.swarm
+        swarm.position[0] = [(-0.109209117, -0.068116194, 300), (-0.189805881, -0.103775431, 300)]
+        swarm.position[0, :, 2] += -0.087341814, -0.070008565
+        swarm.quaternion[0, 0] = -0.130836306, 0.348989364, 0.9246185, -0.078542434
+        swarm.quaternion[0, 1] = -0.267123029, 0.600558110, -0.096346711, 0.747457394
+        swarm.velocity[0] = [
+            (-1.592646983, -1.432213956, -4.087225947),
+            (-0.87175722, 0.018232188, 2.384102677),
+        ]
+        swarm.rates[0] = [
+            (31.484351843, -35.024580053, 57.403995518),
+            (-54.47418343, 15.796165816, -29.532969389),
+        ]
+        rig.place()
+        speed = np.linalg.norm(swarm.velocity[0], axis=-1).sum()
+        scale = rig.rows["mass"][0, 0] * speed * rig.airframes[0].collision_radius
+        before = rig.spin_momentum().sum(axis=1)
+        assert len(rig.fly().world) == 2
+        assert np.linalg.norm(rig.spin_momentum().sum(axis=1) - before) < 1e-4 * scale
