@@ -38,9 +38,10 @@ def signals_later() -> Iterator[None]:
 
     Compilation cannot be left just anywhere: LLVM's objects would be freed twice.
     """
-    known = {one: signal.getsignal(one) for one in signal.valid_signals()}
+    # Python runs handlers in its main thread alone
     is_main = threading.current_thread() is threading.main_thread()
-    handlers = {one: what for one, what in known.items() if callable(what) and is_main}
+    signals = signal.valid_signals() if is_main else ()
+    handlers = {one: what for one in signals if callable(what := signal.getsignal(one))}
     noted: list[int] = []
 
     def note(number: int, _: Any) -> None:

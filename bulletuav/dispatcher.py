@@ -44,6 +44,7 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None
 
+_LOG = logging.getLogger(__name__)
 MANY = 20
 """Functions that a process compiles before it tells why nothing else happens"""
 PAUSE = 5.0
@@ -155,7 +156,7 @@ class Cache:
         Cache._made = 1 if now - Cache._last > PAUSE else Cache._made + 1
         Cache._last = now
         if Cache._made == MANY:
-            logging.getLogger(__name__).warning(
+            _LOG.warning(
                 "compiling for this machine, for a minute or two; later runs start at once"
             )
 
@@ -247,7 +248,7 @@ def _name_helpers() -> None:
 @functools.cache
 def _tell_once(text: str) -> None:
     """Log a warning, once in a process."""
-    logging.getLogger(__name__).warning(text)
+    _LOG.warning(text)
 
 
 def _wait_for(lock: int, place: int) -> None:

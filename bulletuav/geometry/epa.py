@@ -10,8 +10,10 @@ import math
 
 import numpy as np
 
+from bulletuav.deferred import deferred
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.minkowski import (
+    ANSWER,
     MOST_FACES,
     MOST_VERTICES,
     Turn,
@@ -284,6 +286,7 @@ def _foot_face(
     return best
 
 
+@deferred(ANSWER)
 @kernel
 def overlap(
     table: ShapeTable,

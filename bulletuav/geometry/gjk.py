@@ -8,9 +8,7 @@ Shapes that overlap: EPA. A half space is met in closed form.
 import math
 
 import numpy as np
-from numba import types
 
-from bulletuav.deferred import deferred
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.epa import overlap
 from bulletuav.geometry.minkowski import Turn as Turn
@@ -20,9 +18,6 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus
 from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.kernel import func, kernel
 
-_VECTOR = types.UniTuple(types.float64, 3)
-GAP = types.Tuple((types.float64, _VECTOR, _VECTOR, _VECTOR))
-"""Numba's type of what `gap` returns"""
 DUALITY_GAP = 1e-13
 """Difference of the bounds of a distance at which GJK is done, m"""
 TOUCH_CORE = 1e-9
@@ -254,22 +249,6 @@ def gap(
     """
     if table.kind[b] == HALF_SPACE:
         return _over_plane(table, a, turn_a, turn_b, offset)
-    return _solids_gap(table, a, turn_a, b, turn_b, offset, guess, room)
-
-
-@deferred(GAP)
-@kernel
-def _solids_gap(
-    table: ShapeTable,
-    a: int,
-    turn_a: Turn,
-    b: int,
-    turn_b: Turn,
-    offset: Vec3,
-    guess: Vec3,
-    room: np.ndarray,
-) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Do what `gap` does where neither shape is a half space."""
     # Begin with the guess, or from centre to centre
     d = guess
     if dot(d, d) == 0.0:

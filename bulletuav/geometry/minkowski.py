@@ -9,12 +9,16 @@ far from the world's origin. Scratch is an array of rows, the same for all funct
 """
 
 import numpy as np
+from numba import types
 
 from bulletuav.geometry.convex import ShapeTable, support
 from bulletuav.geometry.rotation import Vec3, Vec3Like, dot
 from bulletuav.geometry.shapes import SPHERE
 from bulletuav.kernel import func
 
+_VECTOR = types.UniTuple(types.float64, 3)
+ANSWER = types.Tuple((types.float64, _VECTOR, _VECTOR, _VECTOR))
+"""Numba's type of a signed distance, its direction and the nearest points"""
 Turn = tuple[Vec3, Vec3, Vec3]
 """Columns of a rotation matrix, body to world, as `rotation.axes` gives."""
 MOST_VERTICES = 64

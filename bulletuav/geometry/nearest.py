@@ -14,8 +14,8 @@ import numpy as np
 from bulletuav.deferred import deferred
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.direction import Feature, along_crossing, ends, newton_step, off
-from bulletuav.geometry.gjk import DUALITY_GAP, GAP, TOUCH_CORE, gap
-from bulletuav.geometry.minkowski import Turn, far_point, swell, turned_back
+from bulletuav.geometry.gjk import DUALITY_GAP, TOUCH_CORE, gap
+from bulletuav.geometry.minkowski import ANSWER, Turn, far_point, swell, turned_back
 from bulletuav.geometry.rotation import Vec3, cross, dot, minus, plus
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE
 from bulletuav.kernel import func, kernel
@@ -265,6 +265,7 @@ def _between(
     return least - swell_a - swell_b, d, plus(on_a, -swell_a, d), plus(on_b, swell_b, d)
 
 
+@deferred(ANSWER)
 @kernel
 def direct(
     table: ShapeTable,
@@ -324,22 +325,6 @@ def nearest(
     """
     if table.kind[b] == HALF_SPACE:
         return gap(table, a, turn_a, b, turn_b, offset, guess, room)
-    return _solids_nearest(table, a, turn_a, b, turn_b, offset, guess, room)
-
-
-@deferred(GAP)
-@kernel
-def _solids_nearest(
-    table: ShapeTable,
-    a: int,
-    turn_a: Turn,
-    b: int,
-    turn_b: Turn,
-    offset: Vec3,
-    guess: Vec3,
-    room: np.ndarray,
-) -> Answer:
-    """Do what `nearest` does where neither shape is a half space."""
     d = guess
     if dot(d, d) == 0.0:
         d = (-offset[0], -offset[1], -offset[2])
