@@ -5,6 +5,7 @@ heap go on from substep to substep until nothing moves (warm starting: E. Catto,
 with temporal coherence, 2005).
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -110,9 +111,15 @@ def note(
     size: int,
     rest: float,
 ) -> None:
-    """Remember the impulses of an island; arguments as those of `recall`."""
+    """Remember the impulses of an island, as far as its forces may need them again.
+
+    What stopped an impact does not hold in the next substep. Arguments as those of `recall`.
+    """
+    most = 0.0
     for m in range(members):
         i = island[m]
+        push = vector(motions[i].push)
+        most = max(most, members * math.sqrt(dot(push, push)) / motions[i].lightness)
         if is_spent(motions[i]):
             # What held it while forces acted will do so again
             for k in range(memory.number[w, i]):
@@ -128,7 +135,11 @@ def note(
             continue
         row = memory.rows[w, point.a, count]
         turn = quaternion_of(motions[point.a])
-        normal, one, two = point.impulse[0] / rest, point.impulse[1] / rest, point.impulse[2] / rest
+        share = 1.0 / rest
+        if share * point.impulse[0] > most:
+            share = most / point.impulse[0]
+        normal = share * point.impulse[0]
+        one, two = share * point.impulse[1], share * point.impulse[2]
         force = (
             normal * point.normal[0] + one * point.tangent[0, 0] + two * point.tangent[1, 0],
             normal * point.normal[1] + one * point.tangent[0, 1] + two * point.tangent[1, 1],

@@ -13,12 +13,14 @@ RADII = np.array([0.1, 0.1, 0.0, 0.0])
 IMPULSES = np.array([[3.0, 0.4, -0.2], [1.0, 0.0, 0.1]])
 
 
-def touching(arms, turn, others=(2, 2)):
-    """Points of drone 0 with others, after a turn about z."""
+def touching(arms, turn, others=(2, 2), force=9.0):
+    """Points of drone 0 with others, after a turn about z; a force acts on the drone, N s."""
     points = np.zeros(len(arms), dtype=POINT).view(np.recarray)
     pairs = np.zeros(len(arms), dtype=PAIR).view(np.recarray)
     motions = np.zeros(2, dtype=MOTION).view(np.recarray)
     motions.quaternion[:] = turn.as_quat()
+    motions.lightness[:] = 0.5
+    motions.push[:] = (0.0, 0.0, 0.5 * force)
     points.normal[:] = turn.apply([0, 0, 1])
     points.tangent[:] = turn.apply([1, 0, 0]), turn.apply([0, 1, 0])
     points.arm_a[:] = turn.apply(arms)
@@ -30,9 +32,9 @@ def touching(arms, turn, others=(2, 2)):
 ARMS = [(0.09, 0.0, 0.0), (-0.09, 0.0, 0.0)]
 
 
-def remembered(rest=1.0):
+def remembered(rest=1.0, force=9.0):
     """A memory of two points of drone 0 with shape 2."""
-    points, pairs, motions = touching(ARMS, Rotation.identity())
+    points, pairs, motions = touching(ARMS, Rotation.identity(), force=force)
     points.impulse[:] = IMPULSES
     memory = make_memory(1, 2)
     memory = memory._replace(rows=memory.rows.view(np.recarray))
@@ -57,6 +59,14 @@ def test_points_begin_with_what_they_had_wherever_the_drone_turned(angle):
 def test_impulses_go_with_the_time_that_is_left():
     found = taken(remembered(rest=0.5), *touching(ARMS, Rotation.identity()), rest=0.25)
     np.testing.assert_allclose(found, 0.5 * IMPULSES)
+
+
+@pytest.mark.parametrize("rest", [1.0, 0.25])
+def test_what_stopped_an_impact_is_remembered_as_far_as_forces_need_it(rest):
+    """No force of 1.5 N s can press with 3: the larger impulse is halved, with its friction."""
+    found = taken(remembered(rest, 1.5 / rest), *touching(ARMS, Rotation.identity()), rest=rest)
+    np.testing.assert_allclose(found, [0.5 * IMPULSES[0], IMPULSES[1]])
+    assert not taken(remembered(force=0.0), *touching(ARMS, Rotation.identity())).any()
 
 
 def test_what_is_far_or_touches_another_begins_with_nothing():
