@@ -35,6 +35,7 @@ POINT = np.dtype(
         ("slip", "f8", 3),
         ("mass", "f8"),
         ("grip", "f8", 4),
+        ("lift", "f8", 2),
         ("hold", "f8", (3, 3)),
         ("least", "f8"),
         ("axis", "f8", (3, 3)),
@@ -73,6 +74,7 @@ Attributes:
     mass: That the point feels along the normal, kg.
     grip: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22; and
         its least eigenvalue, kg.
+    lift: Velocities along the normal by unit impulses across, 1/kg.
     hold: Inverse of the symmetric 3 x 3 matrix of velocities by impulses, kg.
     least: Velocity along the normal that must be reached, m/s.
     axis: Unit vectors about which they do not turn freely: z of a, z of b, and the normal.
@@ -206,6 +208,7 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
     k01 = _yield_of(row, 0, 1, light)
     k02 = _yield_of(row, 0, 2, light)
     _set_hold(row, k00, k01, k02, k11, k12, k22)
+    row.lift[0], row.lift[1] = k01, k02
     row.mass = 1.0 / k00
     scale = 1.0 / (k11 * k22 - k12 * k12)
     row.grip[0] = k22 * scale

@@ -41,6 +41,8 @@ WORK = 10_000
 """Visits of points that a large island gets, unless that is less than `FEWEST` sweeps"""
 WORK_A_SECOND = 3_000_000
 """The same over the length of the substep, if that is more: forces do more in a longer one"""
+STEEP = 0.1
+"""Share of its yield that friction may leave to the normal of a point that slides"""
 CALM = 0.02
 """Spin below which tipping is not damped, rad/s"""
 FEWEST = 20
@@ -171,21 +173,59 @@ def _given(
 
 
 @func
+def _slide(
+    row: np.record,
+    motions: np.ndarray,
+    moving: Moving,
+) -> tuple[bool, Moving]:
+    """Stop a sliding point along its normal, with the friction that this presses out.
+
+    Friction is `friction` times the normal impulse, so that both are solved for at once; only its
+    direction, against the slip, is left to the next sweep. Tells whether the point slides.
+    """
+    along = speed_along(row, moving, 1, vector(row.tangent[0]))
+    across = speed_along(row, moving, 2, vector(row.tangent[1]))
+    first = row.impulse[1] - row.grip[3] * along
+    second = row.impulse[2] - row.grip[3] * across
+    size = math.sqrt(first * first + second * second)
+    if size <= row.friction * max(0.0, row.impulse[0]):
+        return False, moving
+    # Friction for each unit of the normal impulse
+    first *= row.friction / size
+    second *= row.friction / size
+    yields = 1.0 / row.mass + row.lift[0] * first + row.lift[1] * second
+    if yields < STEEP / row.mass:
+        return False, moving
+    missing = row.least - speed_along(row, moving, 0, vector(row.normal))
+    # What turns friction into that direction lifts, too
+    missing -= row.lift[0] * (row.impulse[0] * first - row.impulse[1])
+    missing -= row.lift[1] * (row.impulse[0] * second - row.impulse[2])
+    pressed = max(0.0, row.impulse[0] + missing / yields)
+    wanted = (pressed, pressed * first, pressed * second)
+    change = minus(wanted, vector(row.impulse))
+    put_vector(row.impulse, wanted)
+    row.slides = True
+    return True, _given(row, motions, moving, change)
+
+
+@func
 def _visit(row: np.record, motions: np.ndarray) -> None:
     """Let a point do what it has to, given what all others do; notes the change in `step`."""
     old = vector(row.impulse)
     moving = moving_at(row, motions)
-    sticks = False
+    done = False
     if row.friction > 0.0:
         pressed = old[0] != 0.0 or old[1] != 0.0 or old[2] != 0.0
         if pressed:
             moving = _resist_turning(row, motions, moving)
         # Who slid a moment ago will hardly stick
         if not row.slides:
-            sticks, moving = _stick(row, motions, moving)
-        if pressed and not sticks:
+            done, moving = _stick(row, motions, moving)
+        if not done:
+            done, moving = _slide(row, motions, moving)
+        if pressed and not done:
             moving = _rub(row, motions, moving)
-    if not sticks:
+    if not done:
         moving = _press(row, motions, moving)
     put_moving(row, motions, moving)
     put_vector(row.step, minus(vector(row.impulse), old))
