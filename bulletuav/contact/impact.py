@@ -18,7 +18,7 @@ from bulletuav.contact.points import (
     measure,
 )
 from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FIRM_IN_HEAPS, damp_tipping, keep, relax
-from bulletuav.contact.staying import STILL, end_forces, let_stay
+from bulletuav.contact.staying import STILL, carried, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.deferred import deferred
@@ -272,11 +272,16 @@ def push_apart(
     motions = space.motions
     members = gather(space, world, pairs, count, first, time)
     # A drone that took part in too many impacts stays: time does not go on for it
+    stays = False
     for m in range(members):
         motion = motions[space.island[m]]
         motion.impacts += 1
         if is_spent(motion):
             end_forces(motion, time)
+            stays = True
+    way = (0.0, 0.0, 0.0)
+    if stays:
+        way = carried(space, world, pairs, count, members, time)
     # Points of all pairs of the island that are in touch
     most = 0
     for p in range(count):
@@ -303,7 +308,8 @@ def push_apart(
         _tell_point(touches, space, world.w, points[k], other)
         if other < motions.shape[0] and motions[other].bears:
             _load(motions[other], points[k])
-    let_stay(space, world, pairs, count, members, time)
+    if stays:
+        let_stay(space, members, time, way)
     return members
 
 

@@ -13,11 +13,20 @@ from numba import types
 from bulletuav.contact.budgets import rest_budget
 from bulletuav.contact.impact import add_forces, push_apart
 from bulletuav.contact.island import join
-from bulletuav.contact.motion import aim, begin, finish, is_spent, put_vector, valid_until, vector
+from bulletuav.contact.motion import (
+    aim,
+    begin,
+    change_rates,
+    finish,
+    is_spent,
+    put_vector,
+    valid_until,
+    vector,
+)
 from bulletuav.contact.pairs import SLACK, collect, sweeps_apart
 from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.staying import halt
-from bulletuav.contact.touch import NEVER, touch_time
+from bulletuav.contact.touch import NEVER, TOUCH, touch_time
 from bulletuav.contact.touches import Touches
 from bulletuav.deferred import deferred
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
@@ -42,6 +51,32 @@ def _start_drone(
             space.motions[i].load[0, k] = space.motions[i].load[1, k] = 0.0
 
 
+@func
+def _is_over(
+    space: Workspace,
+    world: World,
+    pair: np.record,
+) -> bool:
+    """Tell whether time does not go on for a pair, as neither moves against the other.
+
+    Drones of too many impacts stay, unless an obstacle takes them along. Whoever that brings them
+    to goes along, too.
+    """
+    motions = space.motions
+    if not is_spent(motions[pair.a]):
+        return False
+    if pair.b < motions.shape[0] and not is_spent(motions[pair.b]):
+        return False
+    if world.stops:
+        return True
+    way, _ = change_rates(world.scenery, motions, world.w, pair.a, world.dt)
+    other, _ = change_rates(world.scenery, motions, world.w, pair.b, world.dt)
+    off = minus(way, other)
+    # It goes along with one obstacle alone
+    taken = pair.b >= motions.shape[0] and dot(way, way) > 0.0
+    return taken or dot(off, off) < TOUCH * TOUCH
+
+
 @kernel
 def _time_pair(
     space: Workspace,
@@ -51,14 +86,10 @@ def _time_pair(
 ) -> None:
     """Find when a pair touches next, from a time on."""
     motions = space.motions
-    # For drones of too many impacts time does not go on
-    over = is_spent(motions[pair.a])
-    if over and pair.b < motions.shape[0]:
-        over = is_spent(motions[pair.b])
     pair.time = NEVER
     pair.knot = False
     pair.near = False
-    if over:
+    if _is_over(space, world, pair):
         return
     if not sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
         pair.time, normal, pair.near = touch_time(

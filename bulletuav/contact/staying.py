@@ -42,13 +42,20 @@ def carried(
     world: World,
     pairs: np.ndarray,
     count: int,
+    members: int,
     time: float,
 ) -> Vec3:
     """Return how far an obstacle takes an island along in a substep that touched it, m.
 
-    Whoever stays goes along, even who has just parted from it: it comes after.
+    Whoever stays goes along, even who has just parted from it: it comes after. Those that go along
+    already take the others with them.
     """
     still = (0.0, 0.0, 0.0)
+    for m in range(members):
+        motion = space.motions[space.island[m]]
+        way, _ = change_rates(world.scenery, space.motions, world.w, space.island[m], world.dt)
+        if motion.impacts > MOST_IMPACTS and way != still:
+            return way
     for p in range(count):
         if space.motions[pairs[p].a].member and touching(pairs[p], time):
             way, _ = change_rates(world.scenery, space.motions, world.w, pairs[p].b, world.dt)
@@ -60,18 +67,15 @@ def carried(
 @func
 def let_stay(
     space: Workspace,
-    world: World,
-    pairs: np.ndarray,
-    count: int,
     members: int,
     time: float,
+    way: Vec3,
 ) -> None:
-    """Let those of an island stay that had too many impacts, or go along with an obstacle."""
+    """Let those of an island that had too many impacts stay, or go along a way (m a substep)."""
     for m in range(members):
         motion = space.motions[space.island[m]]
         if is_spent(motion):
             stay(motion)
-            way = carried(space, world, pairs, count, time)
             put_vector(motion.move, plus((0.0, 0.0, 0.0), 1.0 - time, way))
 
 
