@@ -42,8 +42,11 @@ ROUNDS = 4
 SECONDS = 10
 """Flight of which the rate of steps is measured, s"""
 RANDOM_SHARE = 0.6
-"""Least rate of random actions over that of hovering"""
-
+"""Least rate of random actions over that of hovering, where contacts end nothing"""
+ENDING_SHARE = 0.7
+"""The same where they do, and worlds begin anew"""
+DECISIONS = 600
+"""Decisions of which the latter rate is measured"""
 
 THROUGH = ("beyond", "depth")
 """What drones that stop are not asked of obstacles that move"""
@@ -236,6 +239,22 @@ def _step_rate(dynamics: str, hz: int, random: bool) -> float:
         aviary.close()
 
 
+def _ending_rate(dynamics: str, random: bool) -> float:
+    """Return environment steps a second of hover, 64 x 8, in which who crashes begins anew."""
+    rng = np.random.default_rng(0)
+    env = bulletuav.batch_env("hover", num_envs=64, num_drones=8, dynamics=dynamics)
+    try:
+        env.reset(seed=0)
+        shape = (DECISIONS, *env.aviary.given.shape)
+        actions = rng.uniform(-1, 1, shape) if random else np.zeros(shape)
+        env.step(actions[0])
+        compile_deferred()
+        spent = _seconds(lambda: [env.step(one) for one in actions])
+        return float(64 * DECISIONS / spent)
+    finally:
+        env.close()
+
+
 TABLES = {
     "landings": landings,
     "walls": walls,
@@ -259,6 +278,11 @@ def speeds() -> Iterator[Row]:
         calm, wild = (_step_rate(dynamics, hz, random) for random in (False, True))
         missed = {"rate": np.array([0])} if wild < RANDOM_SHARE * calm else {}
         title = f"random actions {dynamics} {hz} Hz"
+        yield title, f"{wild:.3g} of {calm:.3g} steps/s: {wild / calm:.2f}", missed
+    for dynamics in ("rigid_body", "bullet"):
+        calm, wild = (_ending_rate(dynamics, random) for random in (False, True))
+        missed = {"rate": np.array([0])} if wild < ENDING_SHARE * calm else {}
+        title = f"random actions {dynamics}, crashes begin anew"
         yield title, f"{wild:.3g} of {calm:.3g} steps/s: {wild / calm:.2f}", missed
 
 

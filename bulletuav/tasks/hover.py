@@ -1,5 +1,6 @@
 """Task `hover`: every drone reaches its own target and holds it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -7,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.geometry.rotation import exponential, point
-from bulletuav.kernel import kernel
+from bulletuav.kernel import func, kernel
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.config import TaskConfig
@@ -16,6 +17,8 @@ from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.starts import refuse_early_end
+
+SQRT_3 = math.sqrt(3.0)
 
 
 @dataclass(frozen=True)
@@ -70,13 +73,55 @@ def holding(
     return 1.0 if distance <= goal_radius and (landed or not land) else 0.0
 
 
+@func
+def between(share: float, limit: float) -> float:
+    """Turn a number from 0 to 1 into one between limits to either side, as NumPy draws it."""
+    return -limit + (limit - -limit) * share
+
+
 @kernel
-def _turn(rotation: np.ndarray, quaternion: np.ndarray) -> None:
-    """Write the attitudes (N, 4) of drones turned by rotations (N, 3), rad."""
-    for i in range(rotation.shape[0]):
-        turned = exponential(point(rotation, i))
-        for k in range(4):
-            quaternion[i, k] = turned[k]
+def _disturb(
+    offset: np.ndarray,
+    axis: np.ndarray,
+    disturbed: np.ndarray,
+    middle: np.ndarray,
+    most: tuple[float, float, float, float],
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    velocity: np.ndarray,
+    rates: np.ndarray,
+) -> None:
+    """Write the starts of N drones in W worlds.
+
+    Args:
+        offset: (W, N, 3) where they are about their middles, from 0 to 1.
+        axis: (W, N, 3) about what they are tilted, of any length.
+        disturbed: (W, 7 N) tilts, velocities and body rates, from 0 to 1.
+        middle: (N, 3) m.
+        most: Greatest offset on each axis (m), tilt (rad), speed (m/s) and body rate (rad/s).
+        position: (W, N, 3) written, m.
+        quaternion: (W, N, 4) written.
+        velocity: (W, N, 3) written, m/s.
+        rates: (W, N, 3) written, rad/s.
+    """
+    far, tilt, speed, rate = most
+    drones = middle.shape[0]
+    for w in range(offset.shape[0]):
+        for i in range(drones):
+            x, y, z = point(axis[w], i)
+            # A tilt about an axis of any direction
+            length = math.sqrt(x * x + y * y + z * z)
+            angle = tilt * disturbed[w, i]
+            turned = exponential((angle * (x / length), angle * (y / length), angle * (z / length)))
+            for k in range(4):
+                quaternion[w, i, k] = turned[k]
+            # Components up to the limit over sqrt(3), so that norms stay below it
+            for k in range(3):
+                position[w, i, k] = middle[i, k] + between(offset[w, i, k], far)
+                moving = disturbed[w, drones + 3 * i + k]
+                spinning = disturbed[w, 4 * drones + 3 * i + k]
+                velocity[w, i, k] = between(moving, 1.0) / SQRT_3 * speed
+                rates[w, i, k] = between(spinning, 1.0) / SQRT_3 * rate
 
 
 @register("task")
@@ -229,23 +274,19 @@ class Hover(Task[HoverConfig]):
             rng.random(out=rows[0])
             rng.standard_normal(out=rows[1])
             rng.random(out=rows[2])
-        position = self._middle + between(offset, config.start_offset)
-        # Attitude: a tilt about an axis of any direction.
-        axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
-        angle = np.radians(config.start_tilt) * disturbed[:, :drones, None]
+        most = (
+            float(config.start_offset),
+            math.radians(config.start_tilt),
+            float(config.start_speed),
+            float(config.start_rates),
+        )
+        position, velocity, rates, goal = np.empty((4, *shape))
         quaternion = np.empty((*shape[:2], 4))
-        _turn((angle * axis).reshape(-1, 3), quaternion.reshape(-1, 4))
-        # Velocity and rates: components up to the limit over sqrt(3), so that norms stay below it.
-        motion = between(disturbed[:, drones:].reshape(len(rngs), 2, drones, 3), 1.0) / np.sqrt(3)
-        velocity, rates = motion[:, 0] * config.start_speed, motion[:, 1] * config.start_rates
-        goal = np.broadcast_to(self.target, shape).copy()
+        starts = (position, quaternion, velocity, rates)
+        _disturb(offset, axis, disturbed, self._middle, most, *starts)
+        goal[:] = self.target
         parts = zip(position, goal, velocity, quaternion, rates, strict=True)
         return [
             Spawn(position=one, goal=two, velocity=three, quaternion=four, rates=five)
             for one, two, three, four, five in parts
         ]
-
-
-def between(share: np.ndarray, limit: float) -> np.ndarray:
-    """Turn numbers from 0 to 1 into numbers between limits to either side, as NumPy draws them."""
-    return -limit + (limit - -limit) * share
