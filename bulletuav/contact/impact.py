@@ -271,7 +271,7 @@ def push_apart(
     """
     motions = space.motions
     members = gather(space, world, pairs, count, first, time)
-    # A drone that took part in too many impacts stays: time does not go on for it
+    # A drone that took part in too many impacts does not move by itself until the next substep
     stays = False
     for m in range(members):
         motion = motions[space.island[m]]

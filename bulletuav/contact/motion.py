@@ -31,7 +31,7 @@ from bulletuav.vehicle.wrench import free_rates
 FAR_TURN = 0.5
 """Angle by which a drone turns about one axis at most, rad; then it takes another"""
 MOST_IMPACTS = 16
-"""Impacts of a drone in a substep, after which it stays where it is until the next"""
+"""Impacts of a drone in a substep, after which it stays, or goes along with an obstacle"""
 SHORTEST_LEG = 1.0 / 64.0
 """Share of the substep that it flies on at least, however fast it turns"""
 
@@ -244,7 +244,7 @@ def aim(
 
 @func
 def is_spent(motion: np.record) -> bool:
-    """Tell whether a drone took part in too many impacts, so that time does not go on for it."""
+    """Tell whether a drone took part in too many impacts, so that it does not move by itself."""
     spent: bool = motion.impacts >= MOST_IMPACTS
     return spent
 

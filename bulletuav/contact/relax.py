@@ -41,8 +41,6 @@ WORK = 10_000
 """Visits of points that a large island gets, unless that is less than `FEWEST` sweeps"""
 WORK_A_SECOND = 3_000_000
 """The same over the length of the substep, if that is more: forces do more in a longer one"""
-STEEP = 0.1
-"""Share of its yield that friction may leave to the normal of a point that slides"""
 CALM = 0.02
 """Spin below which tipping is not damped, rad/s"""
 FEWEST = 20
@@ -178,9 +176,9 @@ def _slide(
     motions: np.ndarray,
     moving: Moving,
 ) -> tuple[bool, Moving]:
-    """Stop a sliding point along its normal, with the friction that this presses out.
+    """Stop a sliding point along its normal, with the friction that the normal impulse allows.
 
-    Friction is `friction` times the normal impulse, so that both are solved for at once; only its
+    Friction is `friction` times the normal impulse, so that both are solved for at once. Only its
     direction, against the slip, is left to the next sweep. Tells whether the point slides.
     """
     along = speed_along(row, moving, 1, vector(row.tangent[0]))
@@ -193,9 +191,8 @@ def _slide(
     # Friction for each unit of the normal impulse
     first *= row.friction / size
     second *= row.friction / size
-    yields = 1.0 / row.mass + row.lift[0] * first + row.lift[1] * second
-    if yields < STEEP / row.mass:
-        return False, moving
+    # Less where friction presses, but such a point would do more than others bear
+    yields = 1.0 / row.mass + max(0.0, row.lift[0] * first + row.lift[1] * second)
     missing = row.least - speed_along(row, moving, 0, vector(row.normal))
     # What turns friction into that direction lifts, too
     missing -= row.lift[0] * (row.impulse[0] * first - row.impulse[1])
@@ -209,8 +206,11 @@ def _slide(
 
 
 @func
-def _visit(row: np.record, motions: np.ndarray) -> None:
-    """Let a point do what it has to, given what all others do; notes the change in `step`."""
+def _visit(row: np.record, motions: np.ndarray, at_once: bool) -> None:
+    """Let a point do what it has to, given what all others do; notes the change in `step`.
+
+    Where it slides, normal impulse and friction are found at once, or one after the other.
+    """
     old = vector(row.impulse)
     moving = moving_at(row, motions)
     done = False
@@ -221,7 +221,7 @@ def _visit(row: np.record, motions: np.ndarray) -> None:
         # Who slid a moment ago will hardly stick
         if not row.slides:
             done, moving = _stick(row, motions, moving)
-        if not done:
+        if not done and at_once:
             done, moving = _slide(row, motions, moving)
         if pressed and not done:
             moving = _rub(row, motions, moving)
@@ -293,17 +293,20 @@ def relax(
     most = max(FEWEST, min(SWEEPS, work // max(1, count)))
     before = 0.0
     least = math.inf
+    at_once = True
     for sweep in range(most):
         change = 0.0
         square = 0.0
         for k in range(count):
             row = points[k]
-            _visit(row, motions)
+            _visit(row, motions, at_once)
             step = vector(row.step)
             change = max(change, (abs(step[1]) + abs(step[2])) / row.mass, abs(step[0]) / row.mass)
             square += dot(step, step)
         if change <= firm * fastest:
             return sweep + 1
+        # Points that are wedged may drive each other on by their friction
+        at_once = at_once and square <= GROWTH * least
         if sweep > 0 and sweep + 1 < most:
             share = square / before
             anew = share > 1.0

@@ -57,10 +57,11 @@ def _is_over(
     world: World,
     pair: np.record,
 ) -> bool:
-    """Tell whether time does not go on for a pair, as neither moves against the other.
+    """Tell whether a pair is not asked any more when it touches.
 
-    Drones of too many impacts stay, unless an obstacle takes them along. Whoever that brings them
-    to goes along, too.
+    Drones of too many impacts stay, or go along with an obstacle, and take along those of them that
+    they come to. So such pairs are over unless one moves against the other. Who goes along with an
+    obstacle is asked for no other one.
     """
     motions = space.motions
     if not is_spent(motions[pair.a]):
@@ -72,8 +73,7 @@ def _is_over(
     way, _ = change_rates(world.scenery, motions, world.w, pair.a, world.dt)
     other, _ = change_rates(world.scenery, motions, world.w, pair.b, world.dt)
     off = minus(way, other)
-    # It goes along with one obstacle alone
-    taken = pair.b >= motions.shape[0] and dot(way, way) > 0.0
+    taken = pair.b >= motions.shape[0] and way != (0.0, 0.0, 0.0)
     return taken or dot(off, off) < TOUCH * TOUCH
 
 

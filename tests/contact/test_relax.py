@@ -8,19 +8,26 @@ from scipy.spatial.transform import Rotation
 from bulletuav.contact.impulses import POINT, set_ease
 from bulletuav.contact.motion import MOTION
 from bulletuav.contact.points import fill
-from bulletuav.contact.relax import FIRM, SWEEPS, relax
+from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, SWEEPS, relax
 from bulletuav.kernel import kernel
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
 
 HITS = 300
+STILL = (0.0, 0.0, 0.0)
 
 
 @kernel
 def prepare(motions, points, row, surface):
-    """Fill in a point of drone 0 as contacts do."""
+    """Fill in points of drone 0 as contacts do."""
     set_ease(motions[0], row)
-    fill(motions, points[0], surface)
+    for k in range(points.shape[0]):
+        fill(motions, points[k], surface)
+
+
+def touches(friction):
+    """What a surface is that does not move: see `Surface`."""
+    return (0, -1, STILL, friction, 0.0, 0.0, STILL, (0.0, 0.0, 1.0))
 
 
 def hit(airframe, friction, seed):
@@ -36,9 +43,7 @@ def hit(airframe, friction, seed):
     out = np.array([0.0, 0.0, -1.0]) + axis[2] * axis
     out *= radius / np.linalg.norm(out)
     points.arm_a[0], points.normal[0] = out - half * np.sign(axis[2]) * axis, (0, 0, 1)
-    still = (0.0, 0.0, 0.0)
-    surface = (0, -1, still, friction, 0.0, 0.0, still, (0.0, 0.0, 1.0))
-    prepare(motions, points, parameter_rows([found], [])[0], surface)
+    prepare(motions, points, parameter_rows([found], [])[0], touches(friction))
     sweeps = relax(points, 1, motions, 1 / 240, FIRM)
     return points[0], motions[0], sweeps
 
@@ -72,8 +77,39 @@ def test_a_point_parts_sticks_or_slides_against_its_slip(airframe, friction):
     assert ends.count("slides") > 30
 
 
+@pytest.mark.parametrize("count", [2, 4, 6])
+@pytest.mark.parametrize("friction", [0.7, 1.0, 2.0])
+def test_energy_of_a_drone_that_is_wedged_does_not_grow(friction, count):
+    """Points drive each other on by their friction there; with seeds over 100 they did."""
+    found = load_airframe("cf2x")
+    row = parameter_rows([found], [])[0]
+    radius, _, half = found.shape.half
+    for seed in (*range(100), 929, 1039, 1473):
+        rng = np.random.default_rng(seed)
+        points = np.zeros(count, dtype=POINT).view(np.recarray)
+        motions = np.zeros(1, dtype=MOTION).view(np.recarray)
+        turn = Rotation.from_quat(random_attitudes(rng, 1)[0])
+        motions.quaternion[0] = turn.as_quat()
+        motions.velocity[0], motions.spin[0] = rng.normal(0, 1, 3), rng.normal(0, 10, 3)
+        for k in range(count):
+            # Normals lean between the axis and the radius, as those of a rim may
+            angle, lean, side = rng.uniform(0, 6.3), rng.uniform(0, 1.6), rng.choice([-1, 1])
+            out, up = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, side])
+            points.arm_a[k] = turn.apply(radius * out + half * up)
+            points.normal[k] = turn.apply(-np.cos(lean) * out - np.sin(lean) * up)
+
+        def energy(motions=motions, turn=turn):
+            rates = turn.inv().apply(motions.spin[0])
+            return row["mass"] * (motions.velocity[0] ** 2).sum() + row["inertia"] @ rates**2
+
+        prepare(motions, points, row, touches(friction))
+        before = energy()
+        relax(points, count, motions, 1 / 240, FIRM_ENOUGH)
+        assert energy() <= 1.001 * before
+
+
 def test_friction_that_presses_harder_than_it_slows_is_found_too():
-    """There the normal hardly yields to both: they are solved for one after the other."""
+    """There the normal hardly yields to both together."""
     ends = [outcome("cf2x", 2.0, seed) for seed in range(HITS)]
     assert ends.count("slides") + ends.count("sticks") > 0.5 * HITS
     assert "open" not in ends
