@@ -11,6 +11,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -274,16 +275,19 @@ def speeds() -> Iterator[Row]:
     ):
         missed = {"time": np.array([0])} if cost > most else {}
         yield title, f"{cost:.2f} us, at most {most:g}", missed
-    for dynamics, hz in product(("rigid_body", "bullet"), (48, 10)):
-        calm, wild = (_step_rate(dynamics, hz, random) for random in (False, True))
-        missed = {"rate": np.array([0])} if wild < RANDOM_SHARE * calm else {}
-        title = f"random actions {dynamics} {hz} Hz"
-        yield title, f"{wild:.3g} of {calm:.3g} steps/s: {wild / calm:.2f}", missed
-    for dynamics in ("rigid_body", "bullet"):
-        calm, wild = (_ending_rate(dynamics, random) for random in (False, True))
-        missed = {"rate": np.array([0])} if wild < ENDING_SHARE * calm else {}
-        title = f"random actions {dynamics}, crashes begin anew"
-        yield title, f"{wild:.3g} of {calm:.3g} steps/s: {wild / calm:.2f}", missed
+    flights: list[tuple[str, Callable[[bool], float], float]] = [
+        (f"{dynamics} {hz} Hz", partial(_step_rate, dynamics, hz), RANDOM_SHARE)
+        for dynamics, hz in product(("rigid_body", "bullet"), (48, 10))
+    ]
+    flights += [
+        (f"{dynamics}, crashes begin anew", partial(_ending_rate, dynamics), ENDING_SHARE)
+        for dynamics in ("rigid_body", "bullet")
+    ]
+    for what, rate, share in flights:
+        calm, wild = rate(False), rate(True)
+        missed = {"rate": np.array([0])} if wild < share * calm else {}
+        figures = f"{wild:.3g} of {calm:.3g} steps/s: {wild / calm:.2f}"
+        yield f"random actions {what}", figures, missed
 
 
 def report(rows: Iterator[Row]) -> int:

@@ -308,8 +308,7 @@ def push_apart(
         _tell_point(touches, space, world.w, points[k], other)
         if other < motions.shape[0] and motions[other].bears:
             _load(motions[other], points[k])
-    if stays:
-        let_stay(space, members, time, way)
+    let_stay(space, members, time, way)
     return members
 
 

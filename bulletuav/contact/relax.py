@@ -48,6 +48,18 @@ FEWEST = 20
 
 
 @func
+def _against(
+    row: np.record,
+    along: float,
+    across: float,
+) -> tuple[float, float, float]:
+    """Return friction along the tangents that grows against a slip (m/s), and its size, N s."""
+    first = row.impulse[1] - row.grip[3] * along
+    second = row.impulse[2] - row.grip[3] * across
+    return first, second, math.sqrt(first * first + second * second)
+
+
+@func
 def _rub(
     row: np.record,
     motions: np.ndarray,
@@ -66,9 +78,7 @@ def _rub(
     row.slides = False
     if size > most:
         # More than the normal impulse allows: as much as it does, against the slip
-        first = row.impulse[1] - row.grip[3] * along
-        second = row.impulse[2] - row.grip[3] * across
-        size = math.sqrt(first * first + second * second)
+        first, second, size = _against(row, along, across)
         if size > most:
             row.slides = True
             first *= most / size
@@ -183,9 +193,7 @@ def _slide(
     """
     along = speed_along(row, moving, 1, vector(row.tangent[0]))
     across = speed_along(row, moving, 2, vector(row.tangent[1]))
-    first = row.impulse[1] - row.grip[3] * along
-    second = row.impulse[2] - row.grip[3] * across
-    size = math.sqrt(first * first + second * second)
+    first, second, size = _against(row, along, across)
     if size <= row.friction * max(0.0, row.impulse[0]):
         return False, moving
     # Friction for each unit of the normal impulse

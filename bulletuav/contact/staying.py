@@ -52,10 +52,12 @@ def carried(
     """
     still = (0.0, 0.0, 0.0)
     for m in range(members):
-        motion = space.motions[space.island[m]]
-        way, _ = change_rates(world.scenery, space.motions, world.w, space.island[m], world.dt)
-        if motion.impacts > MOST_IMPACTS and way != still:
-            return way
+        i = space.island[m]
+        # Who stays since an impact before this one
+        if space.motions[i].impacts > MOST_IMPACTS:
+            way, _ = change_rates(world.scenery, space.motions, world.w, i, world.dt)
+            if way != still:
+                return way
     for p in range(count):
         if space.motions[pairs[p].a].member and touching(pairs[p], time):
             way, _ = change_rates(world.scenery, space.motions, world.w, pairs[p].b, world.dt)

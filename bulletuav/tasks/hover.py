@@ -8,11 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.geometry.rotation import exponential, point
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, too_far
+from bulletuav.tasks.families.draws import between
 from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import end, reward
@@ -73,12 +74,6 @@ def holding(
     return 1.0 if distance <= goal_radius and (landed or not land) else 0.0
 
 
-@func
-def between(share: float, limit: float) -> float:
-    """Turn a number from 0 to 1 into one between limits to either side, as NumPy draws it."""
-    return -limit + (limit - -limit) * share
-
-
 @kernel
 def _disturb(
     offset: np.ndarray,
@@ -117,11 +112,11 @@ def _disturb(
                 quaternion[w, i, k] = turned[k]
             # Components up to the limit over sqrt(3), so that norms stay below it
             for k in range(3):
-                position[w, i, k] = middle[i, k] + between(offset[w, i, k], far)
+                position[w, i, k] = middle[i, k] + between(offset[w, i, k], -far, far)
                 moving = disturbed[w, drones + 3 * i + k]
                 spinning = disturbed[w, 4 * drones + 3 * i + k]
-                velocity[w, i, k] = between(moving, 1.0) / SQRT_3 * speed
-                rates[w, i, k] = between(spinning, 1.0) / SQRT_3 * rate
+                velocity[w, i, k] = between(moving, -1.0, 1.0) / SQRT_3 * speed
+                rates[w, i, k] = between(spinning, -1.0, 1.0) / SQRT_3 * rate
 
 
 @register("task")

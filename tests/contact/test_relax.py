@@ -30,15 +30,21 @@ def touches(friction):
     return (0, -1, STILL, friction, 0.0, 0.0, STILL, (0.0, 0.0, 1.0))
 
 
-def hit(airframe, friction, seed):
-    """Let the lowest point of a drone's rim hit the ground; gives point, drone and sweeps."""
-    found, rng = load_airframe(airframe), np.random.default_rng(seed)
+def tumbling(rng, count):
+    """A drone that moves at random, with points that are not filled in; gives its attitude, too."""
     motions = np.zeros(1, dtype=MOTION).view(np.recarray)
-    points = np.zeros(1, dtype=POINT).view(np.recarray)
+    points = np.zeros(count, dtype=POINT).view(np.recarray)
     turn = Rotation.from_quat(random_attitudes(rng, 1)[0])
     motions.quaternion[0] = turn.as_quat()
-    motions.velocity[0] = rng.normal(0.0, 1.0, 3) - (0.0, 0.0, 1.0)
-    motions.spin[0] = rng.normal(0.0, 10.0, 3)
+    motions.velocity[0], motions.spin[0] = rng.normal(0, 1, 3), rng.normal(0, 10, 3)
+    return motions, points, turn
+
+
+def hit(airframe, friction, seed):
+    """Let the lowest point of a drone's rim hit the ground; gives point, drone and sweeps."""
+    found = load_airframe(airframe)
+    motions, points, turn = tumbling(np.random.default_rng(seed), 1)
+    motions.velocity[0, 2] -= 1.0
     axis, (radius, _, half) = turn.apply([0, 0, 1]), found.shape.half
     out = np.array([0.0, 0.0, -1.0]) + axis[2] * axis
     out *= radius / np.linalg.norm(out)
@@ -86,11 +92,7 @@ def test_energy_of_a_drone_that_is_wedged_does_not_grow(friction, count):
     radius, _, half = found.shape.half
     for seed in (*range(100), 929, 1039, 1473):
         rng = np.random.default_rng(seed)
-        points = np.zeros(count, dtype=POINT).view(np.recarray)
-        motions = np.zeros(1, dtype=MOTION).view(np.recarray)
-        turn = Rotation.from_quat(random_attitudes(rng, 1)[0])
-        motions.quaternion[0] = turn.as_quat()
-        motions.velocity[0], motions.spin[0] = rng.normal(0, 1, 3), rng.normal(0, 10, 3)
+        motions, points, turn = tumbling(rng, count)
         for k in range(count):
             # Normals lean between the axis and the radius, as those of a rim may
             angle, lean, side = rng.uniform(0, 6.3), rng.uniform(0, 1.6), rng.choice([-1, 1])

@@ -49,11 +49,20 @@ def _next(
 
 
 @func
+def between(
+    share: float,
+    low: float,
+    high: float,
+) -> float:
+    """Turn a number in [0, 1) into one between limits, as `Generator.uniform` does."""
+    return low + (high - low) * share
+
+
+@func
 def uniform(
     source: Source,
     low: float,
     high: float,
 ) -> float:
     """Draw what `Generator.uniform(low, high)` draws."""
-    drawn: float = _next(source[0], source[1])
-    return low + (high - low) * drawn
+    return between(_next(source[0], source[1]), low, high)
