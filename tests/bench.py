@@ -1,6 +1,7 @@
 """A test bench: one kind of dynamics with a swarm of its own, without a task."""
 
 import numpy as np
+import pytest
 
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
@@ -9,7 +10,7 @@ from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.dynamics.base import Flight
 from bulletuav.engine.engine import Engine
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
-from bulletuav.vehicle.airframes import load_airframe
+from bulletuav.vehicle.airframes import available_airframes, load_airframe
 from bulletuav.vehicle.parameters import USUAL_EFFECTS, parameter_rows
 from bulletuav.vehicle.swarm import Motion, Swarm
 
@@ -20,6 +21,19 @@ FLIGHTS = [
     if contacts != "bullet"
 ]
 """Dynamics, each with all that contacts can do in it but for the engine's own"""
+
+
+def ranges(shots):
+    """Give parameters of ranges: airframes, flights, and numbers of shots.
+
+    Each airframe flies in two of them, and each flight with two airframes or more. All of them
+    together have 1,000 shots each, which takes long.
+    """
+    for k, airframe in enumerate(available_airframes()):
+        for j, flight in enumerate(FLIGHTS):
+            if (j - k) % len(FLIGHTS) in (0, 3):
+                yield pytest.param(airframe, *flight, shots)
+            yield pytest.param(airframe, *flight, 1000, marks=pytest.mark.slow)
 
 
 def rims(airframe):

@@ -81,7 +81,7 @@ def test_random_head_on_shots_never_pass(make_bench, dynamics, contacts):
     Stopped, they never overlap. Pushed apart, they sink by less than half a millimetre at closing
     speeds of up to 80 m/s, and keep the sum of their momenta.
     """
-    worlds = 150
+    worlds = 60
     bench = make_bench(
         dynamics,
         worlds=worlds,

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench import FLIGHTS, rims
+from bench import FLIGHTS, ranges, rims
 from scipy.spatial.transform import Rotation
 
 import bulletuav
@@ -107,9 +107,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots, contacts):
     return bench
 
 
-@pytest.mark.parametrize("shots", [20, pytest.param(1000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("dynamics", "contacts"), FLIGHTS)
-@pytest.mark.parametrize("airframe", bulletuav.available_airframes())
+@pytest.mark.parametrize(("airframe", "dynamics", "contacts", "shots"), ranges(20))
 def test_no_shot_passes(make_bench, airframe, dynamics, contacts, shots):
     """Every touch is told, no drone passes, and none overlaps its body at any time."""
     bench = range_of_shots(make_bench, dynamics, airframe, shots, contacts)

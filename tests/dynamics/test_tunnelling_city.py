@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from bench import FLIGHTS, rims
+from bench import ranges, rims
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.geometry.solids import Solids
 from bulletuav.vehicle.swarm import CITY
@@ -121,9 +120,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots, contacts):
     return bench.place()
 
 
-@pytest.mark.parametrize("shots", [18, pytest.param(1000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("dynamics", "contacts"), FLIGHTS)
-@pytest.mark.parametrize("airframe", bulletuav.available_airframes())
+@pytest.mark.parametrize(("airframe", "dynamics", "contacts", "shots"), ranges(18))
 def test_no_shot_passes(make_bench, airframe, dynamics, contacts, shots):
     """No drone's centre gets into a piece on its way, and no part of it at the end of a substep.
 

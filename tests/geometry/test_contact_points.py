@@ -191,7 +191,7 @@ def test_of_too_many_points_some_from_all_around_are_kept():
 @pytest.mark.parametrize("pair", list(itertools.product(SOLID, NAMES)), ids="-".join)
 def test_random_contacts_are_sensible(pair):
     rng = np.random.default_rng(1)
-    turns = Rotation.random(60, random_state=rng), Rotation.random(60, random_state=rng)
+    turns = Rotation.random(25, random_state=rng), Rotation.random(25, random_state=rng)
     a, b = (SHAPES[name] for name in pair)
     for turn_a, turn_b in zip(*turns, strict=True):
         lean = Rotation.from_rotvec(rng.normal(size=3) * 10 ** rng.uniform(-6, 0))
