@@ -107,7 +107,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots, contacts):
     return bench
 
 
-@pytest.mark.parametrize(("airframe", "dynamics", "contacts", "shots"), ranges(20))
+@pytest.mark.parametrize(("airframe", "dynamics", "contacts", "shots"), list(ranges(20)))
 def test_no_shot_passes(make_bench, airframe, dynamics, contacts, shots):
     """Every touch is told, no drone passes, and none overlaps its body at any time."""
     bench = range_of_shots(make_bench, dynamics, airframe, shots, contacts)

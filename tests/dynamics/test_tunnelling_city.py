@@ -120,7 +120,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots, contacts):
     return bench.place()
 
 
-@pytest.mark.parametrize(("airframe", "dynamics", "contacts", "shots"), ranges(18))
+@pytest.mark.parametrize(("airframe", "dynamics", "contacts", "shots"), list(ranges(18)))
 def test_no_shot_passes(make_bench, airframe, dynamics, contacts, shots):
     """No drone's centre gets into a piece on its way, and no part of it at the end of a substep.
 
