@@ -93,6 +93,7 @@ def rest_budget(
     alive: np.ndarray,
     budget: np.ndarray,
     turns: np.ndarray,
+    order: np.ndarray,
     w: int,
     i: int,
 ) -> None:
@@ -104,6 +105,7 @@ def rest_budget(
         alive: (W, N) bool, drones that can be touched.
         budget: (W, N) m; that of drone i is set, and those of others are lowered where i is near.
         turns: (W, N) bool; for drone i it is set whether its turns count, too.
+        order: (N,) drones of the world by place: whoever comes first takes first.
         w: The world.
         i: The drone.
     """
@@ -133,7 +135,8 @@ def rest_budget(
                     least = min(least, distance - own)
     # What is between two drones is for both, more of it for the faster one
     pace = _pace(swarm, w, i)
-    for j in range(alive.shape[1]):
+    for rank in range(order.shape[0]):
+        j = order[rank]
         if j != i and alive[w, j]:
             gap = minus(vec3(swarm.position, w, j), here)
             left = math.sqrt(dot(gap, gap)) - own - scenery.table.radius[j]

@@ -17,7 +17,15 @@ from bulletuav.contact.points import (
     add_points,
     measure,
 )
-from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FIRM_IN_HEAPS, damp_tipping, keep, relax
+from bulletuav.contact.relax import (
+    FIRM,
+    FIRM_ENOUGH,
+    FIRM_IN_HEAPS,
+    damp_tipping,
+    keep,
+    relax,
+    reopen,
+)
 from bulletuav.contact.staying import STILL, carried, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
@@ -194,7 +202,10 @@ def _hold(
     for trial in range(FORESIGHT + 1):
         if trial == 0:
             recall(memory, motions, radii, world.w, points, pairs, size, 1.0 - time)
-        relax(points, size, motions, world.dt, firm, trial == 0)
+        shares = trial > 0 and (slow or members > 1)
+        if shares:
+            reopen(points, size)
+        relax(points, size, motions, world.dt, firm, trial == 0, shares)
         if trial == 0:
             island = space.island
             note(memory, motions, world.w, island, members, points, pairs, size, 1.0 - time)

@@ -196,6 +196,7 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
         row.total[k] = 0.0
         row.former[k] = 0.0
         row.impulse[k] = 0.0
+        row.roll[k] = 0.0
     light = motions[row.a].lightness
     _set_levers(motions[row.a], vector(row.arm_a), normal, row, row.lever_a, row.swing_a)
     if row.b >= 0:

@@ -268,6 +268,7 @@ def relax(
     dt: float,
     firm: float,
     warm: bool = False,
+    again: bool = False,
 ) -> int:
     """Sweep over points until none closes faster than it may.
 
@@ -279,6 +280,7 @@ def relax(
         firm: Change of velocity below which a sweep changes nothing, as share of the greatest one
             or 1 m/s.
         warm: Whether impulses start from those that are there, instead of zero.
+        again: Whether impulses go on from those that are there, which act already.
 
     Returns:
         The number of sweeps.
@@ -286,9 +288,11 @@ def relax(
     fastest = 1.0
     for k in range(count):
         row = points[k]
-        put_vector(row.roll, (0.0, 0.0, 0.0))
         put_vector(row.way, (0.0, 0.0, 0.0))
         row.slides = False
+        if again:
+            continue
+        put_vector(row.roll, (0.0, 0.0, 0.0))
         if warm:
             start = moving_at(row, motions)
             put_moving(row, motions, _given(row, motions, start, vector(row.impulse)))
@@ -373,6 +377,15 @@ def damp_tipping(
             _spin_up(motions[row.b], twist, -1.0)
         acts = True
     return acts
+
+
+@kernel
+def reopen(points: np.ndarray, count: int) -> None:
+    """Take the impulses since `remember_before` from the totals, to be found again."""
+    for k in range(count):
+        for m in range(3):
+            points[k].impulse[m] = points[k].total[m] - points[k].former[m]
+            points[k].total[m] = points[k].former[m]
 
 
 @kernel

@@ -389,8 +389,10 @@ def resolve(
     for i in range(changed.shape[1]):
         if changed[w, i]:
             finish(space.motions[i], end, w, i, world.parameters[w, i])
-    for i in range(changed.shape[1]):
+    order = space.order
+    for rank in range(order.shape[0]):
+        i = order[rank]
         if space.motions[i].due and world.alive[w, i]:
-            rest_budget(world.scenery, end, world.alive, budget, turns, w, i)
+            rest_budget(world.scenery, end, world.alive, budget, turns, order, w, i)
             budget[w, i] -= world.speed
     return eventful

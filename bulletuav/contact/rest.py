@@ -47,7 +47,7 @@ class Contact(NamedTuple):
         load: (W, N, 6) accelerations of sleepers without contacts, m/s^2 and rad/s^2; NaN at first.
         support: (W, N) rows of `SUPPORT`, what sleepers rest on.
         slept: What each sleeper touched in the decision in which it fell asleep.
-        dozes: (W, N) bool, drones that fall asleep now.
+        dozes: (W, N) bool, drones that fall asleep now, or wake.
         flew: (W, N) bool, drones that flew the last decision.
         stopped: (W, N) bool, drones that stopped in this decision.
         changed: (W, N) bool, drones whose state the last substep changed.

@@ -71,6 +71,8 @@ def settle(
             what it touched is told of a whole decision.
     """
     w = world.w
+    if contact.asleep[w].any():
+        _wake_the_hit(contact, world, swarm)
     for i in range(world.alive.shape[1]):
         velocity, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
         slow = _is_slow(contact, w, i, velocity, rates)
@@ -86,17 +88,36 @@ def settle(
 
 @deferred(types.none)
 @kernel
+def _wake_the_hit(contact: Contact, world: World, swarm: Swarm) -> None:
+    """Wake sleepers that were hit or bear too much, and all who sleep in a heap with them.
+
+    Who that is must be known before anybody wakes, or their order would matter.
+    """
+    w = world.w
+    for i in range(world.alive.shape[1]):
+        if not contact.asleep[w, i]:
+            continue
+        if contact.changed[w, i]:
+            velocity, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
+            contact.dozes[w, i] = not _is_slow(contact, w, i, velocity, rates)
+        else:
+            contact.dozes[w, i] = _is_overloaded(contact, world, i)
+    for i in range(world.alive.shape[1]):
+        if contact.dozes[w, i]:
+            contact.dozes[w, i] = False
+            wake(contact, w, i)
+
+
+@deferred(types.none)
+@kernel
 def _look_at_rest(
     contact: Contact, world: World, swarm: Swarm, i: int, slow: bool, last: bool
 ) -> None:
-    """Look whether a sleeper is to wake, or a drone at rest to fall asleep."""
+    """Put a sleeper that was touched back, or look whether a drone at rest is to fall asleep."""
     w = world.w
-    changed = contact.changed[w, i]
     if contact.asleep[w, i]:
-        if changed and slow:
+        if contact.changed[w, i]:
             _put_back(contact, swarm, w, i)
-        elif changed or _is_overloaded(contact, world, i):
-            wake(contact, w, i)
         return
     speed = _speed(swarm, w, i)
     if contact.quiet[w, i] == 0.0:

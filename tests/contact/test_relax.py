@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from bulletuav.contact.impulses import POINT, set_ease
 from bulletuav.contact.motion import MOTION
 from bulletuav.contact.points import fill
-from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, SWEEPS, relax
+from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, SWEEPS, keep, relax, reopen
 from bulletuav.kernel import kernel
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
@@ -115,3 +115,24 @@ def test_friction_that_presses_harder_than_it_slows_is_found_too():
     ends = [outcome("cf2x", 2.0, seed) for seed in range(HITS)]
     assert ends.count("slides") + ends.count("sticks") > 0.5 * HITS
     assert "open" not in ends
+
+
+def test_a_point_that_comes_later_takes_its_share_of_what_another_held():
+    """By hand: a drone that falls level onto one end of a rod's length, then onto both."""
+    found = load_airframe("cf2x")
+    row = parameter_rows([found], [])[0]
+    motions, points, _ = tumbling(np.random.default_rng(0), 2)
+    motions.quaternion[0], motions.velocity[0], motions.spin[0] = (0, 0, 0, 1), (0, 0, -1), 0
+    points.normal[:] = (0, 0, 1)
+    points.arm_a[:] = (0.03, 0, 0), (-0.03, 0, 0)
+    prepare(motions, points, row, touches(0.0))
+    relax(points, 1, motions, 1 / 240, FIRM)
+    keep(points, 1)
+    assert points.total[0, 0] == pytest.approx(1 / (1 / row["mass"] + 0.03**2 / row["inertia"][1]))
+    assert motions.spin[0, 1] < -1.0
+    reopen(points, 2)
+    relax(points, 2, motions, 1 / 240, FIRM, again=True)
+    keep(points, 2)
+    np.testing.assert_allclose(points.total[:, 0], row["mass"] / 2)
+    np.testing.assert_allclose(motions.velocity[0], 0, atol=1e-9)
+    np.testing.assert_allclose(motions.spin[0], 0, atol=1e-7)

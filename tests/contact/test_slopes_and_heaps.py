@@ -5,6 +5,7 @@ import pytest
 from contact.heaps import drop_heap, slide, stack
 from contact.landings import GAIN_OF_FALL, MOST_GAIN
 from contact.rig import Rig, random_attitudes
+from scipy.spatial.transform import Rotation
 
 from bulletuav.contact.motion import MOST_IMPACTS
 from bulletuav.geometry.obstacle import Obstacle
@@ -36,7 +37,7 @@ def test_a_stack_of_ten_stands(hz, seconds):
     np.testing.assert_allclose(steps, 0.03, atol=2e-4)
 
 
-@pytest.mark.parametrize(("hz", "seed"), [(240, 0), (240, 2), (240, 4), (60, 1)])
+@pytest.mark.parametrize(("hz", "seed"), [(240, 0), (240, 2), (60, 0), (60, 1)])
 def test_a_heap_comes_to_rest_on_the_ground(hz, seed):
     heap = drop_heap(16, hz=hz, seconds=5.0, seed=seed)
     assert heap.speed.max() == heap.spin.max() == 0.0
@@ -45,7 +46,27 @@ def test_a_heap_comes_to_rest_on_the_ground(hz, seed):
     assert heap.height.min() == pytest.approx(5e-5, abs=1e-4)
 
 
-@pytest.mark.parametrize("seed", [0, 4, 11])
+@pytest.mark.parametrize("lean", [0.0, 0.37])
+def test_drones_that_lie_across_a_rim_do_not_rock_for_ever(lean):
+    """In long substeps they come to the other side of the rim within each of them."""
+    worlds, rng = 100, np.random.default_rng(0)
+    turn = Rotation.from_rotvec((0.0, lean, 0.0))
+    with Rig(["cf2x"], worlds=worlds, hz=60, obstacles=[Obstacle("cylinder", (0.07, 0.03))]) as rig:
+        rig.obstacle[:] = 0.0, 0.0, 1.0
+        rig.turn[:] = turn.as_quat()
+        aside, angle = rng.uniform(0.02, 0.06, worlds), rng.uniform(0, 2 * np.pi, worlds)
+        above = np.full(worlds, 0.0315)
+        place = np.stack([aside * np.cos(angle), aside * np.sin(angle), above], axis=-1)
+        tilt = Rotation.from_rotvec(rng.normal(size=(worlds, 3)) * (0.01, 0.01, 0.0))
+        rig.swarm.position[:, 0] = turn.apply(place) + (0.0, 0.0, 1.0)
+        rig.swarm.quaternion[:, 0] = (turn * tilt).as_quat()
+        rig.place()
+        rig.fly_for(3.0)
+        assert (rig.swarm.position[:, 0, 2] > 0.9).all()
+        assert rig.dynamics.contact.asleep.mean() > 0.95
+
+
+@pytest.mark.parametrize("seed", [0, 53, 61])
 def test_a_heap_on_a_rising_platform_does_not_sink_into_itself(seed):
     """Also where drones have had so many impacts that they only go along."""
     rng = np.random.default_rng(seed)
@@ -63,7 +84,7 @@ def test_a_heap_on_a_rising_platform_does_not_sink_into_itself(seed):
             gaps = [rig.gaps(i, j)[0] for i in range(14) for j in range(i)]
             deepest = max(deepest, -min(gaps))
     assert often
-    assert deepest < 5e-4
+    assert deepest < 1e-4
 
 
 def test_a_heap_between_platforms_that_close_does_not_stop_time():
