@@ -16,7 +16,7 @@ from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.features import put_feature
 from bulletuav.geometry.minkowski import Turn, row_point, turned
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus, point
-from bulletuav.geometry.shapes import HALF_SPACE, SPHERE
+from bulletuav.geometry.shapes import CYLINDER, HALF_SPACE, SPHERE
 from bulletuav.kernel import func, kernel
 
 MOST_POINTS = 20
@@ -301,13 +301,17 @@ def contact_points(
     axes = _across(normal)
     start_a = (-on_a[0], -on_a[1], -on_a[2])
     against = (-normal[0], -normal[1], -normal[2])
-    count, face_a = put_feature(table, a, turn_a, against, start_a, axes, room, A_COLUMN)
+    aside = (0.0, 0.0, 0.0)
+    if table.kind[a] == CYLINDER and table.kind[b] == CYLINDER:
+        aside = (offset[0], offset[1], offset[2])
+    count, face_a = put_feature(table, a, turn_a, against, start_a, aside, axes, room, A_COLUMN)
     if table.kind[b] == HALF_SPACE:
         for k in range(count):
             room[k, HEIGHT] = -distance
         return _collect(room, count, A_COLUMN, 1.0, axes, on_a, most, points)
     start_b = minus(offset, on_a)
-    count_b, face_b = put_feature(table, b, turn_b, normal, start_b, axes, room, B_COLUMN)
+    aside = (-aside[0], -aside[1], -aside[2])
+    count_b, face_b = put_feature(table, b, turn_b, normal, start_b, aside, axes, room, B_COLUMN)
     if count == 2 and count_b == 2:
         beside = BESIDE * min(table.half[a, 0], table.half[b, 0])
         count = _lines_meet(room, beside)

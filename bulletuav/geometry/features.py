@@ -19,6 +19,8 @@ FLAT = math.sqrt(0.5)
 """Cosine of the largest angle between axis and normal at which a flat side faces the other"""
 UPRIGHT = 1e-3
 """Sine of the angle between axis and normal below which body axes place the rim's points"""
+FAR = 0.01
+"""Share of the radius from which on the other shape lies to one side"""
 RIM_COS = np.array([cos(2 * math.pi / RIM * k) for k in range(RIM)])
 """Cosines of the angles of the rim's points"""
 RIM_SIN = np.array([sin(2 * math.pi / RIM * k) for k in range(RIM)])
@@ -103,6 +105,7 @@ def _cylinder_side(
     turn: Turn,
     d: Vec3,
     start: Vec3,
+    aside: Vec3,
     axes: Turn,
     room: np.ndarray,
     column: int,
@@ -120,6 +123,11 @@ def _cylinder_side(
         _put(room, 0, column, axes, plus(line, half[2], axis))
         _put(room, 1, column, axes, plus(line, -half[2], axis))
         return 2, d
+    # What two flat sides share is widest between their middles: chords would cut that off
+    beside = plus(aside, -dot(aside, axis), axis)
+    far = math.sqrt(dot(beside, beside))
+    if far > FAR * half[0]:
+        radial = (beside[0] / far, beside[1] / far, beside[2] / far)
     sign = math.copysign(1.0, along)
     outward = (sign * axis[0], sign * axis[1], sign * axis[2])
     middle = plus(start, half[2], outward)
@@ -137,6 +145,7 @@ def put_feature(
     turn: Turn,
     d: Vec3,
     start: Vec3,
+    aside: Vec3,
     axes: Turn,
     room: np.ndarray,
     column: int,
@@ -149,6 +158,7 @@ def put_feature(
         turn: Axes of the shape.
         d: Unit vector, world axes.
         start: Position of the shape from the nearest point on a, m.
+        aside: From the middle of a round shape to that of the other round one, m; zero for none.
         axes: Axes of the contact.
         room: Scratch.
         column: First of the three columns to put them.
@@ -161,5 +171,5 @@ def put_feature(
     if table.kind[s] == BOX:
         return _box_face(half, turn, d, start, axes, room, column)
     if table.kind[s] == CYLINDER:
-        return _cylinder_side(half, turn, d, start, axes, room, column)
+        return _cylinder_side(half, turn, d, start, aside, axes, room, column)
     return _hull_face(table, s, turn, d, start, axes, room, column)

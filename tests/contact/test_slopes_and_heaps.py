@@ -46,12 +46,12 @@ def test_a_heap_comes_to_rest_on_the_ground(hz, seed):
     assert heap.height.min() == pytest.approx(5e-5, abs=1e-4)
 
 
-@pytest.mark.parametrize("lean", [0.0, 0.37])
-def test_drones_that_lie_across_a_rim_do_not_rock_for_ever(lean):
+@pytest.mark.parametrize(("hz", "lean"), [(60, 0.0), (60, 0.37), (240, 0.37)])
+def test_drones_that_lie_across_a_rim_do_not_rock_for_ever(hz, lean):
     """In long substeps they come to the other side of the rim within each of them."""
     worlds, rng = 100, np.random.default_rng(0)
     turn = Rotation.from_rotvec((0.0, lean, 0.0))
-    with Rig(["cf2x"], worlds=worlds, hz=60, obstacles=[Obstacle("cylinder", (0.07, 0.03))]) as rig:
+    with Rig(["cf2x"], worlds=worlds, hz=hz, obstacles=[Obstacle("cylinder", (0.07, 0.03))]) as rig:
         rig.obstacle[:] = 0.0, 0.0, 1.0
         rig.turn[:] = turn.as_quat()
         aside, angle = rng.uniform(0.02, 0.06, worlds), rng.uniform(0, 2 * np.pi, worlds)
@@ -61,12 +61,12 @@ def test_drones_that_lie_across_a_rim_do_not_rock_for_ever(lean):
         rig.swarm.position[:, 0] = turn.apply(place) + (0.0, 0.0, 1.0)
         rig.swarm.quaternion[:, 0] = (turn * tilt).as_quat()
         rig.place()
-        rig.fly_for(3.0)
+        rig.fly_for(1.0)
         assert (rig.swarm.position[:, 0, 2] > 0.9).all()
-        assert rig.dynamics.contact.asleep.mean() > 0.95
+        assert rig.dynamics.contact.asleep.all()
 
 
-@pytest.mark.parametrize("seed", [0, 53, 61])
+@pytest.mark.parametrize("seed", [0, 110])
 def test_a_heap_on_a_rising_platform_does_not_sink_into_itself(seed):
     """Also where drones have had so many impacts that they only go along."""
     rng = np.random.default_rng(seed)

@@ -171,6 +171,18 @@ def test_a_sphere_touches_in_one_point():
         assert len(contacts(pair, UPRIGHT, UPRIGHT, [0, 0, -4.2])[2]) == 1
 
 
+@pytest.mark.parametrize("apart", [0.01, 0.05, 0.08, 0.099])
+@pytest.mark.parametrize("angle", [0.0, 0.2, 2.0])
+def test_points_of_two_discs_reach_as_far_as_what_they_share(apart, angle):
+    """By hand: a lens from `apart` - radius to the radius, along the line of their middles."""
+    along = np.array([np.cos(angle), np.sin(angle), 0.0])
+    leans = Rotation.from_rotvec([0.7, 0.4, 0.0])
+    offset = leans.apply(apart * along + (0.0, 0.0, -0.03))
+    points = contacts(("drone", "drone"), leans, leans, offset)[2]
+    reached = points[:, :3] @ leans.apply(along)
+    assert (reached.min(), reached.max()) == pytest.approx((apart - 0.05, 0.05), abs=1e-6)
+
+
 def test_far_points_are_left_out():
     turn = Rotation.from_rotvec([0, 0.1, 0])
     pose = (("drone", "roof"), turn, UPRIGHT, [0, 0, -4.021])
