@@ -182,6 +182,8 @@ def _hold(
     after, as forces act all the way. In free fall nothing does, and to move by another velocity
     than they have would change their angular momentum.
 
+    What would touch at the end of the substep gets points, too, which share what others hold.
+
     Returns the number of points, those that were foreseen among them.
     """
     motions = space.motions
@@ -202,6 +204,7 @@ def _hold(
     for trial in range(FORESIGHT + 1):
         if trial == 0:
             recall(memory, motions, radii, world.w, points, pairs, size, 1.0 - time)
+        # Who is fast and alone flies on before it would rock
         shares = trial > 0 and (slow or members > 1)
         if shares:
             reopen(points, size)

@@ -80,14 +80,14 @@ Attributes:
     axis: Unit vectors about which they do not turn freely: z of a, z of b, and the normal.
     stiff: Moments of inertia about them, kg m^2.
     resist: Greatest angular impulses about them, over the normal impulse, m.
-    roll: Angular impulses about the axes, in this pass, N m s.
+    roll: Angular impulses about the axes, in this pass, or since `reopen`, N m s.
     slides: Whether friction did not hold it in the last sweep.
     damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
     impulse: Along the normal and the tangents, in this pass, N s.
     step: Change of the impulse in the last sweep, N s.
     way: Sum of the last changes, each a share of what came after it, N s.
     total: The same in all passes, N s.
-    former: The same in all passes before those that may gain energy, N s.
+    former: The same in all passes before `remember_before`, N s.
 """
 
 

@@ -95,6 +95,9 @@ def recall(
         rows[best].free = False
         force = to_world(turn, vector(rows[best].force))
         point.impulse[0] = max(0.0, rest * dot(force, vector(point.normal)))
+        # The drone has turned since: without friction no sweep would take back what is across
+        if point.friction == 0.0:
+            continue
         point.impulse[1] = rest * dot(force, vector(point.tangent[0]))
         point.impulse[2] = rest * dot(force, vector(point.tangent[1]))
 

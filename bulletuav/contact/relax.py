@@ -280,7 +280,8 @@ def relax(
         firm: Change of velocity below which a sweep changes nothing, as share of the greatest one
             or 1 m/s.
         warm: Whether impulses start from those that are there, instead of zero.
-        again: Whether impulses go on from those that are there, which act already.
+        again: Whether impulses go on from those that are there, which act already; `warm` plays no
+            part then.
 
     Returns:
         The number of sweeps.

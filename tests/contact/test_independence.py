@@ -99,7 +99,7 @@ def test_the_extension_does_not_matter(monkeypatch):
     np.testing.assert_array_equal(*states)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 5, 10])
+@pytest.mark.parametrize("seed", [2, 19, 23])
 def test_the_order_of_drones_does_not_matter_to_heaps_that_fall_asleep(seed):
     """Nor to budgets, of which the first takes its share first, nor to who wakes whom."""
     count = 12
@@ -108,12 +108,12 @@ def test_the_order_of_drones_does_not_matter_to_heaps_that_fall_asleep(seed):
     place = rng.uniform(-0.06, 0.06, (count, 3))
     place[:, 2] = 0.1 + 0.14 * np.arange(count)
     attitude = random_attitudes(rng, count)
-    with Rig(["cf2x"] * count, worlds=2, substeps=12) as rig:
+    with Rig(["cf2x"] * count, worlds=2, substeps=1) as rig:
         rig.swarm.position[:] = place, place[order]
         rig.swarm.quaternion[:] = attitude, attitude[order]
         rig.place()
         dozed = False
-        for _ in range(60):
+        for _ in range(480):
             rig.fly()
             asleep = rig.dynamics.contact.asleep[0]
             dozed = dozed or (asleep.any() and not asleep.all())

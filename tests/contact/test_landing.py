@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from contact.landings import PLACES, land
-from contact.rig import Rig
+from contact.rig import Rig, random_attitudes
 
 from bulletuav.vehicle.airframes import available_airframes
 
@@ -37,6 +37,17 @@ def test_landings_with_sideways_speed_come_to_rest(place, dynamics):
         flown=2.7,
     )
     assert not landing.missed()
+
+
+@pytest.mark.parametrize("hz", [60, 240])
+def test_without_friction_level_ground_pushes_nobody_aside(hz):
+    with Rig(["cf2x"], worlds=20, hz=hz, friction=0.0) as rig:
+        rng = np.random.default_rng(0)
+        rig.swarm.position[:, 0, 2] = 0.1
+        rig.swarm.quaternion[:] = random_attitudes(rng, 20, 1)
+        rig.swarm.rates[:] = 5 * rng.normal(size=(20, 1, 3))
+        assert len(set(rig.place().fly_for(0.5).world)) == 20
+        assert not rig.swarm.velocity[..., :2].any()
 
 
 def test_a_drone_that_falls_beside_the_roof_reaches_the_ground():

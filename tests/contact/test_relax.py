@@ -118,17 +118,20 @@ def test_friction_that_presses_harder_than_it_slows_is_found_too():
 
 
 def test_a_point_that_comes_later_takes_its_share_of_what_another_held():
-    """By hand: a drone that falls level onto one end of a rod's length, then onto both."""
+    """By hand: a drone that falls level onto a point beside its middle, then onto one on each side.
+
+    The first alone has to push more than both together do.
+    """
     found = load_airframe("cf2x")
     row = parameter_rows([found], [])[0]
     motions, points, _ = tumbling(np.random.default_rng(0), 2)
     motions.quaternion[0], motions.velocity[0], motions.spin[0] = (0, 0, 0, 1), (0, 0, -1), 0
     points.normal[:] = (0, 0, 1)
-    points.arm_a[:] = (0.03, 0, 0), (-0.03, 0, 0)
+    points.arm_a[:] = (0.01, 0, 0), (-0.01, 0, 0)
     prepare(motions, points, row, touches(0.0))
     relax(points, 1, motions, 1 / 240, FIRM)
     keep(points, 1)
-    assert points.total[0, 0] == pytest.approx(1 / (1 / row["mass"] + 0.03**2 / row["inertia"][1]))
+    assert points.total[0, 0] == pytest.approx(1 / (1 / row["mass"] + 0.01**2 / row["inertia"][1]))
     assert motions.spin[0, 1] < -1.0
     reopen(points, 2)
     relax(points, 2, motions, 1 / 240, FIRM, again=True)
