@@ -26,6 +26,7 @@ def touching(arms, turn, others=(2, 2), force=9.0):
     points.arm_a[:] = turn.apply(arms)
     pairs.b[:] = others
     points.pair[:] = np.arange(len(arms))
+    points.friction[:] = 0.5
     return points, pairs, motions
 
 
@@ -91,3 +92,12 @@ def test_nothing_is_remembered_of_no_time_and_no_more_than_there_is_room_for():
     memory = memory._replace(rows=memory.rows.view(np.recarray))
     note.py_func(memory, motions, 0, np.array([0]), 1, points, pairs, many, 1.0)
     assert memory.number[0, 0] == ROWS
+
+
+def test_without_friction_nothing_across_the_normal_is_taken_up():
+    memory = remembered()
+    points, pairs, motions = touching(ARMS, Rotation.from_euler("z", 0.5))
+    points.friction[:] = 0.0, 0.5
+    found = taken(memory, points, pairs, motions)
+    assert found[0].tolist() == [IMPULSES[0, 0], 0.0, 0.0]
+    np.testing.assert_allclose(found[1], IMPULSES[1], atol=1e-15)
