@@ -13,9 +13,9 @@ import bulletuav
 
 SEEDS = range(20)
 SHORT = 6
-"""Seeds that draw all operations, too; the others are slow"""
+"""How many of them are flown in any case, which draw all operations, too; the others are slow"""
 EACH = 480
-"""Operations of a seed: with the runs that are repeated, 10,000 in all"""
+"""Operations of a seed: with the slow seeds and the runs that are repeated, 10,000 in all"""
 ROOT = Path(__file__).parents[1]
 PROGRAM = """
 import sys, tempfile
