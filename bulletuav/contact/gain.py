@@ -1,4 +1,4 @@
-"""Energy of an island: what impulses gain, although contacts give none, is taken back."""
+"""Energy of an island and sums of its passes: what impulses gain is taken back."""
 
 import math
 
@@ -8,7 +8,7 @@ from bulletuav.contact.motion import put_vector, quaternion_of, vector
 from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.relax import FIRM, relax
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, plus
-from bulletuav.kernel import func
+from bulletuav.kernel import func, kernel
 
 
 @func
@@ -53,6 +53,27 @@ def remember_before(
         put_vector(motion.before[1], motion.spin)
     for k in range(size):
         put_vector(points[k].former, points[k].total)
+        put_vector(points[k].rolled, (0.0, 0.0, 0.0))
+
+
+@kernel
+def reopen(points: np.ndarray, count: int) -> None:
+    """Take the impulses since `remember_before` from the totals, to be found again."""
+    for k in range(count):
+        for m in range(3):
+            points[k].impulse[m] = points[k].total[m] - points[k].former[m]
+            points[k].total[m] = points[k].former[m]
+            points[k].roll[m] = points[k].rolled[m]
+            points[k].rolled[m] = 0.0
+
+
+@kernel
+def keep(points: np.ndarray, count: int) -> None:
+    """Add the impulses of a pass to the totals."""
+    for k in range(count):
+        for m in range(3):
+            points[k].total[m] += points[k].impulse[m]
+            points[k].rolled[m] += points[k].roll[m]
 
 
 @func
@@ -167,3 +188,4 @@ def lose_gain(
         for m in range(3):
             stopping = point.former[m] + point.impulse[m]
             point.total[m] = stopping + share * (point.total[m] - stopping)
+            point.rolled[m] = point.roll[m] + share * (point.rolled[m] - point.roll[m])

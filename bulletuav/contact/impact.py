@@ -4,7 +4,7 @@ import numpy as np
 from numba import types
 
 from bulletuav.contact.foresight import foresee
-from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_before
+from bulletuav.contact.gain import frame_of, keep, lose_gain, moving_energy, remember_before, reopen
 from bulletuav.contact.impulses import POINT, eased
 from bulletuav.contact.island import gather, in_island, touching
 from bulletuav.contact.memory import note, recall
@@ -22,9 +22,7 @@ from bulletuav.contact.relax import (
     FIRM_ENOUGH,
     FIRM_IN_HEAPS,
     damp_tipping,
-    keep,
     relax,
-    reopen,
 )
 from bulletuav.contact.staying import STILL, carried, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH

@@ -42,6 +42,7 @@ POINT = np.dtype(
         ("stiff", "f8", 3),
         ("resist", "f8", 3),
         ("roll", "f8", 3),
+        ("rolled", "f8", 3),
         ("slides", "?"),
         ("damping", "f8"),
         ("impulse", "f8", 3),
@@ -80,7 +81,8 @@ Attributes:
     axis: Unit vectors about which they do not turn freely: z of a, z of b, and the normal.
     stiff: Moments of inertia about them, kg m^2.
     resist: Greatest angular impulses about them, over the normal impulse, m.
-    roll: Angular impulses about the axes, in this pass, or since `reopen`, N m s.
+    roll: Angular impulses about the axes, in this pass, N m s.
+    rolled: The same in all passes since `remember_before`, N m s.
     slides: Whether friction did not hold it in the last sweep.
     damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
     impulse: Along the normal and the tangents, in this pass, N s.
@@ -197,6 +199,7 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
         row.former[k] = 0.0
         row.impulse[k] = 0.0
         row.roll[k] = 0.0
+        row.rolled[k] = 0.0
     light = motions[row.a].lightness
     _set_levers(motions[row.a], vector(row.arm_a), normal, row, row.lever_a, row.swing_a)
     if row.b >= 0:

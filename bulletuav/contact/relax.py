@@ -214,6 +214,12 @@ def _slide(
 
 
 @func
+def _is_any(v: Vec3) -> bool:
+    """Tell whether a vector is not zero."""
+    return v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0
+
+
+@func
 def _visit(row: np.record, motions: np.ndarray, at_once: bool) -> None:
     """Let a point do what it has to, given what all others do; notes the change in `step`.
 
@@ -221,17 +227,21 @@ def _visit(row: np.record, motions: np.ndarray, at_once: bool) -> None:
     """
     old = vector(row.impulse)
     moving = moving_at(row, motions)
+    acts = _is_any(old) or _is_any(vector(row.roll))
+    # Most points do nothing and have nothing to do
+    if not acts and speed_along(row, moving, 0, vector(row.normal)) >= row.least:
+        put_vector(row.step, (0.0, 0.0, 0.0))
+        return
     done = False
     if row.friction > 0.0:
-        pressed = old[0] != 0.0 or old[1] != 0.0 or old[2] != 0.0
-        if pressed:
+        if acts:
             moving = _resist_turning(row, motions, moving)
         # Who slid a moment ago will hardly stick
         if not row.slides:
             done, moving = _stick(row, motions, moving)
         if not done and at_once:
             done, moving = _slide(row, motions, moving)
-        if pressed and not done:
+        if acts and not done:
             moving = _rub(row, motions, moving)
     if not done:
         moving = _press(row, motions, moving)
@@ -254,6 +264,9 @@ def _go_on(
             put_vector(row.way, (0.0, 0.0, 0.0))
             continue
         way = vector(row.way)
+        if not _is_any(way):
+            put_vector(row.way, vector(row.step))
+            continue
         further = (share * way[0], share * way[1], share * way[2])
         put_vector(row.impulse, plus(vector(row.impulse), 1.0, further))
         put_vector(row.way, plus(further, 1.0, vector(row.step)))
@@ -378,20 +391,3 @@ def damp_tipping(
             _spin_up(motions[row.b], twist, -1.0)
         acts = True
     return acts
-
-
-@kernel
-def reopen(points: np.ndarray, count: int) -> None:
-    """Take the impulses since `remember_before` from the totals, to be found again."""
-    for k in range(count):
-        for m in range(3):
-            points[k].impulse[m] = points[k].total[m] - points[k].former[m]
-            points[k].total[m] = points[k].former[m]
-
-
-@kernel
-def keep(points: np.ndarray, count: int) -> None:
-    """Add the impulses of a pass to the totals."""
-    for k in range(count):
-        for m in range(3):
-            points[k].total[m] += points[k].impulse[m]

@@ -5,10 +5,11 @@ import pytest
 from contact.rig import random_attitudes
 from scipy.spatial.transform import Rotation
 
+from bulletuav.contact.gain import keep, reopen
 from bulletuav.contact.impulses import POINT, set_ease
 from bulletuav.contact.motion import MOTION
 from bulletuav.contact.points import fill
-from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, SWEEPS, keep, relax, reopen
+from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, SWEEPS, relax
 from bulletuav.kernel import kernel
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
@@ -139,3 +140,38 @@ def test_a_point_that_comes_later_takes_its_share_of_what_another_held():
     np.testing.assert_allclose(points.total[:, 0], row["mass"] / 2)
     np.testing.assert_allclose(motions.velocity[0], 0, atol=1e-9)
     np.testing.assert_allclose(motions.spin[0], 0, atol=1e-7)
+
+
+def test_passes_together_resist_rolling_no_more_than_the_normal_impulse_allows():
+    rng = np.random.default_rng(3)
+    found = load_airframe("cf2x")
+    radius, _, half = found.shape.half
+    row = parameter_rows([found], [])[0]
+    resist = 0.4 * radius
+    surface = (0, -1, STILL, 0.5, 0.0, 0.0, (resist, 0.0, 0.05 * radius), (0.0, 0.0, 1.0))
+    again = 0
+    for _ in range(HITS):
+        motions, points, _ = tumbling(rng, 2)
+        on_its_rim = Rotation.from_euler("x", 90, degrees=True)
+        leaning = Rotation.from_rotvec(rng.normal(size=3) * (0.3, 0.3, 0))
+        motions.quaternion[0] = (on_its_rim * leaning).as_quat()
+        motions.velocity[0] = rng.normal(size=3) * (0.3, 0.3, 0.1) + (0, 0, -0.1)
+        motions.spin[0] = 5 * rng.normal(size=3)
+        points.normal[:] = (0, 0, 1)
+        points.arm_a[:] = (0, half, -radius), (0, -half, -radius)
+        prepare(motions, points, row, surface)
+        relax(points, 1, motions, 1 / 60, FIRM_ENOUGH)
+        keep(points, 1)
+        motions.spin[0] *= 0.7  # as if tipping was damped
+        relax(points, 1, motions, 1 / 60, FIRM_ENOUGH)
+        keep(points, 1)
+        before = points.rolled.copy()
+        # A second point is foreseen
+        points.least[1] = rng.uniform(0, 0.5)
+        reopen(points, 2)
+        relax(points, 2, motions, 1 / 60, FIRM_ENOUGH, again=True)
+        keep(points, 2)
+        again += (points.rolled[0] != before[0]).any()
+        most = points.resist * points.total[:, :1]
+        assert (abs(points.rolled) <= most + 1e-3 * most.max()).all()
+    assert again > HITS / 2
