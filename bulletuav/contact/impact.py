@@ -214,7 +214,7 @@ def _hold(
         if trial == 0 and damp_tipping(points, size, motions):
             relax(points, size, motions, world.dt, firm)
             keep(points, size)
-        if trial > 0:
+        if trial > 0 or members > 1:
             lose_gain(space, world, members, points, size, frame, had, 1.0 - time)
         for m in range(members):
             i = space.island[m]
