@@ -31,10 +31,8 @@ FIRM_IN_HEAPS = 1e-5
 """The same of drones that hold each other; rest begins at hundreds of it"""
 SWEEPS = 200
 """Most sweeps over the points of any island"""
-SMALL = 16
-"""Most points of an island whose sweeps begin anew whenever changes grow"""
 GROWTH = 4.0
-"""Square of the changes of a larger island over the least so far, above which it begins anew"""
+"""Square of the changes over the least so far, above which the way begins anew"""
 MOMENTUM = 0.9
 """Share of its way by which it goes on at most"""
 WORK = 10_000
@@ -323,23 +321,22 @@ def relax(
     for sweep in range(most):
         change = 0.0
         square = 0.0
+        further = 0.0
         for k in range(count):
             row = points[k]
             _visit(row, motions, at_once)
             step = vector(row.step)
             change = max(change, (abs(step[1]) + abs(step[2])) / row.mass, abs(step[0]) / row.mass)
             square += dot(step, step)
+            further += dot(step, row.way)
         if change <= firm * fastest:
             return sweep + 1
         # Points that are wedged may drive each other on by their friction
         at_once = at_once and square <= GROWTH * least
         if sweep > 0 and sweep + 1 < most:
-            share = square / before
-            anew = share > 1.0
-            if count > SMALL:
-                share = min(share, MOMENTUM)
-                anew = square > GROWTH * least
-            _go_on(points, count, motions, share, anew)
+            # What went too far is taken back against its way
+            anew = further < 0.0 or square > GROWTH * least
+            _go_on(points, count, motions, min(square / before, MOMENTUM), anew)
         before = square
         least = min(least, square)
     return most
