@@ -66,7 +66,7 @@ def test_drones_that_lie_across_a_rim_do_not_rock_for_ever(hz, lean):
         assert rig.dynamics.contact.asleep.all()
 
 
-@pytest.mark.parametrize("seed", [0, 110])
+@pytest.mark.parametrize("seed", [0, 146])
 def test_a_heap_on_a_rising_platform_does_not_sink_into_itself(seed):
     """Also where drones have had so many impacts that they only go along."""
     rng = np.random.default_rng(seed)
@@ -109,3 +109,24 @@ def test_a_heap_of_a_hundred_comes_to_rest(hz):
     heap = drop_heap(100, hz=hz, seconds=8.0)
     assert heap.speed.max() == heap.spin.max() == 0.0
     assert heap.depth < 5e-4
+
+
+@pytest.mark.parametrize("airframes", [("cf2x", "firefly", "cf2x"), ("cf2p", "hummingbird")])
+def test_light_drones_do_not_throw_heavy_ones_up(airframes, hz=60):
+    """Impulses between masses that differ fifty times over are not exact after all sweeps."""
+    rng = np.random.default_rng(0)
+    worlds, count = 24, len(airframes)
+    with Rig(airframes, worlds=worlds, hz=hz, friction=1.0) as rig:
+        radius = np.array([airframe.collision_radius for airframe in rig.airframes])
+        rig.swarm.position[..., 2] = 0.05 + np.cumsum(2.05 * radius) - radius
+        rig.swarm.position[..., :2] = rng.uniform(-0.03, 0.03, (worlds, count, 2))
+        rig.swarm.quaternion[:] = random_attitudes(rng, worlds, count)
+        rig.place()
+        weight = rig.rows["mass"].sum(1) * rig.gravity
+        least, gained = rig.energy().sum(1), np.zeros(worlds)
+        for _ in range(hz):
+            rig.fly()
+            energy = rig.energy().sum(1)
+            gained = np.maximum(gained, energy - least)
+            least = np.minimum(least, energy)
+    assert (gained / weight).max() <= 3 * most_gain(1, hz)
