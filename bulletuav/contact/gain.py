@@ -161,6 +161,7 @@ def lose_gain(
         put_vector(motion.after[1], motion.spin)
         put_vector(motion.velocity, motion.before[0])
         put_vector(motion.spin, motion.before[1])
+    # Later passes do not ask for it again
     for k in range(size):
         points[k].least = min(points[k].least, 0.0)
     relax(points, size, motions, world.dt, FIRM)
