@@ -112,10 +112,10 @@ def test_a_heap_of_a_hundred_comes_to_rest(hz):
 
 
 @pytest.mark.parametrize("airframes", [("cf2x", "firefly", "cf2x"), ("cf2p", "hummingbird")])
-def test_light_drones_do_not_throw_heavy_ones_up(airframes, hz=60):
+def test_light_drones_do_not_throw_heavy_ones_up(airframes):
     """Impulses between masses that differ fifty times over are not exact after all sweeps."""
     rng = np.random.default_rng(0)
-    worlds, count = 24, len(airframes)
+    worlds, count, hz = 24, len(airframes), 60
     with Rig(airframes, worlds=worlds, hz=hz, friction=1.0) as rig:
         radius = np.array([airframe.collision_radius for airframe in rig.airframes])
         rig.swarm.position[..., 2] = 0.05 + np.cumsum(2.05 * radius) - radius
