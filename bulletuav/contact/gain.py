@@ -131,7 +131,6 @@ def lose_gain(
     size: int,
     frame: Vec3,
     had: float,
-    free: float,
     rest: float,
 ) -> None:
     """Take back what energy the passes since `remember_before` gained, if any.
@@ -147,13 +146,11 @@ def lose_gain(
         size: How many of them count.
         frame: From which energy is seen, m/s.
         had: Energy before, without forces, J.
-        free: Energy that forces would have left without contacts, J. Who is held at a second impact
-            has the speed against them that the first one lent it, so that `had` is too much.
         rest: Share of the substep in which forces have acted since.
     """
     motions = space.motions
     full = moving_energy(space, world, members, frame, 0.0)
-    if full <= min(free, had + _work(space, world, members, frame, rest)):
+    if full <= had + _work(space, world, members, frame, rest):
         return
     for m in range(members):
         motion = motions[space.island[m]]
@@ -165,7 +162,7 @@ def lose_gain(
     for k in range(size):
         points[k].least = min(points[k].least, 0.0)
     relax(points, size, motions, world.dt, FIRM)
-    had = min(free, had + _work(space, world, members, frame, rest))
+    had += _work(space, world, members, frame, rest)
     calm = moving_energy(space, world, members, frame, 0.0)
     half = 0.0
     for m in range(members):

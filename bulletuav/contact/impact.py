@@ -87,7 +87,7 @@ def _rebound(
         remember_before(space, members, points, size)
         relax(points, size, space.motions, world.dt, FIRM)
         keep(points, size)
-        lose_gain(space, world, members, points, size, frame, had, had, 0.0)
+        lose_gain(space, world, members, points, size, frame, had, 0.0)
     elif closes and slow:
         # What is only stopped gains no energy
         relax(points, size, space.motions, world.dt, FIRM_ENOUGH)
@@ -189,7 +189,6 @@ def _hold(
     frame = frame_of(points, size)
     had = moving_energy(space, world, members, frame, LIFT)
     add_forces(space, members, time, 1.0)
-    free = moving_energy(space, world, members, frame, LIFT)
     remember_before(space, members, points, size)
     memory = world.memory
     radii = world.scenery.table.radius
@@ -215,8 +214,8 @@ def _hold(
         if trial == 0 and damp_tipping(points, size, motions):
             relax(points, size, motions, world.dt, firm)
             keep(points, size)
-        if trial > 0 or members > 1:
-            lose_gain(space, world, members, points, size, frame, had, free, 1.0 - time)
+        if trial > 0:
+            lose_gain(space, world, members, points, size, frame, had, 1.0 - time)
         for m in range(members):
             i = space.island[m]
             motion = motions[i]
