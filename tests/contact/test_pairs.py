@@ -68,3 +68,16 @@ def test_a_slow_touch_in_free_fall_keeps_angular_momentum():
         before = rig.spin_momentum().sum(axis=1)
         assert len(rig.fly().world) == 2
         assert np.linalg.norm(rig.spin_momentum().sum(axis=1) - before) < 1e-4 * scale
+
+
+@pytest.mark.parametrize("hz", [60, 240])
+@pytest.mark.parametrize("common", [(0.0, 0.0, 0.0), (5.0, 0.0, 0.0), (0.0, 3.0, -5.0)])
+def test_overlaps_end_however_fast_both_fly(common, hz):
+    """What parts them gives energy, which is more where they fly fast."""
+    with Rig(["cf2x"] * 2, hz=hz, gravity=0.0) as rig:
+        rig.swarm.position[0] = 0.0, 0.0, HEIGHT
+        rig.swarm.position[0, 1, 1] += 2 * rig.airframes[0].shape.half[0] - 1e-3
+        rig.swarm.velocity[:] = common
+        rig.swarm.velocity[0, 1, 1] -= 1e-3
+        rig.place().fly_for(1.0)
+        assert rig.gaps(0, 1)[0] > 0.0
