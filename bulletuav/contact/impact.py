@@ -17,13 +17,7 @@ from bulletuav.contact.points import (
     add_points,
     measure,
 )
-from bulletuav.contact.relax import (
-    FIRM,
-    FIRM_ENOUGH,
-    FIRM_IN_HEAPS,
-    damp_tipping,
-    relax,
-)
+from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FIRM_IN_HEAPS, damp_tipping, relax
 from bulletuav.contact.staying import STILL, carried, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell

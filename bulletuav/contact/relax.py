@@ -212,12 +212,6 @@ def _slide(
 
 
 @func
-def _is_any(v: Vec3) -> bool:
-    """Tell whether a vector is not zero."""
-    return v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0
-
-
-@func
 def _visit(row: np.record, motions: np.ndarray, at_once: bool) -> None:
     """Let a point do what it has to, given what all others do; notes the change in `step`.
 
@@ -225,10 +219,11 @@ def _visit(row: np.record, motions: np.ndarray, at_once: bool) -> None:
     """
     old = vector(row.impulse)
     moving = moving_at(row, motions)
-    acts = _is_any(old) or _is_any(vector(row.roll))
+    none = (0.0, 0.0, 0.0)
+    acts = old != none or vector(row.roll) != none
     # Most points do nothing and have nothing to do
     if not acts and speed_along(row, moving, 0, vector(row.normal)) >= row.least:
-        put_vector(row.step, (0.0, 0.0, 0.0))
+        put_vector(row.step, none)
         return
     done = False
     if row.friction > 0.0:
@@ -262,7 +257,7 @@ def _go_on(
             put_vector(row.way, (0.0, 0.0, 0.0))
             continue
         way = vector(row.way)
-        if not _is_any(way):
+        if way == (0.0, 0.0, 0.0):
             put_vector(row.way, vector(row.step))
             continue
         further = (share * way[0], share * way[1], share * way[2])
@@ -331,11 +326,12 @@ def relax(
             further += dot(step, row.way)
         if change <= firm * fastest:
             return sweep + 1
+        grows = square > GROWTH * least
         # Points that are wedged may drive each other on by their friction
-        at_once = at_once and square <= GROWTH * least
+        at_once = at_once and not grows
         if sweep > 0 and sweep + 1 < most:
             # What went too far is taken back against its way
-            anew = further < 0.0 or square > GROWTH * least
+            anew = further < 0.0 or grows
             _go_on(points, count, motions, min(square / before, MOMENTUM), anew)
         before = square
         least = min(least, square)

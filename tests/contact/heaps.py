@@ -59,14 +59,21 @@ def stack(drones: int = 10, airframe: str = "cf2x", *, hz: int = 240, seconds: f
         return _watch(rig.place(), seconds)
 
 
-def _watch(rig: Rig, seconds: float) -> Heap:
-    """Fly the only world of a rig freely for a time, then measure its drones."""
-    least, gained = rig.energy().sum(), 0.0
+def watch_energy(rig: Rig, seconds: float) -> np.ndarray:
+    """Fly a rig freely for a time; returns how far energy rose above its least (W,), J."""
+    least = rig.energy().sum(axis=1)
+    gained = np.zeros_like(least)
     while rig.time < seconds - 1e-9:
         rig.fly()
-        now = rig.energy().sum()
-        gained = max(gained, now - least)
-        least = min(least, now)
+        now = rig.energy().sum(axis=1)
+        gained = np.maximum(gained, now - least)
+        least = np.minimum(least, now)
+    return gained
+
+
+def _watch(rig: Rig, seconds: float) -> Heap:
+    """Fly the only world of a rig freely for a time, then measure its drones."""
+    gained = watch_energy(rig, seconds)[0]
     swarm = rig.swarm
     drones = len(rig.airframes)
     lowest = np.array([rig.lowest(i)[0] for i in range(drones)])
