@@ -241,11 +241,15 @@ def _between(
     turn_b: Turn,
     offset: Vec3,
     d: Vec3,
-    edges: bool,
+    edge_a: bool,
+    edge_b: bool,
 ) -> Answer:
-    """Solve for the nearest points of edges, rims or corners about a direction; see `direct`."""
-    one, long_a = _feature_along(table, a, turn_a, (-d[0], -d[1], -d[2]), edges)
-    two, long_b = _feature_along(table, b, turn_b, d, edges)
+    """Solve for the nearest points of edges, rims or corners about a direction; see `direct`.
+
+    Edges of both are taken, if there are any, or what is at their ends.
+    """
+    one, long_a = _feature_along(table, a, turn_a, (-d[0], -d[1], -d[2]), edge_a)
+    two, long_b = _feature_along(table, b, turn_b, d, edge_b)
     crossing = cross(one[1], two[1])
     if dot(crossing, crossing) > PARALLEL:
         _, crossing = _scaled(crossing)
@@ -302,9 +306,14 @@ def direct(
     if height > 0.0:
         normal = (-normal[0], -normal[1], -normal[2])
         return height, normal, plus(low, height, normal), minus(low, offset)
-    found = _between(table, a, turn_a, b, turn_b, offset, d, True)
-    if found[0] == UNKNOWN:
-        found = _between(table, a, turn_a, b, turn_b, offset, d, False)
+    # Edges first, then what is at the end of one or both
+    has_a = _has_edge(_feature_along(table, a, turn_a, back, True)[0])
+    has_b = _has_edge(_feature_along(table, b, turn_b, d, True)[0])
+    found = NOTHING
+    for k in range(4):
+        edge_a, edge_b = k < 2, k % 2 == 0
+        if found[0] == UNKNOWN and (edge_a or has_a) and (edge_b or has_b):
+            found = _between(table, a, turn_a, b, turn_b, offset, d, edge_a, edge_b)
     return found
 
 

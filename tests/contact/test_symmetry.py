@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from contact.rig import Rig, random_attitudes, random_directions
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -37,7 +37,7 @@ def scatter(rig, seed):
     gap = reach + rng.uniform(0, 0.02, (PAIRS, 1)) * speed
     aside = 0.3 * reach * np.cross(way, random_directions(rng, PAIRS))
     for half in (slice(0, PAIRS), slice(PAIRS, None)):
-        swarm.position[half, 0] = (0, 0, 50)
+        swarm.position[half, 0] = (0, 0, 1)
         swarm.position[half, 1] = swarm.position[half, 0] + gap * way + aside
         swarm.velocity[half, 0] = 0.5 * speed * way
         swarm.velocity[half, 1] = -0.5 * speed * way
@@ -70,6 +70,7 @@ def matrices(quaternion):
 
 @settings(max_examples=12)
 @given(seed=SEEDS)
+@example(seed=38)
 def test_a_mirror_changes_nothing(rig, seed):
     swarm = scatter(rig, seed)
     mirror = np.array([-1.0, 1.0, 1.0])
@@ -86,10 +87,11 @@ def test_a_mirror_changes_nothing(rig, seed):
 
 @settings(max_examples=12)
 @given(seed=SEEDS)
+@example(seed=38)
 def test_a_turn_changes_nothing(rig, seed):
     swarm = scatter(rig, seed)
     turn = Rotation.random(rng=np.random.default_rng(seed))
-    middle = np.array([0.0, 0.0, 50.0])
+    middle = np.array([0.0, 0.0, 1.0])
     swarm.position[PAIRS:] = (swarm.position[PAIRS:] - middle) @ turn.as_matrix().T + middle
     swarm.velocity[PAIRS:] = swarm.velocity[PAIRS:] @ turn.as_matrix().T
     turned = turn * Rotation.from_quat(swarm.quaternion[PAIRS:].reshape(-1, 4))
