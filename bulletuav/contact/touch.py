@@ -3,9 +3,10 @@
 Two bounds tell how far it is safe to go; both hold however thin or fast things are. No motion
 closes a gap faster than a bound along the present separating direction (B. Mirtich, Impulse-based
 dynamic simulation of rigid body systems, 1996). And between two times at which a plane separates
-the pair, no point can get beyond it by more than its greatest acceleration bends its way. Where
-the pair is close already, Newton's method on the distance ends the search; who is apart after such
-a leap goes back unless a plane tells that there was no touch on the way.
+the pair, no point can get beyond it by more than its greatest acceleration bends its way; see
+`bulletuav.contact.planes`. Where the pair is close already, Newton's method on the distance ends
+the search; who is apart after such a leap goes back unless a plane tells that there was no touch on
+the way.
 """
 
 import math
@@ -13,12 +14,19 @@ import math
 import numpy as np
 
 from bulletuav.contact.motion import change_rates, pose_at, valid_until
+from bulletuav.contact.planes import (
+    is_kept_apart,
+    line_of,
+    longest,
+    normal_after,
+    planes_between,
+    separation_along,
+    time_apart,
+)
 from bulletuav.geometry.gjk import gap
-from bulletuav.geometry.minkowski import far_point, swell
 from bulletuav.geometry.nearest import nearest
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.kernel import func, kernel
 
 TOUCH = 1e-4
@@ -65,125 +73,6 @@ def gap_at(
     return nearest(scenery.table, a, turn_a, b, turn_b, offset, guess, room)
 
 
-@func
-def _length(v: Vec3) -> float:
-    """Return the length of a vector."""
-    return math.sqrt(dot(v, v))
-
-
-@func
-def separation_along(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    a: int,
-    b: int,
-    time: float,
-    dt: float,
-    normal: Vec3,
-) -> tuple[float, Vec3, Vec3]:
-    """Measure a pair along a direction: below its distance, unless the direction is that of it.
-
-    Args:
-        scenery: What stands, and all shapes.
-        motions: (N,) rows of `MOTION`.
-        w: The world.
-        a: Number of the shape of a drone.
-        b: Number of the other shape.
-        time: Share of the substep.
-        dt: Length of the substep, s.
-        normal: Unit vector from b to a; that of the plane if b is a half space.
-
-    Returns:
-        Signed distance (m), and the extreme points on a and b, from their positions, world axes.
-    """
-    table = scenery.table
-    position_a, quaternion_a = pose_at(scenery, motions, w, a, time, dt)
-    position_b, quaternion_b = pose_at(scenery, motions, w, b, time, dt)
-    offset = minus(position_b, position_a)
-    back = (-normal[0], -normal[1], -normal[2])
-    on_a = plus(far_point(table, a, axes(quaternion_a), back), -swell(table, a), normal)
-    on_b = (0.0, 0.0, 0.0)
-    if table.kind[b] != HALF_SPACE:
-        on_b = plus(far_point(table, b, axes(quaternion_b), normal), swell(table, b), normal)
-    return dot(normal, minus(on_a, offset)) - dot(normal, on_b), on_a, on_b
-
-
-@func
-def _swing(
-    radius: float,
-    normal: Vec3,
-    turn: Vec3,
-) -> tuple[float, float]:
-    """Bound how fast, m, and with which acceleration, a rotation moves a shape along `normal`.
-
-    Both are per substep, for any of its points. A turn about the normal itself moves none.
-    """
-    across = _length(cross(normal, turn))
-    if across == 0.0:
-        return 0.0, 0.0
-    return radius * across, radius * across * _length(turn)
-
-
-@func
-def _swings(
-    scenery: Scenery,
-    a: int,
-    b: int,
-    normal: Vec3,
-    turn_a: Vec3,
-    turn_b: Vec3,
-) -> tuple[float, float, float]:
-    """Bound how fast rotations move both of a pair along `normal`, and how far ways bend between.
-
-    Returns:
-        The bounds of both, m per substep, and the bend in a whole substep, m.
-    """
-    bound_a, bend_a = _swing(scenery.table.radius[a], normal, turn_a)
-    bound_b, bend_b = _swing(scenery.table.radius[b], normal, turn_b)
-    return bound_a, bound_b, 0.125 * (bend_a + bend_b)
-
-
-@func
-def is_kept_apart(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    a: int,
-    b: int,
-    start: float,
-    least: float,
-    floor: float,
-    dt: float,
-    normal: Vec3,
-) -> bool:
-    """Tell whether one plane tells already that a pair does not touch on its way.
-
-    Args:
-        scenery: As this and others are in `touch_time`.
-        motions: As there.
-        w: As there.
-        a: As there.
-        b: As there.
-        start: As there.
-        least: Distance that they must have at the start, m.
-        floor: Distance that they must keep, m.
-        dt: As there.
-        normal: Unit vector across the plane, from b to a, or zeros.
-    """
-    if dot(normal, normal) == 0.0:
-        return False
-    end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
-    before, _, _ = separation_along(scenery, motions, w, a, b, start, dt, normal)
-    if before <= max(least, floor):
-        return False
-    after, _, _ = separation_along(scenery, motions, w, a, b, end, dt, normal)
-    _, turn_a = change_rates(scenery, motions, w, a, dt)
-    _, turn_b = change_rates(scenery, motions, w, b, dt)
-    _, _, bend = _swings(scenery, a, b, normal, turn_a, turn_b)
-    return min(before, after) - bend * (end - start) ** 2 > floor
-
-
 @kernel
 def touch_time(
     scenery: Scenery,
@@ -222,12 +111,15 @@ def touch_time(
     """
     # Of a pair that is held it is known that it is in touch
     least = -math.inf if held else IN_TOUCH
-    if not plain and is_kept_apart(scenery, motions, w, a, b, start, least, floor, dt, guess):
-        return NEVER, guess, False
+    across = guess if dot(guess, guess) > 0.0 else line_of(motions, a, b)
+    if not plain and is_kept_apart(scenery, motions, w, a, b, start, least, floor, dt, across):
+        return NEVER, across, False
     exact = ROUGH if held else EXACT
     move_a, turn_a = change_rates(scenery, motions, w, a, dt)
     move_b, turn_b = change_rates(scenery, motions, w, b, dt)
     move = minus(move_a, move_b)
+    radii = scenery.table.radius[a], scenery.table.radius[b]
+    turns = b < motions.shape[0] and (turn_a != (0.0, 0.0, 0.0) or turn_b != (0.0, 0.0, 0.0))
     end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
     time = start
     normal = guess
@@ -242,36 +134,36 @@ def touch_time(
             scenery, motions, w, a, b, time, dt, normal, room, plain
         )
         near = near or (time == start and distance <= IN_TOUCH)
-        # How fast the gap can close, and how far ways bend in between
-        bound_a, bound_b, bend = _swings(scenery, a, b, normal, turn_a, turn_b)
-        bound = max(0.0, -dot(move, normal)) + bound_a + bound_b
         left = distance - floor
         rest = end - time
+        # How fast the gap can close, and how far ways bend in between
+        between = plus(minus(on_b, on_a), distance, normal)
+        count = 3 if turns and left > 0.0 else 1
+        planes = planes_between(radii, normal, move, turn_a, turn_b, between, count)
+        plane = longest(planes, left)
+        bound, growth, bend, _ = plane
         landed, leapt = leapt and left > 0.0, False
         if landed:
             # Others than the nearest points may have touched on the way, and parted again
-            before, _, _ = separation_along(scenery, motions, w, a, b, apart, dt, normal)
+            then = normal_after(plane, normal, apart - time)
+            before, _, _ = separation_along(scenery, motions, w, a, b, apart, dt, then)
             if before - floor < 4.0 * bend * (time - apart) ** 2:
                 time = safe
                 continue
-        if left > bound * rest:
+        if left > (bound + 0.5 * growth * rest) * rest:
             return NEVER, normal, near
         if left <= exact and (time == start or left >= -exact):
-            return (time if bound > 0.0 else NEVER), normal, near
-        step = left / bound
+            return (time if bound + growth > 0.0 else NEVER), normal, near
         if left > 0.0:
             apart = time
-            # How long the present plane keeps them apart: to the end, or as far as ways bend
-            reach = math.sqrt(0.5 * left / bend) if bend > 0.0 else rest
-            span = rest
-            while span > step:
-                later, _, _ = separation_along(scenery, motions, w, a, b, time + span, dt, normal)
-                dip = bend * span * span
-                if later >= floor and (left >= 4.0 * dip or min(distance, later) - dip >= floor):
-                    step = span
-                span = min(reach, 0.5 * span)
+            step = time_apart(
+                scenery, motions, w, a, b, time, dt, planes, count, normal, distance, floor, rest
+            )
             if step >= rest:
                 return NEVER, normal, near
+        else:
+            close = time
+            step = left / bound
         if left < NEAR:
             surface = minus(cross(turn_a, on_a), cross(turn_b, on_b))
             closing = -dot(move, normal) - dot(surface, normal)
@@ -282,13 +174,12 @@ def touch_time(
                 safe = time + step
                 if left < 0.0 or leapt:
                     step = aimed
-        if left < 0.0:
-            close = time
         time = min(end, time + step)
         if close < NEVER:
             # Newton's method may go back and forth for ever where a way only just grazes
             if not apart < time < close:
                 time = 0.5 * (apart + close)
-            if bound * (close - apart) <= exact:
+            bracket = close - apart
+            if (bound + 0.5 * growth * bracket) * bracket <= exact:
                 break
     return time, normal, near

@@ -6,7 +6,8 @@ from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
 from contact.shots import TARGETS
 from scipy.spatial.transform import Rotation
 
-from bulletuav.contact.touch import IN_TOUCH, NEARLY, NEVER, TOUCH, is_kept_apart, touch_time
+from bulletuav.contact.planes import is_kept_apart
+from bulletuav.contact.touch import IN_TOUCH, NEARLY, NEVER, TOUCH, touch_time
 from bulletuav.kernel import allocating
 
 DT = 1 / 240
@@ -83,6 +84,11 @@ def _gaps(rig: Rig, motions: np.ndarray, share: np.ndarray) -> np.ndarray:
     )
 
 
+def _unit(quaternion: tuple[float, ...]) -> np.ndarray:
+    """Return a quaternion of as many digits as a float has."""
+    return np.array(quaternion) / np.linalg.norm(quaternion)
+
+
 def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
     """Newton's method alone goes back and forth here, between too far away and too close."""
     with Rig(["iris"], obstacles=[TARGETS["wall of 2 mm"]]) as rig:
@@ -92,7 +98,7 @@ def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
         motions["time"], motions["until"] = 0.0, 1.0
         motions["position"] = (0.3851, -2.0031, -0.6644)
         motions["position"][:, 0] += np.linspace(3e-5, 6e-5, len(motions))
-        motions["quaternion"] = (0.15571, 0.20242, -0.77796, 0.57407)
+        motions["quaternion"] = _unit((0.15571, 0.20242, -0.77796, 0.57407))
         motions["move"] = (0.0015, 0.0552, -0.0376)
         motions["turn"] = (-0.0004, -0.0281, 0.0216)
         assert _gaps(rig, motions, np.zeros(len(motions))).min() > 1.1 * TOUCH
@@ -106,7 +112,7 @@ def _on_a_way(rig: Rig, way: tuple[tuple[float, ...], ...]) -> np.ndarray:
     motions = rig.dynamics.contact.space.motions
     motions["time"], motions["until"] = 0.0, 1.0
     for column, values in zip(("position", "quaternion", "move", "turn"), way, strict=True):
-        motions[column] = values
+        motions[column] = _unit(values) if column == "quaternion" else values
     return motions
 
 
