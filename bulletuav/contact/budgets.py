@@ -2,7 +2,7 @@
 
 Every drone has a budget: how far it may move before anything can be near. Only drones that have
 used it up are looked at. Turns of a drone that flies low count as ways of its outermost points.
-Budgets change no result: no touch is possible while both of a pair have some left.
+Budgets change no motion: no touch is possible while both of a pair have some left.
 """
 
 import math
@@ -11,11 +11,13 @@ import numpy as np
 from numba import types
 
 from bulletuav.contact.pairs import body_distance, piece_distance
+from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.rest import Contact
-from bulletuav.contact.spin import rotation_between
+from bulletuav.contact.spin import angle_at_most
 from bulletuav.contact.touch import TOUCH
 from bulletuav.deferred import deferred
 from bulletuav.geometry.city_grid import NO_LAYOUT, reached
+from bulletuav.geometry.closest_approach import closest_squared, offset
 from bulletuav.geometry.minkowski import far_point, swell
 from bulletuav.geometry.rotation import axes, dot, minus, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
@@ -36,9 +38,8 @@ SOON = 0.2
 @kernel
 def _swept(contact: Contact, swarm: Swarm, w: int, i: int) -> float:
     """Return how far the outermost points of a drone got by its turn in a substep, at most, m."""
-    before = quat4(contact.start.quaternion, w, i)
-    turn = rotation_between(before, quat4(swarm.quaternion, w, i))
-    return float(contact.scenery.table.radius[i]) * math.sqrt(dot(turn, turn))
+    before, after = quat4(contact.start.quaternion, w, i), quat4(swarm.quaternion, w, i)
+    return float(contact.scenery.table.radius[i]) * angle_at_most(before, after)
 
 
 @func
@@ -49,7 +50,6 @@ def is_due(contact: Contact, swarm: Swarm, alive: np.ndarray, w: int, dt: float)
     way = contact.speed[w] * dt
     for i in range(alive.shape[1]):
         contact.changed[w, i] = False
-        contact.due[w, i] = False
         if not alive[w, i]:
             continue
         if contact.asleep[w, i]:
@@ -60,9 +60,7 @@ def is_due(contact: Contact, swarm: Swarm, alive: np.ndarray, w: int, dt: float)
         contact.budget[w, i] -= math.sqrt(dot(moved, moved)) + way
         if contact.turns[w, i]:
             contact.budget[w, i] -= _swept(contact, swarm, w, i)
-        if contact.budget[w, i] < 0.0:
-            contact.due[w, i] = True
-            found = True
+        found = found or contact.budget[w, i] < 0.0
     return found
 
 
@@ -87,25 +85,19 @@ def _height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> float:
 
 
 @kernel
-def rest_budget(
+def free_way(
     scenery: Scenery,
     swarm: Swarm,
-    alive: np.ndarray,
-    budget: np.ndarray,
     turns: np.ndarray,
-    order: np.ndarray,
     w: int,
     i: int,
-) -> None:
-    """Give drone i of world w the metres that it may move before anything can touch it.
+) -> float:
+    """Return how far drone i of world w may move before it can touch what does not fly, m.
 
     Args:
         scenery: What stands.
         swarm: State of all drones.
-        alive: (W, N) bool, drones that can be touched.
-        budget: (W, N) m; that of drone i is set, and those of others are lowered where i is near.
-        turns: (W, N) bool; for drone i it is set whether its turns count, too.
-        order: (N,) drones of the world by place: whoever comes first takes first.
+        turns: (W, N) bool; for drone i it is set whether its turns count as ways, too.
         w: The world.
         i: The drone.
     """
@@ -133,15 +125,85 @@ def rest_budget(
                 for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
                     distance = piece_distance(city_grid, city_grid.item[m], here)
                     least = min(least, distance - own)
+    return float(least)
+
+
+@func
+def are_clear(
+    space: Workspace,
+    world: World,
+    end: Swarm,
+    budget: np.ndarray,
+    turns: np.ndarray,
+) -> bool:
+    """Tell whether the spheres about all drones to be looked at touched nothing in a substep.
+
+    Args:
+        space: Of its motions due and reach are read.
+        world: The world, and the state at the beginning of the substep.
+        end: State at its end.
+        budget: (W, N) m; those of drones to be looked at are set to `free_way`, up to the first
+            that is not clear.
+        turns: See `free_way`; set with them.
+    """
+    w = world.w
+    scenery = world.scenery
+    radius = scenery.table.radius
+    drones = world.alive.shape[1]
+    for i in range(drones):
+        motion = space.motions[i]
+        if not motion.due:
+            continue
+        if end.position[w, i, 2] < radius[i] + TOUCH + SPARE:
+            return False
+        budget[w, i] = free_way(scenery, end, turns, w, i)
+        if budget[w, i] < motion.reach + world.speed:
+            return False
+        for j in range(drones):
+            if j == i or not world.alive[w, j]:
+                continue
+            within = radius[i] + radius[j] + TOUCH + SPARE
+            before, after = offset(world.start.position, w, i, j), offset(end.position, w, i, j)
+            if closest_squared(before, after)[1] < within * within:
+                return False
+    return True
+
+
+@kernel
+def share_gaps(
+    scenery: Scenery,
+    swarm: Swarm,
+    alive: np.ndarray,
+    budget: np.ndarray,
+    order: np.ndarray,
+    w: int,
+    i: int,
+) -> None:
+    """Share what is between drone i of world w and others out among their budgets.
+
+    Args:
+        scenery: What stands.
+        swarm: State of all drones.
+        alive: (W, N) bool, drones that can be touched.
+        budget: (W, N) m; that of drone i is what it has without others.
+        order: (N,) drones of the world by place: whoever comes first takes first.
+        w: The world.
+        i: The drone.
+    """
+    own = scenery.table.radius[i] + TOUCH + SPARE
+    least = budget[w, i]
     # What is between two drones is for both, more of it for the faster one
     pace = _pace(swarm, w, i)
     for rank in range(order.shape[0]):
         j = order[rank]
         if j != i and alive[w, j]:
-            gap = minus(vec3(swarm.position, w, j), here)
+            gap = offset(swarm.position, w, i, j)
             left = math.sqrt(dot(gap, gap)) - own - scenery.table.radius[j]
-            if least + budget[w, j] > left:
+            # Who sleeps close by something has less than nothing, which is nothing
+            other = max(0.0, budget[w, j])
+            if least + other > left:
                 share = pace / (pace + _pace(swarm, w, j))
-                least = min(least, share * left)
-                budget[w, j] = min(budget[w, j], left - share * left)
+                # All that the other one does not have, if that is more
+                least = min(least, max(share * left, left - other))
+                budget[w, j] = min(budget[w, j], left - least)
     budget[w, i] = least

@@ -7,8 +7,9 @@ import numpy as np
 
 from bulletuav.contact.budgets import is_due
 from bulletuav.contact.impact import tell_pair
+from bulletuav.contact.order import set_order
 from bulletuav.contact.points import World
-from bulletuav.contact.resolve import find_pairs, resolve, set_order
+from bulletuav.contact.resolve import find_pairs, resolve
 from bulletuav.contact.rest import Contact, wake_for_obstacles
 from bulletuav.contact.settling import settle
 from bulletuav.geometry.rotation import dot, minus, vec3
@@ -123,7 +124,6 @@ def _look(
         contact.space,
         world,
         swarm,
-        contact.due,
         contact.budget,
         contact.turns,
         contact.stopped,
@@ -340,6 +340,7 @@ def _note_overlaps(
         for i in range(alive.shape[1]):
             space.motions[i].due = moved[w, i] and alive[w, i]
             space.motions[i].reach = 0.0
+            space.motions[i].begun = False
         set_order(space.order, swarm.position, w)
         pairs, count = find_pairs(space, world, swarm, space.order)
         for p in range(count):

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import types
 
-from bulletuav.contact.budgets import rest_budget
+from bulletuav.contact.budgets import are_clear, free_way, share_gaps
 from bulletuav.contact.impact import add_forces, push_apart
 from bulletuav.contact.island import join
 from bulletuav.contact.motion import (
@@ -23,6 +23,7 @@ from bulletuav.contact.motion import (
     valid_until,
     vector,
 )
+from bulletuav.contact.order import set_order
 from bulletuav.contact.pairs import SLACK, collect, sweeps_apart
 from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.staying import halt
@@ -128,38 +129,6 @@ def _next_pair(pairs: np.ndarray, count: int) -> int:
 
 
 @func
-def _is_before(
-    position: np.ndarray,
-    w: int,
-    i: int,
-    j: int,
-) -> bool:
-    """Tell whether drone i comes before drone j by x, then y, then z."""
-    for k in range(3):
-        one = float(position[w, i, k])
-        other = float(position[w, j, k])
-        if one != other:
-            return one < other
-    return False
-
-
-@func
-def set_order(
-    order: np.ndarray,
-    position: np.ndarray,
-    w: int,
-) -> None:
-    """Write the drones (N,) of a world by place, so that their numbers do not matter."""
-    for last in range(order.shape[0]):
-        i = last
-        k = last
-        while k > 0 and _is_before(position, w, i, order[k - 1]):
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = i
-
-
-@func
 def _distance(
     one: np.ndarray,
     two: np.ndarray,
@@ -176,16 +145,21 @@ def _set_reach(
     space: Workspace,
     world: World,
     end: Swarm,
-    due: np.ndarray,
+    budget: np.ndarray,
 ) -> None:
-    """Set how far drones get in the substep, and which of them are due."""
+    """Set how far drones get in the substep, and which of them are looked at.
+
+    These are all that are due, and who would be after one more such substep: one look serves both.
+    """
     w = world.w
-    for i in range(due.shape[1]):
+    for i in range(budget.shape[1]):
         motion = space.motions[i]
-        motion.due = due[w, i]
+        motion.begun = False
+        motion.due = False
         motion.reach = SLACK
         if world.alive[w, i] and not world.asleep[w, i]:
             motion.reach += _distance(end.position, world.start.position, w, i)
+            motion.due = budget[w, i] < motion.reach
 
 
 @allocating
@@ -229,7 +203,6 @@ def find_pairs(
     """Collect the pairs of all drones that are due, and of sleepers within their reach."""
     motions = space.motions
     for i in range(order.shape[0]):
-        motions[i].begun = False
         motions[i].member = False
         put_vector(motions[i].start, vec3(world.start.position, world.w, i))
     pairs = space.pairs
@@ -304,7 +277,6 @@ def _fly_through(
 ) -> bool:
     """Take the drones that are due through the touches of a substep, in the order of time."""
     order = space.order
-    set_order(order, world.start.position, world.w)
     pairs, count = find_pairs(space, world, end, order)
     if count == 0:
         return False
@@ -360,7 +332,6 @@ def resolve(
     space: Workspace,
     world: World,
     end: Swarm,
-    due: np.ndarray,
     budget: np.ndarray,
     turns: np.ndarray,
     stopped: np.ndarray,
@@ -373,7 +344,6 @@ def resolve(
         space: Arrays to work on.
         world: The world, and the state at the beginning of the substep.
         end: State at the end of the substep as flown freely; changed.
-        due: (W, N) bool, drones that must be looked at.
         budget: (W, N) how far each drone may move before it must be looked at, m; changed.
         turns: (W, N) bool, drones whose turns count there; changed.
         stopped: (W, N) bool, drones that stopped; changed.
@@ -383,16 +353,21 @@ def resolve(
     Returns:
         Whether anything was touched.
     """
-    _set_reach(space, world, end, due)
     w = world.w
-    eventful = _fly_through(space, world, end, stopped, changed, touches)
-    for i in range(changed.shape[1]):
-        if changed[w, i]:
-            finish(space.motions[i], end, w, i, world.parameters[w, i])
     order = space.order
+    _set_reach(space, world, end, budget)
+    set_order(order, world.start.position, w)
+    eventful = False
+    if not are_clear(space, world, end, budget, turns):
+        eventful = _fly_through(space, world, end, stopped, changed, touches)
+        for i in range(changed.shape[1]):
+            if changed[w, i]:
+                finish(space.motions[i], end, w, i, world.parameters[w, i])
+            if space.motions[i].due and world.alive[w, i]:
+                budget[w, i] = free_way(world.scenery, end, turns, w, i)
     for rank in range(order.shape[0]):
         i = order[rank]
         if space.motions[i].due and world.alive[w, i]:
-            rest_budget(world.scenery, end, world.alive, budget, turns, order, w, i)
+            share_gaps(world.scenery, end, world.alive, budget, order, w, i)
             budget[w, i] -= world.speed
     return eventful

@@ -34,7 +34,6 @@ class Contact(NamedTuple):
         scenery: What stands, and all shapes.
         space: Arrays to work on.
         start: State at the beginning of the present substep.
-        due: (W, N) bool, drones whose budget the present substep used up.
         budget: (W, N) how far each drone may move before it must be looked at, m.
         turns: (W, N) bool, drones that fly low: their turns count there as ways.
         friction: Coefficient of friction of the ground and of buildings.
@@ -61,7 +60,6 @@ class Contact(NamedTuple):
     scenery: Scenery
     space: Workspace
     start: Swarm
-    due: np.ndarray
     budget: np.ndarray
     turns: np.ndarray
     friction: float
@@ -110,7 +108,6 @@ def make_contact(
         scenery=scenery,
         space=make_workspace(drones),
         start=Swarm.zeros(*each, 0),
-        due=np.zeros(each, dtype=bool),
         budget=np.full(each, -1.0),
         turns=np.zeros(each, dtype=bool),
         friction=friction,

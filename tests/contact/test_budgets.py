@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from contact.rig import Rig, random_attitudes
 
+from bulletuav.geometry.obstacle import Obstacle
+
 
 def hop(anew, dynamics, airframe):
     """Fly spinning drones low over the ground; tells all states, touches, and how many looks."""
@@ -22,9 +24,11 @@ def hop(anew, dynamics, airframe):
         for _ in range(150):
             if anew:
                 rig.dynamics.contact.budget[:] = -1.0
+            budget = rig.dynamics.contact.budget.copy()
             touches.append(rig.fly())
             states.append([one.copy() for one in rig.swarm])
-            looks += rig.dynamics.contact.due.sum()
+            # Only who is looked at gets more
+            looks += (rig.dynamics.contact.budget > budget).sum()
         return states, touches, looks
 
 
@@ -57,7 +61,34 @@ def test_who_flies_low_is_seldom_looked_at():
         rig.place()
         looks = 0
         for _ in range(240):
+            budget = rig.dynamics.contact.budget.copy()
             assert len(rig.fly().world) == 0
-            looks += rig.dynamics.contact.due.sum()
+            looks += (rig.dynamics.contact.budget > budget).sum()
         # 0.3 m, and 1 rad of the outermost points, over the 24 mm that are free
         assert 10 < looks < 20
+
+
+@pytest.mark.parametrize("airframe", ["cf2x", "iris"])
+@pytest.mark.parametrize("stands", ["obstacle", "city"])
+def test_who_comes_down_beside_a_sleeper_on_something_touches_it(stands, airframe):
+    """The budget of a sleeper close by a box is below zero: that is no room for others."""
+    obstacles = [Obstacle("box", (6.0, 6.0, 0.2))] if stands == "obstacle" else []
+    boxes = [((-3, -3, 0), (3, 3, 0.2))] if stands == "city" else []
+    with Rig([airframe] * 2, gravity=1.0, obstacles=obstacles, boxes=boxes) as rig:
+        radius, _, half = rig.airframes[0].shape.half
+        if obstacles:
+            rig.obstacle[:] = (0, 0, 0.1)
+        # The other one stands on its rim and hits that of the sleeper
+        top = 0.2 + half
+        rig.swarm.position[0] = (0, 0, top + 1e-4), (1.3 * radius, 0, top + 2.5 * radius)
+        rig.swarm.quaternion[0, 1] = (np.sqrt(0.5), 0, 0, np.sqrt(0.5))
+        rig.place()
+        slept, told, least = False, False, np.inf
+        for _ in range(400):
+            found = rig.fly()
+            slept = slept or rig.dynamics.contact.asleep[0, 0]
+            told = told or ((found.drone == 1) & (found.other == 0)).any()
+            least = min(least, rig.gaps(0, 1)[0])
+    assert slept
+    assert told
+    assert least > 0

@@ -1,0 +1,37 @@
+"""Order of the drones of a world by place, so that their numbers do not matter."""
+
+import numpy as np
+
+from bulletuav.kernel import func
+
+
+@func
+def _is_before(
+    position: np.ndarray,
+    w: int,
+    i: int,
+    j: int,
+) -> bool:
+    """Tell whether drone i comes before drone j by x, then y, then z."""
+    for k in range(3):
+        one = float(position[w, i, k])
+        other = float(position[w, j, k])
+        if one != other:
+            return one < other
+    return False
+
+
+@func
+def set_order(
+    order: np.ndarray,
+    position: np.ndarray,
+    w: int,
+) -> None:
+    """Write the drones (N,) of a world in the order of x, then y, then z."""
+    for last in range(order.shape[0]):
+        i = last
+        k = last
+        while k > 0 and _is_before(position, w, i, order[k - 1]):
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i
