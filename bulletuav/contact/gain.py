@@ -6,7 +6,7 @@ import numpy as np
 
 from bulletuav.contact.motion import put_vector, quaternion_of, vector
 from bulletuav.contact.points import Workspace, World
-from bulletuav.contact.relax import FIRM, relax
+from bulletuav.contact.relax import FIRM, FROM_NOTHING, relax
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, plus
 from bulletuav.kernel import func, kernel
 
@@ -161,7 +161,7 @@ def lose_gain(
     # Later passes do not ask for it again
     for k in range(size):
         points[k].least = min(points[k].least, 0.0)
-    relax(points, size, motions, world.dt, FIRM)
+    relax(points, size, motions, world.dt, FIRM, FROM_NOTHING)
     had += _work(space, world, members, frame, rest)
     calm = moving_energy(space, world, members, frame, 0.0)
     half = 0.0

@@ -17,7 +17,16 @@ from bulletuav.contact.points import (
     add_points,
     measure,
 )
-from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FIRM_IN_HEAPS, damp_tipping, relax
+from bulletuav.contact.relax import (
+    FIRM,
+    FIRM_ENOUGH,
+    FIRM_IN_HEAPS,
+    FROM_BEFORE,
+    FROM_MEMORY,
+    FROM_NOTHING,
+    damp_tipping,
+    relax,
+)
 from bulletuav.contact.staying import STILL, carried, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
@@ -79,12 +88,12 @@ def _rebound(
         frame = frame_of(points, size)
         had = moving_energy(space, world, members, frame, 0.0)
         remember_before(space, members, points, size)
-        relax(points, size, space.motions, world.dt, FIRM)
+        relax(points, size, space.motions, world.dt, FIRM, FROM_NOTHING)
         keep(points, size)
         lose_gain(space, world, members, points, size, frame, had, 0.0)
     elif closes and slow:
         # What is only stopped gains no energy
-        relax(points, size, space.motions, world.dt, FIRM_ENOUGH)
+        relax(points, size, space.motions, world.dt, FIRM_ENOUGH, FROM_NOTHING)
         keep(points, size)
     return slow
 
@@ -196,19 +205,20 @@ def _hold(
     for trial in range(FORESIGHT + 1):
         if trial == 0:
             recall(memory, motions, radii, world.w, points, pairs, size, 1.0 - time)
-        # Who is fast and alone flies on before it would rock
-        shares = trial > 0 and (slow or members > 1)
-        if shares:
-            reopen(points, size)
-        relax(points, size, motions, world.dt, firm, trial == 0, shares)
-        if trial == 0:
+            relax(points, size, motions, world.dt, firm, FROM_MEMORY)
             island = space.island
             note(memory, motions, world.w, island, members, points, pairs, size, 1.0 - time)
-        keep(points, size)
-        if trial == 0 and damp_tipping(points, size, motions):
-            relax(points, size, motions, world.dt, firm)
             keep(points, size)
-        if trial > 0:
+            if damp_tipping(points, size, motions):
+                relax(points, size, motions, world.dt, firm, FROM_NOTHING)
+                keep(points, size)
+        else:
+            # Who is fast and alone flies on before it would rock
+            shares = slow or members > 1
+            if shares:
+                reopen(points, size)
+            relax(points, size, motions, world.dt, firm, FROM_BEFORE if shares else FROM_NOTHING)
+            keep(points, size)
             lose_gain(space, world, members, points, size, frame, had, 1.0 - time)
         for m in range(members):
             i = space.island[m]

@@ -39,6 +39,8 @@ POINT = np.dtype(
         ("hold", "f8", (3, 3)),
         ("least", "f8"),
         ("axis", "f8", (3, 3)),
+        ("turning_a", "f8", (3, 3)),
+        ("turning_b", "f8", (3, 3)),
         ("stiff", "f8", 3),
         ("resist", "f8", 3),
         ("roll", "f8", 3),
@@ -79,6 +81,8 @@ Attributes:
     hold: Inverse of the symmetric 3 x 3 matrix of velocities by impulses, kg.
     least: Velocity along the normal that must be reached, m/s.
     axis: Unit vectors about which they do not turn freely: z of a, z of b, and the normal.
+    turning_a: Changes of the spin of a by unit angular impulses about them, rad/s.
+    turning_b: The same of b, rad/s.
     stiff: Moments of inertia about them, kg m^2.
     resist: Greatest angular impulses about them, over the normal impulse, m.
     roll: Angular impulses about the axes, in this pass, N m s.

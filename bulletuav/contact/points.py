@@ -234,9 +234,13 @@ def _set_axis(
     axis: Vec3,
 ) -> None:
     """Set an axis about which a point resists turning."""
-    yields = dot(axis, eased(motions[point.a], axis))
+    turning = eased(motions[point.a], axis)
+    put_vector(point.turning_a[side], turning)
+    yields = dot(axis, turning)
     if point.b >= 0:
-        yields += dot(axis, eased(motions[point.b], axis))
+        turning = eased(motions[point.b], axis)
+        put_vector(point.turning_b[side], turning)
+        yields += dot(axis, turning)
     put_vector(point.axis[side], axis)
     point.stiff[side] = 1.0 / yields
 

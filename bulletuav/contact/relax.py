@@ -29,6 +29,8 @@ FIRM_ENOUGH = 1e-6
 """The same of a drone that is held or stopped: slides are exact to 1e-3 by it"""
 FIRM_IN_HEAPS = 1e-5
 """The same of drones that hold each other; rest begins at hundreds of it"""
+FROM_NOTHING, FROM_MEMORY, FROM_BEFORE = 0, 1, 2
+"""What impulses start from, see `relax`"""
 SWEEPS = 200
 """Most sweeps over the points of any island"""
 GROWTH = 4.0
@@ -89,11 +91,7 @@ def _rub(
 
 
 @func
-def _resist_turning(
-    row: np.record,
-    motions: np.ndarray,
-    moving: Moving,
-) -> Moving:
+def _resist_turning(row: np.record, moving: Moving) -> Moving:
     """Let angular impulses about the axes of a point resist that its bodies roll or pivot."""
     velocity_a, spin_a, velocity_b, spin_b = moving
     for side in range(3):
@@ -106,10 +104,9 @@ def _resist_turning(
         wanted = min(max(wanted, -most), most)
         change = wanted - row.roll[side]
         row.roll[side] = wanted
-        twist = (change * axis[0], change * axis[1], change * axis[2])
-        spin_a = plus(spin_a, 1.0, eased(motions[row.a], twist))
+        spin_a = plus(spin_a, change, point(row.turning_a, side))
         if row.b >= 0:
-            spin_b = minus(spin_b, eased(motions[row.b], twist))
+            spin_b = plus(spin_b, -change, point(row.turning_b, side))
     return velocity_a, spin_a, velocity_b, spin_b
 
 
@@ -228,7 +225,7 @@ def _visit(row: np.record, motions: np.ndarray, at_once: bool) -> None:
     done = False
     if row.friction > 0.0:
         if acts:
-            moving = _resist_turning(row, motions, moving)
+            moving = _resist_turning(row, moving)
         # Who slid a moment ago will hardly stick
         if not row.slides:
             done, moving = _stick(row, motions, moving)
@@ -273,8 +270,7 @@ def relax(
     motions: np.ndarray,
     dt: float,
     firm: float,
-    warm: bool = False,
-    again: bool = False,
+    start: int,
 ) -> int:
     """Sweep over points until none closes faster than it may.
 
@@ -285,9 +281,8 @@ def relax(
         dt: Length of the substep, s.
         firm: Change of velocity below which a sweep changes nothing, as share of the greatest one
             or 1 m/s.
-        warm: Whether impulses start from those that are there, instead of zero.
-        again: Whether impulses go on from those that are there, which act already; `warm` plays no
-            part then.
+        start: `FROM_NOTHING`, `FROM_MEMORY` for the impulses that are there, which do not act yet,
+            or `FROM_BEFORE` for those that act already.
 
     Returns:
         The number of sweeps.
@@ -297,17 +292,17 @@ def relax(
         row = points[k]
         put_vector(row.way, (0.0, 0.0, 0.0))
         row.slides = False
-        if again:
+        if start == FROM_BEFORE:
             continue
         put_vector(row.roll, (0.0, 0.0, 0.0))
-        if warm:
-            start = moving_at(row, motions)
-            put_moving(row, motions, _given(row, motions, start, vector(row.impulse)))
+        if start == FROM_MEMORY:
+            moving = moving_at(row, motions)
+            put_moving(row, motions, _given(row, motions, moving, vector(row.impulse)))
         else:
             put_vector(row.impulse, (0.0, 0.0, 0.0))
     for k in range(count):
-        moving = slip(points[k], motions)
-        fastest = max(fastest, math.sqrt(dot(moving, moving)))
+        slips = slip(points[k], motions)
+        fastest = max(fastest, math.sqrt(dot(slips, slips)))
     work = max(WORK, int(dt * WORK_A_SECOND))
     most = max(FEWEST, min(SWEEPS, work // max(1, count)))
     before = 0.0

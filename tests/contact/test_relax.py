@@ -9,7 +9,7 @@ from bulletuav.contact.gain import keep, reopen
 from bulletuav.contact.impulses import POINT, set_ease
 from bulletuav.contact.motion import MOTION
 from bulletuav.contact.points import fill
-from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, SWEEPS, relax
+from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FROM_BEFORE, FROM_NOTHING, SWEEPS, relax
 from bulletuav.kernel import kernel
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
@@ -51,7 +51,7 @@ def hit(airframe, friction, seed):
     out *= radius / np.linalg.norm(out)
     points.arm_a[0], points.normal[0] = out - half * np.sign(axis[2]) * axis, (0, 0, 1)
     prepare(motions, points, parameter_rows([found], [])[0], touches(friction))
-    sweeps = relax(points, 1, motions, 1 / 240, FIRM)
+    sweeps = relax(points, 1, motions, 1 / 240, FIRM, FROM_NOTHING)
     return points[0], motions[0], sweeps
 
 
@@ -107,7 +107,7 @@ def test_energy_of_a_drone_that_is_wedged_does_not_grow(friction, count):
 
         prepare(motions, points, row, touches(friction))
         before = energy()
-        relax(points, count, motions, 1 / 240, FIRM_ENOUGH)
+        relax(points, count, motions, 1 / 240, FIRM_ENOUGH, FROM_NOTHING)
         assert energy() <= 1.001 * before
 
 
@@ -130,12 +130,12 @@ def test_a_point_that_comes_later_takes_its_share_of_what_another_held():
     points.normal[:] = (0, 0, 1)
     points.arm_a[:] = (0.01, 0, 0), (-0.01, 0, 0)
     prepare(motions, points, row, touches(0.0))
-    relax(points, 1, motions, 1 / 240, FIRM)
+    relax(points, 1, motions, 1 / 240, FIRM, FROM_NOTHING)
     keep(points, 1)
     assert points.total[0, 0] == pytest.approx(1 / (1 / row["mass"] + 0.01**2 / row["inertia"][1]))
     assert motions.spin[0, 1] < -1.0
     reopen(points, 2)
-    relax(points, 2, motions, 1 / 240, FIRM, again=True)
+    relax(points, 2, motions, 1 / 240, FIRM, FROM_BEFORE)
     keep(points, 2)
     np.testing.assert_allclose(points.total[:, 0], row["mass"] / 2)
     np.testing.assert_allclose(motions.velocity[0], 0, atol=1e-9)
@@ -160,18 +160,18 @@ def test_passes_together_resist_rolling_no_more_than_the_normal_impulse_allows()
         points.normal[:] = (0, 0, 1)
         points.arm_a[:] = (0, half, -radius), (0, -half, -radius)
         prepare(motions, points, row, surface)
-        relax(points, 1, motions, 1 / 60, FIRM_ENOUGH)
+        relax(points, 1, motions, 1 / 60, FIRM_ENOUGH, FROM_NOTHING)
         keep(points, 1)
         acted = points.roll.copy()
         motions.spin[0] *= 0.7  # as if tipping was damped
-        relax(points, 1, motions, 1 / 60, FIRM_ENOUGH)
+        relax(points, 1, motions, 1 / 60, FIRM_ENOUGH, FROM_NOTHING)
         keep(points, 1)
         acted += points.roll
         # A second point is foreseen
         points.least[1] = rng.uniform(0, 0.5)
         reopen(points, 2)
         before = points.roll.copy()
-        relax(points, 2, motions, 1 / 60, FIRM_ENOUGH, again=True)
+        relax(points, 2, motions, 1 / 60, FIRM_ENOUGH, FROM_BEFORE)
         keep(points, 2)
         again += (points.roll[0] != before[0]).any()
         acted += points.roll - before
