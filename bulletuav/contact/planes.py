@@ -201,58 +201,6 @@ def normal_after(plane: Plane, normal: Vec3, share: float) -> Vec3:
 
 
 @func
-def _time_by_plane(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    a: int,
-    b: int,
-    time: float,
-    dt: float,
-    plane: Plane,
-    normal: Vec3,
-    distance: float,
-    floor: float,
-    step: float,
-    rest: float,
-) -> float:
-    """Return how long a plane keeps a pair apart; see `time_apart`.
-
-    Args:
-        scenery: As this and others are in `touch_time`.
-        motions: As there.
-        w: As there.
-        a: As there.
-        b: As there.
-        time: As this and others are in `time_apart`.
-        dt: As there.
-        plane: How they move against it.
-        normal: As there.
-        distance: As there.
-        floor: As there.
-        step: Share of the substep that is known to be safe, and returned at least.
-        rest: As there.
-    """
-    left = distance - floor
-    bend = plane[2]
-    # Without bends that is `step`
-    if bend == 0.0:
-        return step
-    reach = math.sqrt(0.5 * left / bend)
-    span = rest
-    while span > step:
-        ahead = normal_after(plane, normal, span)
-        later, _, _ = separation_along(scenery, motions, w, a, b, time + span, dt, ahead)
-        dip = bend * span * span
-        if later >= floor and (left >= 4.0 * dip or min(distance, later) - dip >= floor):
-            return span
-        # Who is too close there comes so by a parabola, or sooner
-        part = 0.5 if later >= floor else 0.9 * math.sqrt(left / (distance - later))
-        span = min(reach, part * span)
-    return step
-
-
-@func
 def time_apart(
     scenery: Scenery,
     motions: np.ndarray,
@@ -288,11 +236,26 @@ def time_apart(
     Returns:
         Share of the substep.
     """
-    step = safe_time(longest(planes, distance - floor), distance - floor)
+    left = distance - floor
+    step = safe_time(longest(planes, left), left)
     for k in range(3 - count, 3):
-        step = _time_by_plane(
-            scenery, motions, w, a, b, time, dt, planes[k], normal, distance, floor, step, rest
-        )
+        plane = planes[k]
+        bend = plane[2]
+        # Without bends that is `step`
+        if bend == 0.0:
+            continue
+        reach = math.sqrt(0.5 * left / bend)
+        span = rest
+        while span > step:
+            ahead = normal_after(plane, normal, span)
+            later, _, _ = separation_along(scenery, motions, w, a, b, time + span, dt, ahead)
+            dip = bend * span * span
+            if later >= floor and (left >= 4.0 * dip or min(distance, later) - dip >= floor):
+                step = span
+                break
+            # Who is too close there comes so by a parabola, or sooner
+            part = 0.5 if later >= floor else 0.9 * math.sqrt(left / (distance - later))
+            span = min(reach, part * span)
     return step
 
 
