@@ -175,13 +175,16 @@ def planes_between(
 
 
 @func
-def longest(planes: Planes, left: float) -> Plane:
-    """Return the plane against which a gap of `left` metres stays open longest, for sure."""
+def longest(planes: Planes, left: float) -> tuple[Plane, float]:
+    """Return the plane against which a gap of `left` metres stays open longest, and `safe_time`."""
     plane = planes[2]
+    time = safe_time(plane, left)
     for k in range(2):
-        if safe_time(planes[k], left) > safe_time(plane, left):
+        other = safe_time(planes[k], left)
+        if other > time:
             plane = planes[k]
-    return plane
+            time = other
+    return plane, time
 
 
 @func
@@ -214,6 +217,7 @@ def time_apart(
     normal: Vec3,
     distance: float,
     floor: float,
+    step: float,
     rest: float,
 ) -> float:
     """Return how long some plane keeps a pair apart: to the end, or as far as ways bend.
@@ -231,13 +235,13 @@ def time_apart(
         normal: Their unit vector at that time, from b to a.
         distance: What is between the pair then, m; more than `floor`.
         floor: Distance that it must keep, m.
+        step: Share of the substep in which it is known to keep it.
         rest: What is left of the substep.
 
     Returns:
-        Share of the substep.
+        Share of the substep, at least `step`.
     """
     left = distance - floor
-    step = safe_time(longest(planes, left), left)
     for k in range(3 - count, 3):
         plane = planes[k]
         bend = plane[2]

@@ -109,11 +109,12 @@ def touch_time(
         where they do not; the direction of the last separation; and whether they are in touch at
         `start`.
     """
-    # Of a pair that is held it is known that it is in touch
-    least = -math.inf if held else IN_TOUCH
-    across = guess if dot(guess, guess) > 0.0 else line_of(motions, a, b)
-    if not plain and is_kept_apart(scenery, motions, w, a, b, start, least, floor, dt, across):
-        return NEVER, across, False
+    if not plain:
+        # Of a pair that is held it is known that it is in touch
+        least = -math.inf if held else IN_TOUCH
+        across = guess if dot(guess, guess) > 0.0 else line_of(motions, a, b)
+        if is_kept_apart(scenery, motions, w, a, b, start, least, floor, dt, across):
+            return NEVER, across, False
     exact = ROUGH if held else EXACT
     move_a, turn_a = change_rates(scenery, motions, w, a, dt)
     move_b, turn_b = change_rates(scenery, motions, w, b, dt)
@@ -140,7 +141,7 @@ def touch_time(
         between = plus(minus(on_b, on_a), distance, normal)
         count = 3 if turns and left > 0.0 else 1
         planes = planes_between(radii, normal, move, turn_a, turn_b, between, count)
-        plane = longest(planes, left)
+        plane, step = longest(planes, left)
         bound, growth, bend, _ = plane
         landed, leapt = leapt and left > 0.0, False
         if landed:
@@ -157,7 +158,20 @@ def touch_time(
         if left > 0.0:
             apart = time
             step = time_apart(
-                scenery, motions, w, a, b, time, dt, planes, count, normal, distance, floor, rest
+                scenery,
+                motions,
+                w,
+                a,
+                b,
+                time,
+                dt,
+                planes,
+                count,
+                normal,
+                distance,
+                floor,
+                step,
+                rest,
             )
             if step >= rest:
                 return NEVER, normal, near

@@ -241,15 +241,15 @@ def _between(
     turn_b: Turn,
     offset: Vec3,
     d: Vec3,
-    edge_a: bool,
-    edge_b: bool,
+    one: Feature,
+    long_a: float,
+    two: Feature,
+    long_b: float,
 ) -> Answer:
-    """Solve for the nearest points of edges, rims or corners about a direction; see `direct`.
+    """Solve for the nearest points of two edges, rims or corners about a direction; see `direct`.
 
-    Edges of both are taken, if there are any, or what is at their ends.
+    `long_a` and `long_b` are half the lengths of edges.
     """
-    one, long_a = _feature_along(table, a, turn_a, (-d[0], -d[1], -d[2]), edge_a)
-    two, long_b = _feature_along(table, b, turn_b, d, edge_b)
     crossing = cross(one[1], two[1])
     if dot(crossing, crossing) > PARALLEL:
         _, crossing = _scaled(crossing)
@@ -307,13 +307,18 @@ def direct(
         normal = (-normal[0], -normal[1], -normal[2])
         return height, normal, plus(low, height, normal), minus(low, offset)
     # Edges first, then what is at the end of one or both
-    has_a = _has_edge(_feature_along(table, a, turn_a, back, True)[0])
-    has_b = _has_edge(_feature_along(table, b, turn_b, d, True)[0])
+    edge_a, long_a = _feature_along(table, a, turn_a, back, True)
+    edge_b, long_b = _feature_along(table, b, turn_b, d, True)
+    end_a, _ = _feature_along(table, a, turn_a, back, False)
+    end_b, _ = _feature_along(table, b, turn_b, d, False)
     found = NOTHING
     for k in range(4):
-        edge_a, edge_b = k < 2, k % 2 == 0
-        if found[0] == UNKNOWN and (edge_a or has_a) and (edge_b or has_b):
-            found = _between(table, a, turn_a, b, turn_b, offset, d, edge_a, edge_b)
+        one = edge_a if k < 2 else end_a
+        two = edge_b if k % 2 == 0 else end_b
+        # Without an edge its end was tried already
+        known = (k >= 2 and not _has_edge(edge_a)) or (k % 2 == 1 and not _has_edge(edge_b))
+        if found[0] == UNKNOWN and not known:
+            found = _between(table, a, turn_a, b, turn_b, offset, d, one, long_a, two, long_b)
     return found
 
 

@@ -1,16 +1,13 @@
-"""Planes that keep a pair apart: their bounds against ways in closed form, and times of touch."""
+"""Planes that keep a pair apart: their bounds against ways in closed form; and small turns."""
 
 import numpy as np
 import pytest
-from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
+from contact.rig import random_attitudes, random_directions
 from scipy.spatial.transform import Rotation
 
 from bulletuav.contact.planes import plane_at_rest, plane_turning, planes_between, safe_time
 from bulletuav.contact.spin import angle_at_most, turned
-from bulletuav.contact.touch import NEVER, TOUCH, touch_time
-from bulletuav.kernel import allocating
 
-DT = 1 / 240
 SHARES = np.linspace(0, 1, 1001)
 RADII = (0.07, 0.2)
 
@@ -95,71 +92,3 @@ def test_angles_are_bounded(angle, most):
     for one in (after.as_quat(), -after.as_quat()):
         found = angle_at_most(tuple(before.as_quat().tolist()), tuple(one.tolist()))
         assert angle - 1e-12 <= found <= most + 1e-12
-
-
-@allocating
-def _pair_times(scenery, motions, room):  # type: ignore[no-untyped-def]
-    """Return when drones 0 and 1 of each row of `motions` (M, 2) touch."""
-    found = np.zeros(len(motions))
-    for m in range(len(motions)):
-        pair = motions[m]
-        found[m] = touch_time(scenery, pair, 0, 0, 1, 0.0, TOUCH, False, DT, (0.0, 0.0, 0.0), room)[
-            0
-        ]
-    return found
-
-
-@pytest.mark.parametrize("together", [False, True])
-@pytest.mark.parametrize("frames", [("cf2x", "cf2x"), ("cf2x", "racer")])
-def test_turning_pairs_touch_when_their_distance_says(frames, together):
-    """Also who turn about each other as one, or roll, and hardly come closer."""
-    rng = np.random.default_rng(7)
-    count = 150
-    with Rig(list(frames)) as rig:
-        table = rig.engine.scenery.table
-        motions = np.repeat(rig.dynamics.contact.space.motions[None], count, axis=0)
-        motions["time"], motions["until"] = 0.0, 1.0
-        motions["quaternion"] = random_attitudes(rng, count, 2)
-        away = random_directions(rng, count)
-        angle = 10 ** rng.uniform(-3, -0.3, (count, 1))
-        turn = angle * random_directions(rng, count)
-        other = 10 ** rng.uniform(-3, -0.3, (count, 1)) * random_directions(rng, count)
-        motions["turn"] = np.stack([turn, turn if together else other], axis=1)
-        # As near as they get
-        gap = TOUCH + 10 ** rng.uniform(-6, -3, count)
-        near, far = np.zeros(count), np.ones(count)
-        for _ in range(50):
-            middle = 0.5 * (near + far)
-            distance = _distances(table, motions, middle[:, None] * away, 0.0)
-            near = np.where(distance < gap, middle, near)
-            far = np.where(distance < gap, far, middle)
-        motions["position"] = 0.0
-        motions["position"][:, 0] = far[:, None] * away
-        drift = 10 ** rng.uniform(-7, -3, (count, 1)) * random_directions(rng, count)
-        motions["move"] = 0.0
-        # About b, so that centres go round each other
-        motions["move"][:, 0] = np.cross(turn, far[:, None] * away) + drift
-        times = _pair_times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
-        place = motions["position"][:, 0]
-        hits = times < NEVER
-        assert count / 10 < hits.sum() < count
-        shares = np.where(hits, times, 0.0)
-        at_touch = _distances(
-            table, motions, place + shares[:, None] * motions["move"][:, 0], shares
-        )
-        assert np.abs(at_touch - TOUCH)[hits].max() < 1e-12
-        for share in np.linspace(0, 1, 101):
-            before = np.minimum(share, np.where(hits, times, 1.0))
-            way = place + before[:, None] * motions["move"][:, 0]
-            assert (_distances(table, motions, way, before) > TOUCH - 1e-12).all()
-
-
-def _distances(table, motions, place, share):
-    """Distances of drones 0 at places (M, 3) from drones 1 at the origin, after shares (M,)."""
-    turns = np.asarray(share).reshape(-1, 1, 1) * motions["turn"]
-    shape = motions["quaternion"].shape
-    attitude = Rotation.from_rotvec(turns.reshape(-1, 3)) * Rotation.from_quat(
-        motions["quaternion"].reshape(-1, 4)
-    )
-    attitude = attitude.as_quat().reshape(shape)
-    return measure_gaps(table, 0, 1, place, attitude[:, 0], np.zeros(place.shape), attitude[:, 1])

@@ -1,4 +1,4 @@
-"""Times of touch of a drone that turns, against heights of its cylinder in closed form."""
+"""Times of touch of drones that turn, against heights of a cylinder in closed form, and gaps."""
 
 import numpy as np
 import pytest
@@ -16,12 +16,12 @@ SAMPLES = np.linspace(0, 1, 2001)
 
 @allocating
 def _times(scenery, motions, room):  # type: ignore[no-untyped-def]
-    """Return when each of the drones of `motions` (M,) alone touches the only other shape."""
+    """Return when shapes 0 and 1 touch: drones of `motions` (M,) and another, or pairs (M, 2)."""
     found = np.zeros(len(motions))
+    drones = motions.reshape(len(motions), -1)
     for m in range(len(motions)):
-        alone = motions[m : m + 1]
         found[m] = touch_time(
-            scenery, alone, 0, 0, 1, 0.0, TOUCH, False, DT, (0.0, 0.0, 0.0), room
+            scenery, drones[m], 0, 0, 1, 0.0, TOUCH, False, DT, (0.0, 0.0, 0.0), room
         )[0]
     return found
 
@@ -73,15 +73,27 @@ def test_turning_drones_touch_when_their_lowest_point_does() -> None:
         assert heights.min() > TOUCH - 1e-12
 
 
+def _poses(motions: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return places and attitudes of drones (M, ...) after shares (M,) of a substep."""
+    share = share.reshape(-1, *[1] * motions.ndim)
+    quaternion = motions["quaternion"]
+    turn = Rotation.from_rotvec((share * motions["turn"]).reshape(-1, 3))
+    attitude = (turn * Rotation.from_quat(quaternion.reshape(-1, 4))).as_quat()
+    return motions["position"] + share * motions["move"], attitude.reshape(quaternion.shape)
+
+
 def _gaps(rig: Rig, motions: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return the distances of drones from an obstacle at the origin, after shares (M,), m."""
-    turn = Rotation.from_rotvec(share[:, None] * motions["turn"])
-    attitude = (turn * Rotation.from_quat(motions["quaternion"])).as_quat()
-    place = motions["position"] + share[:, None] * motions["move"]
-    level = np.tile([0.0, 0, 0, 1], (len(motions), 1))
-    return measure_gaps(
-        rig.engine.scenery.table, 0, 1, place, attitude, np.zeros(place.shape), level
-    )
+    """Return distances (M,), m, of drones (M,) from an obstacle at the origin, or in pairs (M, 2).
+
+    They are those after shares (M,) of the substep.
+    """
+    place, attitude = _poses(motions, share)
+    if motions.ndim == 1:
+        # The obstacle
+        place = np.stack([place, np.zeros(place.shape)], axis=1)
+        attitude = np.stack([attitude, np.tile([0.0, 0, 0, 1], (len(motions), 1))], axis=1)
+    table = rig.engine.scenery.table
+    return measure_gaps(table, 0, 1, place[:, 0], attitude[:, 0], place[:, 1], attitude[:, 1])
 
 
 def _unit(quaternion: tuple[float, ...]) -> np.ndarray:
@@ -166,6 +178,46 @@ def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
         assert 0 < gaps.min() - TOUCH < 1e-6
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
     assert times[0] == NEVER
+
+
+@pytest.mark.parametrize("together", [False, True])
+@pytest.mark.parametrize("frames", [("cf2x", "cf2x"), ("cf2x", "racer")])
+def test_turning_pairs_touch_when_their_distance_says(
+    frames: tuple[str, str], together: bool
+) -> None:
+    """Also who turn about each other as one, or roll, and hardly come closer."""
+    rng = np.random.default_rng(7)
+    count = 150
+    with Rig(list(frames)) as rig:
+        motions = np.repeat(rig.dynamics.contact.space.motions[None], count, axis=0)
+        motions["time"], motions["until"] = 0.0, 1.0
+        motions["quaternion"] = random_attitudes(rng, count, 2)
+        away = random_directions(rng, count)
+        angle = 10 ** rng.uniform(-3, -0.3, (count, 1))
+        turn = angle * random_directions(rng, count)
+        other = 10 ** rng.uniform(-3, -0.3, (count, 1)) * random_directions(rng, count)
+        motions["turn"] = np.stack([turn, turn if together else other], axis=1)
+        # As near as they get
+        gap = TOUCH + 10 ** rng.uniform(-6, -3, count)
+        motions["position"] = motions["move"] = 0.0
+        near, far = np.zeros(count), np.ones(count)
+        for _ in range(50):
+            middle = 0.5 * (near + far)
+            motions["position"][:, 0] = middle[:, None] * away
+            close = _gaps(rig, motions, np.zeros(count)) < gap
+            near, far = np.where(close, middle, near), np.where(close, far, middle)
+        motions["position"][:, 0] = far[:, None] * away
+        drift = 10 ** rng.uniform(-7, -3, (count, 1)) * random_directions(rng, count)
+        # About b, so that centres go round each other
+        motions["move"][:, 0] = np.cross(turn, far[:, None] * away) + drift
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        hits = times < NEVER
+        assert count / 10 < hits.sum() < count
+        at_touch = _gaps(rig, motions, np.where(hits, times, 0.0))
+        assert np.abs(at_touch - TOUCH)[hits].max() < 1e-12
+        for share in np.linspace(0, 1, 101):
+            before = np.minimum(share, np.where(hits, times, 1.0))
+            assert (_gaps(rig, motions, before) > TOUCH - 1e-12).all()
 
 
 def _grazing(
