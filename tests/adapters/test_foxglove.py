@@ -7,12 +7,12 @@ import shlex
 import socket
 import struct
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.cli import main
@@ -23,7 +23,6 @@ closed = pytest.importorskip("websockets.exceptions").ConnectionClosed
 
 FREE = "127.0.0.1:0"
 SHORT = {"num_drones": 2, "dynamics": "point_mass", "horizon": 20, "observation": ("goal", "imu")}
-PATIENCE = 20.0
 MESSAGE = 1
 """First byte of data: 4 bytes of the subscription and 8 of nanoseconds follow"""
 
@@ -72,13 +71,6 @@ class Client:
         # A subscription has the channel's number here.
         wanted = [{"id": k, "channelId": k} for k in map(self.advertised, topics)]
         self.socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
-
-
-def until(condition):
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 from payload_block import Block
+from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.cli import main
@@ -19,14 +20,6 @@ from bulletuav.report.feed import MOST_WAITING, Feed, event
 
 FREE = "127.0.0.1:0"
 SHORT = {"num_drones": 3, "dynamics": "point_mass", "horizon": 20}
-PATIENCE = 20.0
-
-
-def until(condition):
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 class Watcher:

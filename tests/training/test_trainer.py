@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ import psutil
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
@@ -237,9 +237,9 @@ def test_signals_cost_no_more_than_the_chapter_that_they_cut(tmp_path):
         process = subprocess.Popen(
             [*command, "--out", str(folder)], stderr=subprocess.PIPE, text=True
         )
-        wait_until(lambda: count_rows(folder) > reached + 2)  # noqa: B023 - ends at once
+        until(lambda: count_rows(folder) > reached + 2)  # noqa: B023 - ends at once
         process.send_signal(number)
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=PATIENCE)
         assert process.returncode == code, said
         assert ("the same command goes on" in said) == (number == 2)
         reached = count_rows(folder)
@@ -287,7 +287,7 @@ def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
     )
     process = subprocess.Popen([sys.executable, "-c", script], cwd=Path(__file__).parents[1])
     store = tmp_path / "converge" / "0"
-    wait_until(lambda: (store / "state.json").exists())
+    until(lambda: (store / "state.json").exists())
     with pytest.raises(ValueError, match="by another process"):
         train(config(steps=10**7), store)
     workers = [child.pid for child in psutil.Process(process.pid).children(recursive=True)]
@@ -299,15 +299,8 @@ def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
         with contextlib.suppress(ValueError), opened(store, config(steps=10**7)):
             return True
 
-    wait_until(is_free)
-    wait_until(lambda: not any(psutil.pid_exists(pid) for pid in workers))
-
-
-def wait_until(done, seconds=60):
-    end = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end
-        time.sleep(0.1)
+    until(is_free)
+    until(lambda: not any(psutil.pid_exists(pid) for pid in workers))
 
 
 def test_a_damaged_or_impossible_folder_is_refused(run, tmp_path):
