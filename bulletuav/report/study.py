@@ -12,6 +12,7 @@ from matplotlib.ticker import NullFormatter
 from bulletuav.policies.space import Range
 from bulletuav.report.charts import COLOURS
 from bulletuav.report.figures import blank_figure, save_figure
+from bulletuav.training.store import evaluation_conditions
 from bulletuav.training.study import Study, Trial, best_trials
 
 COLUMNS = 4
@@ -29,7 +30,8 @@ def study_table(study: Study, trials: Sequence[Trial]) -> str:
         The table in markdown.
     """
     headings = ["trial", study.metric, *study.space]
-    lines = [_line(headings), "|---" * len(headings) + "|"]
+    caption = f"{study.metric} of each trial's last evaluation: {evaluation_conditions(study.run)}"
+    lines = [f"{caption}\n", _line(headings), "|---" * len(headings) + "|"]
     best = best_trials(study, trials)
     for trial in [*best, *(one for one in trials if one.error)]:
         result = f"failed: {trial.error}" if trial.error else f"{trial.result:.4g}"
@@ -80,7 +82,9 @@ def plot_study(
     # Places of the grid that are left over
     for axes in others[len(study.space) :]:
         axes.set_axis_off()
-    figure.suptitle(f"{study.run.task}, {study.run.algo}, seed {study.run.seed}")
+    figure.suptitle(
+        f"{study.run.algo}, trained with seed {study.run.seed}\n{evaluation_conditions(study.run)}"
+    )
     save_figure(figure, path)
 
 

@@ -17,7 +17,7 @@ from bulletuav.files import replace_file
 from bulletuav.policies.run import MODULE_NAME, VERSION, RunConfig, read_settings, write_settings
 from bulletuav.policies.space import Space, check_space, parse_space, with_values
 from bulletuav.training.campaign import processes, train_in_process
-from bulletuav.training.store import FolderError, Row, locked
+from bulletuav.training.store import FolderError, Row, evaluation_conditions, locked
 
 STUDY = "study.yaml"
 """File with the settings of a study, in its folder"""
@@ -246,14 +246,15 @@ def _outcome(future: Future[list[Row]], metric: str) -> tuple[float, str]:
 
 
 def _table(study: Study, trials: list[Trial]) -> str:
-    """Write the trials as CSV; values are in JSON."""
+    """Write the trials as CSV with the conditions of their results; values are in JSON."""
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(["trial", study.metric, *study.space, "error"])
+    conditions = evaluation_conditions(study.run)
+    writer.writerow(["trial", study.metric, *study.space, "error", *conditions._fields])
     for trial in trials:
         values = [json.dumps(trial.values[name]) for name in study.space]
         result = "" if trial.error else trial.result
-        writer.writerow([trial.number, result, *values, trial.error])
+        writer.writerow([trial.number, result, *values, trial.error, *conditions])
     return table.getvalue()
 
 
