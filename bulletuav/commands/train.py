@@ -213,8 +213,8 @@ def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
 def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
     """Read the settings of the file or of the package, or take the defaults.
 
-    The package's settings say how a task is learned. Its difficulty and the other options of
-    `SCENE` are those of the task unless they are given, as in `evaluate`.
+    The package's settings say how a task is learned. Its difficulty, the other options of `SCENE`
+    and those of evaluations are the task's own unless they are given, as in `evaluate`.
 
     Args:
         arguments: Parsed arguments of a command with `--config`.
@@ -231,7 +231,7 @@ def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
         return RunConfig(task)
     known = _shipped_config(task)
     options = {name: value for name, value in known.options.items() if name not in SCENE}
-    return dataclasses.replace(known, options=options)
+    return dataclasses.replace(known, options=options, evaluation={})
 
 
 def _shipped_config(task: str) -> RunConfig:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.metrics import METRICS
 from bulletuav.errors import as_int, choose, unknown
 from bulletuav.files import replace_file
@@ -199,6 +200,11 @@ def best_trials(study: Study, trials: Sequence[Trial]) -> list[Trial]:
     return sorted(done, key=lambda trial: trial.result, reverse=study.maximise)
 
 
+def trial_conditions(study: Study, trial: Trial) -> Conditions:
+    """Return the conditions of the result of a trial that did not fail."""
+    return evaluation_conditions(with_values(study.run, trial.values))
+
+
 def _begin(study: Study, folder: Path) -> None:
     """Write the settings, or check that they are those of the folder."""
     path = folder / STUDY
@@ -249,11 +255,11 @@ def _table(study: Study, trials: list[Trial]) -> str:
     """Write the trials as CSV with the conditions of their results; values are in JSON."""
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    conditions = evaluation_conditions(study.run)
-    writer.writerow(["trial", study.metric, *study.space, "error", *conditions._fields])
+    writer.writerow(["trial", study.metric, *study.space, "error", *Conditions._fields])
     for trial in trials:
         values = [json.dumps(trial.values[name]) for name in study.space]
         result = "" if trial.error else trial.result
+        conditions = () if trial.error else trial_conditions(study, trial)
         writer.writerow([trial.number, result, *values, trial.error, *conditions])
     return table.getvalue()
 
