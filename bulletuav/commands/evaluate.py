@@ -24,8 +24,7 @@ from bulletuav.commands.arguments import (
     show_episodes,
 )
 from bulletuav.policies import find_policy
-from bulletuav.policies.find import read_run_config
-from bulletuav.policies.run import CONFIG
+from bulletuav.policies.find import config_file, read_run_config
 from bulletuav.report.results import write_evaluation
 from bulletuav.tasks import find_task, list_tasks
 
@@ -83,7 +82,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
     # Bad arguments end the command before anything is flown
     usual = _set_run(arguments)
-    task, policy, options, out = completed_case(arguments, "evaluation", usual)
+    task, policy, options, out = completed_case(arguments, "evaluation", usual or {})
     with show_episodes(shared_episodes(arguments)) as advance:
         result = evaluate_case(
             arguments,
@@ -100,20 +99,23 @@ def run(arguments: argparse.Namespace) -> None:
         print_piece(console, arguments.piece, out)
         return
     files = write_evaluation(result, out)
-    print_score(console, result, CONFIG if usual else None)
+    which = "other options" if given_options(arguments) else "options"
+    print_score(
+        console, result, f", {which} of {config_file(Path(policy))}" if usual is not None else ""
+    )
     console.print(_table(result))
     console.print(_pace(result))
     print_files(console, files)
 
 
-def _set_run(arguments: argparse.Namespace) -> dict[str, Any]:
+def _set_run(arguments: argparse.Namespace) -> dict[str, Any] | None:
     """Replace the folder of a run among the arguments by its task and policy.
 
     Args:
         arguments: Parsed arguments; the number of episodes is set, too, unless it is given.
 
     Returns:
-        The options of the run's evaluations; none where a task was given.
+        The options of the run's evaluations; None where a task was given.
 
     Raises:
         ValueError: A policy is given beside a run.
@@ -121,7 +123,7 @@ def _set_run(arguments: argparse.Namespace) -> dict[str, Any]:
     folder = arguments.task
     if folder in list_tasks() or not Path(folder).is_dir():
         arguments.episodes = EPISODES if arguments.episodes is None else arguments.episodes
-        return {}
+        return None
     if arguments.policy is not None:
         raise ValueError(
             f"--policy {arguments.policy} beside the run {folder}, which has a policy: "
@@ -217,17 +219,16 @@ def evaluate_case(
         raise
 
 
-def print_score(console: Console, result: Evaluation, source: str | None = None) -> None:
+def print_score(console: Console, result: Evaluation, origin: str = "") -> None:
     """Print the score of a policy in one line, with its conditions.
 
     Args:
         console: Where it is printed.
         result: The evaluation.
-        source: File of the policy's folder that the options are from, if they are.
+        origin: Where its options are from, after its conditions.
     """
     about = result.about
     reads = ", which reads the true state" if about["reads_swarm"] else ""
-    origin = "" if source is None else f", options of {Path(about['policy']) / source}"
     found = result.estimates()
     told = ", ".join(
         f"{name} {found[name].mean:.4g} [{_interval(found[name])}]"

@@ -356,5 +356,5 @@ def _finish(
         told = f"{config.task}, {config.algo}, seed {config.seed}: {wall_time(rows)}"
         console.print(told, highlight=False, markup=False, soft_wrap=True)
     for score in scores:
-        print_score(console, score, CONFIG)
+        print_score(console, score, f", options of {Path(score.about['policy']) / CONFIG}")
     print_files(console, [*files, table, picture])

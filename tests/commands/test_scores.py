@@ -41,7 +41,7 @@ def run(tmp_path_factory):
 def scores(text):
     """The lines of scores, without where options are from."""
     lines = [line for line in text.splitlines() if line.startswith("score of ")]
-    return [re.sub(r", options of \S+:", ":", line) for line in lines]
+    return [re.sub(r", (other )?options of \S+:", ":", line) for line in lines]
 
 
 def test_training_ends_with_the_score_that_evaluation_finds(run, tmp_path, capsys):
@@ -65,7 +65,9 @@ def test_training_ends_with_the_score_that_evaluation_finds(run, tmp_path, capsy
 def test_options_that_are_given_go_before_those_of_the_run(run, tmp_path, capsys):
     changed = ["--difficulty", "extreme", "--dynamics", "single_integrator", "--episodes", "1"]
     main(["evaluate", str(run), *changed, "--seed", "7", "--out", str(tmp_path / "out")])
-    (score,) = scores(capsys.readouterr().out)
+    printed = capsys.readouterr().out
+    assert f", other options of {run / 'run.yaml'}: " in printed
+    (score,) = scores(printed)
     assert "hover, difficulty extreme, dynamics single_integrator, 1 episode, seed 7: " in score
 
 
