@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.analysis.about import about_flights
+from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.episodes import BATCH, Row, Run, fly_batches
 from bulletuav.analysis.metrics import (
     METRICS,
@@ -70,6 +71,11 @@ class Evaluation:
     seconds: float
     flight: float
     metrics: dict[str, str] = field(default_factory=lambda: dict(METRICS))
+
+    @property
+    def conditions(self) -> Conditions:
+        """Task, difficulty, dynamics, episodes and seeds, which are named with each score."""
+        return Conditions.of(self.about)
 
     def estimates(self) -> dict[str, Estimate]:
         """Return the mean and 95 % confidence interval of each metric by name."""

@@ -211,7 +211,9 @@ def test_summary_pictures_and_leaderboard(straight, tmp_path):
     for name in ("one.png", "all.png"):
         assert np.asarray(Image.open(tmp_path / name).convert("L")).std() > 10
     text = markdown([straight, orca])
-    assert "### converge, medium: 3 drones, point_mass at 240 Hz, 13 episodes" in text
+    assert (
+        "### converge, medium: 3 drones, point_mass at 240 Hz, 13 episodes, seeds 4 to 16\n" in text
+    )
     assert "| straight \\* | 0." in text
     assert "1.00 [0.77, 1.00]" in text
     assert markdown([straight, orca], "potential") == text  # which is not among them
@@ -229,11 +231,12 @@ def test_summary_pictures_and_leaderboard(straight, tmp_path):
     with (tmp_path / "board.csv").open() as file:
         rows = list(csv.DictReader(file))
     row = next(row for row in rows if row["policy"] == "orca" and row["metric"] == "conflict")
-    assert (row["mean"], row["episodes"], row["task"], row["drones"]) == (
+    assert (row["mean"], row["episodes"], row["task"], row["drones"], row["seed"]) == (
         "0.0",
         "13",
         "converge",
         "3",
+        "4",
     )
 
 

@@ -197,6 +197,9 @@ def test_each_update_is_told_to_tensorboard_and_a_table(run):
     assert [point.step for point in points] == [64, 128, 192, 256]
     assert [point.value for point in points] == pytest.approx(last, rel=1e-6)
     assert len(told.Scalars("evaluation/return")) == 4
+    for name, part in (("rollout", "training episodes of seed 0"), ("evaluation", "seed 1000000")):
+        (text,) = told.Tensors(f"{name}/conditions/text_summary")
+        assert part in str(text.tensor_proto.string_val)
 
 
 def test_long_runs_tell_of_a_thousand_updates(tmp_path, monkeypatch):
@@ -208,7 +211,9 @@ def test_long_runs_tell_of_a_thousand_updates(tmp_path, monkeypatch):
 def test_training_says_how_it_goes(tmp_path):
     said = []
     train(config(), tmp_path, told=said.append)
-    assert re.fullmatch(r"return -?[\d.]+, success \d\.\d\d, [\d,]+ steps/s", said[-1])
+    assert re.fullmatch(
+        r"training return -?[\d.]+, training success \d\.\d\d at easy, [\d,]+ steps/s", said[-1]
+    )
 
 
 def test_a_run_of_an_older_version_is_still_read(run, tmp_path):
@@ -470,9 +475,11 @@ def test_a_campaign_trains_in_processes_as_one_would(run, tmp_path):
     np.testing.assert_array_equal(weights(tmp_path / "converge" / "0"), weights(run[0]))
     assert done[-1] == campaign.total == 200
     runs = [*runs, (config(seed=1), run[1])]
-    table = learning_table(runs)
+    options = {"num_drones": 2, "dynamics": "single_integrator", "horizon": 3}
+    table = learning_table(runs, [bulletuav.evaluate("converge", "random", 1, **options)] * 2)
     assert table.count("\n") == 4
     assert "| converge | ppo | 1 | 256 |" in table
+    assert "| medium | single_integrator | 1 episode, seed 0 |" in table
     plot_curves(runs, tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 10_000
 
