@@ -16,9 +16,10 @@ from bulletuav.bridges.airsim_calls import CONTINUES, PICTURES, Album, Calls
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_pictures import DrawingError, Pictures
 from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.refusals import Refusals, address_text
 from bulletuav.bridges.sockets import listening
 from bulletuav.envs.pacer import Pacer
-from bulletuav.errors import as_int, missing
+from bulletuav.errors import as_int, missing, shown
 
 if TYPE_CHECKING:
     import msgpack
@@ -108,6 +109,7 @@ class AirsimServer:
         as_int("port", port, 0, 65535)
         self.world, self.host = world, host
         self._calls, self._turns, self._pictures = Calls(world), Turns(), Pictures(world)
+        self._refusals = Refusals()
         self._left = 0.0
         self.pacer = Pacer(world.airspace.period, speed, _sleep=self._note)
         # Who is there, and what has to be ended with the server
@@ -183,6 +185,7 @@ class AirsimServer:
         finally:
             self._clients.discard(client)
             self._meetings.discard(meeting)
+            self._refusals.forget(client.address)
             client.close()
 
     async def advance(self, steps: int) -> None:
@@ -192,11 +195,18 @@ class AirsimServer:
 
 
 class _Client:
-    """One client's connection."""
+    """One client's connection.
+
+    Attributes:
+        address: Host and port.
+    """
 
     def __init__(self, server: AirsimServer, writer: asyncio.StreamWriter) -> None:
         self._server, self._writer = server, writer
         self._calls, self._msgpack = server._calls, server._msgpack
+        # A client that has gone already has no address
+        peer = writer.get_extra_info("peername") or ("unknown", 0)
+        self.address = address_text(*peer[:2])
 
     def close(self) -> None:
         """End the connection."""
@@ -256,6 +266,8 @@ class _Client:
             result = self._calls.call(name, arguments)
         # What clients send wrong is told to them; a flight that diverged ends the server.
         except ValueError as error:
+            call = name if isinstance(name, str) else shown(name)
+            self._server._refusals.log(self.address, call, str(error))
             self._answer(number, str(error), None)
             return None
         self._answer(number, None, result)

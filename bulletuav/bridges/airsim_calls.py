@@ -8,7 +8,7 @@ from bulletuav.bridges import airsim_states as states
 from bulletuav.bridges.airsim_images import Request, expose, mount, response
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_values import duration, pose_in, pose_of, vector_in
-from bulletuav.bridges.airsim_world import Collision, World
+from bulletuav.bridges.airsim_world import Collision, Vehicle, World
 from bulletuav.bridges.motions import Answer
 from bulletuav.earth import ned_to_enu
 from bulletuav.errors import as_int, as_sequence, shown, unknown
@@ -155,9 +155,12 @@ class Calls:
             raise ValueError(f"{name} needs a vehicle's name, or an empty one, as last argument")
         i, vehicle = self.world.vehicle(arguments[-1])
         if not vehicle.is_ours:
-            raise ValueError(f"{name}: call enableApiControl(True) first")
+            raise _needs_control(vehicle)
         if not vehicle.is_armed:
-            raise ValueError(f"{name}: {vehicle.name} is not armed, call armDisarm(True) first")
+            raise ValueError(
+                f"vehicle {vehicle.name!r} is not armed; call armDisarm(True, {vehicle.name!r}) "
+                f"first"
+            )
         given = (self.world, i, vehicle, *arguments[:-1])
         _require_arguments(name, MOTIONS[name], given)
         vehicle.begin(MOTIONS[name](*given), answer)
@@ -197,7 +200,7 @@ class Calls:
         """Let motors turn, or stop them."""
         _, vehicle = self.world.vehicle(vehicle_name)
         if not vehicle.is_ours:
-            raise ValueError("armDisarm: call enableApiControl(True) first")
+            raise _needs_control(vehicle)
         vehicle.is_armed = bool(arm)
         if not arm:
             vehicle.stop()
@@ -280,6 +283,14 @@ class Calls:
             exposure = expose(self.world, album.drone, request)
             drawn.append(response(exposure, airspace.draw(exposure.shot)))
         return drawn if album.is_list else drawn[0]["image_data_uint8"]
+
+
+def _needs_control(vehicle: Vehicle) -> ValueError:
+    """Make the error for a vehicle that clients do not control."""
+    return ValueError(
+        f"vehicle {vehicle.name!r} is not under API control; call enableApiControl(True, "
+        f"{vehicle.name!r}) first"
+    )
 
 
 def _require_arguments(
