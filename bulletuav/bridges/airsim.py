@@ -8,6 +8,7 @@ A request is [0, number, name, arguments], its answer [1, number, error or nil, 
 
 import asyncio
 import contextlib
+import itertools
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import TYPE_CHECKING, Any
@@ -154,6 +155,7 @@ class AirsimServer:
         except TimeoutError:
             pass
         finally:
+            self._stopped = True
             server.close()
             for client in self._clients:
                 client.close()
@@ -189,8 +191,9 @@ class AirsimServer:
             client.close()
 
     async def advance(self, steps: int) -> None:
-        """Fly a number of steps at once; others have their turns meanwhile."""
-        await self._turns.take(self.world.step() for _ in range(steps))
+        """Fly a number of steps at once, or until the server stops; others have their turns."""
+        flight = itertools.takewhile(lambda _: not self._stopped, range(steps))
+        await self._turns.take(self.world.step() for _ in flight)
         self.pacer.restart()
 
 

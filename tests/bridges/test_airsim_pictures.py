@@ -2,6 +2,8 @@
 
 import asyncio
 import logging
+import os
+import signal
 import threading
 
 import msgpack
@@ -94,6 +96,12 @@ def test_the_process_draws_what_the_server_would_to_the_last_bit(make, dynamics)
         world.airspace.add_body(Obstacle("box", (0.5, 0.5, 0.5)), (1.0, 4.0, 2.5))
         assert await compare("simGetImage", "0", 0, "Drone1") != before
         assert await compare("simGetImages", [], "") == []
+        # Another process draws the same, with what was added
+        if dynamics == "rigid_body":
+            os.kill(pictures._process.pid, signal.SIGTERM)
+            with pytest.raises(DrawingError, match="exit code -15"):
+                await compare("simGetImage", "0", 0, "Drone1")
+            await look(KINDS[:1] + KINDS[-1:], CAMERAS[:1])
 
     asyncio.run(check())
 
@@ -111,7 +119,7 @@ class Stub:
         self.drawn = []
 
     def load(self, setup):
-        contents, at_once = setup
+        contents, _ = setup
         assert len(contents.airframes) >= 1
 
     def draw(self, poses, exposure, is_list):
