@@ -207,13 +207,18 @@ class _Client:
     def __init__(self, server: AirsimServer, writer: asyncio.StreamWriter) -> None:
         self._server, self._writer = server, writer
         self._calls, self._msgpack = server._calls, server._msgpack
+        # Answers of motions that end while another answer is sent in parts
+        self._held: list[bytes] | None = None
         # A client that has gone already has no address
         peer = writer.get_extra_info("peername") or ("unknown", 0)
         self.address = address_text(*peer[:2])
 
     def close(self) -> None:
-        """End the connection."""
-        self._writer.close()
+        """End the connection; an answer that is being sent in parts is cut off."""
+        if self._held is None:
+            self._writer.close()
+        else:
+            self._writer.transport.abort()
 
     async def listen(self, reader: asyncio.StreamReader) -> None:
         """Answer requests until the client goes, or sends what is no msgpack."""
@@ -284,15 +289,28 @@ class _Client:
     async def _draw(self, number: int, album: Album) -> None:
         """Answer a call when its pictures are drawn."""
         try:
-            packed = await self._server._pictures.take(album)
+            parts = await self._server._pictures.take(album)
         except DrawingError as error:
             self._answer(number, str(error), None)
             return
-        self._send(ANSWER_HEAD + self._msgpack.packb(number) + NO_ERROR + packed)
+        head = ANSWER_HEAD + self._msgpack.packb(number) + NO_ERROR
+        # Pictures of a call are up to 11 MB: copying them at once would keep others waiting
+        self._held = []
+        for part in (head, *parts):
+            self._send(part)
+            await asyncio.sleep(0)
+            await self._writer.drain()
+        held, self._held = self._held, None
+        for data in held:
+            self._send(data)
 
     def _answer(self, number: int, error: str | None, result: Any) -> None:
-        """Send an answer."""
-        self._send(self._msgpack.packb([1, number, error, result]))
+        """Send an answer, after one that is being sent in parts."""
+        data = self._msgpack.packb([1, number, error, result])
+        if self._held is None:
+            self._send(data)
+        else:
+            self._held.append(data)
 
     def _send(self, data: bytes) -> None:
         """Send bytes; a client that reads nothing is let go."""

@@ -250,8 +250,8 @@ class Calls:
         read = self._one_image if name == "simGetImage" else self._images
         _require_arguments(name, read, arguments)
         album: Album = read(*arguments)
-        for request in album.requests:
-            mount(self.world, album.drone, request.camera)
+        for camera in dict.fromkeys(one.camera for one in album.requests):
+            mount(self.world, album.drone, camera)
         return album
 
     def _one_image(
@@ -278,10 +278,8 @@ class Calls:
     def _draw(self, name: str, arguments: list[Any]) -> Any:
         """Draw the pictures of a call here and now."""
         album, airspace = self.album(name, arguments), self.world.airspace
-        drawn = []
-        for request in album.requests:
-            exposure = expose(self.world, album.drone, request)
-            drawn.append(response(exposure, airspace.draw(exposure.shot)))
+        exposures = expose(self.world, album.drone, album.requests)
+        drawn = [response(one, airspace.draw(one.sight.shot)) for one in exposures]
         return drawn if album.is_list else drawn[0]["image_data_uint8"]
 
 

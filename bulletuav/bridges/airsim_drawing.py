@@ -136,7 +136,7 @@ def main() -> None:
         _answer(answers, b"")
         while True:
             poses, exposure, is_list = pickle.load(sys.stdin.buffer)
-            drawn = response(exposure, copy.picture(0, poses, exposure.shot))
+            drawn = response(exposure, copy.picture(0, poses, exposure.sight.shot))
             _answer(answers, msgpack.packb(drawn if is_list else drawn["image_data_uint8"]))
     # The server has ended, or closed the pipes.
     except (EOFError, BrokenPipeError):

@@ -2,7 +2,7 @@
 
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,34 +97,51 @@ class Request:
             raise ValueError("pixels_as_float is for depths: ask for image_type 1, 2 or 3")
 
 
-class Exposure(NamedTuple):
-    """Everything about a picture except its pixels.
+class Sight(NamedTuple):
+    """What a camera sees at a time.
 
     Attributes:
-        request: What is asked for.
-        shot: What the camera sees.
+        shot: What is to be drawn.
         pose: Position and orientation of the camera, as AirSim writes them.
         time_stamp: ns.
     """
 
-    request: Request
     shot: Shot
     pose: dict[str, Any]
     time_stamp: int
 
 
-def expose(world: World, i: int, request: Request) -> Exposure:
-    """Note what a camera sees now, to be drawn later.
+class Exposure(NamedTuple):
+    """Everything about a picture except its pixels.
+
+    Attributes:
+        request: What is asked for.
+        sight: What the camera sees.
+    """
+
+    request: Request
+    sight: Sight
+
+
+def expose(world: World, i: int, requests: Sequence[Request]) -> list[Exposure]:
+    """Note what cameras see now, to be drawn later.
 
     Args:
         world: The vehicles.
-        i: Index of the drone that carries the camera.
-        request: What is asked for.
+        i: Index of the drone that carries the cameras.
+        requests: What is asked for.
 
     Raises:
         ValueError: There is no such camera.
     """
-    place, turn = mount(world, i, request.camera)
+    cameras = dict.fromkeys(one.camera for one in requests)
+    sights = {camera: _sight(world, i, camera) for camera in cameras}
+    return [Exposure(one, sights[one.camera]) for one in requests]
+
+
+def _sight(world: World, i: int, camera: str) -> Sight:
+    """Note what a camera sees now."""
+    place, turn = mount(world, i, camera)
     # AirSim tells the angle across the picture; `picture` takes the one up and down
     width, height = SIZE
     angle = math.degrees(2 * math.atan(math.tan(WIDTH_ANGLE / 2) * height / width))
@@ -134,7 +151,7 @@ def expose(world: World, i: int, request: Request) -> Exposure:
     body = swarm.quaternion[i]
     start = list(world.vehicles.values())[i].start
     where = swarm.position[i] + to_world(body, place) - start
-    return Exposure(request, shot, pose_of(where, product(body, turn)), round(world.time * 1e9))
+    return Sight(shot, pose_of(where, product(body, turn)), round(world.time * 1e9))
 
 
 def response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
@@ -147,7 +164,8 @@ def response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
     Returns:
         The map of an ImageResponse.
     """
-    request, (width, height) = exposure.request, exposure.shot.size
+    request, sight = exposure
+    width, height = sight.shot.size
     # Depths in m, as numbers
     numbers: list[float] = []
     content = b""
@@ -174,9 +192,9 @@ def response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
         "image_data_uint8": content,
         "image_data_float": numbers,
         "camera_name": request.camera,
-        "camera_position": exposure.pose["position"],
-        "camera_orientation": exposure.pose["orientation"],
-        "time_stamp": exposure.time_stamp,
+        "camera_position": sight.pose["position"],
+        "camera_orientation": sight.pose["orientation"],
+        "time_stamp": sight.time_stamp,
         "message": "",
         "pixels_as_float": request.as_float,
         "compress": request.compress,

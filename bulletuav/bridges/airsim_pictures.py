@@ -46,14 +46,14 @@ class Pictures:
         self._refusal = ""
         self._closing = threading.Lock()
 
-    async def take(self, album: Album) -> bytes:
+    async def take(self, album: Album) -> list[bytes]:
         """Take the pictures of a call.
 
         Args:
             album: What `Calls.album` returned.
 
         Returns:
-            The result of the call, packed by msgpack.
+            The result of the call, packed by msgpack, in parts: joining them would take long.
 
         Raises:
             DrawingError: The process that draws ended, or the server is closing.
@@ -71,12 +71,11 @@ class Pictures:
                     await run(self._thread, self._start)
                 if poses is None:
                     poses = self._world.airspace.scene_poses()
-                    exposures = [expose(self._world, album.drone, one) for one in album.requests]
+                    exposures = expose(self._world, album.drone, album.requests)
                 job = (poses, exposures[len(parts)], album.is_list)
                 parts.append(await run(self._thread, self._draw, *job))
-        if not album.is_list:
-            return parts[0]
-        return bytes(msgpack.Packer().pack_array_header(len(parts))) + b"".join(parts)
+        head = [msgpack.Packer().pack_array_header(len(parts))] if album.is_list else []
+        return head + parts
 
     def _require_open(self) -> None:
         """Raise DrawingError if nothing more is drawn."""

@@ -70,7 +70,8 @@ def test_the_process_draws_what_the_server_would_to_the_last_bit(make, dynamics)
 
     async def compare(name, *arguments):
         here = calls.call(name, list(arguments))
-        assert await pictures.take(calls.album(name, list(arguments))) == msgpack.packb(here)
+        parts = await pictures.take(calls.album(name, list(arguments)))
+        assert b"".join(parts) == msgpack.packb(here)
         return here
 
     async def look(kinds, cameras):
@@ -128,7 +129,7 @@ class Stub:
         if self.killed or len(Stub.made) <= Stub.dies:
             raise EOFError
         height = float(poses.position[0, 0, 2])
-        return msgpack.packb([height, exposure.time_stamp])
+        return msgpack.packb([height, exposure.sight.time_stamp])
 
     def kill(self):
         self.killed = True
@@ -174,9 +175,9 @@ def test_pictures_show_the_state_when_the_turn_of_their_call_came(make, stub):
         world.paused = True
         for _ in range(4):
             stub.made[0].allowed.release()
-        shown = msgpack.unpackb(await first)
+        shown = msgpack.unpackb(b"".join(await first))
         assert shown == [[pytest.approx(start + 5.0), round(before * 1e9)]] * 3
-        assert msgpack.unpackb(await second) == [[start, round(world.time * 1e9)]]
+        assert msgpack.unpackb(b"".join(await second)) == [[start, round(world.time * 1e9)]]
         # The one picture of the second client came right after the first of three
         heights = [float(poses.position[0, 0, 2]) for poses in stub.made[0].drawn]
         assert [round(one - start) for one in heights] == [5, 0, 5, 5]
