@@ -148,6 +148,7 @@ class AirsimServer:
 
     async def serve(self, seconds: float | None = None) -> None:
         """Do what `run` does, in an event loop of one's own."""
+        self._pictures.warm_up()
         server = await asyncio.start_server(self._meet, sock=self._socket)
         try:
             async with asyncio.timeout(seconds):

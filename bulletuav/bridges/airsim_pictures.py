@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from bulletuav.bridges.airsim_calls import Album
 from bulletuav.bridges.airsim_drawing import DrawingProcess
-from bulletuav.bridges.airsim_images import Exposure, expose
+from bulletuav.bridges.airsim_images import Exposure, Request, expose
 from bulletuav.bridges.airsim_world import World
 from bulletuav.engine.scene_copy import ScenePoses
 
@@ -45,6 +45,10 @@ class Pictures:
         # Why nothing more is drawn, and a lock for those that read it before they start
         self._refusal = ""
         self._closing = threading.Lock()
+
+    def warm_up(self) -> None:
+        """Load the compiled code that finds cameras, for which the flight would wait later."""
+        expose(self._world, 0, [Request({"camera_name": "0", "image_type": 0})])
 
     async def take(self, album: Album) -> list[bytes]:
         """Take the pictures of a call.

@@ -153,7 +153,8 @@ class CrazyflieServer(DatagramServer):
         for answer in self.fleet.take(i, packet):
             self._send(i, answer)
         if reason := self.fleet.vehicles[i].refusal:
-            call = f"packet to port {packet.port}, channel {packet.channel}, of drone {i}"
+            port = Port(packet.port).name if packet.port in tuple(Port) else packet.port
+            call = f"packet to {port}, channel {packet.channel}, of drone {i}"
             self._refusals.log(address_text(*address), call, reason)
 
     def _serve_waiting(self) -> None:
