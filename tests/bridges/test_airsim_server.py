@@ -353,6 +353,51 @@ def test_a_picture_that_cannot_be_drawn_is_an_error(serve, connect, monkeypatch)
     assert client.get("ping") is True
 
 
+class Large:
+    """In place of the process that draws: each picture is a million bytes."""
+
+    def load(self, setup):
+        assert setup
+
+    def draw(self, poses, exposure, is_list):
+        return msgpack.packb(bytes(10**6))
+
+    def kill(self):
+        assert self
+
+    def close(self):
+        return 0
+
+
+@pytest.fixture
+def sending(serve, connect, monkeypatch):
+    """A server, and a client whose answer of 32 MB is under way, as it reads nothing yet."""
+    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Large)
+    server = serve()
+    client = connect(server)
+    ready(client)
+    motion = client.send("moveByVelocity", 0.0, 0.0, -0.1, 600.0, *FREE, "")
+    pictures = client.send("simGetImages", [ONE] * 32, "")
+    until(lambda: next(iter(server._clients))._held is not None)
+    return server, client, motion, pictures
+
+
+def test_a_motion_that_ends_does_not_cut_into_pictures(sending, connect):
+    server, client, motion, pictures = sending
+    assert connect(server).get("cancelLastTask", "") is None
+    number, error, result = client.receive()
+    assert (number, error) == (pictures, None)
+    assert result == [bytes(10**6)] * 32
+    assert client.receive() == [motion, None, False]
+    assert client.get("ping") is True
+
+
+def test_a_server_stops_though_a_client_reads_no_pictures(sending):
+    server, *_ = sending
+    server.stop()
+    until(lambda: not server._clients)
+
+
 SERVE_ONE = """
 import socket, msgpack, threading
 from bulletuav.bridges.airsim import AirsimServer

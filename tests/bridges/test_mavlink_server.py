@@ -101,6 +101,7 @@ def test_a_client_of_pymavlink_flies(serve, connect):
 
 def test_what_is_denied_is_logged_once(serve, connect, caplog, monkeypatch):
     monkeypatch.setattr(mavlink, "MOST_CLIENTS", 1)
+    monkeypatch.setattr(mavlink, "GONE", 1e3)
     server = serve()
     link = connect(server)
     for _ in range(2):
