@@ -378,7 +378,14 @@ def sending(serve, connect, monkeypatch):
     ready(client)
     motion = client.send("moveByVelocity", 0.0, 0.0, -0.1, 600.0, *FREE, "")
     pictures = client.send("simGetImages", [ONE] * 32, "")
-    until(lambda: next(iter(server._clients))._held is not None)
+    (peer,) = server._clients
+    sizes = []
+
+    def is_stuck():
+        sizes.append(peer._writer.transport.get_write_buffer_size())
+        return peer._held is not None and sizes[-1] > 0 and len(set(sizes[-50:])) == 1
+
+    until(is_stuck)
     return server, client, motion, pictures
 
 
