@@ -8,7 +8,6 @@ A request is [0, number, name, arguments], its answer [1, number, error or nil, 
 
 import asyncio
 import contextlib
-import itertools
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import TYPE_CHECKING, Any
@@ -193,8 +192,15 @@ class AirsimServer:
 
     async def advance(self, steps: int) -> None:
         """Fly a number of steps at once, or until the server stops; others have their turns."""
-        flight = itertools.takewhile(lambda _: not self._stopped, range(steps))
-        await self._turns.take(self.world.step() for _ in flight)
+
+        def fly() -> Iterator[None]:
+            for _ in range(steps):
+                if self._stopped:
+                    return
+                self.world.step()
+                yield None
+
+        await self._turns.take(fly())
         self.pacer.restart()
 
 

@@ -145,7 +145,7 @@ def _sight(world: World, i: int, camera: str) -> Sight:
     # AirSim tells the angle across the picture; `picture` takes the one up and down
     width, height = SIZE
     angle = math.degrees(2 * math.atan(math.tan(WIDTH_ANGLE / 2) * height / width))
-    shot = world.airspace.shot(i, place.tolist(), turn, size=SIZE, field_of_view=angle)
+    shot = world.airspace.shot(i, place.tolist(), turn, None, SIZE, angle)
     # Places are told from where the vehicle started
     swarm = world.airspace.swarm
     body = swarm.quaternion[i]

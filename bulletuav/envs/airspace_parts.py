@@ -361,12 +361,12 @@ class AirspaceParts(Environment):
     @exclusive
     def shot(
         self,
-        drone: int | None = None,
-        position: Sequence[float] | None = None,
-        quaternion: Sequence[float] = UPRIGHT,
-        target: Sequence[float] | None = None,
-        size: Sequence[int] = (640, 480),
-        field_of_view: float = FIELD_OF_VIEW,
+        drone: int | None,
+        position: Sequence[float] | None,
+        quaternion: Sequence[float],
+        target: Sequence[float] | None,
+        size: Sequence[int],
+        field_of_view: float,
     ) -> Shot:
         """Return what a camera sees from its present place, to be drawn now or elsewhere.
 
