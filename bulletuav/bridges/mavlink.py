@@ -10,8 +10,9 @@ its own port, 18570 + k.
 import time
 
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-from bulletuav.bridges.mavlink_services import packed
+from bulletuav.bridges.mavlink_services import describe, packed, refusal_of
 from bulletuav.bridges.mavlink_wire import Sender, Told, Wire
+from bulletuav.bridges.refusals import Refusals, address_text
 from bulletuav.bridges.sockets import Address, DatagramServer
 from bulletuav.errors import as_int
 
@@ -70,6 +71,7 @@ class MavlinkServer(DatagramServer):
         super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
         self.refused = self.received = self.sent = 0
+        self._refusals = Refusals()
         # When each client was heard last
         self._clients: list[dict[Address, float]] = [{} for _ in self.ports]
         self._always: list[tuple[Address, ...]] = [
@@ -125,6 +127,9 @@ class MavlinkServer(DatagramServer):
         for message in messages:
             sender = Sender(message.get_srcSystem(), message.get_srcComponent(), address)
             told = self.fleet.take(i, message, sender)
+            if reason := refusal_of(told):
+                call = f"{describe(message)} to vehicle {i + 1}"
+                self._refusals.log(address_text(*address), call, reason)
             frames = [self._wires[i].pack(one) for one in told]
             for answer in packed(frames, MOST_DATAGRAM):
                 self._send_to(i, answer, address)
@@ -137,6 +142,9 @@ class MavlinkServer(DatagramServer):
         clients = self._clients[i]
         if address not in clients and len(clients) >= MOST_CLIENTS:
             self.refused += 1
+            # Addresses can be made up: those of a vehicle share one entry of the log
+            reason = f"there are {MOST_CLIENTS} clients already; close one first"
+            self._refusals.log(f"beyond the limit of vehicle {i + 1}", "connection", reason)
             return False
         clients[address] = time.perf_counter()
         return True

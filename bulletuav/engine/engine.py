@@ -21,6 +21,7 @@ from bulletuav.engine.drones import require_loadable
 from bulletuav.engine.in_bullet import InBullet, make_in_bullet
 from bulletuav.engine.parking import parking_places
 from bulletuav.engine.queries import EngineQueries
+from bulletuav.engine.scene_copy import AddedPiece, ScenePoses
 from bulletuav.engine.tiles import globalise, localise, tile_offset
 from bulletuav.errors import choose, finite
 from bulletuav.geometry.obstacle import MOST_FRICTION, Obstacle
@@ -99,6 +100,7 @@ class Engine(EngineQueries):
         self.first_world = first_world
         self._live, self._contacts = live, contacts
         self._num_added = 0
+        self._added_pieces: list[AddedPiece] = []
         # Of bodies that are not made yet
         self._masses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._contents = Contents(
@@ -140,6 +142,23 @@ class Engine(EngineQueries):
     def _is_made(self) -> bool:
         """Whether there are bodies in Bullet."""
         return "_bullet" in self.__dict__
+
+    @property
+    def contents(self) -> Contents:
+        """What is in the worlds but for added bodies, such as for a `SceneCopy`."""
+        return self._contents
+
+    def scene_poses(self, swarm: Swarm) -> ScenePoses:
+        """Return where everything is that pictures show, as a copy; drones are as in a swarm."""
+        count = self.obstacle_radius.size
+        return ScenePoses(
+            swarm.position.copy(),
+            swarm.quaternion.copy(),
+            self._scenery.place[:, :count].copy(),
+            self._scenery.quaternion[:, :count].copy(),
+            self.city_grid.layout.copy(),
+            tuple(self._added_pieces),
+        )
 
     @property
     def port(self) -> Port | None:
@@ -268,8 +287,10 @@ class Engine(EngineQueries):
             check(scenery)
         for p, piece in enumerate(pieces):
             in_bullet = places[worlds, p] + self._offset[worlds, 0]
-            poses = zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True)
-            self._bullet.bodies.add(piece.shape, like.colour, poses, other)
+            poses = list(zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True))
+            added = AddedPiece(piece.shape, like.colour, poses, other)
+            self._bullet.bodies.add(*added)
+            self._added_pieces.append(added)
         self._scenery = scenery
         self._num_added += 1
         return other
