@@ -19,7 +19,7 @@ from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.shared_infos import SharedInfos, merged, room_for
-from bulletuav.envs.snapshot import Snapshot, require_snapshot
+from bulletuav.envs.snapshot import Snapshot, own_snapshot, require_snapshot
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
 from bulletuav.envs.worker import (
@@ -287,14 +287,18 @@ class WorkerAviary(LabelledEnvironment):
     def save_state(self, worlds: Any = None) -> Snapshot:
         """Save all that makes the future of worlds; see `Aviary.save_state`."""
         rows, saved = self._ask_owners("save_state", self._spec.indices(worlds))
+        for one in saved:
+            one.require_whole()
         data = np.concatenate([one.data for one in saved])
-        return Snapshot(data[np.argsort(rows)], saved[0].form)
+        return own_snapshot(data[np.argsort(rows)], saved[0].form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
         """Go on from a state that was saved; see `Aviary.load_state`."""
         chosen = self._spec.indices(worlds)
         require_snapshot(snapshot, Snapshot, len(chosen))
+        # All parts check before the first one writes
+        self._ask_owners("require_loadable", chosen, snapshot)
         self._ask_owners("load_state", chosen, snapshot)
         self._started = True
         return self._observations()

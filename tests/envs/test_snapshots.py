@@ -1,5 +1,6 @@
 """Snapshots: the same bits go on from them, here, in another process, and in another world."""
 
+import dataclasses
 import pickle
 import subprocess
 import sys
@@ -10,7 +11,10 @@ from gymnasium.vector import AutoresetMode
 
 import bulletuav
 from bulletuav.envs.gymnasium import CentralAviary, CentralVectorAviary
-from bulletuav.envs.snapshot import Snapshot
+from bulletuav.envs.described import WITHOUT_EFFECT, parts_of
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, checksum_of
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
@@ -296,8 +300,14 @@ def test_worlds_of_several_processes_save_and_load():
             np.testing.assert_array_equal(a[[2, 0]], b[1:])
     with pytest.raises(ValueError, match="holds 2 worlds, and 3"):
         spread.load_state(saved)
-    with pytest.raises(ValueError, match="of another task"):
-        spread.load_state(Snapshot(saved.data, "other"), [0, 2])
+    before = spread.state_hash()
+    with pytest.raises(ValueError, match="damaged"):
+        spread.load_state(Snapshot(saved.data, saved.form), [0, 2])
+    # The part that is damaged belongs to one process, and no other one has loaded its own
+    bad = written(alone.aviary, saved, "steps", -1, world=1)
+    with pytest.raises(ValueError, match="steps -1"):
+        spread.load_state(bad, [0, 2])
+    assert spread.state_hash() == before
     assert spread.step(actions[0])[0].shape[:2] == (3, 2)
     alone.close()
     spread.close()
@@ -430,14 +440,231 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
     other = made()
     other.load_state(saved)
     same(flown(other, 60), first)
-    with pytest.raises(
-        ValueError, match="of another task, or of other options, than this airspace"
-    ):
+    with pytest.raises(ValueError, match="with a form, as save_state of this version gives"):
         other.load_state(Snapshot(saved.data, "other"))
     airspace.close()
     with pytest.raises(RuntimeError, match="closed"):
         airspace.save_state()
     other.close()
+
+
+def written(environment, snapshot, name, value, world=0):
+    """A snapshot with another value in an array, and the checksum that belongs to it."""
+    data, at = snapshot.data.copy(), 0
+    for key, array in environment._layout._fields.items():
+        if key == name:
+            size = array[0].nbytes
+            row = data[world, at : at + size].view(array.dtype)
+            row.view(np.uint8)[:] = np.full(row.shape, value).astype(row.dtype).view(np.uint8)
+            return Snapshot(data, snapshot.form, checksum_of(data, snapshot.form))
+        at += array[0].nbytes if array.size else 0
+    raise AssertionError(name)
+
+
+BEYOND = {
+    "layout": (-2, 7, 2**30),
+    "steps": (-1, 2**62),
+    "slept number": (-1, 17),
+    "slept other": (-1, 7),
+    "touches number": (-1, 2**30),
+    "touches other": (-(2**30), 7),
+    "memory number": (-1, 17),
+    "radio received": (-1, 3),
+    "position": (np.nan, 1e8),
+    "velocity": (np.inf, 1e5),
+    "rates": (np.nan, -1e5),
+    "rotor_speed": (-1.0, np.nan),
+}
+
+
+def test_values_that_no_state_has_are_refused_though_the_checksum_is_right():
+    """Each integer of the package is declared: one that is overwritten ends no process."""
+    aviary = bulletuav.Aviary("crossing", 2, num_drones=2, dynamics="rigid_body")
+    aviary.reset(seeds=0)
+    aviary.step(np.full((2, 2, 3), 0.3))
+    saved = aviary.save_state()
+    arrays = aviary._layout._fields
+    integers = {name for name, array in arrays.items() if array.size and array.dtype.kind in "iu"}
+    assert integers - BEYOND.keys() == {"bodies"}
+    aviary.step(np.full((2, 2, 3), -0.3))
+    hashed = aviary.state_hash()
+    for name, values in BEYOND.items():
+        if name not in arrays:
+            continue
+        for value in values:
+            with pytest.raises(ValueError, match=f"the snapshot has {name} .* is needed"):
+                aviary.load_state(written(aviary, saved, name, value))
+            assert aviary.state_hash() == hashed
+    with pytest.raises(ValueError, match="in which other bodies stand"):
+        aviary.load_state(written(aviary, saved, "bodies", 7))
+    bad = written(aviary, saved, "steps", 0)
+    for at, value in ((-5, 7), (16 - 37, 0)):  # whether a number is kept; an even increment
+        data = bad.data.copy()
+        data[0, at] = value
+        with pytest.raises(ValueError, match="no state of a random generator"):
+            aviary.load_state(Snapshot(data, bad.form, checksum_of(data, bad.form)))
+    for name, array in arrays.items():
+        if array.size and array.dtype == bool:
+            flipped = written(aviary, saved, name, True).data.copy()
+            ones = np.argwhere(flipped[0] != saved.data[0])
+            if len(ones):
+                flipped[0, ones[0]] = 7
+                with pytest.raises(ValueError, match="from 0 to 1 is needed"):
+                    aviary.load_state(
+                        Snapshot(flipped, saved.form, checksum_of(flipped, saved.form))
+                    )
+    assert aviary.state_hash() == hashed
+    aviary.close()
+
+
+def test_parameters_and_contacts_are_checked_row_by_row():
+    aviary = made("crossing", dynamics="rigid_body")
+    saved = pickle.loads(pickle.dumps(aviary.save_state()))
+    for name in ("parameters.num_rotors", "memory rows.other"):
+        whole, field = name.rsplit(".", 1)
+        data, at = saved.data.copy(), 0
+        for key, array in aviary._layout._fields.items():
+            if key == whole:
+                size = array[0].nbytes
+                data[0, at : at + size].view(array.dtype)[field] = 2**30
+            at += array[0].nbytes if array.size else 0
+        with pytest.raises(ValueError, match=f"the snapshot has {name} 1.07374e"):
+            aviary.load_state(Snapshot(data, saved.form, checksum_of(data, saved.form)))
+    aviary.close()
+
+
+def test_damaged_snapshots_are_refused_and_nothing_changes():
+    aviary = made("crossing", dynamics="point_mass")
+    aviary.step(aviary.action.high + np.zeros((3, 6, 3)))
+    saved = aviary.save_state()
+    sent = pickle.loads(pickle.dumps(saved))
+    aviary.load_state(sent)
+    aviary.load_state(sent[[1, 0, 2]])
+    hashed = aviary.state_hash()
+    assert hashed == tuple(np.array(aviary.state_hash()))
+    with pytest.raises(ValueError, match="read-only"):
+        saved.data[0, 0] = 1
+    with pytest.raises(ValueError, match="cannot set WRITEABLE"):
+        saved.data.setflags(write=True)
+    damaged = saved.data.copy()
+    damaged[1, 100] ^= 1
+    form = saved.form
+    others = (
+        Snapshot(damaged, form, sent.checksum),
+        Snapshot(damaged, form),
+        Snapshot(saved.data[:, :-1], form, sent.checksum),
+        Snapshot(saved.data.astype(float), form, sent.checksum),
+        Snapshot(saved.data[0], form, sent.checksum),
+        Snapshot(None, form, sent.checksum),
+        Snapshot(saved.data, dataclasses.replace(form, parts={}), sent.checksum),
+        dataclasses.replace(saved, data=damaged),
+    )
+    for one in others:
+        with pytest.raises(ValueError, match="damaged|as save_state of this version gives"):
+            aviary.load_state(one)
+        with pytest.raises(ValueError, match="damaged|as save_state of this version gives"):
+            one[0]
+        assert aviary.state_hash() == hashed
+    short = saved.data[:, :-64]
+    with pytest.raises(ValueError, match="bytes a world: .* are needed"):
+        aviary.load_state(Snapshot(short, form, checksum_of(short, form)))
+    assert aviary.state_hash() == hashed
+    aviary.close()
+
+
+def test_snapshots_of_former_versions_are_refused():
+    aviary = made("crossing", dynamics="point_mass")
+    saved = aviary.save_state()
+    for kind, state in (
+        (Snapshot, {"data": saved.data, "form": "0123456789abcdef"}),
+        (FaceSnapshot, {"of": "aec_env", "flight": saved, "beside": {}}),
+    ):
+        with pytest.raises(ValueError, match="of another version of bulletuav: save it again"):
+            kind.__new__(kind).__setstate__(state)
+    face = FaceSnapshot("aec_env", saved, {"agents": ["drone_0"]})
+    state = face.__getstate__()
+    for key in ("beside", "checksum"):
+        with pytest.raises(ValueError, match="'aec_env' is damaged"):
+            kind.__new__(kind).__setstate__({**state, key: b"other"})
+    aviary.close()
+
+
+def test_bodies_that_were_added_have_to_be_the_same():
+    def made():
+        aviary = bulletuav.Aviary("crossing", 2, num_drones=2, dynamics="point_mass")
+        aviary.reset(seeds=0)
+        return aviary
+
+    aviary, other = made(), made()
+    empty = aviary.save_state()
+    ball = Obstacle("sphere", (0.3,))
+    aviary.add_body(ball, (1.0, 0.0, 5.0), world=1)
+    other.load_state(aviary.save_state([0]), [1])
+    for snapshot, worlds in ((aviary.save_state([1]), [0]), (aviary.save_state(), None)):
+        with pytest.raises(ValueError, match="in which other bodies stand"):
+            other.load_state(snapshot, worlds)
+    with pytest.raises(ValueError, match="in which other bodies stand"):
+        aviary.load_state(empty)
+    other.add_body(ball, (1.0, 0.0, 5.0), world=1)
+    other.load_state(aviary.save_state())
+    aviary.close()
+    other.close()
+
+
+OTHERS = {
+    "airframe": ("iris", "cf2x", "racer"),
+    "action": ("position", "velocity", "acceleration", "rotor"),
+    "decision_hz": (5, 20, 12),
+    "dynamics": ("double_integrator", "point_mass", "rigid_body"),
+    "observation": (("velocity",), ("velocity", "gravity")),
+    "observation_format": ("dict",),
+    "sensors": ((Imperfect(Imu(), noise=0.1),),),
+    "reward": ({"more": (lambda: 0.0, 1.0)}, {"slow": ("own:slow", 1.0)}),
+    "difficulty": ("medium", "hard"),
+    "preset": (),
+    "max_climb": (1.0,),
+    "seed": (5,),
+    "render_mode": ("rgb_array",),
+    "render_address": ("127.0.0.1:4321",),
+    "controller": ("pid",),
+    "effects": (("drag",),),
+    "wind": ((1.0, 0.0, 0.0),),
+    "wind_profile": ("power",),
+    "turbulence": ("light",),
+    "randomization": ({"mass": 1.1},),
+    "camera_hz": (5,),
+    "lidar_elevations": ((10.0,),),
+    "lidar_frame": ("world",),
+    "battery_capacity": (10.0,),
+    "energy": ("actuator",),
+    "rays": ("bullet",),
+    "contacts": ("impulse",),
+    "physics_hz": (480,),
+    "horizon": (77,),
+    "max_speed": (3.3,),
+}
+"""Other values of options whose type does not tell one; the first that an environment takes"""
+TASKS = ("crossing", "hover", "formation")
+
+
+def others_of(name, value, field):
+    """Values of an option that differ from one."""
+    if name in OTHERS:
+        return OTHERS[name]
+    if isinstance(value, bool):
+        return (not value,)
+    if isinstance(value, int):
+        return (value + 1, value + 2, 2 * value, value - 1)
+    if isinstance(value, float):
+        return (1.25 * value, 0.8 * value, value + 0.5, value + 2.0)
+    if isinstance(value, tuple) and value and all(isinstance(x, int | float) for x in value):
+        return tuple(tuple(type(x)(k * x) for x in value) for k in (2, 1.25, 0.8, 3))
+    return ()
+
+
+def made_from(task, **options):
+    spec = EnvSpec(task, 1, options)
+    return parts_of(spec.options, spec.task)
 
 
 def test_snapshots_that_do_not_fit_are_refused():
@@ -449,7 +676,7 @@ def test_snapshots_that_do_not_fit_are_refused():
         ({"snapshot": saved[0], "worlds": 3}, "world is 3"),
         ({"snapshot": saved[[0, 0]], "worlds": [1, 1]}, "each one once"),
         ({"snapshot": saved[0], "worlds": 0.5}, "worlds is 0.5"),
-        ({"snapshot": Snapshot(saved.data, "other")}, "of another task, or of other options"),
+        ({"snapshot": Snapshot(saved.data, "other")}, "as save_state of this version gives"),
     )
     for keywords, told in refused:
         with pytest.raises(ValueError, match=told):
