@@ -31,6 +31,7 @@ from bulletuav.envs.snapshot import (
     own_snapshot,
     pack,
     require_contacts,
+    require_snapshot,
     state_bounds,
 )
 from bulletuav.envs.stages import finish, headings, prepare
@@ -272,6 +273,7 @@ class Airspace(AirspaceParts):
             RuntimeError: The airspace is closed.
         """
         self._require_open()
+        require_snapshot(snapshot, Snapshot)
         self._all_arrays().require(snapshot, np.zeros(1, dtype=int))
         self._look()
         # What was read from `readings` before stays as it is.

@@ -225,7 +225,9 @@ class Aviary(Resets):
             RuntimeError: After `close`.
         """
         # All is checked before anything is written
-        layout, chosen = self._all_arrays_for(snapshot, worlds)
+        chosen = self._spec.indices(worlds)
+        require_snapshot(snapshot, Snapshot, len(chosen))
+        layout = self._layout_for(snapshot, chosen)
         # The state itself, and generators of random numbers
         layout.unpack(snapshot.data, self.rng, chosen)
         mask = np.zeros(self.num_worlds, dtype=bool)
@@ -265,23 +267,18 @@ class Aviary(Resets):
         return hashes_of(pack(self._state_arrays(), self.rng, chosen))
 
     @exclusive
-    def require_loadable(self, snapshot: Snapshot, worlds: Any = None) -> None:
-        """Check everything that `load_state` does, and write nothing.
-
-        Args:
-            snapshot: As of `load_state`, like `worlds`.
-            worlds: Their indices here; all when left out.
+    def require_loadable(self, snapshot: Snapshot) -> None:
+        """Check a snapshot as `load_state` does, whatever its number of worlds, and write nothing.
 
         Raises:
             ValueError: It does not fit.
             RuntimeError: After `close`.
         """
-        self._all_arrays_for(snapshot, worlds)
+        require_snapshot(snapshot, Snapshot, None)
+        self._layout_for(snapshot, np.zeros(len(snapshot), dtype=int))
 
-    def _all_arrays_for(self, snapshot: Snapshot, worlds: Any) -> tuple[Layout, np.ndarray]:
-        """Find the arrays that a snapshot is to be written to, and check all that is written."""
-        chosen = self._spec.indices(worlds)
-        require_snapshot(snapshot, Snapshot, len(chosen))
+    def _layout_for(self, snapshot: Snapshot, chosen: np.ndarray) -> Layout:
+        """Check a snapshot against worlds (S,), and return where it is to be written."""
         # Worlds that were never reset begin first
         if self._frame is None:
             self._require_open()
@@ -290,7 +287,7 @@ class Aviary(Resets):
         self._current()
         layout = self._all_arrays()
         layout.require(snapshot, chosen)
-        return layout, chosen
+        return layout
 
     def _all_arrays(self) -> Layout:
         # Who keeps arrays may keep others later, and first readings make some

@@ -254,9 +254,14 @@ class FaceSnapshot:
 def require_snapshot(
     snapshot: Any,
     kind: type,
-    worlds: int = 1,
+    worlds: int | None = 1,
 ) -> None:
     """Refuse what is no snapshot of a kind, a damaged one, or one of another number of worlds.
+
+    Args:
+        snapshot: What was given.
+        kind: `Snapshot` or `FaceSnapshot`.
+        worlds: How many worlds are to be written; None for any number.
 
     Raises:
         ValueError: It is something else, is damaged, or holds more or fewer of them.
@@ -265,7 +270,7 @@ def require_snapshot(
         raise ValueError(f"snapshot is {shown(snapshot)}: what save_state gave is needed")
     if isinstance(snapshot, Snapshot):
         snapshot.require_whole()
-        if len(snapshot) != worlds:
+        if worlds is not None and len(snapshot) != worlds:
             raise ValueError(
                 f"the snapshot holds {len(snapshot)} worlds, and {worlds} are to be written: "
                 f"take some of them, snapshot[0], or name the worlds"
@@ -384,7 +389,6 @@ class Layout:
         Raises:
             ValueError: The snapshot does not fit.
         """
-        require_snapshot(snapshot, Snapshot, len(worlds))
         self.form.require(snapshot.form)
         # The first array of every layout
         here = self._fields[BODIES][worlds].view(np.uint8).reshape(len(worlds), BODIES_BYTES)
@@ -393,8 +397,11 @@ class Layout:
                 "the snapshot is of worlds in which other bodies stand: add the same bodies, in "
                 "the same order, before it is loaded"
             )
-        if not snapshot.is_own:
+        # Looked at once: its bytes cannot change
+        known = vars(snapshot)
+        if not snapshot.is_own and known.get("_within") != self._bounds:
             self._check(snapshot.data)
+            object.__setattr__(snapshot, "_within", self._bounds)
 
     def _check(self, data: np.ndarray) -> None:
         """Check the bytes (S, B) of a snapshot that comes from elsewhere against all bounds."""

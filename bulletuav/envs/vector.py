@@ -191,11 +191,6 @@ class BatchAviary(LabelledEnvironment):
         return self.aviary.save_state(worlds)
 
     @exclusive
-    def require_loadable(self, snapshot: Snapshot, worlds: Any = None) -> None:
-        """Check a snapshot and write nothing; see `Aviary.require_loadable`."""
-        self.aviary.require_loadable(snapshot, worlds)
-
-    @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
         """Go on from a state that was saved; see `Aviary.load_state`."""
         observations = self.aviary.load_state(snapshot, worlds)

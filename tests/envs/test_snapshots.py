@@ -1,5 +1,6 @@
 """Snapshots: the same bits go on from them, here, in another process, and in another world."""
 
+import copy
 import dataclasses
 import pickle
 import subprocess
@@ -10,14 +11,15 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import bulletuav
-from bulletuav.envs.gymnasium import CentralAviary, CentralVectorAviary
-from bulletuav.envs.described import WITHOUT_EFFECT, parts_of
+from bulletuav.envs.described import WITHOUT_EFFECT, parts_of, text_of
 from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.envs.gymnasium import CentralAviary, CentralVectorAviary
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, checksum_of
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
+from bulletuav.vehicle.airframes import load_airframe
 
 UNCERTAIN = {
     "mass": (0.8, 1.2),
@@ -541,7 +543,6 @@ def test_damaged_snapshots_are_refused_and_nothing_changes():
     aviary.load_state(sent)
     aviary.load_state(sent[[1, 0, 2]])
     hashed = aviary.state_hash()
-    assert hashed == tuple(np.array(aviary.state_hash()))
     with pytest.raises(ValueError, match="read-only"):
         saved.data[0, 0] = 1
     with pytest.raises(ValueError, match="cannot set WRITEABLE"):
@@ -611,60 +612,175 @@ def test_bodies_that_were_added_have_to_be_the_same():
     other.close()
 
 
-OTHERS = {
-    "airframe": ("iris", "cf2x", "racer"),
-    "action": ("position", "velocity", "acceleration", "rotor"),
-    "decision_hz": (5, 20, 12),
-    "dynamics": ("double_integrator", "point_mass", "rigid_body"),
-    "observation": (("velocity",), ("velocity", "gravity")),
-    "observation_format": ("dict",),
-    "sensors": ((Imperfect(Imu(), noise=0.1),),),
-    "reward": ({"more": (lambda: 0.0, 1.0)}, {"slow": ("own:slow", 1.0)}),
-    "difficulty": ("medium", "hard"),
-    "preset": (),
-    "max_climb": (1.0,),
-    "seed": (5,),
-    "render_mode": ("rgb_array",),
-    "render_address": ("127.0.0.1:4321",),
-    "controller": ("pid",),
-    "effects": (("drag",),),
-    "wind": ((1.0, 0.0, 0.0),),
-    "wind_profile": ("power",),
-    "turbulence": ("light",),
-    "randomization": ({"mass": 1.1},),
-    "camera_hz": (5,),
-    "lidar_elevations": ((10.0,),),
-    "lidar_frame": ("world",),
-    "battery_capacity": (10.0,),
-    "energy": ("actuator",),
-    "rays": ("bullet",),
-    "contacts": ("impulse",),
-    "physics_hz": (480,),
-    "horizon": (77,),
-    "max_speed": (3.3,),
-}
-"""Other values of options whose type does not tell one; the first that an environment takes"""
-TASKS = ("crossing", "hover", "formation")
+ANOTHER = "another value"
+SAMPLE = ("crossing", "hover", "formation")
+"""Tasks that the default suite looks at; the slow one looks at all"""
 
 
-def others_of(name, value, field):
-    """Values of an option that differ from one."""
-    if name in OTHERS:
-        return OTHERS[name]
-    if isinstance(value, bool):
-        return (not value,)
-    if isinstance(value, int):
-        return (value + 1, value + 2, 2 * value, value - 1)
-    if isinstance(value, float):
-        return (1.25 * value, 0.8 * value, value + 0.5, value + 2.0)
-    if isinstance(value, tuple) and value and all(isinstance(x, int | float) for x in value):
-        return tuple(tuple(type(x)(k * x) for x in value) for k in (2, 1.25, 0.8, 3))
-    return ()
+def changed(source, name, value):
+    """A copy of a frozen dataclass with another value, which is not checked."""
+    copied = copy.copy(source)
+    object.__setattr__(copied, name, value)
+    return copied
 
 
-def made_from(task, **options):
-    spec = EnvSpec(task, 1, options)
-    return parts_of(spec.options, spec.task)
+@pytest.mark.parametrize(
+    "task",
+    [
+        one if one in SAMPLE else pytest.param(one, marks=pytest.mark.slow)
+        for one in bulletuav.list_tasks()
+    ],
+)
+def test_every_option_is_among_the_parts_of_a_snapshot_or_without_effect(task):
+    """An option that is added later and forgotten is found here."""
+    given = {"observation": ("velocity",), "num_drones": 3}
+    spec, other = (
+        EnvSpec(task, 1, {**given, **more})
+        for more in (
+            {},
+            {
+                "airframe": "iris",
+                "randomization": {"mass": 1.1},
+                "sensors": (Imperfect(Imu(), noise=0.2),),
+                "observation": ("velocity", "imu"),
+                "reward": {"mine": ("energy", 0.1)},
+            },
+        )
+    )
+    parts = parts_of(spec.options, spec.task)
+    values = {one: getattr(other.options, one) for one in ("airframe", "randomization", "sensors")}
+    values |= {"observation": other.options.observation, "reward": {"mine": (len, 0.1)}}
+    for field in dataclasses.fields(EnvOptions):
+        value = values.get(field.name, ANOTHER)
+        found = parts_of(changed(spec.options, field.name, value), spec.task)
+        differ = {name for name in parts if parts[name] != found[name]}
+        if field.name == "airframe":
+            assert {"airframe", "airframe.mass", "airframe.rotors"} <= differ
+        else:
+            assert differ == {field.name} - WITHOUT_EFFECT
+    for field in dataclasses.fields(spec.task.config):
+        flown = copy.copy(spec.task)
+        flown.config = changed(spec.task.config, field.name, ANOTHER)
+        flown.obstacles, flown.layouts = spec.task.obstacles, spec.task.layouts
+        found = parts_of(spec.options, flown)
+        assert {name for name in parts if parts[name] != found[name]} == {field.name}
+    # Options without effect are options
+    assert {field.name for field in dataclasses.fields(EnvOptions)} >= WITHOUT_EFFECT
+
+
+def test_options_without_effect_leave_the_continuation_as_it_is():
+    options = {"num_drones": 2, "dynamics": "point_mass"}
+    aviary = bulletuav.Aviary("crossing", 2, **options)
+    aviary.reset(seeds=3)
+    aviary.step(np.ones((2, 2, 3)))
+    saved = pickle.loads(pickle.dumps(aviary.save_state()))
+    first = flown(aviary, 5, 1)
+    # The values of another difficulty, all of which are overridden
+    values = {**vars(aviary.options), **vars(aviary.task.config)}
+    kept = {name: values[name] for name in aviary.task.difficulties["hard"]}
+    cases = (
+        {"seed": 5},
+        {"render_mode": "rgb_array"},
+        {"render_size": (32, 16)},
+        {"render_address": "127.0.0.1:4321"},
+        {**kept, "difficulty": "hard", "randomization": {"gps_noise": (0.5, 1.5)}},
+    )
+    names = {name for case in cases for name in case} | {"preset"}  # crossing has none
+    assert names >= WITHOUT_EFFECT
+    for case in cases:
+        other = bulletuav.Aviary("crossing", 3, **{**options, **case})
+        other.load_state(saved, [0, 1])
+        alone = bulletuav.Aviary("crossing", 1, **{**options, **case})
+        alone.load_state(saved[1])
+        other.close()
+        again = bulletuav.Aviary("crossing", 2, **{**options, **case})
+        again.load_state(saved)
+        same(flown(again, 5, 1), first)
+        assert alone.options != aviary.options
+        alone.close()
+        again.close()
+    aviary.close()
+
+
+DIFFERENCES = (
+    ({"gravity": 1.62}, "gravity is 9.80665 in the snapshot and 1.62 here"),
+    ({"airframe": "iris"}, "airframe is 'hummingbird' in the snapshot and 'iris' here;"),
+    ({"wind": (1.0, 0.0, 0.0)}, r"wind is \(0.0, 0.0, 0.0\) in the snapshot and \(1.0"),
+    ({"horizon": 20}, "horizon is 500 in the snapshot and 20 here"),
+    ({"weights": {"goal": 3.0}}, "weights is {} in the snapshot and {'goal': 3.0} here"),
+    ({"lane_spacing": 12.0}, "lane_spacing is 15.0 in the snapshot and 12.0 here"),
+    ({"max_speed": 9.0, "normalise": True}, "max_speed is .*; normalise is False in"),
+    ({"dynamics": "double_integrator"}, "dynamics is 'point_mass' in the snapshot and 'double"),
+)
+
+
+def test_a_snapshot_of_another_simulation_is_refused_with_what_differs():
+    options = {"num_drones": 2, "dynamics": "point_mass"}
+
+    def made(task="crossing", **more):
+        aviary = bulletuav.Aviary(task, 1, **{**options, **more})
+        aviary.reset(seeds=0)
+        return aviary
+
+    saved = made().save_state()
+    for more, told in DIFFERENCES:
+        other = made(**more)
+        hashed = other.state_hash()
+        with pytest.raises(ValueError, match=f"another simulation than .*: {told}"):
+            other.load_state(saved)
+        assert other.state_hash() == hashed
+        other.close()
+    with pytest.raises(ValueError, match="task is crossing in the snapshot and converge here;"):
+        made("converge").load_state(saved)
+    # The same name, and another number
+    light = dataclasses.replace(load_airframe("hummingbird"), mass=0.5)
+    with pytest.raises(ValueError, match=r": airframe.mass is 0.716 in the snapshot and 0.5 here;"):
+        made(airframe=light).load_state(saved)
+    # Worlds that were never reset refuse it before they begin
+    never = bulletuav.Aviary("crossing", 1, **{**options, "gravity": 5.0})
+    with pytest.raises(ValueError, match="gravity is"):
+        never.load_state(saved)
+    with pytest.raises(RuntimeError, match="reset"):
+        never.state_hash()
+
+
+def test_an_airspace_refuses_a_snapshot_of_another_one():
+    place, options = [(0.0, 0.0, 1.0)], {"dynamics": "point_mass"}
+    ball, box = Obstacle("sphere", (0.3,)), Obstacle("box", (0.3, 0.3, 0.3))
+    airspace = bulletuav.Airspace(place, "cf2x", obstacles=(ball,), **options)
+    airspace.step()
+    saved = airspace.save_state()
+    for airframe, obstacle, more, told in (
+        ("iris", ball, {}, "airframe is 'cf2x' in the snapshot and 'iris' here"),
+        ("cf2x", box, {}, "obstacles is .* in the snapshot and"),
+        ("cf2x", ball, {"gravity": 1.62}, "gravity is 9.80665 in the snapshot and 1.62 here"),
+        ("cf2x", ball, {"effects": ()}, "effects is"),
+    ):
+        other = bulletuav.Airspace(place, airframe, obstacles=(obstacle,), **options, **more)
+        hashed = other.state_hash()
+        with pytest.raises(ValueError, match=f"another simulation than this airspace: {told}"):
+            other.load_state(saved)
+        assert other.state_hash() == hashed
+        other.close()
+    beyond = written(airspace, saved, "levels", 7)
+    with pytest.raises(ValueError, match="the snapshot has levels 7: from 0 to 1 is needed"):
+        airspace.load_state(beyond)
+    airspace.close()
+
+
+def test_equal_values_have_equal_texts_in_every_process():
+    field = lambda place, time: place * 0.0  # noqa: E731
+    again = "from bulletuav.envs.described import text_of; print(text_of({'b', 'a', 'c'}))"
+    told = subprocess.run([sys.executable, "-c", again], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == text_of({"c", "a", "b"})
+    assert text_of(Imperfect(Imu(), noise=0.1)) == text_of(Imperfect(Imu(), noise=0.1))
+    assert " at 0x" not in text_of((Imperfect(Imu(), noise=0.1), field, np.zeros))
+    assert text_of(Imperfect(Imu(), noise=0.1)) != text_of(Imperfect(Imu(), noise=0.2))
+    made = [lambda speed=speed: speed for speed in (1.0, 2.0)]
+    assert text_of(made[0]) != text_of(made[1])
+    loop = []
+    loop.append(loop)
+    assert text_of(loop) == "(itself)"
 
 
 def test_snapshots_that_do_not_fit_are_refused():
