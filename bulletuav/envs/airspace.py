@@ -297,7 +297,7 @@ class Airspace(AirspaceParts):
     def _all_arrays(self) -> Layout:
         arrays = {BODIES: self._engine.bodies, **self._state_arrays(), **self._more_arrays()}
         if self._parts is None:
-            made = {"obstacles": self._obstacles, "layout": faces_of(self._layouts)}
+            made: dict[str, Any] = {"obstacles": self._obstacles, "layout": faces_of(self._layouts)}
             self._parts = parts_of(self._options, **made)
         if self._layout is None or not self._layout.is_of(arrays):
             self._layout = Layout("airspace", self._parts, self._bounds(), arrays)

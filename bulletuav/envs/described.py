@@ -89,11 +89,12 @@ def parts_of(options: EnvOptions, task: Task[Any] | None = None, **made: Any) ->
         A text for each part, by the names of the options. Parts whose texts are equal are equal.
         "airframe.mass" and the like are the numbers of airframes.
     """
-    config = None if task is None else task.config
-    names = described(options, config) if config is not None else vars(options)
+    names = vars(options) if task is None else described(options, task.config)
     values = {one.name: getattr(options, one.name) for one in dataclasses.fields(options)}
     if task is not None:
-        values |= {one.name: getattr(config, one.name) for one in dataclasses.fields(config)}
+        values |= {
+            one.name: getattr(task.config, one.name) for one in dataclasses.fields(task.config)
+        }
         values |= {"obstacles": task.obstacles(), "layouts": faces_of(task.layouts())}
         values["arena"] = (task.arena_low, task.arena_high)
     values |= made
@@ -166,8 +167,9 @@ def text_of(value: Any, within: tuple[int, ...] = ()) -> str:
     if inspect.isroutine(value) or inspect.isclass(value):
         cells = [one.cell_contents for one in getattr(value, "__closure__", None) or ()]
         made = [*cells, getattr(value, "__defaults__", None), getattr(value, "__self__", None)]
-        return f"{value.__qualname__} {_source(value)} {inner(made)}"
-    kind = type(value)
+        name: str = value.__qualname__
+        return f"{name} {_source(cast(Any, value))} {inner(made)}"
+    kind: Any = type(value)
     if dataclasses.is_dataclass(value):
         own = {one.name: getattr(value, one.name) for one in dataclasses.fields(value)}
     elif hasattr(value, "__dict__"):

@@ -7,7 +7,7 @@ import pickle
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -195,7 +195,11 @@ def own_snapshot(data: np.ndarray, form: Form) -> Snapshot:
     """Make a snapshot of bytes (S, B) that this process just wrote, without a copy or checksum."""
     snapshot = object.__new__(Snapshot)
     # A view of read-only memory cannot be made writeable again
-    fields = {"data": np.asarray(memoryview(data).toreadonly()), "form": form, "checksum": None}
+    fields = {
+        "data": np.asarray(memoryview(cast(Any, data)).toreadonly()),
+        "form": form,
+        "checksum": None,
+    }
     for name, value in fields.items():
         object.__setattr__(snapshot, name, value)
     object.__setattr__(snapshot, "_own", True)
@@ -206,7 +210,7 @@ def checksum_of(data: np.ndarray, form: Form) -> bytes:
     """Hash the bytes (S, B) of a snapshot, with what it was saved from."""
     text = repr((form.digest, data.shape)).encode()
     digest = hashlib.blake2b(text, digest_size=CHECKSUM)
-    digest.update(np.ascontiguousarray(data))
+    digest.update(cast(Any, np.ascontiguousarray(data)))
     return digest.digest()
 
 
