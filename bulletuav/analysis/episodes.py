@@ -169,7 +169,7 @@ def fly_batches(
 
 
 class _Worker(NamedTuple):
-    """A process that flies batches, and those of which it has sent no result yet, in their order."""
+    """A process that flies batches, and those whose results are still to come, in their order."""
 
     process: multiprocessing.Process
     batches: list[range]

@@ -3,7 +3,6 @@
 import hashlib
 import math
 import operator
-import pickle
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +14,7 @@ from bulletuav.contact.memory import ROWS
 from bulletuav.contact.rest import Contact
 from bulletuav.contact.touches import MOST_TOUCHES
 from bulletuav.dynamics.divergence import FASTEST, FASTEST_SPIN
+from bulletuav.envs.described import text_of
 from bulletuav.envs.rows import Rows
 from bulletuav.errors import shown
 from bulletuav.vehicle.swarm import Swarm
@@ -43,6 +43,9 @@ MAX_COORDINATE = 1e7
 """Distance of a drone from its world's origin, m; flights that diverge end before"""
 FIRST_FIELDS = ("data", "form", "checksum")
 """What a pickled snapshot consists of"""
+FACE_FIELDS = ("of", "flight", "beside", "checksum")
+"""The same of one of an environment class"""
+ANOTHER_VERSION = "the snapshot is of another version of bulletuav: save it again with this one"
 MOST_NAMED = 8
 """Differences that a message lists"""
 
@@ -160,9 +163,7 @@ class Snapshot:
     def __setstate__(self, state: Any) -> None:
         """Take what was pickled; it is checked when it is loaded."""
         if not isinstance(state, dict) or tuple(state) != FIRST_FIELDS:
-            raise ValueError(
-                "the snapshot is of another version of bulletuav: save it again with this one"
-            )
+            raise ValueError(ANOTHER_VERSION)
         for name, value in state.items():
             object.__setattr__(self, name, value)
         self.__post_init__()
@@ -230,29 +231,28 @@ class FaceSnapshot:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled, with a checksum."""
-        beside = pickle.dumps(dict(self.beside))
-        checksum = hashlib.blake2b(beside, digest_size=CHECKSUM).digest()
-        return {"of": self.of, "flight": self.flight, "beside": beside, "checksum": checksum}
+        own = {"of": self.of, "flight": self.flight, "beside": dict(self.beside)}
+        return {**own, "checksum": self._checksum(own["beside"])}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: Any) -> None:
         """Take what was pickled.
 
         Raises:
             ValueError: It is damaged, or of another version.
         """
-        beside = state.get("beside")
-        if not isinstance(beside, bytes):
+        if not isinstance(state, dict) or tuple(state) != FACE_FIELDS:
+            raise ValueError(ANOTHER_VERSION)
+        if self._checksum(state["beside"]) != state["checksum"]:
             raise ValueError(
-                "the snapshot is of another version of bulletuav: save it again with this one"
+                f"the snapshot of {shown(state['of'])} is damaged: its checksum is not that of "
+                f"what it holds; take another copy, or save it again"
             )
-        if hashlib.blake2b(beside, digest_size=CHECKSUM).digest() != state.get("checksum"):
-            raise ValueError(
-                f"the snapshot of {shown(state.get('of'))} is damaged: its checksum is not that of "
-                f"its bytes; take another copy, or save it again"
-            )
-        for name in ("of", "flight"):
+        for name in FACE_FIELDS[:-1]:
             object.__setattr__(self, name, state[name])
-        object.__setattr__(self, "beside", pickle.loads(beside))
+
+    @staticmethod
+    def _checksum(beside: Any) -> bytes:
+        return hashlib.blake2b(text_of(beside).encode(), digest_size=CHECKSUM).digest()
 
 
 def require_snapshot(

@@ -584,9 +584,9 @@ def test_snapshots_of_former_versions_are_refused():
             kind.__new__(kind).__setstate__(state)
     face = FaceSnapshot("aec_env", saved, {"agents": ["drone_0"]})
     state = face.__getstate__()
-    for key in ("beside", "checksum"):
+    for key, value in (("beside", {"agents": ["drone_1"]}), ("checksum", b"other")):
         with pytest.raises(ValueError, match="'aec_env' is damaged"):
-            kind.__new__(kind).__setstate__({**state, key: b"other"})
+            kind.__new__(kind).__setstate__({**state, key: value})
     aviary.close()
 
 
