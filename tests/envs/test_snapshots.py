@@ -91,6 +91,11 @@ def flown(aviary, decisions, seed, worlds=slice(None)):
     return told
 
 
+def sent(snapshot):
+    """As another process takes it: with a checksum, and checked against all bounds."""
+    return pickle.loads(pickle.dumps(snapshot))
+
+
 def same(one, other):
     assert len(one) == len(other)
     for mine, theirs in zip(one, other, strict=True):
@@ -104,7 +109,7 @@ def test_flights_go_on_from_a_snapshot_to_the_last_bit(case, dynamics):
         pytest.skip("hover commands rotors")
     aviary = made(case, dynamics=dynamics)
     flown(aviary, 15, 0)
-    saved, before = aviary.save_state(), aviary.state_hash()
+    saved, before = sent(aviary.save_state()), aviary.state_hash()
     seen, state = aviary.observations(), aviary.state()
     first = flown(aviary, 15, 1)
     assert aviary.state_hash() != before
@@ -128,7 +133,7 @@ def test_any_moment_of_any_flight_can_be_gone_back_to(case, dynamics):
     for k in range(240):
         flown(aviary, int(rng.integers(1, 12)), k)
         which = rng.permutation(3)[: rng.integers(1, 4)]
-        saved, after = aviary.save_state(which), int(rng.integers(1, 6))
+        saved, after = sent(aviary.save_state(which)), int(rng.integers(1, 6))
         first = flown(aviary, after, 1000 + k, which)
         hashes = aviary.state_hash(which)
         flown(aviary, int(rng.integers(0, 8)), k)
@@ -172,7 +177,7 @@ def test_what_lies_in_contact_goes_on_lying(dynamics):
     down[..., 2] = -1.0
     for _ in range(60):
         aviary.step(down)
-    saved = aviary.save_state()
+    saved = sent(aviary.save_state())
     first = [aviary.step(down).info["impulse"] for _ in range(40)]
     aviary.load_state(saved)
     same([aviary.step(down).info["impulse"] for _ in range(40)], first)
@@ -430,7 +435,11 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
     airspace.command(None, "velocity", (0.5, 0.0, 0.0))
     airspace.place_obstacle(0, (1.5, 0.1, 0.6), velocity=(0.3, 0.0, 0.0))
     flown(airspace, 30)
-    saved, hashed, read = airspace.save_state(), airspace.state_hash(), dict(airspace.readings)
+    saved, hashed, read = (
+        sent(airspace.save_state()),
+        airspace.state_hash(),
+        dict(airspace.readings),
+    )
     first = flown(airspace, 60)
     kept = {name: array.copy() for name, array in airspace.readings.items()}
     held = dict(airspace.readings)
@@ -539,9 +548,9 @@ def test_damaged_snapshots_are_refused_and_nothing_changes():
     aviary = made("crossing", dynamics="point_mass")
     aviary.step(aviary.action.high + np.zeros((3, 6, 3)))
     saved = aviary.save_state()
-    sent = pickle.loads(pickle.dumps(saved))
-    aviary.load_state(sent)
-    aviary.load_state(sent[[1, 0, 2]])
+    copied = sent(saved)
+    aviary.load_state(copied)
+    aviary.load_state(copied[[1, 0, 2]])
     hashed = aviary.state_hash()
     with pytest.raises(ValueError, match="read-only"):
         saved.data[0, 0] = 1
@@ -551,13 +560,13 @@ def test_damaged_snapshots_are_refused_and_nothing_changes():
     damaged[1, 100] ^= 1
     form = saved.form
     others = (
-        Snapshot(damaged, form, sent.checksum),
+        Snapshot(damaged, form, copied.checksum),
         Snapshot(damaged, form),
-        Snapshot(saved.data[:, :-1], form, sent.checksum),
-        Snapshot(saved.data.astype(float), form, sent.checksum),
-        Snapshot(saved.data[0], form, sent.checksum),
-        Snapshot(None, form, sent.checksum),
-        Snapshot(saved.data, dataclasses.replace(form, parts={}), sent.checksum),
+        Snapshot(saved.data[:, :-1], form, copied.checksum),
+        Snapshot(saved.data.astype(float), form, copied.checksum),
+        Snapshot(saved.data[0], form, copied.checksum),
+        Snapshot(None, form, copied.checksum),
+        Snapshot(saved.data, dataclasses.replace(form, parts={}), copied.checksum),
         dataclasses.replace(saved, data=damaged),
     )
     for one in others:

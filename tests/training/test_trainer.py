@@ -3,8 +3,8 @@ import csv
 import dataclasses
 import importlib.util
 import json
-import os
 import math
+import os
 import random
 import re
 import shutil
