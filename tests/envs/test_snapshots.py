@@ -435,7 +435,8 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
     airspace.command(None, "velocity", (0.5, 0.0, 0.0))
     airspace.place_obstacle(0, (1.5, 0.1, 0.6), velocity=(0.3, 0.0, 0.0))
     flown(airspace, 30)
-    saved, hashed, read = (
+    saved, hashed = sent(airspace.save_state()), airspace.state_hash()
+    read = dict(airspace.readings)
         sent(airspace.save_state()),
         airspace.state_hash(),
         dict(airspace.readings),
