@@ -5,6 +5,7 @@ each held by a test. Bodies are free of Bullet's hidden damping and velocity cla
 leave no trace of the past. A world does not feel what other worlds do.
 """
 
+import hashlib
 import weakref
 from collections.abc import Callable, Sequence
 from ctypes import PyDLL
@@ -52,6 +53,7 @@ class Engine(EngineQueries):
         dt: Length of a substep, s.
         first_world: Number of the first tile.
         omega: (W, N, 3) angular velocities as Bullet gave them last, world axes, rad/s.
+        bodies: (W,) uint64, a hash of the bodies that `add_body` put up in each world; 0 for none.
         closed: True after `close`.
     """
 
@@ -101,6 +103,7 @@ class Engine(EngineQueries):
         self._live, self._contacts = live, contacts
         self._num_added = 0
         self._added_pieces: list[AddedPiece] = []
+        self.bodies = np.zeros(num_worlds, dtype=np.uint64)
         # Of bodies that are not made yet
         self._masses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._contents = Contents(
@@ -293,6 +296,11 @@ class Engine(EngineQueries):
             self._added_pieces.append(added)
         self._scenery = scenery
         self._num_added += 1
+        added_bodies = repr(([tuple(piece) for piece in pieces], position, turn, friction, restitution))
+        for w in worlds:
+            text = f"{self.bodies[w]} {added_bodies}".encode()
+            digest = hashlib.blake2b(text, digest_size=8).digest()
+            self.bodies[w] = int.from_bytes(digest, "little")
         return other
 
     def set_masses(self, world: int, mass: np.ndarray, inertia: np.ndarray) -> None:

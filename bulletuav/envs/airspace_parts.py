@@ -86,6 +86,7 @@ class AirspaceParts(Environment):
         known, carried = airspace_options(position, airframe, sensors, {**options, **rates})
         layouts = () if layout is None else (layout,)
         self._options, self.airframes = known, known.airframe
+        self._obstacles, self._layouts = tuple(obstacles), layouts
         self._engine = make_engine(known, 1, obstacles, layouts)
         self._dynamics = make_dynamics(known, self._engine)
         self._renderer = Renderer(self._engine, known.render_size)

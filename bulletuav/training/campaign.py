@@ -14,6 +14,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +125,7 @@ def processes(workers: int) -> Iterator[Executor]:
 
     Raises:
         ValueError: `workers` is no number of processes.
+        RuntimeError: A process has died.
     """
     as_int("workers", workers, 1)
     # PyTorch's threads do not survive a fork.
@@ -132,10 +134,15 @@ def processes(workers: int) -> Iterator[Executor]:
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts) as pool:
         try:
             yield pool
-        except BaseException:
+        except BaseException as error:
             # A process that is stopped would not hear anything milder.
             for process in set(multiprocessing.active_children()) - others:
                 process.kill()
+            if isinstance(error, BrokenProcessPool):
+                raise RuntimeError(
+                    "a worker process has died: memory may have run out (take fewer workers); call "
+                    "again, and each run continues from its last checkpoint"
+                ) from None
             raise
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import importlib.util
 import json
 import math
+import os
 import random
 import re
 import shutil
@@ -27,7 +28,7 @@ from bulletuav.policies.run import RunConfig
 from bulletuav.report.charts import plot_curves
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
-from bulletuav.training.campaign import Campaign, learning_table, wall_time
+from bulletuav.training.campaign import Campaign, learning_table, processes, wall_time
 from bulletuav.training.models import make_model
 from bulletuav.training.store import WALL, Store, opened
 from bulletuav.training.trainer import train
@@ -485,6 +486,13 @@ def test_a_campaign_trains_in_processes_as_one_would(run, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_process_that_dies_in_training_is_told_with_what_to_do():
+    """Of `train` and `tune` with workers; each run continues from its checkpoint."""
+    said = "a worker process has died: .* continues from its last checkpoint"
+    with pytest.raises(RuntimeError, match=said), processes(1) as pool:
+        pool.submit(os._exit, 1).result()
+
+
 def test_what_a_run_of_a_campaign_raises_is_raised(tmp_path):
     with pytest.raises(ValueError, match="did you mean 'gamma'"):
         Campaign([config(model={"gama": 1.0})], tmp_path).train()
