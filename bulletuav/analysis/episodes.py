@@ -13,6 +13,7 @@ import numpy as np
 from bulletuav.analysis.metrics import Meter, MetricSpec
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.worker import portable
+from bulletuav.interrupts import kept_from_children
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.policies.base import Policy
 from bulletuav.tasks import TaskSource
@@ -161,7 +162,8 @@ def fly_batches(
             mine, theirs = multiprocessing.Pipe()
             share = batches[k::workers]
             process = multiprocessing.Process(target=_work, args=(theirs, run, share), daemon=True)
-            process.start()
+            with kept_from_children():
+                process.start()
             theirs.close()
             processes.append(process)
             pipes.append(mine)

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console, JustifyMethod
-from rich.markup import escape
+from rich.console import JustifyMethod
 from rich.table import Table
 
 from bulletuav.analysis.evaluation import BATCH, Evaluation, evaluate
@@ -18,10 +17,11 @@ from bulletuav.commands.arguments import (
     add_options,
     add_sharing,
     given_options,
-    print_files,
     print_piece,
     show_episodes,
 )
+from bulletuav.commands.output import print_files, print_table
+from bulletuav.interrupts import TEXT
 from bulletuav.policies import find_policy
 from bulletuav.report.results import write_evaluation
 from bulletuav.tasks import find_task
@@ -80,15 +80,14 @@ def run(arguments: argparse.Namespace) -> None:
             progress=advance,
             metrics=arguments.metric,
         )
-    console = Console()
     # A piece is a share of the episodes: no table before all are there
     if arguments.piece is not None:
-        print_piece(console, arguments.piece, out)
+        print_piece(arguments.piece, out)
         return
     files = write_evaluation(result, out)
-    console.print(_table(result))
-    console.print(_pace(result))
-    print_files(console, files)
+    print_table(_table(result))
+    print(_pace(result))
+    print_files(files)
 
 
 def completed_case(
@@ -148,7 +147,7 @@ def evaluate_case(
         The evaluation, or that of a piece.
 
     Raises:
-        KeyboardInterrupt: After a line about what is kept.
+        KeyboardInterrupt: With a line about what is kept.
     """
     try:
         return evaluate(
@@ -167,11 +166,10 @@ def evaluate_case(
             **options,
         )
     except KeyboardInterrupt:
-        # Hours may be lost or not: tell which
-        Console(stderr=True).print(
-            f"interrupted: finished batches of episodes are kept in {out}; the same command goes on"
-        )
-        raise
+        # Hours may be lost or not: say which
+        raise KeyboardInterrupt(
+            f"{TEXT}: finished batches of episodes are kept in {out}; the same command goes on"
+        ) from None
 
 
 def shared_episodes(arguments: argparse.Namespace, cases: int = 1) -> int:
@@ -192,8 +190,8 @@ def _table(result: Evaluation) -> Table:
         table.add_column(heading, justify=side)
     for name, estimate in result.estimates().items():
         if estimate.episodes:
-            meaning = escape(result.metrics[name])
-            table.add_row(escape(name), f"{estimate.mean:.4g}", _interval(estimate), meaning)
+            mean, meaning = f"{estimate.mean:.4g}", result.metrics[name]
+            table.add_row(name, mean, _interval(estimate), meaning)
     return table
 
 

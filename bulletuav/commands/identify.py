@@ -3,11 +3,11 @@
 import argparse
 from pathlib import Path
 
-from rich.console import Console, JustifyMethod
-from rich.markup import escape
+from rich.console import JustifyMethod
 from rich.table import Table
 
-from bulletuav.commands.arguments import out_folder, print_files
+from bulletuav.commands.arguments import out_folder
+from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.identification.constants import BATTERY, CONSTANTS, GROUPS
 from bulletuav.identification.curves import curves
@@ -109,19 +109,18 @@ def run(arguments: argparse.Namespace) -> None:
     plot_identification(curves(shown), title, picture)
     files = [write_urdf(result, out), *write_report(result, out), picture]
     # Constants, errors before and after, and where the files are
-    console = Console()
-    console.print(_constants(result))
-    console.print(_errors(result))
+    print_table(_constants(result))
+    print_table(_errors(result))
     if result.note:
-        console.print(escape(result.note))
-    print_files(console, files)
+        print(result.note)
+    print_files(files)
 
 
 def _constants(result: Identification) -> Table:
     """Lay out the constants."""
     table = Table(title=f"{result.before.name}, mass {result.airframe.mass:g} kg; SI units")
     for heading, side in COLUMNS:
-        table.add_column(heading, justify=side, no_wrap=True)
+        table.add_column(heading, justify=side)
     for name, row in as_table(result)["constants"].items():
         interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not told"
         after = f"{row['after']:.5g}" if row["told"] else "as it was"

@@ -7,10 +7,10 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from bulletuav.commands.arguments import add_options, given_options
+from bulletuav.commands.output import print_table
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
 from bulletuav.tasks import find_task, list_tasks
@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.task is None:
         _print_list()
     elif arguments.show_observation:
-        Console().print(observation_table(arguments.task, given_options(arguments)))
+        print_table(observation_table(arguments.task, given_options(arguments)))
     else:
         _explain(arguments.task)
 
@@ -83,13 +83,12 @@ def _print_list() -> None:
 def _explain(name: str) -> None:
     """Print a task's docstring, and tables of what its class and its options say."""
     task = find_task(name)
-    console = Console()
     print(f"{inspect.getdoc(task)}\n")
-    console.print(observation_table(name, {}))
+    print_table(observation_table(name, {}))
     for table in (reward_table, ends_table, difficulties_table):
-        console.print(table(task))
+        print_table(table(task))
     print(f"\n{_before_attributes(task.Config)}\n")
-    console.print(options_table(task))
+    print_table(options_table(task))
     print(f"\n{inspect.getdoc(EnvOptions)}")
 
 

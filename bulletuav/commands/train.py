@@ -6,19 +6,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from rich.console import Console
-
 from bulletuav.commands.arguments import (
     add_options,
     given_options,
     out_folder,
     parse_pairs,
-    print_files,
 )
+from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.control.actions import CHOICES
 from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
+from bulletuav.interrupts import TEXT
 from bulletuav.policies.run import ALGORITHMS, CONFIG, POLICY, RunConfig, shipped, shipped_tasks
 from bulletuav.report.charts import plot_curves
 from bulletuav.tasks import find_task
@@ -250,7 +249,7 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
 
 
 def or_tell(out: Path, work: Callable[[], Result]) -> Result:
-    """Do the work; where it is interrupted, tell how to go on.
+    """Do the work; where it is interrupted, say how to go on.
 
     Args:
         out: The folder of the work.
@@ -258,18 +257,17 @@ def or_tell(out: Path, work: Callable[[], Result]) -> Result:
 
     Returns:
         What it gives.
+
+    Raises:
+        KeyboardInterrupt: With a line about what is kept.
     """
     try:
         return work()
     except KeyboardInterrupt:
-        Console(stderr=True).print(
-            f"interrupted: the same command goes on from the last checkpoint in {out}, to the same "
-            f"weights",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
-        raise
+        raise KeyboardInterrupt(
+            f"{TEXT}: the same command goes on from the last checkpoint in {out}, to the same "
+            f"weights"
+        ) from None
 
 
 def _finish(
@@ -282,9 +280,7 @@ def _finish(
     picture = out / "curves.png"
     replace_file(table, learning_table(runs))
     plot_curves(runs, picture)
-    console = Console()
-    console.print(table.read_text(), markup=False, soft_wrap=True)
+    print(table.read_text())
     for config, rows in runs:
-        told = f"{config.task}, {config.algo}, seed {config.seed}: {wall_time(rows)}"
-        console.print(told, highlight=False, markup=False, soft_wrap=True)
-    print_files(console, [*files, table, picture])
+        print(f"{config.task}, {config.algo}, seed {config.seed}: {wall_time(rows)}")
+    print_files([*files, table, picture])

@@ -4,10 +4,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from bulletuav.analysis.metrics import METRICS
-from bulletuav.commands.arguments import out_folder, parse_pairs, print_files
+from bulletuav.commands.arguments import out_folder, parse_pairs
+from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.commands.train import add_run, base_config, or_tell, run_config
 from bulletuav.errors import shown
@@ -93,17 +92,11 @@ def run(arguments: argparse.Namespace) -> None:
     text = study_table(study, trials)
     replace_file(table, text)
     plot_study(study, trials, picture)
-    console = Console()
-    console.print(text, markup=False, soft_wrap=True)
+    print(text)
     # The command that makes something of it
     best = best_trials(study, trials)[0].folder / CONFIG
-    console.print(
-        f"train the best one for longer: bulletuav train --config {best} --steps ... --out ...",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
-    )
-    print_files(console, [out / STUDY, out / TRIALS, table, picture])
+    print(f"train the best one for longer: bulletuav train --config {best} --steps ... --out ...")
+    print_files([out / STUDY, out / TRIALS, table, picture])
 
 
 def _study(arguments: argparse.Namespace) -> Study:
