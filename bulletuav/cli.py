@@ -41,8 +41,8 @@ COMMANDS = (
     "doctor",
 )
 """Names of the commands, and of their modules in `bulletuav.commands`"""
-DESCRIPTION = """A drone-swarm gym on PyBullet: flies drones through tasks, draws the flights, trains
-policies and compares them."""
+DESCRIPTION = """A drone-swarm gym on PyBullet: flies drones through tasks, draws the flights,
+trains policies and compares them."""
 EPILOG = """first example:
   bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
 

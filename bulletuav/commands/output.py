@@ -1,5 +1,7 @@
 """What commands print on standard output: tables, and the files that were written."""
 
+import shutil
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -9,10 +11,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-BORDER = 1
-"""Columns of the terminal that the right edge of a table takes"""
-FRAME = 3
-"""The same for each column of a table: a line, and a space on each side"""
+PADDING = 2
+"""Columns of the terminal that the spaces on both sides of a cell take"""
+
+LEAST_PROSE, MOST_PROSE = 40, 100
+"""Bounds of the width to which prose is wrapped: a narrower terminal breaks it by itself"""
 
 
 def print_table(table: Table) -> None:
@@ -33,9 +36,10 @@ def print_table(table: Table) -> None:
     if table.title:
         print(table.title)
     texts = [[cell.plain for cell in row] for row in rows]
+    num_edges = 0 if table.box is None else len(headings) + 1
     widths = _column_widths(
         [headings, *texts] if table.show_header else texts,
-        console.width - BORDER - FRAME * len(headings),
+        console.width - PADDING * len(headings) - num_edges,
     )
     if widths is None:
         print("\n".join(_lines(headings if table.show_header else [], texts)))
@@ -76,7 +80,11 @@ def _longest(texts: Iterable[str]) -> int:
 def _grid(table: Table, rows: Sequence[Sequence[Text]], widths: Sequence[int]) -> Table:
     """Lay out a table with columns of given widths."""
     edges = box.HEAVY_HEAD if table.show_header else box.SQUARE
-    grid = Table(box=edges, show_header=table.show_header, show_lines=table.show_lines)
+    grid = Table(
+        box=None if table.box is None else edges,
+        show_header=table.show_header,
+        show_lines=table.show_lines,
+    )
     for column, width in zip(table.columns, widths, strict=True):
         grid.add_column(Text(str(column.header)), justify=column.justify, width=width)
     for row in rows:
@@ -93,7 +101,14 @@ def _lines(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterable[s
             continue
         yield f"{headings[0]}: {first}"
         pairs = zip(headings[1:], others, strict=True)
-        yield from (f"  {heading}: {text}" for heading, text in pairs)
+        yield from (f"  {heading}: {text}" for heading, text in pairs if text)
+
+
+def print_text(text: str) -> None:
+    """Print prose, wrapped between words to the width of the terminal; lists stay lists."""
+    width = min(max(shutil.get_terminal_size().columns, LEAST_PROSE), MOST_PROSE)
+    for line in text.replace("\n  ", " ").splitlines():
+        print(textwrap.fill(line, width, subsequent_indent="  ", break_on_hyphens=False))
 
 
 def print_files(files: Iterable[Path]) -> None:
