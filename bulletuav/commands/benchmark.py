@@ -17,6 +17,9 @@ ABOUT = {
         "Print drone-substeps per CPU-second of every dynamics, the same for the bare calls of "
         "the engine, and how long resets take."
     ),
+    "epilog": """examples:
+  bulletuav benchmark
+  bulletuav benchmark --drones 1 10 100 --seconds 1""",
 }
 
 

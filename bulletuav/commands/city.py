@@ -39,8 +39,7 @@ ABOUT = {
     "epilog": """examples:
   bulletuav city --kind dense --seed 3 --out dense
   bulletuav city --kind urban --irregularity 1 --gamma 30 --out towers
-  bulletuav city --import footprints.geojson --default-height 9 --out home
-  bulletuav city --import town.obj --elevation ground --out town""",
+  bulletuav city --import dense/city.obj --elevation ground --out town""",
 }
 NUMBERS = ("alpha", "beta", "gamma")
 GENERATOR = {"kind", "seed", "irregularity", "side", *NUMBERS}

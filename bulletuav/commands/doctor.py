@@ -12,6 +12,8 @@ ABOUT = {
     "description": (
         "Print the versions, whether the C extension is active, and how to get what is missing."
     ),
+    "epilog": """example:
+  bulletuav doctor""",
 }
 
 

@@ -35,8 +35,8 @@ ABOUT = {
     ),
     "epilog": """examples:
   bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
-  bulletuav evaluate crossing --policy ppo:model.zip --trust --difficulty hard --out crossing-ppo
-  bulletuav evaluate hover --metric mine:my_metric""",
+  bulletuav evaluate crossing --difficulty hard --out crossing-hard
+  bulletuav evaluate hover --dynamics rigid_body --wind 3 0 0""",
 }
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("metric", "left"),

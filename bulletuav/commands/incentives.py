@@ -24,7 +24,7 @@ ABOUT = {
         "paid shirker of each task, and write the whole table."
     ),
     "epilog": """examples:
-  bulletuav incentives --episodes 20 --out incentives
+  bulletuav incentives crossing --episodes 20 --out incentives
   bulletuav incentives crossing mec --difficulties easy,hard --dynamics single_integrator""",
 }
 COLUMNS = (

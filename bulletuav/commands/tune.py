@@ -29,7 +29,7 @@ ABOUT = {
       --search model.learning_rate=1e-4:3e-3:log --search model.n_epochs=2:10 \\
       --search options.num_neighbours=2,4,6 --out study
   bulletuav tune --study study/study.yaml --out again
-  bulletuav train --config study/trials/007/run.yaml --steps 4e6 --out long""",
+  bulletuav train --config study/trials/000/run.yaml --steps 4e6 --out long""",
 }
 GIVEN = ("metric", "trials", "batch")
 """Arguments that are settings of a study under the same name"""

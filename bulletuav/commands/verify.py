@@ -20,8 +20,8 @@ ABOUT = {
     ),
     "epilog": """examples:
   bulletuav fly crossing --out flight && bulletuav verify flight
-  bulletuav verify leaderboard --workers 2
-  bulletuav verify docs/results/leaderboard/rows/crossing-mappo-0""",
+  bulletuav evaluate hover --episodes 20 --out hovering
+  bulletuav verify hovering --workers 2""",
 }
 
 
