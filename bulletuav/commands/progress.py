@@ -123,7 +123,7 @@ def _lines(
     unit: str,
 ) -> Iterator[Show]:
     """Print a line at the beginning, every `LINE_PERIOD`, and when all is done."""
-    begin = _working_time()
+    begin: float | None = None  # when the first report came: what was before is no part of it
     next_line = 0.0  # when the next line about compilation is due
     last: tuple[float, float] | None = None  # when the last line was printed, and what was done
 
@@ -136,8 +136,9 @@ def _lines(
             sys.stderr.flush()
 
     def show(done: float, note: str) -> None:
-        nonlocal last
+        nonlocal begin, last
         now = _working_time()
+        begin = now if begin is None else begin
         # Trainers may go beyond the total, as they end with a whole rollout.
         done = min(done, total)
         if last is not None:

@@ -76,7 +76,10 @@ def _screen() -> Finding:
 
 def _extras() -> list[Finding]:
     """List the extras that the installed metadata declare, with the packages of each."""
-    about = importlib.metadata.metadata("bulletuav")
+    try:
+        about = importlib.metadata.metadata("bulletuav")
+    except importlib.metadata.PackageNotFoundError:
+        return [Finding("extras", "not known: bulletuav runs from a folder, and is not installed")]
     needed: dict[str, list[str]] = {extra: [] for extra in about.get_all("Provides-Extra") or ()}
     joined: dict[str, list[str]] = {extra: [] for extra in needed}
     for line in about.get_all("Requires-Dist") or ():

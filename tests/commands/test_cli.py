@@ -1,3 +1,4 @@
+import importlib.metadata
 import json
 import os
 import re
@@ -10,12 +11,13 @@ import pytest
 
 import bulletuav
 from bulletuav.analysis.benchmark import FLOORS
-from bulletuav.cli import main
+from bulletuav.cli import COMMANDS, main
 from bulletuav.commands.progress import show_progress
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine import engine
 from bulletuav.engine.c_extension import Extension
 from bulletuav.report import doctor
+from bulletuav.tasks import find_task
 
 MAIN_JOB = ["fly", "crossing", "--drones", "8", "--policy", "straight", "--seed", "0"]
 FILES = {"trajectory.npz", "trajectory.csv", "run.json", "tracks.png", "flight.gif"}
@@ -127,7 +129,7 @@ def test_tasks_are_listed_and_explained(capsys):
     assert [
         line.split()[0] for line in capsys.readouterr().out.splitlines()
     ] == bulletuav.list_tasks()
-    main(["tasks", "crossing"])
+    main(["tasks", "crossing", "--all"])
     said = capsys.readouterr().out
     for word in (
         "Observation",
@@ -140,6 +142,21 @@ def test_tasks_are_listed_and_explained(capsys):
         "decision_hz=10",
     ):
         assert word in said
+
+
+@pytest.mark.parametrize("task", bulletuav.list_tasks())
+def test_the_summary_of_a_task_fits_on_a_page(task, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    main(["tasks", task])
+    said = capsys.readouterr().out
+    assert len(said.splitlines()) <= 45
+    kind = find_task(task)
+    for word in ("Observation", "Action", "Reward", "End:", "Success:", *kind.difficulties):
+        assert word in said
+    for option in {name for level in kind.difficulties.values() for name in level}:
+        assert f"\n {option} " in said
+    assert len(re.findall(r"^ \w+ +\S", said, re.MULTILINE)) >= 11  # with the headings
+    assert f"bulletuav tasks {task} --all" in said
 
 
 def test_the_observation_is_printed_number_by_number_with_the_options_given(capsys):
@@ -337,7 +354,9 @@ def test_help(arguments, capsys):
         main(arguments)
     assert end.value.code == 0
     said = capsys.readouterr().out
-    assert ("bulletuav fly crossing --drones 8" in said) == (arguments == ["fly", "--help"])
+    assert ("bulletuav fly crossing --drones 8" in said) == (
+        arguments in (["--help"], ["fly", "--help"])
+    )
     assert said
 
 
@@ -407,8 +426,31 @@ def test_help(arguments, capsys):
         ([*COMPARED, "--set", "dynamics=5"], "unknown dynamics '5'"),
         ([*COMPARED, "--against", "orc"], "unknown policy in --against, 'orc'"),
         (["tasks", "hoover"], "did you mean 'hover'"),
-        (["flyy"], "invalid choice: 'flyy'"),
-        ([], "required: COMMAND"),
+        (["flyy"], "unknown command 'flyy': did you mean 'fly'"),
+        (["tran"], "unknown command 'tran': did you mean 'train'"),
+        (["--versio"], "unknown argument --versio: did you mean --version?"),
+        (["fly", "crossing", "more"], "unknown argument more: there is no place for it"),
+        # Whatever else is wrong with the words
+        (["fly", "--polcy", "orca"], "unknown argument --polcy: did you mean --policy?"),
+        (["compare", "--task", "hover"], "unknown argument --task: did you mean --tasks?"),
+        (["identify", "--airfame=cf2x"], "unknown argument --airfame: did you mean --airframe?"),
+        # Values of options
+        (["fly", "hover", "--animation", "gof"], "--animation 'gof': did you mean 'gif'?"),
+        (["fly", "hover", "--airframe", "humingbird"], "did you mean 'hummingbird'"),
+        (["fly", "hover", "--dynamics", "point_mas"], "did you mean 'point_mass'"),
+        (["fly", "hover", "--action", "velocty"], "did you mean 'velocity'"),
+        (["fly", "hover", "--controller", "le"], "did you mean 'lee'"),
+        (["fly", "hover", "--difficulty", "hrad"], "did you mean 'hard'"),
+        (["fly", "hover", "--turbulence", "ligth"], "did you mean 'light'"),
+        (["fly", "crossing", "--preset", "uavconflct"], "did you mean 'uavconflict'"),
+        (["fly", "lidar_navigation", "--city", "urbann"], "did you mean 'urban'"),
+        (["city", "--kind", "urbann"], "did you mean 'urban'"),
+        (["serve", "crazyfly"], "did you mean 'crazyflie'"),
+        (["train", "hover", "--algo", "pppo"], "did you mean 'ppo'"),
+        (["evaluate", "hover", "--metric", "jerkk"], "did you mean 'jerk'"),
+        (["export", "out", "--to", "mcapp"], "did you mean 'mcap'"),
+        (["identify", "--example", "a.csv", "--airframe", "cf3x"], "did you mean 'cf2x'"),
+        (["identify", "--airframe", "cf2x"], "Give either flight logs or --example FILE"),
     ],
 )
 def test_bad_input_ends_in_one_line_and_exit_code_2(arguments, said, capsys, tmp_path, monkeypatch):
@@ -421,6 +463,19 @@ def test_bad_input_ends_in_one_line_and_exit_code_2(arguments, said, capsys, tmp
     lines = [line for line in err.splitlines() if line]
     assert len(lines) == 1
     assert said in lines[0]
+
+
+def test_without_a_command_the_help_is_printed(capsys):
+    main([])
+    out, err = capsys.readouterr()
+    assert err == ""
+    for command in COMMANDS:
+        assert f"\n    {command}" in out
+    assert "bulletuav fly crossing --drones 8" in out
+    assert len(out.splitlines()) < 50
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert capsys.readouterr().out == out
 
 
 def test_an_interrupt_ends_quietly(monkeypatch):
@@ -440,7 +495,12 @@ def test_the_doctor_tells_what_is_active(capsys, monkeypatch):
     assert "C extension" in out
     state = {finding.subject: finding for finding in doctor.examine()}
     assert state["C extension"] == ("C extension", "active", "")
-    assert state["extra sb3"].state == "installed"
+    extras = importlib.metadata.metadata("bulletuav").get_all("Provides-Extra")
+    assert {f"extra {extra}" for extra in extras} < set(state)
+    assert len(extras) >= 20
+    version = importlib.metadata.version("stable-baselines3")
+    assert f"stable-baselines3 {version}" in state["extra sb3"].state
+    assert state["extra test"].state.startswith("airsim, city, ")
     monkeypatch.setenv("DISPLAY", "")
     assert {finding.subject: finding for finding in doctor.examine()}[
         "window"
@@ -448,18 +508,26 @@ def test_the_doctor_tells_what_is_active(capsys, monkeypatch):
 
 
 def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
+    def absent(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
     with monkeypatch.context() as patch:
         patch.setattr(doctor, "EXTENSION", Extension(None, "", "no compiler"))
-        patch.setattr("importlib.util.find_spec", lambda name: None)
+        patch.setattr(doctor, "_version", lambda package: None)
         patch.setattr(doctor, "require_screen", lambda: None)
         found = {finding.subject: finding for finding in doctor.examine()}
     assert found["C extension"].remedy == "no compiler"
     assert found["C extension"].state.startswith("not active")
-    assert found["extra video"][:2] == ("extra video", "missing")
+    assert found["extra video"][:2] == ("extra video", "missing: imageio-ffmpeg")
+    assert found["extra dev"].state == "missing: build, pre-commit, twine, test"
     assert re.fullmatch(
         r"pip install -c \S+/constraints\.txt -e '\S+\[video\]'", found["extra video"].remedy
     )
     assert found["window"].state == "available"
+    with monkeypatch.context() as patch:
+        patch.setattr(importlib.metadata, "metadata", absent)
+        (extras,) = doctor._extras()
+    assert "not installed" in extras.state
     monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: list(found.values()))
     main(["doctor"])
     assert "[video]'" in "".join(capsys.readouterr().out.split())
@@ -506,9 +574,9 @@ def test_how_far_it_is_is_told_in_lines_where_there_is_no_terminal(capsys, monke
         for done in (0, 100, 200, 300, 400, 1000, 1000):
             report(done)
     assert capsys.readouterr().err.splitlines() == [
-        "training crossing: 0 of 1,000 steps (0 %), 4 s",
-        "training crossing: 300 of 1,000 steps (30 %), 16 s",
-        "training crossing: 1,000 of 1,000 steps (100 %), 24 s",
+        "training crossing: 0 of 1,000 steps (0 %), 0 s",
+        "training crossing: 300 of 1,000 steps (30 %), 12 s",
+        "training crossing: 1,000 of 1,000 steps (100 %), 20 s",
     ]
 
 
