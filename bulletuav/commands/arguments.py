@@ -59,7 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     # The air, and a name for many options
     parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
-    parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK`")
+    parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK --all`")
     parser.add_argument(
         "--wind",
         type=float,
@@ -73,7 +73,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help=(
-            "any other option of `bulletuav tasks TASK`, such as spacing=3 or "
+            "any other option of `bulletuav tasks TASK --all`, such as spacing=3 or "
             "weights={'goal':10}; can be repeated"
         ),
     )

@@ -5,14 +5,16 @@ import re
 import resource
 import subprocess
 import sys
+import types
 
 import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav import dispatcher
 from bulletuav.analysis.benchmark import FLOORS
 from bulletuav.cli import COMMANDS, main
-from bulletuav.commands.progress import show_progress
+from bulletuav.commands.progress import USUAL_FUNCTIONS, show_progress
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine import engine
 from bulletuav.engine.c_extension import Extension
@@ -580,11 +582,60 @@ def test_how_far_it_is_is_told_in_lines_where_there_is_no_terminal(capsys, monke
     ]
 
 
+def test_compilation_has_lines_of_its_own_and_no_part_in_the_time(capsys, monkeypatch):
+    compilation = dispatcher.Compilation()
+    monkeypatch.setattr(dispatcher, "COMPILATION", compilation)
+    monkeypatch.setattr(dispatcher, "MANY", 2)
+    now = [0.0]
+    clock = types.SimpleNamespace(monotonic=lambda: now[0])
+    monkeypatch.setattr(dispatcher, "time", clock)
+    monkeypatch.setattr("bulletuav.commands.progress.time", clock)
+
+    def compile_for(seconds):
+        with compilation.count():
+            now[0] += seconds
+
+    with show_progress("flying", 500, "decisions") as report:
+        for _ in range(6):
+            compile_for(60.0)
+        report(1)
+        now[0] += 4.0
+        compile_for(100.0)  # as at a first touch
+        report(500)
+    assert capsys.readouterr().err.splitlines() == [
+        *(
+            f"compiling: {k} of about 270 functions, {60 * k} s (the first time only)"
+            for k in range(2, 7)
+        ),
+        "flying: 1 of 500 decisions (0 %), 0 s",
+        "compiling: 7 of about 270 functions, 460 s (the first time only)",
+        "flying: 500 of 500 decisions (100 %), 4 s",
+    ]
+    assert compilation.watch is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dynamics", ["point_mass", "bullet"])
+def test_about_as_many_functions_are_compiled_as_are_announced(dynamics, tmp_path):
+    words = ["fly", "crossing", "--dynamics", dynamics, "--horizon", "2", "--animation", "none"]
+    subprocess.run(
+        [sys.executable, "-m", "bulletuav", *words],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        cwd=tmp_path,
+        check=True,
+    )
+    compiled = len(list(tmp_path.rglob("*.nbc")))
+    assert compiled == pytest.approx(USUAL_FUNCTIONS, rel=0.2)
+
+
 def test_how_far_it_is_is_a_bar_on_a_terminal():
     """In a pseudo-terminal."""
     mine, theirs = os.openpty()
     program = "from bulletuav.commands.progress import show_progress\n"
+    program += "from bulletuav.dispatcher import COMPILATION\n"
     program += "with show_progress('flying', 3, 'episodes') as report:\n"
+    program += "    with COMPILATION.count(): pass\n"
+    program += "    import time; time.sleep(0.3)\n"  # more than a frame
     program += "    [report(done) for done in range(4)]"
     subprocess.run(
         [sys.executable, "-c", program],
@@ -593,7 +644,12 @@ def test_how_far_it_is_is_a_bar_on_a_terminal():
         env={**os.environ, "TERM": "xterm"},
     )
     os.close(theirs)
-    assert "3 of 3 episodes" in os.read(mine, 65536).decode()
+    said = os.read(mine, 65536).decode()
+    assert "compiling" in said
+    assert f"1 of about {USUAL_FUNCTIONS} functions" in said
+    last = said.rpartition("flying")[2]
+    assert "3 of 3 episodes" in last
+    assert "compiling" not in last
     os.close(mine)
 
 
