@@ -38,7 +38,7 @@ def print_table(table: Table) -> None:
     texts = [[cell.plain for cell in row] for row in rows]
     num_edges = 0 if table.box is None else len(headings) + 1
     widths = _column_widths(
-        [headings, *texts] if table.show_header else texts,
+        [headings if table.show_header else [""] * len(headings), *texts],
         console.width - PADDING * len(headings) - num_edges,
     )
     if widths is None:
