@@ -51,13 +51,14 @@ def fly(
         return total
 
     def slowly(time: float) -> np.ndarray:
-        return np.array([0, 0, 1]) + np.array([0.33, 0.33, 0.2]) * sines(slow, time)
+        place: np.ndarray = np.array([0, 0, 1]) + np.array([0.33, 0.33, 0.2]) * sines(slow, time)
+        return place
 
     path = path or slowly
     hover = airframe.hover_speed()
     places = [path(0.0)] + ([] if other is None else [other(0.0)])
     space = Airspace(
-        places,
+        np.array(places),
         airframe=airframe,
         rotor_speed=hover,
         seed=seed,

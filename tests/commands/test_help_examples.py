@@ -11,7 +11,7 @@ from bulletuav.report.live import LiveView
 
 SHORTER = {
     "benchmark": "--drones 1 --seconds 0.01",
-    "compare": "--episodes 1 --horizon 2 --workers 1 --dynamics single_integrator",
+    "compare": "--episodes 1 --workers 1 --dynamics single_integrator",
     "dataset": "--horizon 2 --workers 1 --dynamics point_mass",
     "evaluate": "--horizon 2 --workers 1 --dynamics point_mass",
     "fly": "--horizon 3 --animation none",
