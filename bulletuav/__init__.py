@@ -1,5 +1,6 @@
 """bulletuav: a drone-swarm gym on PyBullet."""
 
+from bulletuav import interrupts  # noqa: F401  # first: it handles Ctrl-C during the others
 from bulletuav.adapters.self_play import team_env
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.control.setpoint import SetpointLevel

@@ -7,14 +7,16 @@ Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merg
 import argparse
 import difflib
 import importlib
+import itertools
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from bulletuav.errors import missing
+from bulletuav import interrupts
+from bulletuav.errors import missing, unknown
 from bulletuav.policies import policy_names
 from bulletuav.tasks import list_tasks
 from bulletuav.version import __version__
@@ -39,6 +41,12 @@ COMMANDS = (
     "doctor",
 )
 """Names of the commands, and of their modules in `bulletuav.commands`"""
+DESCRIPTION = """A drone-swarm gym on PyBullet: flies drones through tasks, draws the flights,
+trains policies and compares them."""
+EPILOG = """first example:
+  bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
+
+`bulletuav COMMAND --help` explains a command."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -46,6 +54,12 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Offer the nearest choice for a word that is none, as argparse of Python 3.14 can."""
+        if action.choices is not None and value not in action.choices:
+            what = "command" if action.dest == "command" else f"value of {action.option_strings[0]}"
+            raise argparse.ArgumentError(None, str(unknown(what, value, action.choices)))
 
 
 def _module(name: str) -> ModuleType:
@@ -61,13 +75,15 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
     """
     parser = _Parser(
         prog="bulletuav",
-        description="A drone-swarm gym on PyBullet.",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"bulletuav {__version__}")
     adder = parser.add_subparsers(
         dest="command",
-        required=True,
+        title="commands",
         metavar="COMMAND",
         parser_class=_Parser,
     )
@@ -100,19 +116,24 @@ def _complete() -> None:
     argcomplete.autocomplete(parser)
 
 
-def _check_known(rest: list[str], parser: argparse.ArgumentParser) -> None:
-    """Complain about the first argument that no option took."""
-    if not rest:
-        return
+def _check_known(words: Iterable[str], parser: argparse.ArgumentParser) -> None:
+    """Complain about the first option that the command does not have.
+
+    Before argparse does: it would miss a required option instead of naming the one misspelt.
+    """
     known = [option for action in parser._actions for option in action.option_strings]
-    near = difflib.get_close_matches(rest[0].split("=")[0], known, n=1)
-    if near:
-        hint = f"did you mean {near[0]}?"
-    elif "--set" in known:
-        hint = "options without an argument of their own go by --set NAME=VALUE"
-    else:
-        hint = "there is none of that name"
-    parser.error(f"unknown argument {rest[0]}: {hint}")
+    options = (word.partition("=")[0] for word in words if word.startswith("--"))
+    for option in itertools.takewhile(lambda option: option != "--", options):
+        if option in known:
+            continue
+        near = difflib.get_close_matches(option, known, n=1)
+        if near:
+            hint = f"did you mean {near[0]}?"
+        elif "--set" in known:
+            hint = "options without an argument of their own go by --set NAME=VALUE"
+        else:
+            hint = "there is none of that name"
+        parser.error(f"unknown argument {option}: {hint}")
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -122,23 +143,42 @@ def main(argv: Sequence[str] | None = None) -> None:
         argv: Words after `bulletuav`; those of the process when left out.
 
     Raises:
-        SystemExit: With code 2 after one line on standard error, for bad input; 130 after an
-            interrupt; 128 + SIGPIPE where the reader of the output has gone.
+        SystemExit: With code 2 after one line on standard error, for bad input; 130 after one line
+            for an interrupt; 128 + SIGPIPE where the reader of the output has gone.
     """
+    try:
+        _run(sys.argv[1:] if argv is None else argv)
+    except KeyboardInterrupt as interrupt:
+        # Commands that keep something raise it again, with a text that says what
+        sys.stderr.write(f"{str(interrupt) or interrupts.TEXT}\n")
+        sys.exit(interrupts.STATUS)
+
+
+def _run(words: Sequence[str]) -> None:
+    """Find the command, run it, and turn errors of bad input into one line; see `main`."""
     if "" not in sys.path:  # the current folder, last of all, for names such as mine:Policy
         sys.path.append("")
-    # Unknown arguments are collected, not refused, so that the message can name the nearest.
     if "_ARGCOMPLETE" in os.environ:
         _complete()
-    words = sys.argv[1:] if argv is None else argv
     parser, commands = _parser(words)
+    if not words:
+        parser.print_help()
+        return
+    if words[0] in commands:
+        _check_known(words[1:], commands[words[0]])
+    else:
+        _check_known(words, parser)
     arguments, rest = parser.parse_known_args(words)
+    if arguments.command is None:
+        parser.error("no COMMAND is given")
     command = commands[arguments.command]
-    _check_known(rest, command)
+    if rest:
+        command.error(f"unknown argument {rest[0]}: there is no place for it")
     try:
-        _module(arguments.command).run(arguments)
-        # A closed pipe is to be noticed here, not when Python ends.
-        sys.stdout.flush()
+        with interrupts.raising():
+            _module(arguments.command).run(arguments)
+            # A closed pipe is to be noticed here, not when Python ends.
+            sys.stdout.flush()
     except BrokenPipeError:
         # The reader has seen enough, as in `bulletuav tasks mec | head`. What Python flushes
         # at its end goes nowhere, so that it does not complain again.
@@ -150,5 +190,3 @@ def main(argv: Sequence[str] | None = None) -> None:
     except (ValueError, OSError, RuntimeError, ImportError) as error:
         # These are the errors of bad input; others are bugs and keep their traceback.
         command.error(" ".join(str(error).split()))
-    except KeyboardInterrupt:
-        sys.exit(130)

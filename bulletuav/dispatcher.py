@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
+from multiprocessing import current_process
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, ClassVar, NamedTuple
@@ -46,11 +47,63 @@ except ImportError:  # Windows has no such locks
 
 _LOG = logging.getLogger(__name__)
 MANY = 20
-"""Functions that a process compiles before it tells why nothing else happens"""
-PAUSE = 5.0
-"""Time without compilation after which it tells that anew, s"""
+"""Functions that a process compiles before it logs why nothing else happens"""
+FIRST = ("MainProcess", "-1")
+"""Ends of the names of the processes that log it: of several workers the first"""
 PATIENCE = 300.0
 """Time after which a process that compiles is taken for one that was stopped, s"""
+
+
+class Compilation:
+    """What a process has compiled so far.
+
+    Attributes:
+        num_functions: Functions that were compiled, and not loaded.
+        watch: Called with this after each of them, in place of the line that is logged once.
+    """
+
+    def __init__(self) -> None:
+        """Start with nothing."""
+        self.num_functions = 0
+        self.watch: Callable[[Compilation], None] | None = None
+        self._depth, self._begin, self._seconds = 0, 0.0, 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Time that compilation has taken, with what goes on now, s."""
+        running = time.monotonic() - self._begin if self._depth else 0.0
+        return self._seconds + running
+
+    def forget_watch(self) -> None:
+        """Call nothing from now on."""
+        self.watch = None
+
+    @contextlib.contextmanager
+    def count(self) -> Iterator[None]:
+        """Count a function that is compiled meanwhile, within its callers or not."""
+        if self._depth == 0:
+            self._begin = time.monotonic()
+        self._depth += 1
+        try:
+            yield
+        finally:
+            self._depth -= 1
+            if self._depth == 0:
+                self._seconds += time.monotonic() - self._begin
+        self.num_functions += 1
+        if self.watch is not None:
+            self.watch(self)
+        elif self.num_functions == MANY and current_process().name.endswith(FIRST):
+            _LOG.warning(
+                "compiling for this machine, for a minute or two; later runs start at once"
+            )
+
+
+COMPILATION = Compilation()
+"""That of this process"""
+if hasattr(os, "register_at_fork"):
+    # Workers must not write between the lines of the process that shows progress
+    os.register_at_fork(after_in_child=COMPILATION.forget_watch)
 
 
 class Need(NamedTuple):
@@ -83,10 +136,6 @@ class Cache:
     reads an index first, and makes all that compilation needs before it looks.
     """
 
-    _made: ClassVar[int] = 0
-    """Functions that were compiled since this process last did something else"""
-    _last: ClassVar[float] = 0.0
-    """When the last of them was, s"""
     _locks: ClassVar[dict[Path, int]] = {}
     """An open file of each folder in which this process compiles; to close it frees its locks"""
 
@@ -152,13 +201,6 @@ class Cache:
             except OSError as error:
                 _tell_once(f"{error}: what is compiled is not kept for later runs")
         self._link(compiled)
-        now = time.monotonic()
-        Cache._made = 1 if now - Cache._last > PAUSE else Cache._made + 1
-        Cache._last = now
-        if Cache._made == MANY:
-            _LOG.warning(
-                "compiling for this machine, for a minute or two; later runs start at once"
-            )
 
     @contextlib.contextmanager
     def alone(self, signature: Any, context: Any) -> Iterator[None]:
@@ -308,7 +350,7 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
 
     def _make(self, sig: Any, kinds: Any, result: Any) -> Any:
         """Compile and store what no process has; tells where it is."""
-        with self._compiling_counter:
+        with COMPILATION.count(), self._compiling_counter:
             self._cache_misses[sig] += 1
             made = self._compiler.compile(kinds, result)
             # Linked before callers may find it, whatever happens meanwhile

@@ -1,10 +1,13 @@
 import ast
 import ctypes
+import itertools
 import math
 import os
 import re
 import subprocess
 import sys
+import time
+import types
 from pathlib import Path
 from typing import NamedTuple
 
@@ -425,20 +428,39 @@ def test_borrowed_arrays_are_the_same_ones():
     assert (sys.getrefcount(two.one), sys.getrefcount(two.rest[0])) == before
 
 
-def test_who_compiles_for_long_tells_it(monkeypatch, caplog, tmp_path):
+def test_long_compilation_is_logged_once(monkeypatch, caplog, tmp_path):
     monkeypatch.setattr(kernel, "_CACHE", tmp_path)
     monkeypatch.setattr(dispatcher, "MANY", 2)
-    monkeypatch.setattr(dispatcher.Cache, "_last", -10.0)
+    compilation = dispatcher.Compilation()
+    monkeypatch.setattr(dispatcher, "COMPILATION", compilation)
+    # However much time passes in between, as until a first touch
+    now = itertools.count(step=1000.0)
+    clock = types.SimpleNamespace(monotonic=lambda: next(now), sleep=time.sleep)
+    monkeypatch.setattr(dispatcher, "time", clock)
     compiled = kernel.kernel(lambda x: x + 1)
-    # Again after a pause, as at a first touch
-    for count, numbers in enumerate([(1, 1.0, 1j), (True, np.float32(1.0))]):
-        dispatcher.Cache._last -= 10.0
-        for number in numbers:
-            compiled(number)
-        assert [one.message for one in caplog.records] == [
-            "compiling for this machine, for a minute or two; later runs start at once"
-        ] * (count + 1)
-    assert len(list(tmp_path.glob("*.nbc"))) == 5
+    for number in (1, 1.0, 1j, True, np.float32(1.0)):
+        compiled(number)
+    assert [one.message for one in caplog.records] == [
+        "compiling for this machine, for a minute or two; later runs start at once"
+    ]
+    assert compilation.num_functions == len(list(tmp_path.glob("*.nbc"))) == 5
+    assert compilation.seconds >= 5 * 1000.0
+
+
+def test_who_watches_compilation_hears_of_each_function_in_place_of_the_log(
+    monkeypatch, caplog, tmp_path
+):
+    monkeypatch.setattr(kernel, "_CACHE", tmp_path)
+    monkeypatch.setattr(dispatcher, "MANY", 1)
+    compilation = dispatcher.Compilation()
+    monkeypatch.setattr(dispatcher, "COMPILATION", compilation)
+    heard = []
+    compilation.watch = lambda one: heard.append(one.num_functions)
+    compiled = kernel.kernel(lambda x: x + 2)
+    for number in (1, 1.0, 2, 1j):
+        compiled(number)
+    assert heard == [1, 2, 3]
+    assert caplog.records == []
 
 
 def test_tuples_in_memory_are_read_by_name_and_their_arrays_written_in_place():

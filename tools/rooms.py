@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
-    ("version", "errors", "files", "compiling", "stamps"),
+    ("version", "errors", "files", "compiling", "stamps", "interrupts"),
     ("dispatcher", "forms"),
     ("kernel", "deferred", "lanes", "registry"),
     ("functions", "gather", "program"),

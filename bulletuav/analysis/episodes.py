@@ -15,6 +15,7 @@ import numpy as np
 from bulletuav.analysis.metrics import Meter, MetricSpec
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.worker import portable
+from bulletuav.interrupts import kept_from_children
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.policies.base import Policy
 from bulletuav.tasks import TaskSource
@@ -190,7 +191,8 @@ class _Crew:
             target=_work, args=(theirs, self._run, list(batches)), daemon=True
         )
         self._workers[mine] = _Worker(process, list(batches))
-        process.start()
+        with kept_from_children():
+            process.start()
         theirs.close()
 
     def results(self) -> Iterator[Any]:

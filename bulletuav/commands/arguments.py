@@ -9,8 +9,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from rich.console import Console
-
 from bulletuav.analysis.pieces import Piece, as_piece
 from bulletuav.commands.progress import show_progress
 from bulletuav.control.actions import ACTIONS
@@ -61,7 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     # The air, and a name for many options
     parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
-    parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK`")
+    parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK --all`")
     parser.add_argument(
         "--wind",
         type=float,
@@ -75,7 +73,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help=(
-            "any other option of `bulletuav tasks TASK`, such as spacing=3 or "
+            "any other option of `bulletuav tasks TASK --all`, such as spacing=3 or "
             "weights={'goal':10}; can be repeated"
         ),
     )
@@ -136,17 +134,9 @@ def _parse_piece(text: str) -> Piece:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def print_piece(
-    console: Console,
-    piece: Piece,
-    out: Path,
-) -> None:
-    """Tell that a piece was flown, and what makes a whole of all."""
-    console.print(
-        f"flew piece {piece.number} of {piece.of}; when all are there: bulletuav merge {out}",
-        highlight=False,
-        soft_wrap=True,
-    )
+def print_piece(piece: Piece, out: Path) -> None:
+    """Print that a piece was flown, and the command that joins all pieces."""
+    print(f"flew piece {piece.number} of {piece.of}; when all are there: bulletuav merge {out}")
 
 
 def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -222,11 +212,6 @@ def show_episodes(total: int) -> Iterator[Advance]:
             report(done)
 
         yield advance
-
-
-def print_files(console: Console, files: Iterable[Path]) -> None:
-    """Print where the written files are."""
-    console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
 
 
 def out_folder(path: Path) -> Path:

@@ -4,10 +4,10 @@ import argparse
 import itertools
 from collections.abc import Sequence
 
-from rich.console import Console
 from rich.table import Table
 
 from bulletuav.analysis.benchmark import FLOORS, ROUNDS, SIZES, Result, measure
+from bulletuav.commands.output import print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.dynamics import DYNAMICS
 
@@ -17,6 +17,9 @@ ABOUT = {
         "Print drone-substeps per CPU-second of every dynamics, the same for the bare calls of "
         "the engine, and how long resets take."
     ),
+    "epilog": """examples:
+  bulletuav benchmark
+  bulletuav benchmark --drones 1 10 100 --seconds 1""",
 }
 
 
@@ -50,7 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
     done = itertools.count(1)
     with show_progress("measuring", total, "measurements") as report:
         results = measure(sizes, arguments.seconds, lambda: report(next(done)))
-    Console().print(_table(results, sizes))
+    print_table(_table(results, sizes))
     print(
         "bare step: only the engine's step\n"
         "engine calls: the step, and for every drone a wrench applied and a state read"

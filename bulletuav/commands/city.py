@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from rich.console import Console, JustifyMethod
+from rich.console import JustifyMethod
 from rich.table import Table
 
 from bulletuav.city.exports import write_obj
@@ -24,7 +24,8 @@ from bulletuav.city.maps import draw_map
 from bulletuav.city.model import City
 from bulletuav.city.render import render
 from bulletuav.city.statistics import KINDS, Statistics, realised
-from bulletuav.commands.arguments import out_folder, print_files
+from bulletuav.commands.arguments import out_folder
+from bulletuav.commands.output import print_files, print_table
 from bulletuav.errors import as_int, choose
 from bulletuav.files import replace_file, whole_file
 from bulletuav.report.pictures import blank_figure, save_figure
@@ -38,8 +39,7 @@ ABOUT = {
     "epilog": """examples:
   bulletuav city --kind dense --seed 3 --out dense
   bulletuav city --kind urban --irregularity 1 --gamma 30 --out towers
-  bulletuav city --import footprints.geojson --default-height 9 --out home
-  bulletuav city --import town.obj --elevation ground --out town""",
+  bulletuav city --import dense/city.obj --elevation ground --out town""",
 }
 NUMBERS = ("alpha", "beta", "gamma")
 GENERATOR = {"kind", "seed", "irregularity", "side", *NUMBERS}
@@ -151,11 +151,10 @@ def run(arguments: argparse.Namespace) -> None:
         Image.fromarray(render(city.solids, city.side)).save(part)
     write_obj(city, obj_file)
     replace_file(statistics_file, json.dumps(_described(city, measured), indent=2) + "\n")
-    console = Console()
-    console.print(_table(city, measured))
+    print_table(_table(city, measured))
     if city.report is not None and (city.report.notes or city.report.splits):
-        console.print(_report_table(city.report))
-    print_files(console, files)
+        print_table(_report_table(city.report))
+    print_files(files)
 
 
 def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:

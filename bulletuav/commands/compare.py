@@ -5,8 +5,6 @@ import itertools
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rich.console import Console
-
 from bulletuav.analysis.evaluation import BATCH, Evaluation
 from bulletuav.commands.arguments import (
     POLICY_HELP,
@@ -15,11 +13,11 @@ from bulletuav.commands.arguments import (
     add_sharing,
     given_options,
     out_folder,
-    print_files,
     print_piece,
     show_episodes,
 )
 from bulletuav.commands.evaluate import evaluate_case, run_name, shared_episodes
+from bulletuav.commands.output import print_files
 from bulletuav.errors import unknown
 from bulletuav.policies import find_policy
 from bulletuav.report.leaderboard import markdown
@@ -89,18 +87,17 @@ def run(arguments: argparse.Namespace) -> None:
     out = out_folder(arguments.out)
     cases = _cases(arguments, options, dynamics)
     folders = [out / "runs" / run_name(*case) for case in cases]
-    console = Console()
     if arguments.piece is not None:
         note_cases(folders, arguments.against, out)
         _evaluate(arguments, cases, folders)
-        print_piece(console, arguments.piece, out)
+        print_piece(arguments.piece, out)
         return
     results = _evaluate(arguments, cases, folders)
     for result, folder in zip(results, folders, strict=True):
         result.save(folder)
     files = write_comparison(results, arguments.against, out)
-    console.print(markdown(results, arguments.against), markup=False, soft_wrap=True)
-    print_files(console, files)
+    print(markdown(results, arguments.against))
+    print_files(files)
 
 
 def _names(text: str) -> list[str]:

@@ -3,18 +3,16 @@
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-
 from bulletuav.commands.arguments import (
     POLICY_HELP,
     add_episodes,
     add_options,
     add_sharing,
-    print_files,
     print_piece,
     show_episodes,
 )
 from bulletuav.commands.evaluate import completed_case, shared_episodes
+from bulletuav.commands.output import print_files
 
 ABOUT = {
     "help": "fly episodes and keep every transition, as Parquet tables and for Minari",
@@ -61,11 +59,10 @@ def run(arguments: argparse.Namespace) -> None:
             ray=arguments.ray,
             **options,
         )
-    console = Console()
     # A piece is a share of the episodes: nothing is complete yet
     if arguments.piece is not None:
-        print_piece(console, arguments.piece, out)
+        print_piece(arguments.piece, out)
         return
     # Tables are many: their folder stands for them
     tables = [path for path in files if path.suffix == ".parquet"]
-    print_files(console, [tables[0].parent, *files[len(tables) :]])
+    print_files([tables[0].parent, *files[len(tables) :]])

@@ -2,10 +2,9 @@
 
 import argparse
 
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
+from bulletuav.commands.output import print_table
 from bulletuav.report.doctor import examine
 
 ABOUT = {
@@ -13,6 +12,8 @@ ABOUT = {
     "description": (
         "Print the versions, whether the C extension is active, and how to get what is missing."
     ),
+    "epilog": """example:
+  bulletuav doctor""",
 }
 
 
@@ -22,15 +23,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Examine the installation and print the findings."""
-    console, findings = Console(), examine()
+    findings = examine()
     table = Table(show_header=False)
-    for _ in range(2):
-        table.add_column(overflow="fold")
     for finding in findings:
-        table.add_row(escape(finding.subject), escape(finding.state))
-    console.print(table)
+        table.add_row(finding.subject, finding.state)
+    print_table(table)
     # Below the table, where a command can be copied.
     for finding in findings:
         if finding.remedy:
-            line = f"{finding.subject}: {finding.remedy}"
-            console.print(line, soft_wrap=True, markup=False, highlight=False)
+            print(f"{finding.subject}: {finding.remedy}")

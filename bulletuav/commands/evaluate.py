@@ -6,8 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from rich.console import Console, JustifyMethod
-from rich.markup import escape
+from rich.console import JustifyMethod
 from rich.table import Table
 
 from bulletuav.analysis.evaluation import BATCH, Evaluation, evaluate
@@ -19,10 +18,11 @@ from bulletuav.commands.arguments import (
     add_options,
     add_sharing,
     given_options,
-    print_files,
     print_piece,
     show_episodes,
 )
+from bulletuav.commands.output import print_files, print_table
+from bulletuav.interrupts import TEXT
 from bulletuav.policies import find_policy
 from bulletuav.policies.find import config_file, read_run_config
 from bulletuav.report.results import write_evaluation
@@ -38,9 +38,8 @@ ABOUT = {
     ),
     "epilog": """examples:
   bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
-  bulletuav evaluate crossing-run
-  bulletuav evaluate crossing --policy ppo:model.zip --trust --difficulty hard --out crossing-ppo
-  bulletuav evaluate hover --metric mine:my_metric""",
+  bulletuav evaluate crossing --difficulty hard --out crossing-hard
+  bulletuav evaluate hover --dynamics rigid_body --wind 3 0 0""",
 }
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("metric", "left"),
@@ -93,19 +92,16 @@ def run(arguments: argparse.Namespace) -> None:
             progress=advance,
             metrics=arguments.metric,
         )
-    console = Console()
     # A piece is a share of the episodes: no table before all are there
     if arguments.piece is not None:
-        print_piece(console, arguments.piece, out)
+        print_piece(arguments.piece, out)
         return
     files = write_evaluation(result, out)
     which = "other options" if given_options(arguments) else "options"
-    print_score(
-        console, result, f", {which} of {config_file(Path(policy))}" if usual is not None else ""
-    )
-    console.print(_table(result))
-    console.print(_pace(result))
-    print_files(console, files)
+    print_score(result, f", {which} of {config_file(Path(policy))}" if usual is not None else "")
+    print_table(_table(result))
+    print(_pace(result))
+    print_files(files)
 
 
 def _set_run(arguments: argparse.Namespace) -> dict[str, Any] | None:
@@ -193,7 +189,7 @@ def evaluate_case(
         The evaluation, or that of a piece.
 
     Raises:
-        KeyboardInterrupt: After a line about what is kept.
+        KeyboardInterrupt: With a line about what is kept.
     """
     try:
         return evaluate(
@@ -212,18 +208,16 @@ def evaluate_case(
             **options,
         )
     except KeyboardInterrupt:
-        # Hours may be lost or not: tell which
-        Console(stderr=True).print(
-            f"interrupted: finished batches of episodes are kept in {out}; the same command goes on"
-        )
-        raise
+        # Hours may be lost or not: say which
+        raise KeyboardInterrupt(
+            f"{TEXT}: finished batches of episodes are kept in {out}; the same command goes on"
+        ) from None
 
 
-def print_score(console: Console, result: Evaluation, origin: str = "") -> None:
+def print_score(result: Evaluation, origin: str = "") -> None:
     """Print the score of a policy in one line, with its conditions.
 
     Args:
-        console: Where it is printed.
         result: The evaluation.
         origin: Where its options are from, after its conditions.
     """
@@ -235,12 +229,7 @@ def print_score(console: Console, result: Evaluation, origin: str = "") -> None:
         for name in SCORES
         if found[name].episodes
     )
-    console.print(
-        f"score of {about['policy']}{reads}: {result.conditions}{origin}: {told}",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
+    print(f"score of {about['policy']}{reads}: {result.conditions}{origin}: {told}")
 
 
 def shared_episodes(arguments: argparse.Namespace, cases: int = 1) -> int:
@@ -257,8 +246,8 @@ def _table(result: Evaluation) -> Table:
         table.add_column(heading, justify=side)
     for name, estimate in result.estimates().items():
         if estimate.episodes:
-            meaning = escape(result.metrics[name])
-            table.add_row(escape(name), f"{estimate.mean:.4g}", _interval(estimate), meaning)
+            mean, meaning = f"{estimate.mean:.4g}", result.metrics[name]
+            table.add_row(name, mean, _interval(estimate), meaning)
     return table
 
 

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from bulletuav.adapters.c_source import PRECISIONS, compiler, run_c, write_c
 from bulletuav.adapters.deployed import Deployed, deployed
 from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recording import REMEDY
-from bulletuav.commands.arguments import add_trust, print_files
+from bulletuav.commands.arguments import add_trust
+from bulletuav.commands.output import print_files
 from bulletuav.errors import choose
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.replay import read_run
@@ -133,7 +133,7 @@ def run(arguments: argparse.Namespace) -> None:
     folder = arguments.run if arguments.run.is_dir() else arguments.run.parent
     path = arguments.out or folder / name
     write(recording, path)
-    print_files(Console(), [path])
+    print_files([path])
 
 
 def _export_policy(arguments: argparse.Namespace) -> None:
@@ -146,11 +146,10 @@ def _export_policy(arguments: argparse.Namespace) -> None:
     )
     if precision == "double" and difference > AGREEMENT:
         raise ValueError(f"{files[0]} differs from the policy by {difference:.2g}: report it")
-    console = Console()
-    print_files(console, files)
+    print_files(files)
     told = (
         "not compared: no C compiler is installed"
         if math.isnan(difference)
         else f"setpoints agree with the policy to {difference:.1g}"
     )
-    console.print(f"{told} ({precision})", highlight=False, markup=False, soft_wrap=True)
+    print(f"{told} ({precision})")

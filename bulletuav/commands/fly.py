@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from bulletuav.analysis.conditions import Conditions
@@ -20,8 +19,8 @@ from bulletuav.commands.arguments import (
     add_trust,
     given_options,
     out_folder,
-    print_files,
 )
+from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.viewer import USUAL_ADDRESS, parse_address
@@ -95,9 +94,8 @@ def run(arguments: argparse.Namespace) -> None:
     aviary = Aviary(arguments.task, 1, **options)
     policy = spec(aviary)
     _prepare_folder(arguments.out)
-    console = Console()
     if isinstance(aviary.viewer, LiveView):
-        console.print(f"{aviary.viewer.invitation}: the flight begins then", soft_wrap=True)
+        print(f"{aviary.viewer.invitation}: the flight begins then", flush=True)
         aviary.viewer.wait()
 
     # Drones may all be done before the horizon.
@@ -111,8 +109,8 @@ def run(arguments: argparse.Namespace) -> None:
     files += _draw(recording, aviary, arguments)
     if arguments.html:
         files.append(replay_run(arguments.out))
-    console.print(_table(recording, aviary, arguments.seed))
-    print_files(console, files)
+    print_table(_table(recording, aviary, arguments.seed))
+    print_files(files)
     aviary.close()
 
 
@@ -178,8 +176,7 @@ def _table(recording: Recording, aviary: Aviary, seed: int) -> Table:
         caption=CAPTION,
     )
     for heading in ("drone", *shows.values(), "time (s)"):
-        # Where room is short, headings break between words.
-        table.add_column(heading, justify="right", min_width=max(map(len, heading.split())))
+        table.add_column(heading, justify="right")
     rows = zip(outcomes(recording), summary(recording, shows), strict=True)
     for outcome, numbers in rows:
         cells = map(_cell, numbers.values())

@@ -3,20 +3,21 @@
 import argparse
 from pathlib import Path
 
-from rich.console import Console, JustifyMethod
-from rich.markup import escape
+from rich.console import JustifyMethod
 from rich.table import Table
 
-from bulletuav.commands.arguments import out_folder, print_files
+from bulletuav.commands.arguments import out_folder
+from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.identification.constants import BATTERY, CONSTANTS, GROUPS
 from bulletuav.identification.curves import curves
+from bulletuav.identification.example import fly, noisy, write
 from bulletuav.identification.identify import WINDOW, Identification, identify
 from bulletuav.identification.intervals import LEVEL
 from bulletuav.identification.logs import FACTORS
 from bulletuav.identification.write import KINDS, MEASURES, as_table, rms, write_report, write_urdf
 from bulletuav.report.identification import plot_identification
-from bulletuav.vehicle.airframes import available_airframes
+from bulletuav.vehicle.airframes import available_airframes, load_airframe
 
 ABOUT = {
     "help": "fit an airframe's constants to flight logs and write its URDF",
@@ -25,10 +26,12 @@ ABOUT = {
         "they predict what was kept back. Write a URDF, a report and a picture."
     ),
     "epilog": """examples:
+  bulletuav identify --example flight.csv --airframe cf2x
   bulletuav identify flight.csv --airframe cf2x --out fitted
-  bulletuav identify a.csv b.csv --airframe own.urdf --fit thrust,drag,lag --mass 0.0312
-  bulletuav identify log.csv --map t=time*ms p=gyro_x*deg q=gyro_y*-deg z=altitude*mm-0.03""",
+  bulletuav identify flight.csv --airframe cf2x --fit thrust,drag,lag --mass 0.0312""",
 }
+EXAMPLE_SECONDS = 20.0
+"""Duration of the flight of --example"""
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("constant", "left"),
     ("before", "right"),
@@ -41,7 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the logs, the airframe, what to fit, and where to write."""
     # What is known: logs and airframe
     parser.add_argument(
-        "logs", nargs="+", type=Path, metavar="LOG", help="CSV files with named columns"
+        "logs", nargs="*", type=Path, metavar="LOG", help="CSV files with named columns"
+    )
+    parser.add_argument(
+        "--example",
+        type=Path,
+        metavar="FILE",
+        help=f"write a log of a simulated flight of {EXAMPLE_SECONDS:g} s, to try this command "
+        "with and to see the form of a log, and nothing else",
     )
     parser.add_argument(
         "--airframe",
@@ -65,7 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=COLUMN[*FACTOR][+OFFSET]",
         help=(
             f"where a column is that has another name or unit; a factor is a number or one of "
-            f"{', '.join(FACTORS)}, with a minus sign for a reversed axis"
+            f"{', '.join(FACTORS)}, with a minus sign for a reversed axis, such as t=time*ms "
+            f"q=gyro_y*-deg z=altitude*mm-0.03"
         ),
     )
     parser.add_argument(
@@ -88,7 +99,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Fit, print and write."""
+    """Fit, print and write; or write an example of a log."""
+    if (arguments.example is None) != bool(arguments.logs):
+        raise ValueError("identify what? Give either flight logs or --example FILE")
+    if arguments.example is not None:
+        rows = fly(load_airframe(arguments.airframe), EXAMPLE_SECONDS, seed=0)
+        print_files([write(arguments.example, noisy(rows, seed=0))])
+        return
     # Nothing named: all that the logs tell
     names = [name.strip() for name in arguments.fit.split(",") if name.strip()]
     with show_progress("fitting", 100, "%") as report:
@@ -109,19 +126,18 @@ def run(arguments: argparse.Namespace) -> None:
     plot_identification(curves(shown), title, picture)
     files = [write_urdf(result, out), *write_report(result, out), picture]
     # Constants, errors before and after, and where the files are
-    console = Console()
-    console.print(_constants(result))
-    console.print(_errors(result))
+    print_table(_constants(result))
+    print_table(_errors(result))
     if result.note:
-        console.print(escape(result.note))
-    print_files(console, files)
+        print(result.note)
+    print_files(files)
 
 
 def _constants(result: Identification) -> Table:
     """Lay out the constants."""
     table = Table(title=f"{result.before.name}, mass {result.airframe.mass:g} kg; SI units")
     for heading, side in COLUMNS:
-        table.add_column(heading, justify=side, no_wrap=True)
+        table.add_column(heading, justify=side)
     for name, row in as_table(result)["constants"].items():
         interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not told"
         after = f"{row['after']:.5g}" if row["told"] else "as it was"

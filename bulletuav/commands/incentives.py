@@ -3,17 +3,15 @@
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-
 from bulletuav.analysis.incentives import Incentive, incentives, shirkers
 from bulletuav.commands.arguments import (
     add_episodes,
     add_options,
     given_options,
     out_folder,
-    print_files,
     show_episodes,
 )
+from bulletuav.commands.output import print_files
 from bulletuav.files import replace_file
 from bulletuav.tasks import find_task, list_tasks
 
@@ -26,7 +24,7 @@ ABOUT = {
         "paid shirker of each task, and write the whole table."
     ),
     "epilog": """examples:
-  bulletuav incentives --episodes 20 --out incentives
+  bulletuav incentives crossing --episodes 20 --out incentives
   bulletuav incentives crossing mec --difficulties easy,hard --dynamics single_integrator""",
 }
 COLUMNS = (
@@ -98,9 +96,8 @@ def run(arguments: argparse.Namespace) -> None:
     table = markdown(list(worst.values()))
     replace_file(files[0], table)
     replace_file(files[1], markdown(found))
-    console = Console()
-    console.print(table, markup=False, soft_wrap=True)
-    print_files(console, files)
+    print(table)
+    print_files(files)
 
 
 def _difficulties(task: str, asked: str | None) -> list[str]:

@@ -3,9 +3,8 @@
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-
-from bulletuav.commands.arguments import add_trust, print_files
+from bulletuav.commands.arguments import add_trust
+from bulletuav.commands.output import print_files
 from bulletuav.report.results import merge
 
 ABOUT = {
@@ -29,4 +28,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Join, and tell what was written."""
-    print_files(Console(), merge(arguments.path, arguments.trust))
+    print_files(merge(arguments.path, arguments.trust))

@@ -6,10 +6,15 @@ import time
 from collections.abc import Callable, Iterator
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from bulletuav import dispatcher
+from bulletuav.dispatcher import Compilation
 
 LINE_PERIOD = 10.0
 """Least time between two lines, s"""
+USUAL_FUNCTIONS = 270
+"""Functions that the first flight of `crossing` compiles: 246 as point_mass, 300 by bullet"""
 Show = Callable[[float, str], None]
 """Function that shows how much is done so far, and a note"""
 
@@ -52,8 +57,23 @@ def show_progress(
         display = _bar(console, activity, total, unit)
     else:
         display = _lines(activity, total, unit)
-    with display as show:
-        yield Report(show)
+    try:
+        with display as show:
+            yield Report(show)
+    finally:
+        dispatcher.COMPILATION.forget_watch()
+
+
+def _working_time() -> float:
+    """Read a clock that stands still during compilation, which says nothing about what is left."""
+    return time.monotonic() - dispatcher.COMPILATION.seconds
+
+
+def _compiled(compilation: Compilation) -> str:
+    """Describe how far compilation is."""
+    number = compilation.num_functions
+    left = f" of about {USUAL_FUNCTIONS}" if number <= USUAL_FUNCTIONS else ""
+    return f"{number}{left} functions, {compilation.seconds:.0f} s (the first time only)"
 
 
 @contextlib.contextmanager
@@ -63,22 +83,36 @@ def _bar(
     total: int,
     unit: str,
 ) -> Iterator[Show]:
-    """Show a bar with the time that remains."""
+    """Show a bar with the time that remains; while functions are compiled, one for them."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} " + unit),
+        TextColumn("{task.fields[amount]}"),
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}", markup=False),
     )
-    with Progress(*columns, console=console) as progress:
+    with Progress(*columns, console=console, get_time=_working_time) as progress:
+        bars: dict[str, TaskID] = {}
+
+        def show_compilation(compilation: Compilation) -> None:
+            if "compiling" not in bars:
+                bars["compiling"] = progress.add_task(
+                    "compiling", total=USUAL_FUNCTIONS, amount="", note=""
+                )
+            number, amount = compilation.num_functions, _compiled(compilation)
+            progress.update(bars["compiling"], completed=number, amount=amount)
 
         def show(done: float, note: str) -> None:
+            # What goes on now is no compilation any more, or not yet again
+            if "compiling" in bars:
+                progress.remove_task(bars.pop("compiling"))
             # The bar appears with the first report.
-            if not progress.tasks:
-                progress.add_task(activity, total=total, note="")
-            progress.update(progress.tasks[0].id, completed=done, note=note)
+            if activity not in bars:
+                bars[activity] = progress.add_task(activity, total=total, amount="", note="")
+            amount = f"{done:,.0f} of {total:,.0f} {unit}"
+            progress.update(bars[activity], completed=done, amount=amount, note=note)
 
+        dispatcher.COMPILATION.watch = show_compilation
         yield show
 
 
@@ -89,12 +123,22 @@ def _lines(
     unit: str,
 ) -> Iterator[Show]:
     """Print a line at the beginning, every `LINE_PERIOD`, and when all is done."""
-    begin = time.monotonic()
+    begin: float | None = None  # when the first report came: what was before is no part of it
+    next_line = 0.0  # when the next line about compilation is due
     last: tuple[float, float] | None = None  # when the last line was printed, and what was done
 
+    def show_compilation(compilation: Compilation) -> None:
+        nonlocal next_line
+        # A few functions take no time worth a line
+        if compilation.num_functions >= dispatcher.MANY and compilation.seconds >= next_line:
+            next_line = compilation.seconds + LINE_PERIOD
+            sys.stderr.write(f"compiling: {_compiled(compilation)}\n")
+            sys.stderr.flush()
+
     def show(done: float, note: str) -> None:
-        nonlocal last
-        now = time.monotonic()
+        nonlocal begin, last
+        now = _working_time()
+        begin = now if begin is None else begin
         # Trainers may go beyond the total, as they end with a whole rollout.
         done = min(done, total)
         if last is not None:
@@ -111,4 +155,5 @@ def _lines(
         )
         sys.stderr.flush()
 
+    dispatcher.COMPILATION.watch = show_compilation
     yield show

@@ -4,9 +4,7 @@ import argparse
 import itertools
 from pathlib import Path
 
-from rich.console import Console
-
-from bulletuav.commands.arguments import print_files
+from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.report.film import CAMERAS, Film
 from bulletuav.report.replay import REPLAY, read_run, replay_run
@@ -55,7 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
         raise ValueError(f"--out is {out}: its name has to end in .html or {FILM}")
     else:
         path = replay_run(arguments.run, out)
-    print_files(Console(), [path])
+    print_files([path])
 
 
 def _film(arguments: argparse.Namespace) -> Path:

@@ -4,13 +4,12 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
-from rich.console import Console
-
 from bulletuav.bridges import airsim, crazyflie, hil, mavlink
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
+from bulletuav.commands.progress import show_progress
 from bulletuav.errors import choose
 
 ABOUT = {
@@ -27,7 +26,6 @@ ABOUT = {
   bulletuav serve hil --wind 3 0 0""",
 }
 LOOPBACK = "127.0.0.1"
-COMPILING = "compiling what flies; a minute the first time"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,13 +98,12 @@ def _serve(
         told: Function of the server that gives the line to print.
         seconds: How long to serve.
     """
-    console = Console()
     try:
         server = make()
         try:
-            with console.status(COMPILING):
+            with show_progress("compiling", 1, "servers"):
                 flown.warm_up()
-            console.print(told(server), soft_wrap=True)
+            print(told(server), flush=True)
             server.run(seconds)
         finally:
             server.close()

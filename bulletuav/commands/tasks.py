@@ -3,14 +3,15 @@
 import argparse
 import dataclasses
 import inspect
+import itertools
 import re
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from bulletuav.commands.arguments import add_options, given_options
+from bulletuav.commands.output import print_table, print_text
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
 from bulletuav.tasks import find_task, list_tasks
@@ -19,8 +20,20 @@ from bulletuav.tasks.ingredients import find_term
 
 ABOUT = {
     "help": "list the tasks, or print the MDP and options of one",
-    "description": "List the tasks, or explain one.",
+    "description": (
+        "List the tasks, or explain one: its observation, action, reward, ends, difficulties and "
+        "main options, or with --all everything about it."
+    ),
+    "epilog": """examples:
+  bulletuav tasks
+  bulletuav tasks crossing
+  bulletuav tasks crossing --all
+  bulletuav tasks crossing --observation --drones 3 --set observation=position,goal""",
 }
+MDP = ("Observation", "Action", "Reward", "- ", "End:", "Success:")
+"""Beginnings of the paragraphs of a task's docstring that describe its MDP"""
+MAIN_OPTIONS = 10
+"""Options that the summary of a task lists"""
 ENDING = ("at_goal", "boundary", "contact_ends", "conflict_ends")
 """Options that say what ends an episode"""
 OPTION = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
@@ -36,6 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="print what each number of an observation is, with the options given",
     )
+    parser.add_argument(
+        "--all", action="store_true", help="print all terms, ends and options of the task"
+    )
     add_options(parser)
 
 
@@ -44,9 +60,11 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.task is None:
         _print_list()
     elif arguments.show_observation:
-        Console().print(observation_table(arguments.task, given_options(arguments)))
-    else:
+        print_table(observation_table(arguments.task, given_options(arguments)))
+    elif arguments.all:
         _explain(arguments.task)
+    else:
+        _summarise(arguments.task)
 
 
 def observation_table(task: str, options: Mapping[str, Any]) -> Table:
@@ -80,16 +98,67 @@ def _print_list() -> None:
         print(f"{name:{width}s} {_summary(find_task(name))}")
 
 
+def _summarise(name: str) -> None:
+    """Print a task's MDP, what its difficulties set, and its main options."""
+    task = find_task(name)
+    first, *others = (inspect.getdoc(task) or "").split("\n\n")
+    print_text(f"{name}: {first}\n")
+    for paragraph in others:
+        if paragraph.startswith(MDP):
+            is_list = paragraph.startswith("- ")
+            print_text(paragraph if is_list else " ".join(paragraph.split()))
+    print()
+    print_table(main_options_table(task))
+    print()
+    print_text(
+        f"What they mean, and all else: bulletuav tasks {name} --all. "
+        f"Each number of an observation: bulletuav tasks {name} --observation."
+    )
+
+
+def main_options_table(task: type[Task[Any]]) -> Table:
+    """Lay out the main options of a task: those that difficulties set, its own, and common ones.
+
+    Args:
+        task: Class of the task.
+
+    Returns:
+        A table with each option's name and default, and its value at each difficulty, which is
+        empty where that leaves the default. What is uncertain is counted.
+    """
+    own = vars(task.Config).get("__annotations__", {})
+    common = {field.name: field.default for field in dataclasses.fields(EnvOptions)}
+    common["randomization"] = {}
+    defaults = {**common, **_defaults(task), **task.defaults}
+    levels = task.difficulties
+    table = Table(title="Main options", box=None)
+    for heading in ("option", "default", *levels):
+        table.add_column(heading)
+    varied = dict.fromkeys(itertools.chain(*levels.values()))
+    names = list(dict.fromkeys([*varied, *own, *task.defaults, *_defaults(task)]))
+    # All that a difficulty sets, be it more
+    for name in names[: max(MAIN_OPTIONS, len(varied))]:
+        values = (_short(level[name]) if name in level else "" for level in levels.values())
+        table.add_row(name, _short(defaults[name]), *values)
+    return table
+
+
+def _short(value: Any) -> str:
+    """Write the value of an option in a few characters."""
+    if isinstance(value, Mapping):
+        return f"{len(value)} uncertain" if value else "none"
+    return str(value)
+
+
 def _explain(name: str) -> None:
     """Print a task's docstring, and tables of what its class and its options say."""
     task = find_task(name)
-    console = Console()
     print(f"{inspect.getdoc(task)}\n")
-    console.print(observation_table(name, {}))
+    print_table(observation_table(name, {}))
     for table in (reward_table, ends_table, difficulties_table):
-        console.print(table(task))
+        print_table(table(task))
     print(f"\n{_before_attributes(task.Config)}\n")
-    console.print(options_table(task))
+    print_table(options_table(task))
     print(f"\n{inspect.getdoc(EnvOptions)}")
 
 
@@ -164,13 +233,20 @@ def options_table(task: type[Task[Any]]) -> Table:
     """
     table = _table("options and their defaults")
     told = option_texts(task.Config)
-    for field in dataclasses.fields(task.Config):
-        # Fields without a plain default are dicts, empty unless the user fills them.
-        default = field.default if field.default is not dataclasses.MISSING else {}
-        table.add_row(field.name, repr(default), told.get(field.name, ""))
+    for name, default in _defaults(task).items():
+        table.add_row(name, repr(default), told.get(name, ""))
     for name, value in task.defaults.items():
         table.add_row(name, repr(value), "Common to all tasks, see below.")
     return table
+
+
+def _defaults(task: type[Task[Any]]) -> dict[str, Any]:
+    """Collect the defaults of a task's own options."""
+    # Fields without a plain default are dicts, empty unless the user fills them.
+    return {
+        field.name: {} if field.default is dataclasses.MISSING else field.default
+        for field in dataclasses.fields(task.Config)
+    }
 
 
 def option_texts(config: type) -> dict[str, str]:

@@ -2,11 +2,10 @@
 
 import argparse
 import dataclasses
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
-
-from rich.console import Console
 
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.commands.arguments import (
@@ -14,14 +13,15 @@ from bulletuav.commands.arguments import (
     given_options,
     out_folder,
     parse_pairs,
-    print_files,
     show_episodes,
 )
 from bulletuav.commands.evaluate import print_score
+from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.control.actions import CHOICES
 from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
+from bulletuav.interrupts import TEXT
 from bulletuav.policies.run import (
     ALGORITHMS,
     CONFIG,
@@ -53,7 +53,7 @@ ABOUT = {
     ),
     "epilog": """examples:
   bulletuav train crossing --algo ppo --steps 2e6 --seed 0 --out crossing-run
-  bulletuav evaluate crossing --policy crossing-run
+  bulletuav evaluate crossing-run
   bulletuav train pursuit --algo sac --curriculum easy,medium --dynamics point_mass \\
       --model gamma=0.98 --out pursuit-sac
   bulletuav train --config crossing-run/run.yaml --out again
@@ -297,7 +297,7 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
 
 
 def or_tell(out: Path, work: Callable[[], Result]) -> Result:
-    """Do the work; where it is interrupted, tell how to go on.
+    """Do the work; where it is interrupted, say how to go on.
 
     Args:
         out: The folder of the work.
@@ -305,23 +305,22 @@ def or_tell(out: Path, work: Callable[[], Result]) -> Result:
 
     Returns:
         What it gives.
+
+    Raises:
+        KeyboardInterrupt: With a line about what is kept.
     """
     try:
         return work()
     except KeyboardInterrupt:
-        Console(stderr=True).print(
-            f"interrupted: the same command goes on from the last checkpoint in {out}, to the same "
-            f"weights",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
-        raise
+        raise KeyboardInterrupt(
+            f"{TEXT}: the same command goes on from the last checkpoint in {out}, to the same "
+            f"weights"
+        ) from None
 
 
 def print_conditions(text: str) -> None:
     """Print what progress is told of, once, where progress goes."""
-    Console(stderr=True).print(text, markup=False, highlight=False, soft_wrap=True)
+    print(text, file=sys.stderr)
 
 
 def _finish(
@@ -350,11 +349,9 @@ def _finish(
             for (config, _), folder in zip(runs, folders, strict=True)
         ]
     replace_file(table, learning_table(runs, scores))
-    console = Console()
-    console.print(table.read_text(), markup=False, soft_wrap=True)
+    print(table.read_text())
     for config, rows in runs:
-        told = f"{config.task}, {config.algo}, seed {config.seed}: {wall_time(rows)}"
-        console.print(told, highlight=False, markup=False, soft_wrap=True)
+        print(f"{config.task}, {config.algo}, seed {config.seed}: {wall_time(rows)}")
     for score in scores:
-        print_score(console, score, f", options of {Path(score.about['policy']) / CONFIG}")
-    print_files(console, [*files, table, picture])
+        print_score(score, f", options of {Path(score.about['policy']) / CONFIG}")
+    print_files([*files, table, picture])

@@ -4,10 +4,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from bulletuav.analysis.metrics import METRICS
-from bulletuav.commands.arguments import out_folder, parse_pairs, print_files
+from bulletuav.commands.arguments import out_folder, parse_pairs
+from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.commands.train import (
     add_run,
@@ -37,7 +36,7 @@ ABOUT = {
       --search model.learning_rate=1e-4:3e-3:log --search model.n_epochs=2:10 \\
       --search options.num_neighbours=2,4,6 --out study
   bulletuav tune --study study/study.yaml --out again
-  bulletuav train --config study/trials/007/run.yaml --steps 4e6 --out long""",
+  bulletuav train --config study/trials/000/run.yaml --steps 4e6 --out long""",
 }
 GIVEN = ("metric", "trials", "batch")
 """Arguments that are settings of a study under the same name"""
@@ -101,17 +100,11 @@ def run(arguments: argparse.Namespace) -> None:
     text = study_table(study, trials)
     replace_file(table, text)
     plot_study(study, trials, picture)
-    console = Console()
-    console.print(text, markup=False, soft_wrap=True)
+    print(text)
     # The command that makes something of it
     best = best_trials(study, trials)[0].folder / CONFIG
-    console.print(
-        f"train the best one for longer: bulletuav train --config {best} --steps ... --out ...",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
-    )
-    print_files(console, [out / STUDY, out / TRIALS, table, picture])
+    print(f"train the best one for longer: bulletuav train --config {best} --steps ... --out ...")
+    print_files([out / STUDY, out / TRIALS, table, picture])
 
 
 def _study(arguments: argparse.Namespace) -> Study:

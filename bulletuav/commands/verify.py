@@ -4,11 +4,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from bulletuav.commands.arguments import add_trust
+from bulletuav.commands.output import print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.report.verification import Check, Verifier
 
@@ -20,8 +20,8 @@ ABOUT = {
     ),
     "epilog": """examples:
   bulletuav fly crossing --out flight && bulletuav verify flight
-  bulletuav verify leaderboard --workers 2
-  bulletuav verify docs/results/leaderboard/rows/crossing-mappo-0""",
+  bulletuav evaluate hover --episodes 20 --out hovering
+  bulletuav verify hovering --workers 2""",
 }
 
 
@@ -38,17 +38,17 @@ def run(arguments: argparse.Namespace) -> None:
     """Verify, print, and leave with code 1 where something differs."""
     verifier = Verifier(arguments.workers, arguments.trust, show_progress)
     checks = verifier.verify(arguments.path)
-    Console().print(_table(arguments.path, checks))
+    print_table(_table(arguments.path, checks))
     if not all(check.same for check in checks):
         sys.exit(1)
 
 
 def _table(path: Path, checks: list[Check]) -> Table:
     """Lay out what was compared."""
-    table = Table(title=escape(str(path)))
+    table = Table(title=str(path))
     for heading in ("what", "in the file", "found", "same"):
         table.add_column(heading)
     for check in checks:
-        same = "yes" if check.same else "[bold red]NO[/bold red]"
-        table.add_row(escape(check.what), check.told[:12], check.found[:12], same)
+        same = Text("yes" if check.same else "NO", style="" if check.same else "bold red")
+        table.add_row(check.what, check.told[:12], check.found[:12], same)
     return table

@@ -296,7 +296,9 @@ class Engine(EngineQueries):
             self._added_pieces.append(added)
         self._scenery = scenery
         self._num_added += 1
-        added_bodies = repr(([tuple(piece) for piece in pieces], position, turn, friction, restitution))
+        added_bodies = repr(
+            ([tuple(piece) for piece in pieces], position, turn, friction, restitution)
+        )
         for w in worlds:
             text = f"{self.bodies[w]} {added_bodies}".encode()
             digest = hashlib.blake2b(text, digest_size=8).digest()

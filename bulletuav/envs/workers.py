@@ -34,6 +34,7 @@ from bulletuav.envs.worker import (
     work,
 )
 from bulletuav.errors import as_int, choose, finite, numbers_of
+from bulletuav.interrupts import kept_from_children
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import VECTOR, Observation
 
@@ -135,7 +136,8 @@ class WorkerAviary(LabelledEnvironment):
         mine, theirs = context.Pipe()
         process = context.Process(target=work, args=(theirs, *arguments), daemon=True)
         try:
-            process.start()
+            with kept_from_children():
+                process.start()
         except (AssertionError, AttributeError, TypeError, pickle.PicklingError) as error:
             raise ValueError(
                 f"a worker process cannot start: {error}; processes that are workers themselves "

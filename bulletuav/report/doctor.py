@@ -1,9 +1,9 @@
 """Report on this installation: versions, what is active, what is missing and how to get it."""
 
 import importlib.metadata
-import importlib.util
 import os
 import platform
+import re
 from typing import NamedTuple
 
 from bulletuav.engine.engine import ENGINE_VERSION, EXTENSION, Engine
@@ -14,8 +14,8 @@ from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.version import __version__
 
 PACKAGES = ("pybullet", "numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")
-EXTRAS = {"shapely": "city", "imageio_ffmpeg": "video", "stable_baselines3": "sb3"}
-"""Extras of the package by a module that each of them installs"""
+REQUIREMENT = re.compile(r"([\w.-]+)(?:\[([\w.-]+)\])?.*extra == ['\"]([\w.-]+)['\"]")
+"""A line of the metadata: a package, an extra of it, and the extra of ours that needs it"""
 SLOW = "not active, bullet flies several times slower"
 
 
@@ -49,7 +49,7 @@ def examine() -> list[Finding]:
         _extension(),
         Finding("compiled kernels", str(cache_folder())),
         _screen(),
-        *(_extra(module, extra) for module, extra in EXTRAS.items()),
+        *_extras(),
     ]
 
 
@@ -74,8 +74,45 @@ def _screen() -> Finding:
     return Finding("window", "available")
 
 
-def _extra(module: str, extra: str) -> Finding:
-    """Tell whether an extra is installed, by a module of it, without importing that."""
-    if importlib.util.find_spec(module) is None:
-        return Finding(f"extra {extra}", "missing", install(extra))
-    return Finding(f"extra {extra}", "installed")
+def _extras() -> list[Finding]:
+    """List the extras that the installed metadata declare, with the packages of each."""
+    try:
+        about = importlib.metadata.metadata("bulletuav")
+    except importlib.metadata.PackageNotFoundError:
+        return [Finding("extras", "not known: bulletuav runs from a folder, and is not installed")]
+    needed: dict[str, list[str]] = {extra: [] for extra in about.get_all("Provides-Extra") or ()}
+    joined: dict[str, list[str]] = {extra: [] for extra in needed}
+    for line in about.get_all("Requires-Dist") or ():
+        if found := REQUIREMENT.match(line):
+            package, part, extra = found.groups()
+            if package == "bulletuav":
+                joined[extra].append(part)
+            else:
+                needed[extra].append(package)
+    return [_extra(extra, needed, joined) for extra in sorted(needed)]
+
+
+def _extra(extra: str, needed: dict[str, list[str]], joined: dict[str, list[str]]) -> Finding:
+    """Examine the packages of an extra, and of those that it includes.
+
+    Args:
+        extra: Name of the extra.
+        needed: Packages of each extra.
+        joined: Extras that each extra includes.
+    """
+    subject = f"extra {extra}"
+    versions = {package: _version(package) for package in needed[extra]}
+    absent = [package for package, version in versions.items() if version is None]
+    lacking = [part for part in joined[extra] if _extra(part, needed, joined).remedy]
+    if absent or lacking:
+        return Finding(subject, f"missing: {', '.join([*absent, *lacking])}", install(extra))
+    parts = [f"{package} {version}" for package, version in versions.items()]
+    return Finding(subject, ", ".join([*joined[extra], *parts]))
+
+
+def _version(package: str) -> str | None:
+    """Return the installed version of a package; None where it is missing."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None

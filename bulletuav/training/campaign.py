@@ -20,6 +20,7 @@ from typing import Any
 
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.errors import as_int
+from bulletuav.interrupts import kept_from_children
 from bulletuav.policies.run import RunConfig
 from bulletuav.training.store import STATE, WALL, Row
 
@@ -79,10 +80,11 @@ class Campaign:
             Exception: Whatever a run raises.
         """
         with processes(workers) as pool:
-            futures = [
-                pool.submit(train_in_process, config, self.place(config), self._mlflow)
-                for config in self.configs
-            ]
+            with kept_from_children():
+                futures = [
+                    pool.submit(train_in_process, config, self.place(config), self._mlflow)
+                    for config in self.configs
+                ]
             self._watch(futures, progress, told)
         progress(self.total)
         return [

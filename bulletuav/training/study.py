@@ -15,6 +15,7 @@ from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.metrics import METRICS
 from bulletuav.errors import as_int, choose, unknown
 from bulletuav.files import replace_file
+from bulletuav.interrupts import kept_from_children
 from bulletuav.policies.run import MODULE_NAME, VERSION, RunConfig, read_settings, write_settings
 from bulletuav.policies.space import Space, check_space, parse_space, with_values
 from bulletuav.training.campaign import processes, train_in_process
@@ -236,7 +237,8 @@ def _submit(
         future: Future[Any] = Future()
         future.set_exception(error)
         return future
-    return pool.submit(train_in_process, config, place)
+    with kept_from_children():
+        return pool.submit(train_in_process, config, place)
 
 
 def _outcome(future: Future[list[Row]], metric: str) -> tuple[float, str]:

@@ -1,21 +1,25 @@
+import importlib.metadata
 import json
 import os
 import re
 import resource
 import subprocess
 import sys
+import types
 
 import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav import dispatcher
 from bulletuav.analysis.benchmark import FLOORS
-from bulletuav.cli import main
-from bulletuav.commands.progress import show_progress
+from bulletuav.cli import COMMANDS, main
+from bulletuav.commands.progress import USUAL_FUNCTIONS, show_progress
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine import engine
 from bulletuav.engine.c_extension import Extension
 from bulletuav.report import doctor
+from bulletuav.tasks import find_task
 
 MAIN_JOB = ["fly", "crossing", "--drones", "8", "--policy", "straight", "--seed", "0"]
 FILES = {"trajectory.npz", "trajectory.csv", "run.json", "tracks.png", "flight.gif"}
@@ -127,7 +131,7 @@ def test_tasks_are_listed_and_explained(capsys):
     assert [
         line.split()[0] for line in capsys.readouterr().out.splitlines()
     ] == bulletuav.list_tasks()
-    main(["tasks", "crossing"])
+    main(["tasks", "crossing", "--all"])
     said = capsys.readouterr().out
     for word in (
         "Observation",
@@ -140,6 +144,21 @@ def test_tasks_are_listed_and_explained(capsys):
         "decision_hz=10",
     ):
         assert word in said
+
+
+@pytest.mark.parametrize("task", bulletuav.list_tasks())
+def test_the_summary_of_a_task_fits_on_a_page(task, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    main(["tasks", task])
+    said = capsys.readouterr().out
+    assert len(said.splitlines()) <= 45
+    kind = find_task(task)
+    for word in ("Observation", "Action", "Reward", "End:", "Success:", *kind.difficulties):
+        assert word in said
+    for option in {name for level in kind.difficulties.values() for name in level}:
+        assert f"\n {option} " in said
+    assert len(re.findall(r"^ \w+ +\S", said, re.MULTILINE)) >= 11  # with the headings
+    assert f"bulletuav tasks {task} --all" in said
 
 
 def test_the_observation_is_printed_number_by_number_with_the_options_given(capsys):
@@ -338,7 +357,9 @@ def test_help(arguments, capsys):
         main(arguments)
     assert end.value.code == 0
     said = capsys.readouterr().out
-    assert ("bulletuav fly crossing --drones 8" in said) == (arguments == ["fly", "--help"])
+    assert ("bulletuav fly crossing --drones 8" in said) == (
+        arguments in (["--help"], ["fly", "--help"])
+    )
     assert said
 
 
@@ -408,8 +429,31 @@ def test_help(arguments, capsys):
         ([*COMPARED, "--set", "dynamics=5"], "unknown dynamics '5'"),
         ([*COMPARED, "--against", "orc"], "unknown policy in --against, 'orc'"),
         (["tasks", "hoover"], "did you mean 'hover'"),
-        (["flyy"], "invalid choice: 'flyy'"),
-        ([], "required: COMMAND"),
+        (["flyy"], "unknown command 'flyy': did you mean 'fly'"),
+        (["tran"], "unknown command 'tran': did you mean 'train'"),
+        (["--versio"], "unknown argument --versio: did you mean --version?"),
+        (["fly", "crossing", "more"], "unknown argument more: there is no place for it"),
+        # Whatever else is wrong with the words
+        (["fly", "--polcy", "orca"], "unknown argument --polcy: did you mean --policy?"),
+        (["compare", "--task", "hover"], "unknown argument --task: did you mean --tasks?"),
+        (["identify", "--airfame=cf2x"], "unknown argument --airfame: did you mean --airframe?"),
+        # Values of options
+        (["fly", "hover", "--animation", "gof"], "--animation 'gof': did you mean 'gif'?"),
+        (["fly", "hover", "--airframe", "humingbird"], "did you mean 'hummingbird'"),
+        (["fly", "hover", "--dynamics", "point_mas"], "did you mean 'point_mass'"),
+        (["fly", "hover", "--action", "velocty"], "did you mean 'velocity'"),
+        (["fly", "hover", "--controller", "le"], "did you mean 'lee'"),
+        (["fly", "hover", "--difficulty", "hrad"], "did you mean 'hard'"),
+        (["fly", "hover", "--turbulence", "ligth"], "did you mean 'light'"),
+        (["fly", "crossing", "--preset", "uavconflct"], "did you mean 'uavconflict'"),
+        (["fly", "lidar_navigation", "--city", "urbann"], "did you mean 'urban'"),
+        (["city", "--kind", "urbann"], "did you mean 'urban'"),
+        (["serve", "crazyfly"], "did you mean 'crazyflie'"),
+        (["train", "hover", "--algo", "pppo"], "did you mean 'ppo'"),
+        (["evaluate", "hover", "--metric", "jerkk"], "did you mean 'jerk'"),
+        (["export", "out", "--to", "mcapp"], "did you mean 'mcap'"),
+        (["identify", "--example", "a.csv", "--airframe", "cf3x"], "did you mean 'cf2x'"),
+        (["identify", "--airframe", "cf2x"], "Give either flight logs or --example FILE"),
     ],
 )
 def test_bad_input_ends_in_one_line_and_exit_code_2(arguments, said, capsys, tmp_path, monkeypatch):
@@ -422,6 +466,19 @@ def test_bad_input_ends_in_one_line_and_exit_code_2(arguments, said, capsys, tmp
     lines = [line for line in err.splitlines() if line]
     assert len(lines) == 1
     assert said in lines[0]
+
+
+def test_without_a_command_the_help_is_printed(capsys):
+    main([])
+    out, err = capsys.readouterr()
+    assert err == ""
+    for command in COMMANDS:
+        assert f"\n    {command}" in out
+    assert "bulletuav fly crossing --drones 8" in out
+    assert len(out.splitlines()) < 50
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert capsys.readouterr().out == out
 
 
 def test_an_interrupt_ends_quietly(monkeypatch):
@@ -441,7 +498,12 @@ def test_the_doctor_tells_what_is_active(capsys, monkeypatch):
     assert "C extension" in out
     state = {finding.subject: finding for finding in doctor.examine()}
     assert state["C extension"] == ("C extension", "active", "")
-    assert state["extra sb3"].state == "installed"
+    extras = importlib.metadata.metadata("bulletuav").get_all("Provides-Extra")
+    assert {f"extra {extra}" for extra in extras} < set(state)
+    assert len(extras) >= 20
+    version = importlib.metadata.version("stable-baselines3")
+    assert f"stable-baselines3 {version}" in state["extra sb3"].state
+    assert state["extra test"].state.startswith("airsim, city, ")
     monkeypatch.setenv("DISPLAY", "")
     assert {finding.subject: finding for finding in doctor.examine()}[
         "window"
@@ -449,18 +511,26 @@ def test_the_doctor_tells_what_is_active(capsys, monkeypatch):
 
 
 def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
+    def absent(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
     with monkeypatch.context() as patch:
         patch.setattr(doctor, "EXTENSION", Extension(None, "", "no compiler"))
-        patch.setattr("importlib.util.find_spec", lambda name: None)
+        patch.setattr(doctor, "_version", lambda package: None)
         patch.setattr(doctor, "require_screen", lambda: None)
         found = {finding.subject: finding for finding in doctor.examine()}
     assert found["C extension"].remedy == "no compiler"
     assert found["C extension"].state.startswith("not active")
-    assert found["extra video"][:2] == ("extra video", "missing")
+    assert found["extra video"][:2] == ("extra video", "missing: imageio-ffmpeg")
+    assert found["extra dev"].state == "missing: build, pre-commit, twine, test"
     assert re.fullmatch(
         r"pip install -c \S+/constraints\.txt -e '\S+\[video\]'", found["extra video"].remedy
     )
     assert found["window"].state == "available"
+    with monkeypatch.context() as patch:
+        patch.setattr(importlib.metadata, "metadata", absent)
+        (extras,) = doctor._extras()
+    assert "not installed" in extras.state
     monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: list(found.values()))
     main(["doctor"])
     assert "[video]'" in "".join(capsys.readouterr().out.split())
@@ -507,17 +577,66 @@ def test_how_far_it_is_is_told_in_lines_where_there_is_no_terminal(capsys, monke
         for done in (0, 100, 200, 300, 400, 1000, 1000):
             report(done)
     assert capsys.readouterr().err.splitlines() == [
-        "training crossing: 0 of 1,000 steps (0 %), 4 s",
-        "training crossing: 300 of 1,000 steps (30 %), 16 s",
-        "training crossing: 1,000 of 1,000 steps (100 %), 24 s",
+        "training crossing: 0 of 1,000 steps (0 %), 0 s",
+        "training crossing: 300 of 1,000 steps (30 %), 12 s",
+        "training crossing: 1,000 of 1,000 steps (100 %), 20 s",
     ]
+
+
+def test_compilation_has_lines_of_its_own_and_no_part_in_the_time(capsys, monkeypatch):
+    compilation = dispatcher.Compilation()
+    monkeypatch.setattr(dispatcher, "COMPILATION", compilation)
+    monkeypatch.setattr(dispatcher, "MANY", 2)
+    now = [0.0]
+    clock = types.SimpleNamespace(monotonic=lambda: now[0])
+    monkeypatch.setattr(dispatcher, "time", clock)
+    monkeypatch.setattr("bulletuav.commands.progress.time", clock)
+
+    def compile_for(seconds):
+        with compilation.count():
+            now[0] += seconds
+
+    with show_progress("flying", 500, "decisions") as report:
+        for _ in range(6):
+            compile_for(60.0)
+        report(1)
+        now[0] += 4.0
+        compile_for(100.0)  # as at a first touch
+        report(500)
+    assert capsys.readouterr().err.splitlines() == [
+        *(
+            f"compiling: {k} of about 270 functions, {60 * k} s (the first time only)"
+            for k in range(2, 7)
+        ),
+        "flying: 1 of 500 decisions (0 %), 0 s",
+        "compiling: 7 of about 270 functions, 460 s (the first time only)",
+        "flying: 500 of 500 decisions (100 %), 4 s",
+    ]
+    assert compilation.watch is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dynamics", ["point_mass", "bullet"])
+def test_about_as_many_functions_are_compiled_as_are_announced(dynamics, tmp_path):
+    words = ["fly", "crossing", "--dynamics", dynamics, "--horizon", "2", "--animation", "none"]
+    subprocess.run(
+        [sys.executable, "-m", "bulletuav", *words],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        cwd=tmp_path,
+        check=True,
+    )
+    compiled = len(list(tmp_path.rglob("*.nbc")))
+    assert compiled == pytest.approx(USUAL_FUNCTIONS, rel=0.2)
 
 
 def test_how_far_it_is_is_a_bar_on_a_terminal():
     """In a pseudo-terminal."""
     mine, theirs = os.openpty()
     program = "from bulletuav.commands.progress import show_progress\n"
+    program += "from bulletuav.dispatcher import COMPILATION\n"
     program += "with show_progress('flying', 3, 'episodes') as report:\n"
+    program += "    with COMPILATION.count(): pass\n"
+    program += "    import time; time.sleep(0.3)\n"  # more than a frame
     program += "    [report(done) for done in range(4)]"
     subprocess.run(
         [sys.executable, "-c", program],
@@ -526,7 +645,12 @@ def test_how_far_it_is_is_a_bar_on_a_terminal():
         env={**os.environ, "TERM": "xterm"},
     )
     os.close(theirs)
-    assert "3 of 3 episodes" in os.read(mine, 65536).decode()
+    said = os.read(mine, 65536).decode()
+    assert "compiling" in said
+    assert f"1 of about {USUAL_FUNCTIONS} functions" in said
+    last = said.rpartition("flying")[2]
+    assert "3 of 3 episodes" in last
+    assert "compiling" not in last
     os.close(mine)
 
 

@@ -1,4 +1,4 @@
-"""What `bulletuav tasks NAME` prints contradicts neither the code nor itself."""
+"""What `bulletuav tasks NAME --all` prints contradicts neither the code nor itself."""
 
 import inspect
 import re
@@ -30,7 +30,7 @@ def rows(table):
 def printed(request, capsys, monkeypatch):
     """A task's class, its defaults, and what is printed of it, on one line."""
     monkeypatch.setenv("COLUMNS", "2000")
-    main(["tasks", request.param])
+    main(["tasks", request.param, "--all"])
     said = " ".join(capsys.readouterr().out.split())
     return find_task(request.param), EnvSpec(request.param, 1, {}), said
 

@@ -1,0 +1,121 @@
+"""Tables of commands lose nothing, however narrow the terminal is."""
+
+import importlib
+from collections import Counter
+
+import flown
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.table import Table
+
+from bulletuav.cli import COMMANDS, main
+from bulletuav.commands import output
+from bulletuav.commands.output import print_table
+from bulletuav.vehicle.airframes import load_airframe
+
+FRAME = str.maketrans(dict.fromkeys("│┃┏━┳┓┡╇┩└─┴┘┌┬┐├┼┤:;", " "))
+POINTS = ["--dynamics", "point_mass", "--horizon", "2"]
+RUNS = {
+    "benchmark": [["benchmark", "--drones", "1", "3", "--seconds", "0.001"]],
+    "city": [["city", "--side", "200"]],
+    "doctor": [["doctor"]],
+    "evaluate": [["evaluate", "hover", *POINTS, "--episodes", "1"]],
+    "fly": [["fly", "crossing", *POINTS, "--animation", "none"]],
+    "identify": [["identify", "log.csv", "--airframe", "cf2x", "--fit", "drag_xy"]],
+    "tasks": [
+        ["tasks", "crossing"],
+        ["tasks", "crossing", "--all"],
+        ["tasks", "crossing", "--observation"],
+    ],
+    "verify": [["fly", "hover", *POINTS, "--animation", "none"], ["verify", "out"]],
+}
+"""Calls by which each command prints its tables"""
+WITH_TABLES = [
+    name
+    for name in COMMANDS
+    if hasattr(importlib.import_module(f"bulletuav.commands.{name}"), "print_table")
+]
+
+
+def words(table):
+    """All words of a table, with how often they occur; headings once."""
+    cells = [str(cell) for column in table.columns for cell in column.cells]
+    cells += [str(column.header) for column in table.columns if any(map(str, column.cells))]
+    return Counter(" ".join(cells).translate(FRAME).split())
+
+
+def assert_whole(table, monkeypatch, capsys, columns):
+    monkeypatch.setenv("COLUMNS", columns)
+    print_table(table)
+    said = capsys.readouterr().out
+    assert "…" not in said
+    assert not words(table) - Counter(said.translate(FRAME).split())
+    lines = [line for line in said.splitlines() if line[:1] in "│┃┏└┌"]
+    if columns.isdigit():
+        assert all(len(line) <= int(columns) for line in lines)
+
+
+@pytest.mark.parametrize("name", WITH_TABLES)
+def test_no_command_loses_columns_or_digits(name, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    if name == "identify":
+        rows = flown.fly(load_airframe("cf2x"), 12, seed=0)
+        flown.write("log.csv", flown.noisy(rows, 0))
+    tables = []
+    monkeypatch.setattr(f"bulletuav.commands.{name}.print_table", tables.append)
+    for arguments in RUNS[name]:
+        main(arguments)
+    assert tables
+    capsys.readouterr()
+    for columns in ("40", "60", "80", "120", "0", "1", "-5", "odd", ""):
+        for table in tables:
+            assert_whole(table, monkeypatch, capsys, columns)
+    # In a pipe there is no width at all
+    monkeypatch.delenv("COLUMNS")
+    for table in tables:
+        print_table(table)
+        assert not words(table) - Counter(capsys.readouterr().out.translate(FRAME).split())
+
+
+@given(
+    st.lists(st.lists(st.text("ab 1[]/\n", max_size=30), min_size=3, max_size=3), max_size=4),
+    st.integers(0, 130),
+    st.booleans(),
+)
+def test_no_table_loses_words(rows, columns, with_headings):
+    """With what rich takes for markup among them."""
+    table = Table(show_header=with_headings)
+    for heading in ("first one", "[second]", "third"):
+        table.add_column(heading)
+    for row in rows:
+        table.add_row(*row)
+    with pytest.MonkeyPatch.context() as patch:
+        said = []
+        patch.setattr("builtins.print", lambda text: said.append(text))
+        patch.setattr(output, "Console", lambda: Wide(columns, said))
+        print_table(table)
+    shown = Counter(" ".join(said).translate(FRAME).split())
+    expected = Counter(" ".join(cell for row in rows for cell in row).split())
+    assert not expected - shown
+
+
+class Wide(output.Console):
+    """A console of some width that keeps what is printed."""
+
+    def __init__(self, columns, said):
+        super().__init__(width=columns)
+        self._said = said
+
+    def print(self, table):
+        with self.capture() as capture:
+            super().print(table)
+        self._said.append(capture.get())
+
+
+def test_only_one_file_prints_tables():
+    """Tables that are printed otherwise would be cut."""
+    folder = output.Path(output.__file__).parent
+    own = {"output.py", "progress.py"}
+    texts = {path.name: path.read_text() for path in folder.glob("*.py")}
+    assert {name for name, text in texts.items() if "rich.console import C" in text} == own
