@@ -437,10 +437,6 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
     flown(airspace, 30)
     saved, hashed = sent(airspace.save_state()), airspace.state_hash()
     read = dict(airspace.readings)
-        sent(airspace.save_state()),
-        airspace.state_hash(),
-        dict(airspace.readings),
-    )
     first = flown(airspace, 60)
     kept = {name: array.copy() for name, array in airspace.readings.items()}
     held = dict(airspace.readings)
