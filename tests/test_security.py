@@ -205,8 +205,8 @@ def test_files_that_are_not_what_they_are_called_are_refused(tmp_path, sprung, p
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("task: !!python/object/apply:os.system ['touch {place}']", "no YAML file"),
-        ("task: crossing\nmodel: !!python/name:os.system ''", "no YAML file"),
+        ("task: !!python/object/apply:os.system ['touch {place}']", "is not valid YAML"),
+        ("task: crossing\nmodel: !!python/name:os.system ''", "is not valid YAML"),
         ("task: crossing\nmodel: {{a: &a [1, 2], b: *a}}", "it has an alias"),
     ],
 )
@@ -233,7 +233,7 @@ def test_entities_of_xml_neither_expand_without_end_nor_read_files(entities, tmp
         f'<!DOCTYPE robot [{entities}]>\n<robot name="cf2x"><about>&a9;</about>',
     )
     (tmp_path / "own.urdf").write_text(text)
-    with pytest.raises(ValueError, match=r"own\.urdf: not a readable XML file"):
+    with pytest.raises(ValueError, match=r"own\.urdf is not valid XML"):
         bulletuav.load_airframe(tmp_path / "own.urdf")
 
 

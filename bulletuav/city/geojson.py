@@ -13,7 +13,8 @@ from bulletuav.city.model import City
 from bulletuav.city.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
 from bulletuav.city.tags import HeightReader
 from bulletuav.earth.geodesy import degree_lengths
-from bulletuav.errors import read_file, require_file, shown
+from bulletuav.errors import require_file, shown
+from bulletuav.parsing import read_json
 
 LEAST_AREA = 1e-18
 """Square degrees, or m^2, below which a footprint is a point"""
@@ -111,16 +112,7 @@ def from_geojson(
 
 def _footprints(path: Path, notes: Notebook) -> list[Footprint]:
     """Read the features of a file that have a footprint, in the coordinates of the file."""
-    # Files of others may be anything: each fault gets a sentence
-    text = read_file(path)
-    try:
-        content = json.loads(text)
-    except ValueError as error:
-        raise ValueError(f"{path} is not GeoJSON: {error}") from None
-    except RecursionError:
-        raise ValueError(
-            f"{path} is not GeoJSON: lists within lists, too deep to be read"
-        ) from None
+    content = read_json(path, "GeoJSON")
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         raise ValueError(f"{path} is no FeatureCollection")
     found = []

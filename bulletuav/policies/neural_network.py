@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
 from bulletuav.functions import tanh
@@ -107,8 +106,10 @@ def read_weights(path: Path) -> dict[str, np.ndarray]:
         raise FileNotFoundError(
             f"no policy {path}: the folder of a run that was trained holds one"
         ) from None
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no safetensors file: {error}") from None
+    # Besides SafetensorError, NumPy raises errors of types and sizes
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path} is no safetensors file: {reason}") from None
     for name, array in weights.items():
         if not np.isfinite(array).all():
             raise ValueError(

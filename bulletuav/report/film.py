@@ -1,6 +1,5 @@
 """Films: a recorded episode in three dimensions, drawn by the engine without a screen."""
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from bulletuav.files import whole_file
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
 from bulletuav.geometry.solids import Solids
+from bulletuav.parsing import parse_json
 from bulletuav.report.figures import MOST_NUMBERS, drone_colours
 from bulletuav.report.replay import DAMAGE, continuous, damaged_scene
 from bulletuav.report.video import FPS, save_video
@@ -87,7 +87,7 @@ class Film:
         self._behind = self._headings()
         # Files of others may have any scene
         try:
-            self._about = json.loads(str(recording.scene["about"]))
+            self._about = parse_json(str(recording.scene["about"]), "its description")
             self._make_bodies()
         except DAMAGE as error:
             raise damaged_scene(error) from None

@@ -21,6 +21,7 @@ from bulletuav.analysis.results_folder import RUN
 from bulletuav.files import replace_file
 from bulletuav.geometry.shapes import HULL
 from bulletuav.geometry.solids import Solids
+from bulletuav.parsing import parse_json
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.payload import Payload
 from bulletuav.report.replay_charts import add_charts, later
@@ -155,7 +156,7 @@ def page(title: str, payload: str = "") -> str:
 
 def whole_payload(recording: Recording, title: str) -> str:
     """Write all that a page shows."""
-    about = json.loads(str(recording.scene["about"]))
+    about = parse_json(str(recording.scene["about"]), "its description")
     # Numbers go into series, each of which the page finds by its name
     payload = Payload()
     charts = _add_rows(payload, recording, about)
@@ -182,7 +183,7 @@ def whole_payload(recording: Recording, title: str) -> str:
 def rows_payload(recording: Recording) -> str:
     """Write the rows of a recording alone, for a page that knows the rest."""
     payload = Payload()
-    _add_rows(payload, recording, json.loads(str(recording.scene["about"])))
+    _add_rows(payload, recording, parse_json(str(recording.scene["about"]), "its description"))
     return payload.text({"rows": len(recording.time)})
 
 

@@ -15,6 +15,7 @@ from bulletuav.geometry.mesh_file import read_obj
 from bulletuav.geometry.obstacle import hull_of
 from bulletuav.geometry.rotation import from_euler
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
+from bulletuav.parsing import read_xml
 
 SMALLEST = 1e-20
 """Least size of a number but 0: squares of such numbers, and products of a few, are no 0."""
@@ -49,10 +50,7 @@ class UrdfFile:
         """
         self.path = path
         self.widest = widest
-        try:
-            self.root = ElementTree.parse(path).getroot()
-        except (ElementTree.ParseError, LookupError, ValueError) as error:
-            raise ValueError(f"{path}: not a readable XML file: {error}") from None
+        self.root = read_xml(path)
 
     def refusal(
         self,

@@ -227,7 +227,7 @@ f 4 1 5 8
 
 
 def test_a_mesh_that_crashes_the_native_code_is_one_error_with_its_name(obj):
-    """Its lower corner goes through the floor: CoACD 1.0.11 dies with SIGSEGV."""
+    """Its lower corner goes through the floor: CoACD 1.0.14 dies with SIGSEGV."""
     path = obj(f"o moved\n{OPEN_BOX}")
     with pytest.raises(
         ValueError,
