@@ -77,6 +77,13 @@ def shown(value: object) -> str:
     return text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
+def reason_of(error: Exception) -> str:
+    """Describe an error on one line, cut where it is long: its type and what it says."""
+    text = " ".join(str(error).split())
+    cut = text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    return f"{type(error).__name__}: {cut}" if cut else type(error).__name__
+
+
 def unknown(
     what: str,
     name: object,

@@ -15,14 +15,12 @@ from typing import Any
 
 import yaml
 
-from bulletuav.errors import read_file, shown
+from bulletuav.errors import read_file, reason_of, shown
 
 MAX_DEPTH = 100
 """Most values within values: functions that call themselves on each handle as many"""
 MAX_BITS = 1000
 """Most bits of a whole number: larger ones have no float"""
-MAX_REASON = 300
-"""Most characters of the reason that a parser gives"""
 
 
 def read_json(path: Path, kind: str = "JSON") -> Any:
@@ -94,7 +92,7 @@ def _parse(where: str, kind: str, parse: Callable[[], Any]) -> Any:
         reason = f"it is nested more than {MAX_DEPTH} deep"
     # Parsers raise errors of many types: of dates, keys, numbers, encodings
     except Exception as error:
-        reason = " ".join(str(error).split())[:MAX_REASON] or type(error).__name__
+        reason = reason_of(error)
     raise ValueError(f"{where} is not valid {kind}: {reason}")
 
 

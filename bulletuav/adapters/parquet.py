@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing, reason_of
 from bulletuav.files import whole_file
 from bulletuav.parsing import parse_json
 
@@ -52,7 +52,9 @@ def read_about(path: Path) -> Any:
     try:
         return parse_json(parquet.read_schema(path).metadata[ABOUT], f"{path}, its schema,")
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is damaged ({error!r}): delete it, and collect again") from None
+        raise ValueError(
+            f"{path} is damaged ({reason_of(error)}): delete it, and collect again"
+        ) from None
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:
@@ -66,7 +68,9 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
         table.validate(full=True)
         return {name: _array(table[name].combine_chunks()) for name in table.column_names}
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is damaged ({error!r}): delete it, and collect again") from None
+        raise ValueError(
+            f"{path} is damaged ({reason_of(error)}): delete it, and collect again"
+        ) from None
 
 
 def _column(values: Any) -> pa.Array:

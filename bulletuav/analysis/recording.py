@@ -24,7 +24,7 @@ from bulletuav.analysis.results_folder import RUN
 from bulletuav.analysis.scene import PARTS
 from bulletuav.analysis.seals import call_text, hash_files, sealed
 from bulletuav.envs.aviary import Aviary
-from bulletuav.errors import require_file
+from bulletuav.errors import reason_of, require_file, shown
 from bulletuav.files import replace_file, whole_file
 from bulletuav.geometry.closest_approach import distances
 from bulletuav.policies.base import Policy
@@ -212,10 +212,11 @@ def load(path: str | Path) -> Recording:
         # NumPy would leave a damaged file open.
         with found.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
+            if other := [name for name in arrays if not isinstance(arrays[name], np.ndarray)]:
+                raise TypeError(f"{shown(other[0])} is no array")
     # NumPy and zipfile raise errors of a dozen types about files that are damaged
     except Exception as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{found} is no recording ({reason}): {REMEDY}") from None
+        raise ValueError(f"{found} is no recording ({reason_of(error)}): {REMEDY}") from None
     # The version is looked at before anything that may differ between versions.
     version = _known_version(arrays.pop("version", None), found)
     if version < 4 and "obstacle_radius" in arrays:
@@ -248,12 +249,15 @@ def _check_shapes(arrays: dict[str, np.ndarray], path: Path) -> None:
         elif not shape:
             continue
         given = array.shape[: len(letters)] if shape == "of each drone" else array.shape
-        known = {letter: sizes.get(letter, size) for letter, size in zip(letters, given)}
+        known = {
+            letter: sizes.get(letter, size) for letter, size in zip(letters, given, strict=False)
+        }
         needed = tuple(int(one) if one.isdigit() else known.get(one, 1) for one in letters)
         if given != needed or array.dtype.kind not in "biuf":
+            what = "the scene" if name.startswith(SCENE) else repr(name)
             raise ValueError(
-                f"{path}: {name!r} of the recording is damaged: numbers {needed} are needed; "
-                f"{REMEDY}"
+                f"{path}: {what} of the recording is damaged: numbers {needed} are needed "
+                f"({name}); {REMEDY}"
             )
         sizes |= {letter: size for letter, size in known.items() if not letter.isdigit()}
     if rows < 2 or drones < 1 or sizes.get("G", 0) not in (0, drones):
@@ -264,7 +268,13 @@ def _check_shapes(arrays: dict[str, np.ndarray], path: Path) -> None:
     if hull is not None and size is not None:
         pieces = arrays["building"].shape[0]
         if (size < 0).any() or size.sum() != len(hull) or len(size) > pieces:
-            raise ValueError(f"{path}: 'scene/hull' of the recording is damaged; {REMEDY}")
+            raise ValueError(
+                f"{path}: the scene of the recording is damaged: the corners of {len(hull)} hulls "
+                f"are needed; {REMEDY}"
+            )
+    for name in ("building", f"{SCENE}hull"):
+        if not np.isfinite(arrays.get(name, 0.0)).all():
+            raise ValueError(f"{path}: {name!r} of the recording is not finite; {REMEDY}")
 
 
 def _complete(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarray]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from bulletuav.analysis.episodes import Row
 from bulletuav.analysis.metrics import METRICS
 from bulletuav.analysis.pieces import piece_folders
-from bulletuav.errors import shown
+from bulletuav.errors import reason_of, shown
 from bulletuav.files import replace_file
 from bulletuav.parsing import read_json
 
@@ -115,7 +115,7 @@ def _damaged(path: Path) -> Iterator[None]:
         yield
     except (ValueError, KeyError, TypeError, csv.Error) as error:
         raise ValueError(
-            f"{path.parent} holds a run that is damaged ({path.name}: {error!r}): "
+            f"{path.parent} holds a run that is damaged ({path.name}: {reason_of(error)}): "
             "delete it or choose another folder"
         ) from None
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from safetensors.numpy import load_file
 
+from bulletuav.errors import reason_of
 from bulletuav.functions import tanh
 from bulletuav.policies.features import Layers, UserFeatures, dense, symlog
 from bulletuav.policies.layers import Affine, Choose, Clip, Dense, Layer, Relu, Symlog, Tanh
@@ -108,8 +109,7 @@ def read_weights(path: Path) -> dict[str, np.ndarray]:
         ) from None
     # Besides SafetensorError, NumPy raises errors of types and sizes
     except Exception as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{path} is no safetensors file: {reason}") from None
+        raise ValueError(f"{path} is no safetensors file: {reason_of(error)}") from None
     for name, array in weights.items():
         if not np.isfinite(array).all():
             raise ValueError(

@@ -361,6 +361,6 @@ def _refuse_modules(path: Path, value: Any) -> None:
             _refuse_modules(path, one)
     elif isinstance(value, str) and MODULE_NAME.fullmatch(value):
         raise ValueError(
-            f"{path} names {shown(value)}, whose module would be imported: if you know who made it, say "
-            f"so by --trust (in Python trust=True)"
+            f"{path} names {shown(value)}, whose module would be imported: if you know who made "
+            f"it, say so by --trust (in Python trust=True)"
         )

@@ -57,6 +57,7 @@ class Film:
         camera: str = "orbit",
         drone: int = 0,
         size: tuple[int, int] = SIZE,
+        source: str = "",
     ) -> None:
         """Put up what there is to see.
 
@@ -67,6 +68,7 @@ class Film:
                 "follow" flies behind a drone.
             drone: Number of that drone.
             size: Width and height, pixels.
+            source: Where the recording is from, for the message.
 
         Raises:
             ValueError: There is no such camera or drone, or the scene is damaged.
@@ -90,7 +92,7 @@ class Film:
             self._about = parse_json(str(recording.scene["about"]), "its description")
             self._make_bodies()
         except DAMAGE as error:
-            raise damaged_scene(error) from None
+            raise damaged_scene(error, source) from None
         self._renderer = Renderer(self._engine, size)
 
     def _make_bodies(self) -> None:

@@ -18,6 +18,7 @@ from matplotlib.colors import to_hex
 from bulletuav.analysis.recorded import READING, Recording
 from bulletuav.analysis.recording import ARRAYS_FILE, REMEDY, load
 from bulletuav.analysis.results_folder import RUN
+from bulletuav.errors import reason_of
 from bulletuav.files import replace_file
 from bulletuav.geometry.shapes import HULL
 from bulletuav.geometry.solids import Solids
@@ -96,7 +97,7 @@ def replay_run(run: Path, path: Path | None = None) -> Path:
     """
     recording, title = read_run(run)
     target = path or (run if run.is_dir() else run.parent) / REPLAY
-    write_replay(recording, title, target)
+    write_replay(recording, title, target, str(run))
     return target
 
 
@@ -104,6 +105,7 @@ def write_replay(
     recording: Recording,
     title: str,
     path: Path,
+    source: str = "",
 ) -> None:
     """Write a page that replays an episode: one file that needs no other and no network.
 
@@ -111,6 +113,7 @@ def write_replay(
         recording: The episode, with its scene.
         title: Title of the page.
         path: The file.
+        source: Where the recording is from, for the message.
 
     Raises:
         ValueError: The recording's scene is none.
@@ -119,13 +122,14 @@ def write_replay(
     try:
         text = whole_payload(recording, title)
     except DAMAGE as error:
-        raise damaged_scene(error) from None
+        raise damaged_scene(error, source) from None
     replace_file(path, page(title, text))
 
 
-def damaged_scene(error: Exception) -> ValueError:
+def damaged_scene(error: Exception, source: str = "") -> ValueError:
     """Make the error for a scene that cannot be read, for the caller to raise."""
-    return ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}")
+    told = f"{source}: " if source else ""
+    return ValueError(f"the scene of the recording is damaged ({told}{reason_of(error)}): {REMEDY}")
 
 
 def page(title: str, payload: str = "") -> str:

@@ -10,7 +10,7 @@ from bulletuav.analysis.evaluation import EPISODES, RUN, Evaluation, evaluate
 from bulletuav.analysis.pieces import PIECES, piece_folders
 from bulletuav.analysis.results_folder import read_rows
 from bulletuav.analysis.seals import read_call
-from bulletuav.errors import as_int, read_file
+from bulletuav.errors import as_int, read_file, reason_of
 from bulletuav.files import replace_file
 from bulletuav.parsing import read_json
 from bulletuav.report.charts import plot_evaluation, plot_leaderboard
@@ -111,7 +111,7 @@ def merge(out: Path, trust: bool = False) -> list[Path]:
         folders = [out / "runs" / str(name) for name in told["runs"]]
         against = told["against"]
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{cases} is damaged ({error!r}): fly a piece again") from None
+        raise ValueError(f"{cases} is damaged ({reason_of(error)}): fly a piece again") from None
     results = []
     for folder in folders:
         results.append(_merged(folder, trust))
@@ -167,5 +167,5 @@ def _about(path: Path) -> dict[str, Any]:
         as_int("episodes", about["episodes"], 1)
         about["call"]
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged ({error!r}): fly that piece again") from None
+        raise ValueError(f"{path} is damaged ({reason_of(error)}): fly that piece again") from None
     return about

@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from bulletuav.errors import read_file, shown
+from bulletuav.errors import read_file, reason_of, shown
 from bulletuav.files import replace_file, whole_file
 from bulletuav.parsing import read_json
 from bulletuav.policies.run import CHECKPOINTS, CONFIG, MODULE_NAME, POLICY, RunConfig
@@ -114,7 +114,8 @@ class Store:
                 raise FileNotFoundError(f"no {self.last / POLICY}")
         except (ValueError, LookupError, TypeError, OSError, csv.Error) as error:
             raise FolderError(
-                f"{self.folder} holds a run that is damaged ({error!r}): choose another folder"
+                f"{self.folder} holds a run that is damaged ({reason_of(error)}): "
+                f"choose another folder"
             ) from None
         # The first line of the configuration tells the versions.
         begun = read_file(self.folder / CONFIG).splitlines()[0]

@@ -22,7 +22,9 @@ def main():
         keep(names[0], arguments.seed, arguments.case)
         wanted = {names[0]: (arguments.case, arguments.case + 1)}
     else:
-        wanted = {name: (0, max(3, round(FORMATS[name].weight * arguments.cases))) for name in names}
+        wanted = {
+            name: (0, max(3, round(FORMATS[name].weight * arguments.cases))) for name in names
+        }
     faults, count = run(wanted, arguments.seed)
     for fault in faults:
         print(fault)
