@@ -123,7 +123,10 @@ def assemble(
     no_edges = np.zeros((0, 2), dtype=int)
     no_streets = Streets(no_nodes, no_edges)
     bare = City(path.stem, float(side), solids, building, no_streets)
-    streets = free_streets(bare.side, bare.outdoors)
+    try:
+        streets = free_streets(bare.side, bare.outdoors)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     return replace(bare, streets=streets, report=notes.warn())
 
 

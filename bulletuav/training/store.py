@@ -133,8 +133,8 @@ class Store:
         for name, value in self._config.plain().items():
             if known[name] != value:
                 raise FolderError(
-                    f"{self.folder} holds another run: its {name} is {known[name]!r}, "
-                    f"not {value!r}; choose another folder"
+                    f"{self.folder} holds another run: its {name} is {shown(known[name])}, "
+                    f"not {shown(value)}; choose another folder"
                 )
 
     @property
