@@ -18,6 +18,16 @@ CODE = re.compile(r"[A-Za-z_][\w.]*:\w")
 """Beginning of a name that leads to code or to a pickled model, such as `mine:Policy`"""
 ARGUMENTS = {"task", "policy", "seed", "metrics", "num_worlds", "options"}
 """Names that calls in files have"""
+OTHERS = ARGUMENTS - {"num_worlds"} | {
+    "episodes",
+    "workers",
+    "trust",
+    "out",
+    "progress",
+    "piece",
+    "ray",
+}
+"""Names of arguments, beside options, of the functions that repeat a call"""
 
 
 def hash_bytes(parts: Iterable[bytes]) -> str:
@@ -102,6 +112,7 @@ def read_call(
     if (
         not isinstance(options, dict)
         or not all(isinstance(name, str) for name in options)
+        or set(options) & OTHERS
         or not set(call) <= ARGUMENTS
         or "task" not in call
     ):

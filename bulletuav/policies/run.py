@@ -142,7 +142,9 @@ class RunConfig:
             if not isinstance(value, Mapping):
                 raise ValueError(f"{name} is {shown(value)}: names with values are needed")
         if not isinstance(self.shared_reward, bool):
-            raise ValueError(f"shared_reward is {shown(self.shared_reward)}: true or false is needed")
+            raise ValueError(
+                f"shared_reward is {shown(self.shared_reward)}: true or false is needed"
+            )
         # Making the curriculum and the options of all environments checks them.
         check_stages(self.stages)
         for name in self.curriculum:

@@ -10,7 +10,7 @@ from bulletuav.analysis.evaluation import EPISODES, RUN, Evaluation, evaluate
 from bulletuav.analysis.pieces import PIECES, piece_folders
 from bulletuav.analysis.results_folder import read_rows
 from bulletuav.analysis.seals import read_call
-from bulletuav.errors import as_int, read_file, reason_of
+from bulletuav.errors import as_int, naming, read_file, reason_of
 from bulletuav.files import replace_file
 from bulletuav.parsing import read_json
 from bulletuav.report.charts import plot_evaluation, plot_leaderboard
@@ -142,7 +142,8 @@ def _merged(out: Path, trust: bool) -> Evaluation:
     # Nothing is flown again: episodes that are there are only read
     call = read_call(about["call"], trust, out)
     options = call.pop("options")
-    return evaluate(**call, episodes=about["episodes"], trust=trust, out=out, **options)
+    with naming(out / RUN):
+        return evaluate(**call, episodes=about["episodes"], trust=trust, out=out, **options)
 
 
 def _merged_dataset(out: Path, trust: bool) -> list[Path]:
@@ -157,7 +158,8 @@ def _merged_dataset(out: Path, trust: bool) -> list[Path]:
         )
     call = read_call(about["call"], trust, out)
     options = call.pop("options")
-    return collect(**call, episodes=about["episodes"], trust=trust, out=out, **options)
+    with naming(out / RUN):
+        return collect(**call, episodes=about["episodes"], trust=trust, out=out, **options)
 
 
 def _about(path: Path) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from bulletuav.analysis.seals import (
 )
 from bulletuav.analysis.transitions import DATASET
 from bulletuav.envs.aviary import Aviary
-from bulletuav.errors import read_file, shown
+from bulletuav.errors import naming, read_file, shown
 from bulletuav.parsing import read_json
 from bulletuav.policies import find_policy
 from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv
@@ -123,7 +123,8 @@ class Verifier(NamedTuple):
                 # Of changed files there is nothing to fly.
                 if all(check.same for check in checks):
                     _require(folder / sealed, about, NEEDED[name])
-                    checks += fly_again(folder, about)
+                    with naming(folder / sealed):
+                        checks += fly_again(folder, about)
                 return checks
         raise ValueError(
             f"{folder} holds no recording ({ARRAYS_FILE}), evaluation ({SUMMARY}), leaderboard "

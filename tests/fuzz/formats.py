@@ -134,6 +134,15 @@ def make_hull_urdf(folder):
     (folder / "hull.obj").write_text(vertices + BOX[BOX.index("f 4") : BOX.index("o ramp")])
 
 
+def make_visual_urdf(folder):
+    text = bulletuav.load_airframe("cf2x").urdf.read_text()
+    start = text.index("<geometry>", text.index("<visual>"))
+    end = text.index("</geometry>", start)
+    mesh = '<geometry><mesh filename="body.obj" scale="0.001 0.001 0.001"/>'
+    (folder / "own.urdf").write_text(text[:start] + mesh + text[end:])
+    (folder / "body.obj").write_text("mtllib no.mtl\nvt 0 1\nvn 0 0 1\n" + BOX)
+
+
 def read_hull_urdf(folder):
     read_obj(folder / "hull.obj")
     read_urdf(folder)
@@ -383,6 +392,7 @@ FORMATS = {
     "geojson": Format("town.geojson", "json", make_geojson, read_geojson, 2),
     "urdf": Format("own.urdf", "text", make_urdf, read_urdf, 2),
     "urdf mesh": Format("hull.obj", "text", make_hull_urdf, read_hull_urdf),
+    "visual mesh": Format("body.obj", "text", make_visual_urdf, read_urdf),
     "track": Format("own.toml", "text", make_track, read_track, 2),
     "run.yaml": Format("run.yaml", "yaml", make_run, read_run_yaml, 2),
     "study.yaml": Format("study.yaml", "yaml", make_study, read_study),
