@@ -238,8 +238,9 @@ def test_entities_of_xml_neither_expand_without_end_nor_read_files(entities, tmp
 
 
 READS = re.compile(
-    r"(?<!def )(?<!builder\.)\b(load|loads|load_file|safe_open|parse|read_text|read_bytes|recv|"
-    r"recvfrom|feed|loadURDF|load_replay_buffer|eval|exec)\("
+    r"(?<!def )(?<!builder\.)\b(read_(?:json|toml|yaml|xml|file|schema|table)|parse_json|load|"
+    r"loads|load_file|safe_open|parse|read_text|read_bytes|recv|recvfrom|feed|loadURDF|load_replay_buffer|"
+    r"eval|exec)\("
     r"|(?<!os)\.open\((?!'w')"
 )
 
@@ -263,7 +264,8 @@ def test_nothing_in_the_package_imports_pickle_to_read():
     """But for compiled kernels, which run code anyway; the next test is about their folder."""
     for path in set(PACKAGE.rglob("*.py")) - {PACKAGE / "dispatcher.py"}:
         assert not re.search(
-            r"pickle\.loads?\(|torch\.load\(|allow_pickle=True|yaml\.(unsafe_)?load\((?!text, _Loader\))",
+            r"pickle\.loads?\(|torch\.load\(|allow_pickle=True|"
+            r"yaml\.(unsafe_)?load\((?!text, _Loader\))",
             path.read_text(),
         )
 

@@ -19,6 +19,8 @@ from bulletuav.parsing import read_json
 LEAST_AREA = 1e-18
 """Square degrees, or m^2, below which a footprint is a point"""
 
+OTHERS = ("Point", "MultiPoint", "LineString", "MultiLineString", "GeometryCollection")
+"""Kinds of geometries that are no footprints"""
 COVERED = 0.9
 """Share of an outline that parts must cover not to leave a hole worth a warning"""
 
@@ -143,19 +145,16 @@ def _shape(
             f"not {shown(geometry)}",
         )
         return None
+    # Points and lines are trees, lamps and paths; GEOS, in C++, never gets them
+    kind = geometry.get("type")
+    if kind in OTHERS:
+        notes.add("skipped", where, f"it is a {kind}: only Polygon and MultiPolygon are footprints")
+        return None
     # Shapely reads the geometry; a height in its coordinates is dropped
     try:
         shape = shapely.force_2d(shapely.from_geojson(json.dumps(geometry)))
     except shapely.errors.ShapelyError as error:
         notes.add("skipped", where, f"its geometry cannot be read: {error}")
-        return None
-    # Points and lines are trees, lamps and paths
-    if shape.geom_type not in ("Polygon", "MultiPolygon"):
-        notes.add(
-            "skipped",
-            where,
-            f"it is a {shape.geom_type}: only Polygon and MultiPolygon are footprints",
-        )
         return None
     if shape.is_empty:
         notes.add("skipped", where, f"it is an empty {shape.geom_type}, without coordinates")

@@ -64,7 +64,7 @@ class UrdfFile:
         for mesh in self.root.iter("mesh"):
             name = mesh.get("filename", "")
             local = name.removeprefix("package://").removeprefix("model://")
-            for path in {folder / local for folder in self.path.resolve().parents}:
+            for path in (folder / local for folder in self.path.resolve().parents):
                 try:
                     if path.is_file():
                         _require_mesh(path)

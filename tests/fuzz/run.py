@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
+PROGRAM = ["-m", "tests.fuzz.cases"]
 
 
 class Fault(NamedTuple):
@@ -40,7 +41,7 @@ def run(wanted, seed, patience=3600):
     while waiting:
         words = [f"{name}:{seed}:{first}:{last}" for name, (first, last) in waiting.items()]
         with tempfile.TemporaryFile() as errors:
-            command = [sys.executable, "-m", "tests.fuzz.cases", *words]
+            command = [sys.executable, *PROGRAM, *words]
             ended = subprocess.run(
                 command, stdout=subprocess.PIPE, stderr=errors, cwd=ROOT, timeout=patience
             )
