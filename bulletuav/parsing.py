@@ -59,7 +59,10 @@ def read_xml(path: Path) -> ElementTree.Element:
     Raises:
         ValueError: The file is no XML, or too deep.
     """
-    return _parse(str(path), "XML", lambda: _shallow(ElementTree.parse(path).getroot()))
+    root: ElementTree.Element = _parse(
+        str(path), "XML", lambda: _shallow(ElementTree.parse(path).getroot())
+    )
+    return root
 
 
 def parse_json(text: str | bytes, where: str) -> Any:

@@ -124,7 +124,8 @@ def read_call(
                 f"{path} names {shown(name)}, which is code or a model that can run code: "
                 f"say --trust if you know its maker"
             )
-    return call
+    found: dict[str, Any] = call
+    return found
 
 
 def _texts(value: Any) -> Iterable[str]:
