@@ -5,13 +5,14 @@ that check (`as_int`, `finite`, `as_sequence`, `numbers_of`, `points_of`) return
 type that the package keeps, and raise ValueError otherwise.
 """
 
+import contextlib
 import difflib
 import math
 import numbers
 import os
 import reprlib
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -75,6 +76,31 @@ def shown(value: object) -> str:
         text = f"<{type(value).__name__} that cannot be shown>"
     text = " ".join(text.split("\n"))
     return text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+
+
+def reason_of(error: Exception) -> str:
+    """Describe an error on one line, cut where it is long: its type and what it says."""
+    text = " ".join(str(error).split())
+    cut = text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    return f"{type(error).__name__}: {cut}" if cut else type(error).__name__
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Name a file in each ValueError of what is done with its content, unless it is named.
+
+    Args:
+        path: The file, or its folder.
+
+    Raises:
+        ValueError: One was raised.
+    """
+    try:
+        yield
+    except ValueError as error:
+        if str(path) in str(error) or str(path.parent) in str(error):
+            raise
+        raise ValueError(f"{path}: {error}") from None
 
 
 def unknown(

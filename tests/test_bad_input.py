@@ -340,8 +340,8 @@ FILES = {
         r"feature 0 .*its height is 1000",
     ),
     "flag.geojson": (collection(square(0, 0), height=True), {"strict": True}, "its height is True"),
-    "deep.geojson": ("[" * 10**5, {}, "is not GeoJSON"),
-    "long.geojson": ('{"features": ' + "1" * 5000 + "}", {}, "is not GeoJSON"),
+    "deep.geojson": ("[" * 10**5, {}, "is not valid GeoJSON"),
+    "long.geojson": ('{"features": ' + "1" * 5000 + "}", {}, "is not valid GeoJSON"),
     "null.geojson": (
         '{"features": [null]}',
         {"strict": True},

@@ -15,7 +15,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
     ("version", "errors", "files", "compiling", "stamps", "interrupts"),
-    ("dispatcher", "forms"),
+    ("dispatcher", "forms", "parsing"),
     ("kernel", "deferred", "lanes", "registry"),
     ("functions", "gather", "program"),
     ("geometry", "earth"),

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing, reason_of
 from bulletuav.files import whole_file
+from bulletuav.parsing import parse_json
 
 try:
     import pyarrow as pa
@@ -49,15 +50,27 @@ def read_about(path: Path) -> Any:
         ValueError: It is damaged.
     """
     try:
-        return json.loads(parquet.read_schema(path).metadata[ABOUT])
-    except (pa.ArrowInvalid, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is damaged ({error!r}): delete it, and collect again") from None
+        return parse_json(parquet.read_schema(path).metadata[ABOUT], f"{path}, its schema,")
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} is damaged ({reason_of(error)}): delete it, and collect again"
+        ) from None
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:
-    """Read all columns as arrays; rows of a column of lists are joined, without empty ones."""
-    table = parquet.read_table(path)
-    return {name: _array(table[name].combine_chunks()) for name in table.column_names}
+    """Read all columns as arrays; rows of a column of lists are joined, without empty ones.
+
+    Raises:
+        ValueError: The file is damaged.
+    """
+    try:
+        table = parquet.read_table(path)
+        table.validate(full=True)
+        return {name: _array(table[name].combine_chunks()) for name in table.column_names}
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} is damaged ({reason_of(error)}): delete it, and collect again"
+        ) from None
 
 
 def _column(values: Any) -> pa.Array:

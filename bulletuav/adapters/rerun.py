@@ -3,7 +3,6 @@
 Rerun keeps places in single precision; times and curves are exact.
 """
 
-import json
 from collections.abc import Mapping, Sized
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from bulletuav.errors import missing
 from bulletuav.files import whole_file
 from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE
 from bulletuav.geometry.solids import Solids
+from bulletuav.parsing import parse_json
 
 try:
     import rerun as rr
@@ -49,7 +49,7 @@ def write_rrd(
         RuntimeError: The variable RERUN has turned Rerun off.
     """
     check(flight)
-    about = json.loads(str(flight["scene/about"]))
+    about = parse_json(str(flight["scene/about"]), "its description")
     with whole_file(path) as part:
         part.touch()  # so that a folder that is not there gets Python's error
         with rr.RecordingStream("bulletuav", send_properties=False) as stream:

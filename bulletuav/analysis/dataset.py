@@ -18,8 +18,9 @@ from bulletuav.analysis.seals import call_text, hash_files, sealed
 from bulletuav.analysis.transitions import DATASET, Collection, Transitions
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.errors import as_int, read_file
+from bulletuav.errors import as_int, reason_of
 from bulletuav.files import replace_file
+from bulletuav.parsing import read_json
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.tasks import TaskSource, find_task
 
@@ -121,10 +122,12 @@ def _open(folder: Path, about: dict[str, Any]) -> Path:
     run = folder / RUN
     if run.exists():
         try:
-            known = json.loads(read_file(run))
-            known["options"]
+            known = read_json(run)
+            {**known, **known["options"]}
         except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{run} is damaged ({error!r}): choose another folder") from None
+            raise ValueError(
+                f"{run} is damaged ({reason_of(error)}): choose another folder"
+            ) from None
         require_same(known, about, folder)
     replace_file(run, json.dumps(about, indent=2) + "\n")
     return folder

@@ -2,8 +2,6 @@
 
 import csv
 import json
-import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,7 @@ from bulletuav.analysis.scene import PARTS
 from bulletuav.analysis.seals import call_text, hash_files, sealed
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.described import described
-from bulletuav.errors import require_file
+from bulletuav.errors import reason_of, require_file, shown
 from bulletuav.files import replace_file, whole_file
 from bulletuav.geometry.closest_approach import distances
 from bulletuav.policies.base import Policy
@@ -41,11 +39,29 @@ READABLE = (2, 3, 4, 5)
 
 2 and 3 do not tell which obstacles are bars, and 5 alone has readings and the scene.
 """
-UNREADABLE = (
-    *(ValueError, TypeError, AttributeError, EOFError, OSError, KeyError, RuntimeError),
-    *(MemoryError, SyntaxError, OverflowError, zipfile.BadZipFile, zlib.error),
-)
-"""Errors of NumPy and zipfile about files that are damaged"""
+SHAPES = {
+    "time": "R",
+    **dict.fromkeys(("position", "velocity", "rates"), "R N 3"),
+    "quaternion": "R N 4",
+    "alive": "R N",
+    "action": "T N A",
+    **dict.fromkeys(("reward", "separation", "conflicts", "collision", "success"), "T N"),
+    **dict.fromkeys(("contact_step", "contact_drone", "contact_other", "contact_impulse"), "C"),
+    **dict.fromkeys(("contact_point", "contact_normal", "contact_velocity"), "C 3"),
+    "goal": "R G 3",
+    "obstacle": "R K 3",
+    "obstacle_radius": "K",
+    "obstacle_axis": "K 3",
+    "building": "P 2 3",
+    "target": "R U 3",
+    "seen": "R U",
+    "scene/rotor_speed": "R N M",
+    "scene/obstacle_quaternion": "R K 4",
+    "scene/link": "L 3",
+    "scene/hull": "H 3",
+    "scene/hull_size": "S",
+}
+"""Shapes of arrays: R rows, T decisions, N drones, and other sizes that agree by their letters"""
 UNTOLD = ("num_worlds", "render_mode", "render_size", "render_address")
 """Options that a recorded call leaves out: they change nothing of the flight"""
 REMEDY = "fly the episode again with this bulletuav"
@@ -196,8 +212,11 @@ def load(path: str | Path) -> Recording:
         # NumPy would leave a damaged file open.
         with found.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except UNREADABLE as error:
-        raise ValueError(f"{found} is no recording ({error}): {REMEDY}") from None
+            if other := [name for name in arrays if not isinstance(arrays[name], np.ndarray)]:
+                raise TypeError(f"{shown(other[0])} is no array")
+    # NumPy and zipfile raise errors of a dozen types about files that are damaged
+    except Exception as error:
+        raise ValueError(f"{found} is no recording ({reason_of(error)}): {REMEDY}") from None
     # The version is looked at before anything that may differ between versions.
     version = _known_version(arrays.pop("version", None), found)
     if version < 4 and "obstacle_radius" in arrays:
@@ -206,6 +225,7 @@ def load(path: str | Path) -> Recording:
     missing = [name for name in needed if name not in arrays]
     if missing:
         raise ValueError(f"{found} is a damaged recording, without {missing[0]!r}: {REMEDY}")
+    _check_shapes(arrays, found)
     infos, readings, scene = (
         {key.removeprefix(prefix): one for key, one in arrays.items() if key.startswith(prefix)}
         for prefix in (INFO, READING, SCENE)
@@ -214,6 +234,47 @@ def load(path: str | Path) -> Recording:
         _complete(arrays, infos)
     own = {name: arrays[name] for name in ARRAYS}
     return Recording(**own, info=infos, reading=readings, scene=scene, version=version)
+
+
+def _check_shapes(arrays: dict[str, np.ndarray], path: Path) -> None:
+    """Raise ValueError for an array that is not made of numbers of its shape."""
+    rows, drones = (*arrays["position"].shape, 0, 0)[:2]
+    sizes = {"R": rows, "T": rows - 1, "N": drones}
+    for name, array in arrays.items():
+        shape = SHAPES.get(name, "")
+        letters = shape.split()
+        # Infos and readings have any numbers of a drone
+        if name.startswith((INFO, READING)):
+            letters, shape = ["T" if name.startswith(INFO) else "R", "N"], "of each drone"
+        elif not shape:
+            continue
+        given = array.shape[: len(letters)] if shape == "of each drone" else array.shape
+        known = {
+            letter: sizes.get(letter, size) for letter, size in zip(letters, given, strict=False)
+        }
+        needed = tuple(int(one) if one.isdigit() else known.get(one, 1) for one in letters)
+        if given != needed or array.dtype.kind not in "biuf":
+            what = "the scene" if name.startswith(SCENE) else repr(name)
+            raise ValueError(
+                f"{path}: {what} of the recording is damaged: numbers {needed} are needed "
+                f"({name}); {REMEDY}"
+            )
+        sizes |= {letter: size for letter, size in known.items() if not letter.isdigit()}
+    if rows < 2 or drones < 1 or sizes.get("G", 0) not in (0, drones):
+        raise ValueError(
+            f"{path}: the recording is damaged: it has no decision, or no drone; {REMEDY}"
+        )
+    hull, size = (arrays.get(f"{SCENE}{name}") for name in ("hull", "hull_size"))
+    if hull is not None and size is not None:
+        pieces = arrays["building"].shape[0]
+        if (size < 0).any() or size.sum() != len(hull) or len(size) > pieces:
+            raise ValueError(
+                f"{path}: the scene of the recording is damaged: the corners of {len(hull)} hulls "
+                f"are needed; {REMEDY}"
+            )
+    for name in ("building", f"{SCENE}hull"):
+        if not np.isfinite(arrays.get(name, 0.0)).all():
+            raise ValueError(f"{path}: {name!r} of the recording is not finite; {REMEDY}")
 
 
 def _complete(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarray]) -> None:

@@ -11,8 +11,9 @@ from typing import Any
 from bulletuav.analysis.episodes import Row
 from bulletuav.analysis.metrics import METRICS
 from bulletuav.analysis.pieces import piece_folders
-from bulletuav.errors import shown
+from bulletuav.errors import reason_of, shown
 from bulletuav.files import replace_file
+from bulletuav.parsing import read_json
 
 RUN = "run.json"
 """File that tells what was flown"""
@@ -45,7 +46,7 @@ class ResultsFolder:
             return
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            # A folder without a run may hold anything else.
+            # A folder without a run may hold anything.
             for one in (folder, *piece_folders(folder).values()):
                 if (one / RUN).exists():
                     self._load(one, about)
@@ -59,9 +60,9 @@ class ResultsFolder:
     def _load(self, folder: Path, about: dict[str, Any]) -> None:
         """Read the rows of a run that was begun, if it is the same."""
         with _damaged(folder / RUN):
-            known = json.loads((folder / RUN).read_text())
+            known = read_json(folder / RUN)
             # What is compared next has to be there.
-            known["options"]
+            {**known, **known["options"]}
         require_same(known, about, folder)
         self.rows |= read_rows(folder)
 
@@ -91,7 +92,10 @@ def read_rows(folder: Path) -> dict[int, Row]:
         ValueError: They cannot be read.
     """
     rows: dict[int, Row] = {}
-    with _damaged(folder / EPISODES), (folder / EPISODES).open(newline="") as file:
+    with (
+        _damaged(folder / EPISODES),
+        (folder / EPISODES).open(newline="", encoding="utf-8") as file,
+    ):
         table = csv.DictReader(file)
         columns = tuple(table.fieldnames or ())
         if columns[: len(COLUMNS)] != COLUMNS:
@@ -111,7 +115,7 @@ def _damaged(path: Path) -> Iterator[None]:
         yield
     except (ValueError, KeyError, TypeError, csv.Error) as error:
         raise ValueError(
-            f"{path.parent} holds a run that is damaged ({path.name}: {error!r}): "
+            f"{path.parent} holds a run that is damaged ({path.name}: {reason_of(error)}): "
             "delete it or choose another folder"
         ) from None
 
@@ -128,6 +132,6 @@ def require_same(
     for name in about:
         if known.get(name) != about[name]:
             raise ValueError(
-                f"{folder} holds another run: its {name} is {known.get(name)!r}, "
-                f"not {about[name]!r}; choose another folder"
+                f"{folder} holds another run: its {name} is {shown(known.get(name))}, "
+                f"not {shown(about[name])}; choose another folder"
             )

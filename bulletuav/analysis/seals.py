@@ -10,10 +10,24 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.errors import shown
+
 SEAL = "seal"
 """Entry of a sealed file that hashes all the others"""
 CODE = re.compile(r"[A-Za-z_][\w.]*:\w")
 """Beginning of a name that leads to code or to a pickled model, such as `mine:Policy`"""
+ARGUMENTS = {"task", "policy", "seed", "metrics", "num_worlds", "options"}
+"""Names that calls in files have"""
+OTHERS = ARGUMENTS - {"num_worlds"} | {
+    "episodes",
+    "workers",
+    "trust",
+    "out",
+    "progress",
+    "piece",
+    "ray",
+}
+"""Names of arguments, beside options, of the functions that repeat a call"""
 
 
 def hash_bytes(parts: Iterable[bytes]) -> str:
@@ -69,36 +83,49 @@ def call_text(call: Mapping[str, Any]) -> str | None:
         return None
 
 
-def read_call(text: Any, trust: bool) -> dict[str, Any]:
+def read_call(
+    text: Any,
+    trust: bool,
+    path: str | Path = "the file",
+) -> dict[str, Any]:
     """Read what `call_text` wrote.
 
     Args:
         text: The text, from a file.
         trust: Whether names in it may lead to code.
+        path: The file, or its folder, for the message.
 
     Raises:
         ValueError: It is no such text, or names code that is not trusted.
     """
     if text is None:
         raise ValueError(
-            "the file cannot be flown again: its task, policy or options were Python objects, "
-            "which no file tells"
+            f"{path} cannot be flown again: its task, policy or options were Python objects, "
+            "which no file holds"
         )
     # Literals alone: reading the text runs nothing of it
     try:
         call = ast.literal_eval(text)
     except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
         call = None
-    if not isinstance(call, dict) or not isinstance(call.get("options"), dict):
-        raise ValueError(f"the file tells no call that could be flown again: {str(text)[:80]!r}")
+    options = call.get("options") if isinstance(call, dict) else None
+    if (
+        not isinstance(options, dict)
+        or not all(isinstance(name, str) for name in options)
+        or set(options) & OTHERS
+        or not set(call) <= ARGUMENTS
+        or "task" not in call
+    ):
+        raise ValueError(f"{path} has no call that could be flown again: {shown(text)}")
     # Names may lead to modules or pickled models, which run code when loaded
     for name in _texts(call):
         if not trust and CODE.match(name):
             raise ValueError(
-                f"the file names {name!r}, which is code or a model that can run code: "
+                f"{path} names {shown(name)}, which is code or a model that can run code: "
                 f"say --trust if you know its maker"
             )
-    return call
+    found: dict[str, Any] = call
+    return found
 
 
 def _texts(value: Any) -> Iterable[str]:

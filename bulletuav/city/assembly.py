@@ -11,7 +11,7 @@ from bulletuav.city.import_report import Notebook
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
 from bulletuav.engine.tiles import TILE_PITCH
-from bulletuav.errors import finite, shown
+from bulletuav.errors import finite, naming, shown
 from bulletuav.geometry.solids import Solids
 
 FLUSH = 1e-9
@@ -123,7 +123,8 @@ def assemble(
     no_edges = np.zeros((0, 2), dtype=int)
     no_streets = Streets(no_nodes, no_edges)
     bare = City(path.stem, float(side), solids, building, no_streets)
-    streets = free_streets(bare.side, bare.outdoors)
+    with naming(path):
+        streets = free_streets(bare.side, bare.outdoors)
     return replace(bare, streets=streets, report=notes.warn())
 
 

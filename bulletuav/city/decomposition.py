@@ -1,19 +1,15 @@
 """Meshes of buildings in convex pieces."""
 
 from collections.abc import Iterator
-from types import ModuleType
-from typing import cast
 
 import numpy as np
 
+from bulletuav.city.decomposer import REMEDY, Decomposer
 from bulletuav.city.import_report import Notebook, Split
 from bulletuav.city.mesh import Mesh, components, outside, outward, prism_pieces, volume
-from bulletuav.errors import missing
 
 FILLED = 1e-4
 """Share of a hull that may be missing in a mesh that counts as convex"""
-CONCAVITY = 0.05
-"""Threshold of CoACD, its default: a share of the mesh's size"""
 SAMPLES = 300
 """Samples of the surface of each piece, beside its corners"""
 CHUNK = 64
@@ -24,6 +20,7 @@ def split(
     mesh: Mesh,
     where: str,
     notes: Notebook,
+    decompose: Decomposer,
 ) -> Iterator[np.ndarray]:
     """Split what a mesh holds into convex pieces.
 
@@ -36,19 +33,20 @@ def split(
         mesh: The mesh.
         where: Name of its object.
         notes: Where errors and fillings are noted.
+        decompose: Splits by CoACD, in a process that objects of a file share.
 
     Yields:
         Points (V, 3), m, whose hull is a piece.
 
     Raises:
         ImportError: CoACD is needed, and not installed.
-        ValueError: What is to be filled or left out is refused.
+        ValueError: What is to be filled or left out is refused, or CoACD does not split a mesh.
     """
     parts = components(mesh)
     hulls = [_hull_volume(part.points) for part in parts]
     for part, hull in zip(parts, hulls, strict=True):
         if hull > 0:
-            yield from _split_component(part, hull, where, notes)
+            yield from _split_component(part, hull, where, notes, decompose)
     flat = [part.points for part, hull in zip(parts, hulls, strict=True) if hull == 0]
     if parts and not flat:
         return
@@ -66,6 +64,7 @@ def _split_component(
     hull: float,
     where: str,
     notes: Notebook,
+    decompose: Decomposer,
 ) -> Iterator[np.ndarray]:
     """Split a mesh, whose hull has a volume, m^3, into convex pieces."""
     closed = outward(mesh)
@@ -77,35 +76,15 @@ def _split_component(
     if filled >= (1 - FILLED) * hull:
         yield mesh.points
     else:
-        pieces = prism_pieces(closed, filled) or _approximated(closed)
+        pieces = prism_pieces(closed, filled) or decompose(closed, f"{notes.path}, {where}")
+        # CoACD returns flat pieces of some meshes that cross themselves
         sizes = [_hull_volume(piece) for piece in pieces]
+        pieces = [piece for piece, size in zip(pieces, sizes, strict=True) if size > 0]
+        if not pieces:
+            raise ValueError(f"{notes.path}, {where}: its pieces have no volume: {REMEDY}")
         beyond = max(float(_outside_in_chunks(closed, piece).max()) for piece in pieces)
         notes.splits.append(Split(where, len(pieces), filled, sum(sizes), beyond))
         yield from pieces
-
-
-def _approximated(mesh: Mesh) -> list[np.ndarray]:
-    """Split what `outward` gave by CoACD; it gives the same pieces on any number of threads."""
-    coacd = _import_coacd()
-    coacd.set_log_level("error")
-    # It works on a mesh that is about the origin
-    middle = mesh.points.mean(axis=0)
-    found = coacd.run_coacd(
-        coacd.Mesh(mesh.points - middle, mesh.triangles),
-        threshold=CONCAVITY,
-        preprocess_mode="off",
-        seed=0,
-    )
-    return [points + middle for points, _ in found]
-
-
-def _import_coacd() -> ModuleType:
-    """Import CoACD, or name the extra that brings it."""
-    try:
-        import coacd
-    except ImportError:
-        raise missing("splitting a mesh that is not convex", "city") from None
-    return cast(ModuleType, coacd)
 
 
 def _hull_volume(points: np.ndarray) -> float:

@@ -13,11 +13,14 @@ from bulletuav.city.model import City
 from bulletuav.city.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
 from bulletuav.city.tags import HeightReader
 from bulletuav.earth.geodesy import degree_lengths
-from bulletuav.errors import read_file, require_file, shown
+from bulletuav.errors import require_file, shown
+from bulletuav.parsing import read_json
 
 LEAST_AREA = 1e-18
 """Square degrees, or m^2, below which a footprint is a point"""
 
+OTHERS = ("Point", "MultiPoint", "LineString", "MultiLineString", "GeometryCollection")
+"""Kinds of geometries that are no footprints"""
 COVERED = 0.9
 """Share of an outline that parts must cover not to leave a hole worth a warning"""
 
@@ -111,16 +114,7 @@ def from_geojson(
 
 def _footprints(path: Path, notes: Notebook) -> list[Footprint]:
     """Read the features of a file that have a footprint, in the coordinates of the file."""
-    # Files of others may be anything: each fault gets a sentence
-    text = read_file(path)
-    try:
-        content = json.loads(text)
-    except ValueError as error:
-        raise ValueError(f"{path} is not GeoJSON: {error}") from None
-    except RecursionError:
-        raise ValueError(
-            f"{path} is not GeoJSON: lists within lists, too deep to be read"
-        ) from None
+    content = read_json(path, "GeoJSON")
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         raise ValueError(f"{path} is no FeatureCollection")
     found = []
@@ -151,19 +145,16 @@ def _shape(
             f"not {shown(geometry)}",
         )
         return None
+    # Points and lines are trees, lamps and paths; GEOS, in C++, never gets them
+    kind = geometry.get("type")
+    if kind in OTHERS:
+        notes.add("skipped", where, f"it is a {kind}: only Polygon and MultiPolygon are footprints")
+        return None
     # Shapely reads the geometry; a height in its coordinates is dropped
     try:
         shape = shapely.force_2d(shapely.from_geojson(json.dumps(geometry)))
     except shapely.errors.ShapelyError as error:
         notes.add("skipped", where, f"its geometry cannot be read: {error}")
-        return None
-    # Points and lines are trees, lamps and paths
-    if shape.geom_type not in ("Polygon", "MultiPolygon"):
-        notes.add(
-            "skipped",
-            where,
-            f"it is a {shape.geom_type}: only Polygon and MultiPolygon are footprints",
-        )
         return None
     if shape.is_empty:
         notes.add("skipped", where, f"it is an empty {shape.geom_type}, without coordinates")

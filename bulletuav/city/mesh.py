@@ -21,6 +21,8 @@ SAME = 6
 """Decimals of a metre in which corners at one place agree"""
 FLAT = 1e-12
 """Area, m^2, below which a triangle is a line"""
+MAX_CROSSING = 10_000
+"""Triangles of a mesh in which a crossing is searched: more take seconds"""
 
 
 class Mesh(NamedTuple):
@@ -177,6 +179,37 @@ def outside(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     corners = mesh.points[mesh.triangles]
     inside = _winding(corners, points) > 0.5
     return np.where(inside, 0.0, _distance(corners, points))
+
+
+def find_crossing(mesh: Mesh) -> np.ndarray | None:
+    """Find a point (3,), m, where a side of a triangle goes through a triangle apart from it.
+
+    Returns:
+        None where there is no such point, or in meshes of more than `MAX_CROSSING` triangles.
+    """
+    if len(mesh.triangles) > MAX_CROSSING:
+        return None
+    corners = mesh.points[mesh.triangles]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    for own, triangle in zip(mesh.triangles, corners, strict=True):
+        near = ((low <= triangle.max(axis=0)) & (high >= triangle.min(axis=0))).all(axis=1)
+        apart = near & ~np.isin(mesh.triangles, own).any(axis=1)
+        others = corners[apart]
+        for start, end in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
+            # Heights of both ends above the planes of the others; the line passes inside of an
+            # outline where it passes all sides on the same side
+            a, b, c = (others - start).swapaxes(0, 1)
+            normal = np.cross(b - a, c - a)
+            above = -(a * normal).sum(axis=1)
+            below = above + normal @ (end - start)
+            passes = [np.cross(*pair) @ (end - start) for pair in ((a, b), (b, c), (c, a))]
+            sides = np.sign(passes)
+            crosses = (above * below < 0) & (sides[0] != 0) & (sides == sides[0]).all(axis=0)
+            if crosses.any():
+                k = int(crosses.argmax())
+                found: np.ndarray = start + (end - start) * above[k] / (above[k] - below[k])
+                return found
+    return None
 
 
 def _winding(corners: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.city.assembly import REMEDY, assemble, check_flags
+from bulletuav.city.decomposer import Decomposer
 from bulletuav.city.decomposition import split
 from bulletuav.city.import_report import Notebook
 from bulletuav.city.mesh import make_mesh
@@ -66,17 +67,18 @@ def from_obj(
     choose("elevation", elevation, ELEVATIONS)
     vertices, faces = _faces(path)
     # To metres with z up
-    scale = finite("scale", scale, most=MOST_SCALE)
+    scale = finite("scale", scale, -MOST_SCALE, MOST_SCALE)
     points = scale * np.array(vertices).reshape(-1, 3)
     if y_up:
         points = points[:, [0, 2, 1]] * [1, -1, 1]
     # Objects become convex pieces, with the name of their building
     notes = Notebook(path, strict)
-    pieces = [
-        (name.partition("_piece_")[0], piece)
-        for name, own in faces.items()
-        for piece in split(make_mesh(points, own), f"object {name}", notes)
-    ]
+    with Decomposer() as decompose:
+        pieces = [
+            (name.partition("_piece_")[0], piece)
+            for name, own in faces.items()
+            for piece in split(make_mesh(points, own), f"object {name}", notes, decompose)
+        ]
     return assemble(path, _on_the_ground(pieces, elevation, notes), side, notes)
 
 

@@ -14,7 +14,7 @@ from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recording import REMEDY
 from bulletuav.commands.arguments import add_trust
 from bulletuav.commands.output import print_files
-from bulletuav.errors import choose
+from bulletuav.errors import choose, reason_of
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.replay import read_run
 
@@ -48,7 +48,9 @@ def _write_rrd(recording: Recording, path: Path) -> None:
     try:
         write_rrd(recording.everything(), colours, path)
     except (KeyError, TypeError, IndexError, AttributeError, json.JSONDecodeError) as error:
-        raise ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}") from None
+        raise ValueError(
+            f"the scene of the recording is damaged ({reason_of(error)}): {REMEDY}"
+        ) from None
 
 
 FORMATS: dict[str, tuple[str, Callable[[Recording, Path], None]]] = {

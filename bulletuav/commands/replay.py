@@ -60,7 +60,13 @@ def _film(arguments: argparse.Namespace) -> Path:
     """Write the film."""
     recording, title = read_run(arguments.run)
     path: Path = arguments.out
-    film = Film(recording, title, arguments.camera or CAMERAS[0], arguments.drone or 0)
+    film = Film(
+        recording,
+        title,
+        arguments.camera or CAMERAS[0],
+        arguments.drone or 0,
+        source=str(arguments.run),
+    )
     pictures = itertools.count(1)
     with show_progress("drawing", len(film), "pictures") as report:
         film.save(path, lambda: report(next(pictures)))

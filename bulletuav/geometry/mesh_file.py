@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.errors import read_file, require_file
+from bulletuav.errors import read_file, require_file, shown
 
 MOST_LINES = 1_000_000
 """Most lines of a file"""
@@ -45,7 +45,7 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
             elif word == "f":
                 objects[-1].update(_corner(value, len(corners)) for value in values)
         except ValueError:
-            raise ValueError(f"{path}: line {number} is {line!r}: it cannot be read") from None
+            raise ValueError(f"{path}: line {number} is {shown(line)}: it cannot be read") from None
     # Objects without faces have no corners to take
     points = np.array(corners).reshape(-1, 3)
     found = [points[sorted(one)] for one in objects if one]

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
+from bulletuav.errors import reason_of
 from bulletuav.functions import tanh
 from bulletuav.policies.features import Layers, UserFeatures, dense, symlog
 from bulletuav.policies.layers import Affine, Choose, Clip, Dense, Layer, Relu, Symlog, Tanh
@@ -107,8 +107,9 @@ def read_weights(path: Path) -> dict[str, np.ndarray]:
         raise FileNotFoundError(
             f"no policy {path}: the folder of a run that was trained holds one"
         ) from None
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no safetensors file: {error}") from None
+    # Besides SafetensorError, NumPy raises errors of types and sizes
+    except Exception as error:
+        raise ValueError(f"{path} is no safetensors file: {reason_of(error)}") from None
     for name, array in weights.items():
         if not np.isfinite(array).all():
             raise ValueError(

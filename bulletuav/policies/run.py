@@ -18,6 +18,7 @@ from bulletuav.envs.env_spec import MOST_WORLDS
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import resolve
 from bulletuav.errors import as_int, choose, shown, unknown
+from bulletuav.parsing import read_yaml
 from bulletuav.tasks import find_task
 from bulletuav.version import CONSTANTS
 
@@ -139,9 +140,11 @@ class RunConfig:
         for name in ("options", "curriculum", "model", "evaluation"):
             value = getattr(self, name)
             if not isinstance(value, Mapping):
-                raise ValueError(f"{name} is {value!r}: names with values are needed")
+                raise ValueError(f"{name} is {shown(value)}: names with values are needed")
         if not isinstance(self.shared_reward, bool):
-            raise ValueError(f"shared_reward is {self.shared_reward!r}: true or false is needed")
+            raise ValueError(
+                f"shared_reward is {shown(self.shared_reward)}: true or false is needed"
+            )
         # Making the curriculum and the options of all environments checks them.
         check_stages(self.stages)
         for name in self.curriculum:
@@ -277,15 +280,12 @@ def read_settings(
         ValueError: The file is of another kind or version, or names a module.
         FileNotFoundError: There is no such file.
     """
-    try:
-        values = yaml.load(path.read_text(), _Loader)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no YAML file: {error}") from None
-    except (FileNotFoundError, IsADirectoryError):
-        raise FileNotFoundError(f"no file {path}: the {what}, or one like it, is needed") from None
+    if not path.is_file():
+        raise FileNotFoundError(f"no file {path}: the {what}, or one like it, is needed")
+    values = read_yaml(path)
     if not isinstance(values, Mapping):
         raise ValueError(
-            f"{path} holds {values!r}: names with values are needed, such as task: crossing"
+            f"{path} holds {shown(values)}: names with values are needed, such as task: crossing"
         )
     _require_version(path, values)
     if not trust:
@@ -349,23 +349,6 @@ def plain_value(value: Any) -> Any:
     return [plain_value(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # which comes without types
-    """Loader of plain values; it takes 1e-3 for a number, which YAML 1.1 takes for a text."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        """Refuse aliases, of which a short file can make a value that fills the memory."""
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("it has an alias, such as *name, and values are to be written out")
-        return super().compose_node(parent, index)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
-    list("-+0123456789"),
-)
-
-
 def _refuse_modules(path: Path, value: Any) -> None:
     """Refuse a file that names a module to import: importing it runs its code.
 
@@ -380,6 +363,6 @@ def _refuse_modules(path: Path, value: Any) -> None:
             _refuse_modules(path, one)
     elif isinstance(value, str) and MODULE_NAME.fullmatch(value):
         raise ValueError(
-            f"{path} names {value!r}, whose module would be imported: if you know who made it, say "
-            f"so by --trust (in Python trust=True)"
+            f"{path} names {shown(value)}, whose module would be imported: if you know who made "
+            f"it, say so by --trust (in Python trust=True)"
         )

@@ -1,6 +1,5 @@
 """Films: a recorded episode in three dimensions, drawn by the engine without a screen."""
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from bulletuav.files import whole_file
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
 from bulletuav.geometry.solids import Solids
+from bulletuav.parsing import parse_json
 from bulletuav.report.figures import MOST_NUMBERS, drone_colours
 from bulletuav.report.replay import DAMAGE, continuous, damaged_scene
 from bulletuav.report.video import FPS, save_video
@@ -57,6 +57,7 @@ class Film:
         camera: str = "orbit",
         drone: int = 0,
         size: tuple[int, int] = SIZE,
+        source: str = "",
     ) -> None:
         """Put up what there is to see.
 
@@ -67,6 +68,7 @@ class Film:
                 "follow" flies behind a drone.
             drone: Number of that drone.
             size: Width and height, pixels.
+            source: Where the recording is from, for the message.
 
         Raises:
             ValueError: There is no such camera or drone, or the scene is damaged.
@@ -87,10 +89,10 @@ class Film:
         self._behind = self._headings()
         # Files of others may have any scene
         try:
-            self._about = json.loads(str(recording.scene["about"]))
+            self._about = parse_json(str(recording.scene["about"]), "its description")
             self._make_bodies()
         except DAMAGE as error:
-            raise damaged_scene(error) from None
+            raise damaged_scene(error, source) from None
         self._renderer = Renderer(self._engine, size)
 
     def _make_bodies(self) -> None:

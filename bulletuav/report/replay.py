@@ -18,9 +18,11 @@ from matplotlib.colors import to_hex
 from bulletuav.analysis.recorded import READING, Recording
 from bulletuav.analysis.recording import ARRAYS_FILE, REMEDY, load
 from bulletuav.analysis.results_folder import RUN
+from bulletuav.errors import reason_of
 from bulletuav.files import replace_file
 from bulletuav.geometry.shapes import HULL
 from bulletuav.geometry.solids import Solids
+from bulletuav.parsing import parse_json
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.payload import Payload
 from bulletuav.report.replay_charts import add_charts, later
@@ -95,7 +97,7 @@ def replay_run(run: Path, path: Path | None = None) -> Path:
     """
     recording, title = read_run(run)
     target = path or (run if run.is_dir() else run.parent) / REPLAY
-    write_replay(recording, title, target)
+    write_replay(recording, title, target, str(run))
     return target
 
 
@@ -103,6 +105,7 @@ def write_replay(
     recording: Recording,
     title: str,
     path: Path,
+    source: str = "",
 ) -> None:
     """Write a page that replays an episode: one file that needs no other and no network.
 
@@ -110,6 +113,7 @@ def write_replay(
         recording: The episode, with its scene.
         title: Title of the page.
         path: The file.
+        source: Where the recording is from, for the message.
 
     Raises:
         ValueError: The recording's scene is none.
@@ -118,13 +122,14 @@ def write_replay(
     try:
         text = whole_payload(recording, title)
     except DAMAGE as error:
-        raise damaged_scene(error) from None
+        raise damaged_scene(error, source) from None
     replace_file(path, page(title, text))
 
 
-def damaged_scene(error: Exception) -> ValueError:
+def damaged_scene(error: Exception, source: str = "") -> ValueError:
     """Make the error for a scene that cannot be read, for the caller to raise."""
-    return ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}")
+    told = f"{source}: " if source else ""
+    return ValueError(f"the scene of the recording is damaged ({told}{reason_of(error)}): {REMEDY}")
 
 
 def page(title: str, payload: str = "") -> str:
@@ -155,7 +160,7 @@ def page(title: str, payload: str = "") -> str:
 
 def whole_payload(recording: Recording, title: str) -> str:
     """Write all that a page shows."""
-    about = json.loads(str(recording.scene["about"]))
+    about = parse_json(str(recording.scene["about"]), "its description")
     # Numbers go into series, each of which the page finds by its name
     payload = Payload()
     charts = _add_rows(payload, recording, about)
@@ -182,7 +187,7 @@ def whole_payload(recording: Recording, title: str) -> str:
 def rows_payload(recording: Recording) -> str:
     """Write the rows of a recording alone, for a page that knows the rest."""
     payload = Payload()
-    _add_rows(payload, recording, json.loads(str(recording.scene["about"])))
+    _add_rows(payload, recording, parse_json(str(recording.scene["about"]), "its description"))
     return payload.text({"rows": len(recording.time)})
 
 

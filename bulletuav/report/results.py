@@ -10,8 +10,9 @@ from bulletuav.analysis.evaluation import EPISODES, RUN, Evaluation, evaluate
 from bulletuav.analysis.pieces import PIECES, piece_folders
 from bulletuav.analysis.results_folder import read_rows
 from bulletuav.analysis.seals import read_call
-from bulletuav.errors import read_file
+from bulletuav.errors import as_int, naming, read_file, reason_of
 from bulletuav.files import replace_file
+from bulletuav.parsing import read_json
 from bulletuav.report.charts import plot_evaluation, plot_leaderboard
 from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv, write_json
 
@@ -76,7 +77,7 @@ def note_cases(
     path = out / PIECES / CASES
     told = {"runs": [folder.name for folder in folders], "against": against}
     text = json.dumps(told, indent=2) + "\n"
-    if path.exists() and path.read_text() != text:
+    if path.exists() and read_file(path) != text:
         raise ValueError(f"{out} holds pieces of another comparison: choose another folder")
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, text)
@@ -106,11 +107,11 @@ def merge(out: Path, trust: bool = False) -> list[Path]:
         return write_evaluation(_merged(out, trust), out)
     # A comparison is several evaluations, each with pieces
     try:
-        told = json.loads(read_file(cases))
+        told = read_json(cases)
         folders = [out / "runs" / str(name) for name in told["runs"]]
         against = told["against"]
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{cases} is damaged ({error!r}): fly a piece again") from None
+        raise ValueError(f"{cases} is damaged ({reason_of(error)}): fly a piece again") from None
     results = []
     for folder in folders:
         results.append(_merged(folder, trust))
@@ -139,9 +140,10 @@ def _merged(out: Path, trust: bool) -> Evaluation:
             f"that were interrupted, {BATCH} episodes at a time are kept"
         )
     # Nothing is flown again: episodes that are there are only read
-    call = read_call(about["call"], trust)
+    call = read_call(about["call"], trust, out)
     options = call.pop("options")
-    return evaluate(**call, episodes=about["episodes"], trust=trust, out=out, **options)
+    with naming(out / RUN):
+        return evaluate(**call, episodes=about["episodes"], trust=trust, out=out, **options)
 
 
 def _merged_dataset(out: Path, trust: bool) -> list[Path]:
@@ -154,16 +156,18 @@ def _merged_dataset(out: Path, trust: bool) -> list[Path]:
             f"{out} lacks {len(missing)} tables, the first is that of episode {missing[0].start}: "
             f"fly the pieces that are missing"
         )
-    call = read_call(about["call"], trust)
+    call = read_call(about["call"], trust, out)
     options = call.pop("options")
-    return collect(**call, episodes=about["episodes"], trust=trust, out=out, **options)
+    with naming(out / RUN):
+        return collect(**call, episodes=about["episodes"], trust=trust, out=out, **options)
 
 
 def _about(path: Path) -> dict[str, Any]:
     """Read what a piece is of."""
     try:
-        about: dict[str, Any] = json.loads(read_file(path))
-        int(about["episodes"]), about["call"]
+        about: dict[str, Any] = read_json(path)
+        as_int("episodes", about["episodes"], 1)
+        about["call"]
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged ({error!r}): fly that piece again") from None
+        raise ValueError(f"{path} is damaged ({reason_of(error)}): fly that piece again") from None
     return about

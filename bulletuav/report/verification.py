@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import json
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +22,8 @@ from bulletuav.analysis.seals import (
 )
 from bulletuav.analysis.transitions import DATASET
 from bulletuav.envs.aviary import Aviary
-from bulletuav.errors import read_file
+from bulletuav.errors import naming, read_file, shown
+from bulletuav.parsing import read_json
 from bulletuav.policies import find_policy
 from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv
 
@@ -36,6 +37,18 @@ Report = Callable[[float], None]
 """Function that takes how much is done so far"""
 Show = Callable[[str, int, str], AbstractContextManager[Report]]
 """What shows progress: of an activity, up to a total, in a unit"""
+
+
+OF_EVALUATION = {"call": object, "episodes": int, "hash": str}
+OF_CASE = {**OF_EVALUATION, "options": dict, "task": str, "policy": str}
+NEEDED: Mapping[str, Mapping[str, type]] = {
+    LEADERBOARD: {"cases": list, "against": object},
+    ARRAYS_FILE: {"call": object, "hash": str},
+    SUMMARY: {**OF_EVALUATION, "estimates": dict},
+    ROW: {**OF_EVALUATION, "estimates": dict},
+    DATASET: {"call": object, "episodes": int},
+}
+"""Entries of sealed files from which flights are repeated, by the file that names the kind"""
 
 
 @contextlib.contextmanager
@@ -110,7 +123,9 @@ class Verifier(NamedTuple):
                 about, checks = read_sealed(folder / sealed)
                 # Of changed files there is nothing to fly.
                 if all(check.same for check in checks):
-                    checks += fly_again(folder, about)
+                    _require(folder / sealed, about, NEEDED[name])
+                    with naming(folder / sealed):
+                        checks += fly_again(folder, about)
                 return checks
         raise ValueError(
             f"{folder} holds no recording ({ARRAYS_FILE}), evaluation ({SUMMARY}), leaderboard "
@@ -120,7 +135,9 @@ class Verifier(NamedTuple):
     def _recording(self, folder: Path, about: dict[str, Any]) -> list[Check]:
         """Fly again what `bulletuav fly` wrote."""
         recording = load(folder)
-        call = read_call(about.get("call"), self.trust)
+        call = read_call(about["call"], self.trust, folder / RUN)
+        if lacking := {"policy", "seed", "num_worlds"} - set(call):
+            raise ValueError(f"{folder / RUN} is damaged: its call lacks {min(lacking)}")
         aviary = Aviary(call["task"], call["num_worlds"], **call["options"])
         policy = find_policy(call["policy"], call["task"], self.trust)(aviary)
         done = itertools.count(1)
@@ -160,7 +177,7 @@ class Verifier(NamedTuple):
         """Collect again what `bulletuav dataset` wrote: rows of tables, and states at the end."""
         from bulletuav.analysis.dataset import collect  # which needs an extra
 
-        call = read_call(about.get("call"), self.trust)
+        call = read_call(about["call"], self.trust, folder / DATASET)
         options = call.pop("options")
         with (
             self._advance(about["episodes"]) as advance,
@@ -181,7 +198,7 @@ class Verifier(NamedTuple):
 
     def _fly(self, cases: list[dict[str, Any]], folder: Path) -> list[Evaluation]:
         """Evaluate again what was evaluated."""
-        calls = [read_call(case.get("call"), self.trust) for case in cases]
+        calls = [read_call(case["call"], self.trust, folder) for case in cases]
         for call in calls:
             if isinstance(call.get("policy"), str):
                 call["policy"] = call["policy"].replace(ROW_POLICY, str(folder))
@@ -217,16 +234,27 @@ def _table_checks(folder: Path, again: Path) -> Iterator[Check]:
     yield Check(f"{again.stem}: rows", *(hash_arrays(read_table(path)) for path in (told, again)))
 
 
+def _require(path: Path, about: dict[str, Any], needed: Mapping[str, type]) -> None:
+    """Raise ValueError unless a file holds the entries that a flight is repeated from."""
+    for name, kind in needed.items():
+        if name not in about or not isinstance(about[name], kind):
+            raise ValueError(
+                f"{path} is damaged: its {name} is {shown(about.get(name))}; fly it again"
+            )
+    for case in about["cases"] if "cases" in needed else ():
+        if not isinstance(case, dict):
+            raise ValueError(f"{path} is damaged: one of its cases is {shown(case)}; fly it again")
+        _require(path, case, OF_CASE)
+        _require(path, case["options"], {"difficulty": str, "dynamics": str})
+
+
 def read_sealed(path: Path) -> tuple[dict[str, Any], list[Check]]:
     """Read a sealed file; compare its seal, and the files beside it that it tells of.
 
     Raises:
         ValueError: It is no JSON, or has no seal.
     """
-    try:
-        told = json.loads(read_file(path))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from None
+    told = read_json(path)
     if not isinstance(told, dict) or not isinstance(told.get(SEAL), str):
         raise ValueError(
             f"{path} has no seal: it is damaged, or from an earlier bulletuav; fly it again"
@@ -234,6 +262,8 @@ def read_sealed(path: Path) -> tuple[dict[str, Any], list[Check]]:
     checks = [Check(path.name, told[SEAL], seal_of(told))]
     if checks[0].same:
         files = told.get("files", {})
+        if not isinstance(files, dict):
+            raise ValueError(f"{path} is damaged: its files are {shown(files)}; fly it again")
         found = hash_files(path.parent, files)
         checks += [Check(name, one, found.get(name, "missing")) for name, one in files.items()]
     return told, checks

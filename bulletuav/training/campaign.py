@@ -1,7 +1,6 @@
 """Several training runs, in processes, and the table of what they learned."""
 
 import contextlib
-import json
 import math
 import multiprocessing
 import os
@@ -21,8 +20,9 @@ from typing import Any
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.errors import as_int
 from bulletuav.interrupts import kept_from_children
+from bulletuav.parsing import read_json
 from bulletuav.policies.run import RunConfig
-from bulletuav.training.store import STATE, WALL, Row
+from bulletuav.training.store import STATE, WALL, Row, number_rows
 
 Learned = tuple[RunConfig, list[Row]]
 """A run and its learning curve"""
@@ -176,10 +176,9 @@ def _last(folder: Path) -> Row:
     """Read the last row of a run's curve; an empty one where there is none."""
     # A damaged file is for the run itself to complain of.
     try:
-        row: Row = json.loads((folder / STATE).read_text())["rows"][-1]
-    except (FileNotFoundError, ValueError):
+        return number_rows(read_json(folder / STATE)["rows"])[-1]
+    except (ValueError, LookupError, TypeError):
         return {}
-    return row
 
 
 def wall_time(rows: Sequence[Row]) -> str:

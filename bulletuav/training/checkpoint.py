@@ -14,6 +14,7 @@ from safetensors.numpy import load_file, save_file
 
 from bulletuav.errors import missing
 from bulletuav.files import whole_file
+from bulletuav.parsing import parse_json
 from bulletuav.policies.neural_network import HIGH, LOW, read_weights
 from bulletuav.policies.run import POLICY
 from bulletuav.training.store import REPLAY, TRAINING
@@ -80,8 +81,9 @@ def restore(model: Any, folder: Path) -> None:
     try:
         _restore(model, folder)
     except (
-        KeyError,
+        LookupError,
         TypeError,
+        AttributeError,
         OSError,
         RuntimeError,
         ValueError,
@@ -107,7 +109,7 @@ def _restore(model: Any, folder: Path) -> None:
         recursive_setattr(model, f"{name}.data", torch.as_tensor(rest[name]))
     # Counters keep the type that the model gave them.
     with safe_open(folder / TRAINING, "numpy") as file:
-        counters = json.loads(file.metadata()["counters"])
+        counters = parse_json(file.metadata()["counters"], "its metadata")
     for name in COUNTERS:
         if hasattr(model, name):
             kind = type(getattr(model, name))

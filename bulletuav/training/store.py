@@ -17,7 +17,9 @@ from typing import Any
 
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.envs.resolve import resolve
+from bulletuav.errors import read_file, reason_of, shown
 from bulletuav.files import replace_file, whole_file
+from bulletuav.parsing import read_json
 from bulletuav.policies.run import CHECKPOINTS, CONFIG, MODULE_NAME, POLICY, RunConfig
 from bulletuav.tasks import find_task
 
@@ -110,25 +112,22 @@ class Store:
                 "which can run code when read: choose another folder"
             )
         try:
-            state = json.loads((self.folder / STATE).read_text())
+            state = read_json(self.folder / STATE)
             # Runs of older versions do not tell where the time went.
-            self.rows = [dict.fromkeys(WALL, math.nan) | row for row in state["rows"]]
+            self.rows = [dict.fromkeys(WALL, math.nan) | row for row in number_rows(state["rows"])]
             self.curriculum = state["curriculum"]
+            if not isinstance(self.curriculum, dict):
+                raise TypeError(f"its curriculum is {shown(self.curriculum)}")
             self.updates = _read_rows(self.folder / UPDATES, int(self.rows[-1]["steps"]))
             if not (self.last / POLICY).exists():
                 raise FileNotFoundError(f"no {self.last / POLICY}")
-        except (
-            ValueError,
-            KeyError,
-            IndexError,
-            TypeError,
-            FileNotFoundError,
-        ) as error:
+        except (ValueError, LookupError, TypeError, OSError, csv.Error) as error:
             raise FolderError(
-                f"{self.folder} holds a run that is damaged ({error!r}): choose another folder"
+                f"{self.folder} holds a run that is damaged ({reason_of(error)}): "
+                f"choose another folder"
             ) from None
         # The first line of the configuration tells the versions.
-        begun = (self.folder / CONFIG).read_text().splitlines()[0]
+        begun = read_file(self.folder / CONFIG).splitlines()[0]
         if begun != about and not self.finished:
             warnings.warn(
                 f"{self.folder} was begun with {begun[2:]}: weights may come out differently now",
@@ -143,8 +142,8 @@ class Store:
         for name, value in self._config.plain().items():
             if known[name] != value:
                 raise FolderError(
-                    f"{self.folder} holds another run: its {name} is {known[name]!r}, "
-                    f"not {value!r}; choose another folder"
+                    f"{self.folder} holds another run: its {name} is {shown(known[name])}, "
+                    f"not {shown(value)}; choose another folder"
                 )
 
     @property
@@ -247,11 +246,28 @@ def _table(rows: Sequence[Mapping[str, object]]) -> str:
     return table.getvalue()
 
 
+def number_rows(rows: Any) -> list[Row]:
+    """Check that a value of a file is rows of numbers, each with its "steps".
+
+    Raises:
+        TypeError: It is something else.
+        KeyError: A row has no steps.
+    """
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise TypeError(f"its rows are {shown(rows)}")
+    for row in rows:
+        for name, value in row.items():
+            if not isinstance(value, int | float):
+                raise TypeError(f"{name} of a row is {shown(value)}")
+        int(row["steps"])
+    return rows
+
+
 def _read_rows(path: Path, steps: int) -> list[Row]:
     """Read the rows of `_table` until a number of steps; older versions wrote none."""
     if not path.exists():
         return []
-    with path.open(newline="") as file:
+    with path.open(newline="", encoding="utf-8") as file:
         rows = [
             {name: float(value) for name, value in row.items() if value}
             for row in csv.DictReader(file)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.metrics import METRICS
-from bulletuav.errors import as_int, choose, unknown
+from bulletuav.errors import as_int, choose, shown, unknown
 from bulletuav.files import replace_file
 from bulletuav.interrupts import kept_from_children
 from bulletuav.policies.run import MODULE_NAME, VERSION, RunConfig, read_settings, write_settings
@@ -95,7 +95,7 @@ class Study:
             for name in ("run", "space"):
                 if not isinstance(values.get(name), Mapping):
                     raise ValueError(
-                        f"{name} is {values.get(name)!r}: names with values are needed"
+                        f"{name} is {shown(values.get(name))}: names with values are needed"
                     )
             run, space = RunConfig.of(values["run"]), parse_space(values["space"])
             return cls(**{**values, "run": run, "space": space})

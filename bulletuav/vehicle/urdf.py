@@ -15,6 +15,7 @@ from bulletuav.geometry.mesh_file import read_obj
 from bulletuav.geometry.obstacle import hull_of
 from bulletuav.geometry.rotation import from_euler
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
+from bulletuav.parsing import read_xml
 
 SMALLEST = 1e-20
 """Least size of a number but 0: squares of such numbers, and products of a few, are no 0."""
@@ -45,14 +46,30 @@ class UrdfFile:
             widest: Greatest length of a shape, m.
 
         Raises:
-            ValueError: It is no XML.
+            ValueError: It is no XML, or names a mesh that cannot be read.
         """
         self.path = path
         self.widest = widest
-        try:
-            self.root = ElementTree.parse(path).getroot()
-        except (ElementTree.ParseError, LookupError, ValueError) as error:
-            raise ValueError(f"{path}: not a readable XML file: {error}") from None
+        self.root = read_xml(path)
+        self._require_meshes()
+
+    def _require_meshes(self) -> None:
+        """Check all meshes that the file names, also visual ones.
+
+        The engine reads them in C++ without checks, from the folder of the file or one above it.
+
+        Raises:
+            ValueError: One is damaged.
+        """
+        for mesh in self.root.iter("mesh"):
+            name = mesh.get("filename", "")
+            local = name.removeprefix("package://").removeprefix("model://")
+            for path in (folder / local for folder in self.path.resolve().parents):
+                try:
+                    if path.is_file():
+                        _require_mesh(path)
+                except (OSError, ValueError) as error:
+                    raise self.refusal("mesh filename", name, str(error)) from None
 
     def refusal(
         self,
@@ -283,3 +300,20 @@ class UrdfFile:
             text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
             if [part.strip("+-0.e") for part in text.split()] != ["", "", ""]:
                 raise self.refusal(f"{parent.tag} origin {key}", text, reason)
+
+
+def _require_mesh(path: Path) -> None:
+    """Raise ValueError for a file of a mesh whose numbers do not fit each other."""
+    match path.suffix.lower():
+        case ".obj":
+            read_obj(path)
+        case ".dae":
+            read_xml(path)
+        case ".stl":
+            content = path.read_bytes()
+            count = int.from_bytes(content[80:84], "little")
+            if len(content) != 84 + 50 * count:
+                raise ValueError(
+                    f"{path}: {len(content)} bytes, and a binary STL file of {count} triangles has "
+                    f"{84 + 50 * count}: export it again"
+                )

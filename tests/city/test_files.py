@@ -199,7 +199,7 @@ def test_a_bad_height_is_not_replaced(geojson):
 def test_files_that_are_no_footprints(tmp_path, geojson):
     path = tmp_path / "no.geojson"
     for text, message in (
-        ("{", "is not GeoJSON"),
+        ("{", "is not valid GeoJSON"),
         ("[]", "no FeatureCollection"),
         ('{"features": 3}', "no FeatureCollection"),
     ):

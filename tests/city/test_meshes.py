@@ -1,6 +1,8 @@
 """Objects of OBJ files that are not convex, not closed, or not on the ground."""
 
 import itertools
+import re
+import subprocess
 import sys
 
 import numpy as np
@@ -8,9 +10,10 @@ import pytest
 from city.meshes import ELL, podium, prism, written
 from scipy.spatial import ConvexHull
 
+from bulletuav.city import decomposer
 from bulletuav.city.import_report import MendedWarning
 from bulletuav.city.imports import from_obj
-from bulletuav.city.mesh import components, make_mesh, outside, outward, volume
+from bulletuav.city.mesh import components, find_crossing, make_mesh, outside, outward, volume
 
 SQUARE = [(50, 50), (60, 50), (60, 60), (50, 60)]
 CUBE = make_mesh(*prism([(0, 0), (10, 0), (10, 10), (0, 10)], 10))
@@ -204,3 +207,98 @@ def test_splitting_without_the_extra(obj, monkeypatch):
         from_obj(obj(written(("tower", *podium()))))
     # What is convex needs nothing
     assert volumes(from_obj(obj(written(("shop", *prism(SQUARE, 5)))), side=200.0)) == [500]
+
+
+OPEN_BOX = """v 0 1e-300 0
+v 10 0 0
+v 10 10 0
+v 0 10 0
+v 0 0 8
+v 10 0 -1
+v 10 10 8
+v 0 10 8
+f 1 2 3 4
+f 5 6 7 8
+f 1 2 6 5
+f 2 3 7 6
+f 3 4 8 7
+f 4 1 5 8
+"""
+
+
+def test_a_mesh_that_crashes_the_native_code_is_one_error_with_its_name(obj):
+    """Its lower corner goes through the floor: CoACD 1.0.14 dies with SIGSEGV."""
+    path = obj(f"o moved\n{OPEN_BOX}")
+    with pytest.raises(
+        ValueError,
+        match=rf"^{re.escape(str(path))}, object moved: CoACD.*; its faces cross each "
+        r"other, such as at \(8\.88889.*repair the mesh",
+    ):
+        from_obj(path)
+
+
+CHILDREN = {
+    "hangs": ("import time; time.sleep(1000)", 0.2, "took longer than 0.2 s"),
+    "fills": ("b'x' * 2**50", 60, r"needs more memory than [\d.]+ GiB"),
+    "raises": ("raise SystemError('strange')", 60, r"failed \(SystemError: strange\)"),
+    "aborts": ("import os; os.kill(os.getpid(), 6)", 60, "crashed with SIGABRT"),
+    "dies": ("import os; os.kill(os.getpid(), 40)", 60, "crashed with signal 40"),
+    "finds none": (
+        "import sys, time; sys.stdout.buffer.write(bytes(8)); sys.stdout.flush(); sys.stdin.read()",
+        60,
+        "returned no pieces",
+    ),
+}
+
+
+@pytest.mark.parametrize("way", CHILDREN)
+def test_however_the_decomposition_ends_it_is_one_error(way, obj, tmp_path, monkeypatch):
+    code, seconds, said = CHILDREN[way]
+    (tmp_path / "child.py").write_text(code)
+    monkeypatch.setattr(decomposer, "CHILD", tmp_path / "child.py")
+    monkeypatch.setattr(decomposer, "MAX_SECONDS", seconds)
+    with pytest.raises(ValueError, match=rf"town\.obj, object tower: CoACD.* {said}: repair"):
+        from_obj(obj(written(("tower", *podium()))))
+
+
+def test_objects_share_one_process_and_it_ends_with_them(monkeypatch):
+    started = []
+
+    class Popen(subprocess.Popen):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            started.append(self)
+
+    monkeypatch.setattr(decomposer.subprocess, "Popen", Popen)
+    mesh = outward(make_mesh(*podium()))
+    with decomposer.Decomposer() as decompose:
+        first, second = decompose(mesh, "a"), decompose(mesh, "b")
+    assert [piece.tolist() for piece in first] == [piece.tolist() for piece in second]
+    (process,) = started
+    assert process.returncode is not None
+    assert int(process.args[-1]) >= decomposer.MIN_MEMORY
+    with decomposer.Decomposer():  # no mesh, no process
+        pass
+    assert len(started) == 1
+
+
+def test_the_process_limits_its_memory():
+    """To half of the machine's memory; the limit is that of the process alone."""
+    code = (
+        "import resource; from bulletuav.city import coacd_child as child;"
+        "child.limit_memory(3 * 2**30); print(resource.getrlimit(resource.RLIMIT_AS)[0])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == 3 * 2**30
+
+
+def test_where_a_mesh_crosses_itself():
+    assert find_crossing(CUBE) is None
+    assert find_crossing(outward(make_mesh(*podium()))) is None
+    points, faces = prism([(0, 0), (10, 0), (10, 10), (0, 10)], 10)
+    points[6] = [-5, 5, 5]  # a corner of the roof goes out through the wall x = 0
+    place = find_crossing(make_mesh(points, faces))
+    assert place is not None
+    assert place[0] == pytest.approx(0)
+    assert (place[1:] > 0).all()
+    assert (place[1:] < 10).all()

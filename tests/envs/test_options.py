@@ -131,7 +131,7 @@ def test_missing_and_broken_urdf(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nowhere\.urdf"):
         bulletuav.parallel_env("hover", airframe=tmp_path / "nowhere.urdf")
     (tmp_path / "broken.urdf").write_text("not xml")
-    with pytest.raises(ValueError, match=r"broken\.urdf: not a readable XML"):
+    with pytest.raises(ValueError, match=r"broken\.urdf is not valid XML"):
         bulletuav.parallel_env("hover", airframe=str(tmp_path / "broken.urdf"))
 
 

@@ -434,7 +434,7 @@ def test_tracks_that_are_no_tracks_are_refused(tmp_path):
         bulletuav.Aviary("race", track=str(tmp_path / "none.toml"))
     path = tmp_path / "bad.toml"
     path.write_text("[[gates\n")
-    with pytest.raises(ValueError, match="is no TOML"):
+    with pytest.raises(ValueError, match="is not valid TOML"):
         bulletuav.Aviary("race", track=str(path))
     path.write_text("gates = [1, 2]\n")
     with pytest.raises(ValueError, match="gate 0 of track .* is 1: a table"):

@@ -518,7 +518,7 @@ def test_what_a_run_of_a_campaign_raises_is_raised(tmp_path):
         ("task: crossing\noptions: {5: 3}", "unknown option"),
         ("task: crossing\nstages: [{dynamics: bulet}]", "did you mean 'bullet'"),
         ("task: crossing\nevaluation: {policy: orca}", "unknown option"),
-        ("task: [", "is no YAML file"),
+        ("task: [", "is not valid YAML"),
         ("crossing", "names with values are needed"),
     ],
 )

@@ -248,7 +248,7 @@ def test_flat_bodies_are_taken_whatever_the_rounding(urdf):
 def test_broken_missing_and_unknown(tmp_path):
     broken = tmp_path / "broken.urdf"
     broken.write_text("<robot><link>")
-    with pytest.raises(ValueError, match="not a readable XML"):
+    with pytest.raises(ValueError, match="is not valid XML"):
         load_airframe(broken)
     with pytest.raises(FileNotFoundError, match="nowhere.urdf"):
         load_airframe(tmp_path / "nowhere.urdf")

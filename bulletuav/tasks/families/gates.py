@@ -72,7 +72,9 @@ class Gate:
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
         """Turn from its axes to the world's (x, y, z, w)."""
-        roll, pitch, yaw = np.radians([self.roll, -self.pitch, self.yaw]).tolist()
+        roll, pitch, yaw = np.radians(
+            np.array([self.roll, -self.pitch, self.yaw], dtype=float)
+        ).tolist()
         x, y, z, w = from_euler(roll, pitch, yaw)
         return x, y, z, w
 

@@ -1,7 +1,6 @@
 """Race tracks: read from files, made at random, and refused where they cannot be flown."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 from bulletuav.errors import nearest, require_file, shown, unknown
 from bulletuav.functions import atan2, cos, hypot, sin
+from bulletuav.parsing import read_toml
 from bulletuav.tasks.families.gates import Gate, gate_axes
 from bulletuav.vehicle.airframes import URDF_FOLDER
 
@@ -121,11 +121,7 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
         source = TRACK_FOLDER / f"{source}.toml"
     # Files of others may be anything
     path = require_file("track", source, f"choose from {', '.join(names)}, or give a .toml file")
-    try:
-        told = tomllib.loads(path.read_text())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"track {path} is no TOML: {error}") from None
-    tables = told.get("gates")
+    tables = read_toml(path).get("gates")
     if not isinstance(tables, list) or len(tables) < 2:
         raise ValueError(f"track {path} has {shown(tables)} as gates: two or more are needed")
     return tuple(_gate_of(path, k, table, usual) for k, table in enumerate(tables))

@@ -1,0 +1,65 @@
+"""Convex decompositions in a process of their own, which `decomposer.Decomposer` starts and feeds.
+
+CoACD is native code that a hostile mesh can make crash, loop or fill the memory. This file is run
+by its path, so that the process imports NumPy and CoACD alone.
+
+The process reads a mesh from standard input: two int64, V and T; corners (V, 3) float64;
+triangles (T, 3) int32. It answers on standard output: one int64, the number of pieces; an int64
+with the number of corners of each; and the corners of all, (sum, 3) float64. It goes on until the
+input ends.
+"""
+
+import contextlib
+import os
+import sys
+from typing import Any, BinaryIO
+
+import numpy as np
+
+
+def serve(
+    coacd: Any,
+    meshes: BinaryIO,
+    answers: BinaryIO,
+    concavity: float,
+) -> None:
+    """Split meshes until there are no more.
+
+    Args:
+        coacd: The module.
+        meshes: Where meshes are read from.
+        answers: Where pieces are written to.
+        concavity: Threshold of CoACD, a fraction of the mesh's size.
+    """
+    while header := meshes.read(16):
+        count, faces = np.frombuffer(header, np.int64)
+        points = np.frombuffer(meshes.read(24 * count)).reshape(count, 3)
+        triangles = np.frombuffer(meshes.read(12 * faces), np.int32).reshape(faces, 3)
+        mesh = coacd.Mesh(points, triangles)
+        found = coacd.run_coacd(mesh, threshold=concavity, preprocess_mode="off", seed=0)
+        pieces = [np.asarray(corners, dtype=np.float64) for corners, _ in found]
+        sizes = [len(pieces), *map(len, pieces)]
+        answers.write(np.array(sizes, np.int64).tobytes())
+        answers.write(b"".join(piece.tobytes() for piece in pieces))
+        answers.flush()
+
+
+def limit_memory(most: int) -> None:
+    """Limit the memory of this process, in bytes, on systems that can."""
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        soft = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+if __name__ == "__main__":
+    # What CoACD prints goes where errors go, as standard output carries the pieces
+    pipe = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    limit_memory(int(sys.argv[2]))
+    import coacd
+
+    coacd.set_log_level("error")
+    serve(coacd, sys.stdin.buffer, pipe, float(sys.argv[1]))

@@ -1,0 +1,179 @@
+"""Readers of JSON, YAML, TOML and XML files, which anybody may have written.
+
+Whatever the parser of a format raises becomes one ValueError of one line that names the file. What
+a reader returns is plain: mappings whose names are texts, lists, texts, finite-sized whole numbers,
+floats, booleans and None, nested at most `MAX_DEPTH` deep.
+"""
+
+import json
+import re
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Hashable, Iterable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from bulletuav.errors import read_file, reason_of, shown
+
+MAX_DEPTH = 100
+"""Most values within values: functions that call themselves on each handle as many"""
+MAX_BITS = 1000
+"""Most bits of a whole number: larger ones have no float"""
+
+
+def read_json(path: Path, kind: str = "JSON") -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: The file.
+        kind: Name of the format, for the message.
+
+    Returns:
+        The plain value of the file.
+
+    Raises:
+        ValueError: The file is no such text, or its value is not plain.
+    """
+    return _read(path, kind, json.loads)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file; see `read_json`."""
+    tables: dict[str, Any] = _read(path, "TOML", tomllib.loads)
+    return tables
+
+
+def read_yaml(path: Path) -> Any:
+    """Read a YAML file of plain values, without aliases; see `read_json`."""
+    return _read(path, "YAML", lambda text: yaml.load(text, _Loader))
+
+
+def read_xml(path: Path) -> ElementTree.Element:
+    """Read an XML file.
+
+    Returns:
+        Its root.
+
+    Raises:
+        ValueError: The file is no XML, or too deep.
+    """
+    root: ElementTree.Element = _parse(
+        str(path), "XML", lambda: _shallow(ElementTree.parse(path).getroot())
+    )
+    return root
+
+
+def parse_json(text: str | bytes, where: str) -> Any:
+    """Read JSON that is part of a file of another format.
+
+    Args:
+        text: The text.
+        where: Name of the file and the part, for the message.
+
+    Returns:
+        The plain value.
+
+    Raises:
+        ValueError: The text is no JSON, or its value is not plain.
+    """
+    return _parse(where, "JSON", lambda: require_plain(json.loads(text)))
+
+
+def _read(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
+    """Read a file, and check that its value is plain."""
+    text = read_file(path)
+    return _parse(str(path), kind, lambda: require_plain(parse(text)))
+
+
+def _parse(where: str, kind: str, parse: Callable[[], Any]) -> Any:
+    """Call a parser; whatever it raises becomes one ValueError."""
+    try:
+        return parse()
+    except RecursionError:
+        reason = f"it is nested more than {MAX_DEPTH} deep"
+    # Parsers raise errors of many types: of dates, keys, numbers, encodings
+    except Exception as error:
+        reason = reason_of(error)
+    raise ValueError(f"{where} is not valid {kind}: {reason}")
+
+
+def require_plain(plain: Any) -> Any:
+    """Check that a value is plain; see the module.
+
+    Returns:
+        The value.
+
+    Raises:
+        ValueError: Something in it is of another type, too large or too deep.
+    """
+    waiting = [(plain, 0)]
+    while waiting:
+        one, depth = waiting.pop()
+        if depth > MAX_DEPTH:
+            raise ValueError(f"it is nested more than {MAX_DEPTH} deep")
+        inner: Iterable[Any] = ()
+        if isinstance(one, dict):
+            inner = one.values()
+            for name in one:
+                if not isinstance(name, str):
+                    raise ValueError(f"the name {shown(name)} is no text: write it in quotes")
+                _require_text(name)
+        elif isinstance(one, list):
+            inner = one
+        elif isinstance(one, str):
+            _require_text(one)
+        elif isinstance(one, int):
+            if one.bit_length() > MAX_BITS:
+                raise ValueError(f"a whole number has {one.bit_length()} bits: {MAX_BITS} at most")
+        elif one is not None and not isinstance(one, float):
+            raise ValueError(
+                f"{shown(one)} is a {type(one).__name__}: a number, text, list or names with "
+                f"values are needed; write a text in quotes"
+            )
+        # Large files are lists of floats, of which there is nothing to check
+        waiting += [(value, depth + 1) for value in inner if type(value) is not float]
+    return plain
+
+
+def _require_text(text: str) -> None:
+    """Raise ValueError for half a character, which no file can be written with."""
+    if not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text):
+        raise ValueError(f"the text {shown(text)} has half a character (a lone surrogate)")
+
+
+def _shallow(root: ElementTree.Element) -> ElementTree.Element:
+    """Return a root whose elements are nested at most `MAX_DEPTH` deep; else raise ValueError."""
+    waiting = [(root, 0)]
+    while waiting:
+        element, depth = waiting.pop()
+        if depth > MAX_DEPTH:
+            raise RecursionError
+        waiting += [(inner, depth + 1) for inner in element]
+    return root
+
+
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # which comes without types
+    """Loader of plain values; it takes 1e-3 for a number, which YAML 1.1 takes for a text."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Refuse aliases, of which a short file can make a value that fills the memory."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it has an alias, such as *name, and values are to be written out")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
+        """Refuse names that come twice, of which YAML would ignore the first."""
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise yaml.YAMLError(f"{shown(twice[0])} is there twice: delete one")
+        mapping: dict[Hashable, Any] = super().construct_mapping(node, deep)
+        return mapping
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
+    list("-+0123456789"),
+)

@@ -1,0 +1,1 @@
+"""Damaged files of every format that the package reads; see `__main__`."""
