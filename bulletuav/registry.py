@@ -11,6 +11,7 @@ import importlib
 import importlib.metadata
 import pkgutil
 import sys
+import threading
 import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -39,6 +40,9 @@ Either a module, or a package whose modules are all imported.
 
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in PACKAGES}
 _loaded: set[str] = set()
+"""Kinds whose ingredients are all registered"""
+_in_progress = threading.local()
+"""Kinds that each thread is loading, as the attribute `kinds`"""
 
 
 def register(kind: str, name: str | None = None) -> Callable[[Ingredient], Ingredient]:
@@ -62,7 +66,9 @@ def register(kind: str, name: str | None = None) -> Callable[[Ingredient], Ingre
             raise ValueError(
                 f"name of {kind} {shown(ingredient)} is {shown(own)}: a word is needed"
             )
-        if own in table and not _is_same(table[own], ingredient):
+        # Atomic: of two threads with different ingredients of a name, one finds that of the other
+        kept = table.setdefault(own, ingredient)
+        if kept is not ingredient and not _is_same(kept, ingredient):
             raise ValueError(f"{kind} {own!r} is registered already: choose another name")
         table[own] = ingredient
         return ingredient
@@ -126,22 +132,41 @@ def _is_same(one: Any, other: Any) -> bool:
 
 
 def _load(kind: str) -> None:
-    """Import the package's own ingredients of a kind, and those of entry points, once."""
+    """Import the package's own ingredients of a kind, and those of entry points.
+
+    There is no lock. Threads that load a kind at the same time each import all of its modules, and
+    Python's import locks make each wait for modules that another thread is importing. A thread that
+    imports under a lock of ours could wait for a module whose importing thread waits for that lock.
+    """
+    _table(kind)
     if kind in _loaded:
         return
-    _table(kind)
-    _loaded.add(kind)  # before importing: what is imported may ask for names of its own kind
-    home = importlib.import_module(PACKAGES[kind])
-    for found in pkgutil.iter_modules(getattr(home, "__path__", ())):
-        importlib.import_module(f"{PACKAGES[kind]}.{found.name}")
+    loading = vars(_in_progress).setdefault("kinds", set())
+    if kind in loading:  # a module asks for names of its own kind while it is imported
+        return
+    loading.add(kind)
+    try:
+        home = importlib.import_module(PACKAGES[kind])
+        for found in pkgutil.iter_modules(getattr(home, "__path__", ())):
+            importlib.import_module(f"{PACKAGES[kind]}.{found.name}")
+        refused = _register_entry_points(kind)
+    finally:
+        loading.discard(kind)
+    _loaded.add(kind)  # not before: another thread would not find what is still being imported
+    for warning in refused:
+        warnings.warn(warning, stacklevel=4)
+
+
+def _register_entry_points(kind: str) -> list[str]:
+    """Register what other packages offer of a kind; return a warning for each that fails."""
     group = f"bulletuav.{kind}"
+    refused = []
     for point in _entry_points(tuple(sys.path)).select(group=group):
         try:
             register(kind, point.name)(point.load())
-        except Exception as error:  # whatever another package does, our ingredients stay
-            warnings.warn(
-                f"entry point {point.name!r} of {group} is left out: {error}", stacklevel=3
-            )
+        except Exception as error:  # other packages' errors do not make ours unusable
+            refused.append(f"entry point {point.name!r} of {group} is left out: {error}")
+    return refused
 
 
 @functools.lru_cache(maxsize=1)
