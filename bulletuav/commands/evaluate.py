@@ -186,7 +186,8 @@ def _table(result: Evaluation) -> Table:
     about = result.about
     reads = ", which reads the true state" if about["reads_swarm"] else ""
     table = Table(
-        title=f"{about['task']}, policy {about['policy']}{reads}, {len(result.rows)} episodes"
+        title=f"{about['task']}, policy {about['policy']}{reads}, "
+        f"action {about['options']['action']}, {len(result.rows)} episodes"
     )
     for heading, side in COLUMNS:
         table.add_column(heading, justify=side)

@@ -171,7 +171,8 @@ def _table(recording: Recording, aviary: Aviary) -> Table:
     task = aviary.task
     shows = shown_infos(task)
     table = Table(
-        title=f"{task.name}, drones: {aviary.num_drones}, d_safe {task.config.d_safe:g} m",
+        title=f"{task.name}, drones: {aviary.num_drones}, action {aviary.options.action}, "
+        f"d_safe {task.config.d_safe:g} m",
         caption=CAPTION,
     )
     for heading in ("drone", *shows.values(), "time (s)"):

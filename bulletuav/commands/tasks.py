@@ -11,8 +11,10 @@ from rich.console import Console
 from rich.table import Table
 
 from bulletuav.commands.arguments import add_options, given_options
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.resolve import resolve
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.ingredients import find_term
@@ -170,7 +172,15 @@ def options_table(task: type[Task[Any]]) -> Table:
         table.add_row(field.name, repr(default), told.get(field.name, ""))
     for name, value in task.defaults.items():
         table.add_row(name, repr(value), "Common to all tasks, see below.")
+    if (actions := _default_actions(task)) is not None:
+        table.add_row("action by dynamics", actions, "Where none is chosen.")
     return table
+
+
+def _default_actions(task: type[Task[Any]]) -> str | None:
+    """List the default action of each dynamics, as NAME=VALUE; None if all have the same one."""
+    actions = {name: resolve(task, {"dynamics": name}).options.action for name in DYNAMICS}
+    return _pairs(actions) if len(set(actions.values())) > 1 else None
 
 
 def option_texts(config: type) -> dict[str, str]:

@@ -285,6 +285,7 @@ def _finish(
     console = Console()
     console.print(table.read_text(), markup=False, soft_wrap=True)
     for config, rows in runs:
-        told = f"{config.task}, {config.algo}, seed {config.seed}: {wall_time(rows)}"
+        named = f"{config.task}, {config.algo}, action {config.action}, seed {config.seed}"
+        told = f"{named}: {wall_time(rows)}"
         console.print(told, highlight=False, markup=False, soft_wrap=True)
     print_files(console, [*files, table, picture])

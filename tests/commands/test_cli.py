@@ -185,7 +185,7 @@ def test_evaluating_prints_and_writes_and_goes_on(tmp_path, capsys):
     main(command)
     said = capsys.readouterr()
     for word in (
-        "converge, policy orca, which reads the true state, 3 episodes",
+        "converge, policy orca, which reads the true state, action velocity, 3 episodes",
         "conflict",
         "95 % interval",
         "summary.png",
