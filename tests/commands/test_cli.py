@@ -140,6 +140,9 @@ def test_tasks_are_listed_and_explained(capsys):
         "decision_hz=10",
     ):
         assert word in said
+    assert "action by dynamics" not in said  # the same in all of them
+    main(["tasks", "hover"])
+    assert "action by dynamics" in capsys.readouterr().out
 
 
 def test_the_observation_is_printed_number_by_number_with_the_options_given(capsys):
