@@ -6,9 +6,11 @@ three places: the decorator `register`, entry points of other packages in the gr
 kind.
 """
 
+import difflib
 import functools
 import importlib
 import importlib.metadata
+import inspect
 import pkgutil
 import sys
 import threading
@@ -115,6 +117,48 @@ def names(kind: str) -> list[str]:
     """List the names of all ingredients of a kind, sorted."""
     _load(kind)
     return sorted(_table(kind))
+
+
+def require_declared(kind: str, ingredient: type, base: type, remedy: str = "") -> None:
+    """Check that a class of an author has no public attribute that nothing reads, such as a typo.
+
+    Known names are those of the classes of this package that the class derives from. Helpers of
+    authors begin with an underscore, are annotated in the class (`gain: float = 0.5`), or come from
+    a class beside it that is no ingredient.
+
+    Args:
+        kind: What the class is, for the message.
+        ingredient: The class.
+        base: Base class of all ingredients of the kind.
+        remedy: What else the author may have meant, for the message.
+
+    Raises:
+        ValueError: There is such an attribute; the nearest known names are listed.
+    """
+    home = f"{__package__}."
+    own = [one for one in ingredient.__mro__ if not one.__module__.startswith(home)]
+    if not own:
+        return
+    package = (one for one in ingredient.__mro__ if one not in own)
+    known = {name for one in package for name in (*vars(one), *inspect.get_annotations(one))}
+    public = sorted(name for name in known if name[0] != "_")
+    for one in own:
+        if not issubclass(one, base):
+            continue
+        annotated = inspect.get_annotations(one)
+        for name in vars(one).keys() | annotated.keys():
+            is_helper = name[0] == "_" or (name in annotated and not _is_near(name, public))
+            if name not in known and not is_helper:
+                raise ValueError(
+                    f"{kind} {one.__name__} has {name!r}, which is no attribute of a {kind}: "
+                    f"{nearest(name, public)} {remedy}Names of helpers begin with an underscore, "
+                    f"or are annotated in the class"
+                )
+
+
+def _is_near(name: str, known: list[str]) -> bool:
+    """Return True if a name is likely a typo of a known one."""
+    return bool(difflib.get_close_matches(name, known, n=1, cutoff=0.85))
 
 
 def _table(kind: str) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from bulletuav.policies.versus import (
     joint_actions,
     joint_options,
 )
-from bulletuav.registry import find, names
+from bulletuav.registry import find, names, require_declared
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.version import CONSTANTS
 
@@ -224,6 +224,7 @@ def _from_class(kind: type[Policy]) -> PolicySpec:
             f"policy {kind.__name__} has no {lacks[0]}: a policy needs it, "
             f"see bulletuav.policies.base.Policy"
         )
+    require_declared("policy", kind, Policy)
     return PolicySpec(kind.name, kind.actions, kind.reads_swarm, kind)
 
 
