@@ -142,11 +142,11 @@ def require_declared(kind: str, ingredient: type, base: type, remedy: str = "") 
     package = (one for one in ingredient.__mro__ if one not in own)
     known = {name for one in package for name in (*vars(one), *inspect.get_annotations(one))}
     public = sorted(name for name in known if name[0] != "_")
+    annotated = {name for one in own for name in inspect.get_annotations(one)}
     for one in own:
         if not issubclass(one, base):
             continue
-        annotated = inspect.get_annotations(one)
-        for name in vars(one).keys() | annotated.keys():
+        for name in sorted({*vars(one), *inspect.get_annotations(one)}):
             is_helper = name[0] == "_" or (name in annotated and not _is_near(name, public))
             if name not in known and not is_helper:
                 raise ValueError(

@@ -57,8 +57,10 @@ def entry_points():
         "gymnasium.make_vec": lambda: flown(
             gymnasium.make_vec("bulletuav/Crossing-v1", num_envs=2, **options)
         ),
-        "pettingzoo": lambda: hasattr(pettingzoo, "register")
-        and flown(pettingzoo.make("parallel", "bulletuav/Hover-v1", **options)),
+        "pettingzoo": lambda: (
+            hasattr(pettingzoo, "register")
+            and flown(pettingzoo.make("parallel", "bulletuav/Hover-v1", **options))
+        ),
     }
 
 

@@ -100,7 +100,9 @@ def test_helpers_begin_with_an_underscore_or_are_annotated_or_stand_beside(kind)
             return 5
 
     helpers = {"_helper": len, "gain": 0.5, "__annotations__": {"gain": float, "table": list}}
-    find(type("Own", (base, Helper), helpers))
+    own = type("Own", (base, Helper), helpers)
+    find(own)
+    find(type("More", (own,), {"gain": 0.7}))
     with pytest.raises(ValueError, match=f"{kind} Own has 'helper', which is no attribute"):
         find(type("Own", (base,), {"helper": len}))
 

@@ -29,7 +29,9 @@ ELSEWHERE: Mapping[str, str] = {
     **dict.fromkeys(("initial_rpys", "start_orn", "orientation", "attitude", "rpy"), _SPEED),
     **dict.fromkeys(("obstacle", "obstacles", "num_obstacles", "world_scale"), _SCENE),
     **dict.fromkeys(("env_index", "env_ids", "env_idx", "indices", MASK), _WORLDS),
-    **dict.fromkeys(("flight_mode", "act", "action_type"), "what actions mean is the option action"),
+    **dict.fromkeys(
+        ("flight_mode", "act", "action_type"), "what actions mean is the option action"
+    ),
     "seed": "the seed is an argument of its own: reset(seed=...)",
     "return_info": "infos are always returned",
 }

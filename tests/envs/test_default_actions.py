@@ -72,7 +72,9 @@ def test_an_environment_flies_by_the_default_action_of_its_dynamics():
 
 def test_an_action_that_the_user_chose_is_kept_or_refused():
     fly = {"dynamics": "point_mass", "action": "rotor"}
-    with pytest.raises(ValueError, match="'rotor' gives rotor setpoints, but dynamics 'point_mass'"):
+    with pytest.raises(
+        ValueError, match="'rotor' gives rotor setpoints, but dynamics 'point_mass'"
+    ):
         EnvSpec("hover", 1, fly)
     chosen = EnvSpec("hover", 1, {"dynamics": "point_mass", "action": "target_position"})
     assert chosen.action.name == "target_position"

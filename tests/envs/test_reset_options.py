@@ -53,7 +53,9 @@ def env(request):
 def test_a_reset_takes_no_option_without_effect(env):
     names = "start, goal, reset_mask" if env.several else "start, goal"
     for name, remedy in WITHOUT_EFFECT.items():
-        with pytest.raises(ValueError, match=f"unknown option of a reset '{name}': .*{remedy}") as e:
+        with pytest.raises(
+            ValueError, match=f"unknown option of a reset '{name}': .*{remedy}"
+        ) as e:
             env.reset(options={name: 2})
         listed = str(e.value).rpartition("a reset takes ")[2].split(", ")
         assert sorted(listed) == sorted(names.split(", "))
@@ -71,7 +73,9 @@ def test_the_nearest_option_is_listed_first():
 
 def test_a_single_world_takes_no_mask_and_several_do():
     env = SINGLE["parallel"]()
-    with pytest.raises(ValueError, match="unknown option of a reset 'reset_mask': worlds of a batch"):
+    with pytest.raises(
+        ValueError, match="unknown option of a reset 'reset_mask': worlds of a batch"
+    ):
         env.reset(options={"reset_mask": np.array([True])})
     env.close()
     batch = SEVERAL["batch"]()
