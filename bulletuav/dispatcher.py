@@ -45,6 +45,14 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None
 
+# A child process forked while another thread compiles would wait for the lock forever
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=global_compiler_lock.acquire,
+        after_in_parent=global_compiler_lock.release,
+        after_in_child=global_compiler_lock.release,
+    )
+
 _LOG = logging.getLogger(__name__)
 MANY = 20
 """Functions that a process compiles before it logs why nothing else happens"""
@@ -374,6 +382,7 @@ class Dispatcher(_Stored):
 
     door: Any = None
     _folder: Path | None = None
+    _inner: Any = None
 
     def __init__(
         self,
@@ -386,9 +395,17 @@ class Dispatcher(_Stored):
         options = {**(targetoptions or {}), "no_cfunc_wrapper": True}
         super().__init__(py_func, dict(locals or {}), options, pipeline_class)
 
-    @functools.cached_property
+    @property
     def inner(self) -> Any:
         """The same function for callers that are compiled, without a wrapper for Python."""
+        # One for all threads: code that calls another one would not find this one's
+        with global_compiler_lock:
+            if self._inner is None:
+                self._inner = self._make_inner()
+            return self._inner
+
+    def _make_inner(self) -> _Stored:
+        """Make the function for callers that are compiled."""
         options = {**self.targetoptions, "no_cpython_wrapper": True}
         apart = not options.get("forceinline")
         pipeline = Compiler if apart else PartCompiler

@@ -6,11 +6,14 @@ three places: the decorator `register`, entry points of other packages in the gr
 kind.
 """
 
+import difflib
 import functools
 import importlib
 import importlib.metadata
+import inspect
 import pkgutil
 import sys
+import threading
 import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -39,6 +42,9 @@ Either a module, or a package whose modules are all imported.
 
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in PACKAGES}
 _loaded: set[str] = set()
+"""Kinds whose ingredients are all registered"""
+_in_progress = threading.local()
+"""Kinds that each thread is loading, as the attribute `kinds`"""
 
 
 def register(kind: str, name: str | None = None) -> Callable[[Ingredient], Ingredient]:
@@ -62,7 +68,9 @@ def register(kind: str, name: str | None = None) -> Callable[[Ingredient], Ingre
             raise ValueError(
                 f"name of {kind} {shown(ingredient)} is {shown(own)}: a word is needed"
             )
-        if own in table and not _is_same(table[own], ingredient):
+        # Atomic: of two threads with different ingredients of a name, one finds that of the other
+        kept = table.setdefault(own, ingredient)
+        if kept is not ingredient and not _is_same(kept, ingredient):
             raise ValueError(f"{kind} {own!r} is registered already: choose another name")
         table[own] = ingredient
         return ingredient
@@ -111,6 +119,48 @@ def names(kind: str) -> list[str]:
     return sorted(_table(kind))
 
 
+def require_declared(kind: str, ingredient: type, base: type, remedy: str = "") -> None:
+    """Check that a class of an author has no public attribute that nothing reads, such as a typo.
+
+    Known names are those of the classes of this package that the class derives from. Helpers of
+    authors begin with an underscore, are annotated in the class (`gain: float = 0.5`), or come from
+    a class beside it that is no ingredient.
+
+    Args:
+        kind: What the class is, for the message.
+        ingredient: The class.
+        base: Base class of all ingredients of the kind.
+        remedy: What else the author may have meant, for the message.
+
+    Raises:
+        ValueError: There is such an attribute; the nearest known names are listed.
+    """
+    home = f"{__package__}."
+    own = [one for one in ingredient.__mro__ if not one.__module__.startswith(home)]
+    if not own:
+        return
+    package = (one for one in ingredient.__mro__ if one not in own)
+    known = {name for one in package for name in (*vars(one), *inspect.get_annotations(one))}
+    public = sorted(name for name in known if name[0] != "_")
+    annotated = {name for one in own for name in inspect.get_annotations(one)}
+    for one in own:
+        if not issubclass(one, base):
+            continue
+        for name in sorted({*vars(one), *inspect.get_annotations(one)}):
+            is_helper = name[0] == "_" or (name in annotated and not _is_near(name, public))
+            if name not in known and not is_helper:
+                raise ValueError(
+                    f"{kind} {one.__name__} has {name!r}, which is no attribute of a {kind}: "
+                    f"{nearest(name, public)} {remedy}Names of helpers begin with an underscore, "
+                    f"or are annotated in the class"
+                )
+
+
+def _is_near(name: str, known: list[str]) -> bool:
+    """Return True if a name is likely a typo of a known one."""
+    return bool(difflib.get_close_matches(name, known, n=1, cutoff=0.85))
+
+
 def _table(kind: str) -> dict[str, Any]:
     if kind not in _registered:
         raise unknown("kind of ingredient", kind, PACKAGES)
@@ -126,22 +176,41 @@ def _is_same(one: Any, other: Any) -> bool:
 
 
 def _load(kind: str) -> None:
-    """Import the package's own ingredients of a kind, and those of entry points, once."""
+    """Import the package's own ingredients of a kind, and those of entry points.
+
+    There is no lock. Threads that load a kind at the same time each import all of its modules, and
+    Python's import locks make each wait for modules that another thread is importing. A thread that
+    imports under a lock of ours could wait for a module whose importing thread waits for that lock.
+    """
+    _table(kind)
     if kind in _loaded:
         return
-    _table(kind)
-    _loaded.add(kind)  # before importing: what is imported may ask for names of its own kind
-    home = importlib.import_module(PACKAGES[kind])
-    for found in pkgutil.iter_modules(getattr(home, "__path__", ())):
-        importlib.import_module(f"{PACKAGES[kind]}.{found.name}")
+    loading = vars(_in_progress).setdefault("kinds", set())
+    if kind in loading:  # a module asks for names of its own kind while it is imported
+        return
+    loading.add(kind)
+    try:
+        home = importlib.import_module(PACKAGES[kind])
+        for found in pkgutil.iter_modules(getattr(home, "__path__", ())):
+            importlib.import_module(f"{PACKAGES[kind]}.{found.name}")
+        refused = _register_entry_points(kind)
+    finally:
+        loading.discard(kind)
+    _loaded.add(kind)  # not before: another thread would not find what is still being imported
+    for warning in refused:
+        warnings.warn(warning, stacklevel=4)
+
+
+def _register_entry_points(kind: str) -> list[str]:
+    """Register what other packages offer of a kind; return a warning for each that fails."""
     group = f"bulletuav.{kind}"
+    refused = []
     for point in _entry_points(tuple(sys.path)).select(group=group):
         try:
             register(kind, point.name)(point.load())
-        except Exception as error:  # whatever another package does, our ingredients stay
-            warnings.warn(
-                f"entry point {point.name!r} of {group} is left out: {error}", stacklevel=3
-            )
+        except Exception as error:  # other packages' errors do not make ours unusable
+            refused.append(f"entry point {point.name!r} of {group} is left out: {error}")
+    return refused
 
 
 @functools.lru_cache(maxsize=1)

@@ -124,7 +124,7 @@ class Rounds(Policy):
     name = "rounds"
     actions = ("velocity",)
     reads_swarm = False
-    gain = 0.0  # m/s, by how much a drone is at most faster or slower
+    gain: float = 0.0  # m/s, by how much a drone is at most faster or slower
 
     def reset(self, mask):
         """Do nothing, as there is nothing to forget."""

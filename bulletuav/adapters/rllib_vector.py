@@ -15,6 +15,7 @@ from bulletuav.adapters.rllib import ALL, DroneMultiAgentEnv, compressed, shown_
 from bulletuav.adapters.totals import EpisodeTotals
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.errors import as_int, missing, numbers_of, shown
 from bulletuav.tasks.observations.observer import Observation, part
@@ -112,18 +113,19 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         Args:
             seed: World k has seed + k, or the k-th seed of a sequence; None goes on with the random
                 numbers.
-            options: None.
+            options: As of `ParallelAviary.reset`; the places are those of every world.
 
         Returns:
             For each world observations and empty infos, by agent.
         """
-        observations = self._start(np.ones(self.num_envs, dtype=bool), seed)
+        everywhere = np.ones(self.num_envs, dtype=bool)
+        observations = self._start(everywhere, seed, **reset_options(options))
         everyone = np.ones(self.aviary.alive.shape, dtype=bool)
         return self._by_agent(observations, everyone), self._empty_infos(everyone)
 
-    def _start(self, worlds: np.ndarray, seed: Any = None) -> Observation:
+    def _start(self, worlds: np.ndarray, seed: Any = None, **places: Any) -> Observation:
         self._totals.forget(worlds)
-        return self.aviary.reset(worlds, seed)
+        return self.aviary.reset(worlds, seed, **places)
 
     @exclusive
     def step(self, actions: Sequence[Mapping[str, Any]]) -> Results:

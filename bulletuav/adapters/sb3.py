@@ -26,10 +26,11 @@ from bulletuav.envs.common_spaces import common_observation
 from bulletuav.envs.curriculum import Curriculum
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.step import Step
 from bulletuav.envs.viewer import require_single
-from bulletuav.errors import as_int, missing
+from bulletuav.errors import as_int, missing, shown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation, part
 
@@ -188,6 +189,21 @@ class DroneVecEnv(Environment, VecEnv):
             None if seed is None else seed + slot // self.num_drones
             for slot in range(self.num_envs)
         ]
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Refuse options of the next reset.
+
+        Raises:
+            ValueError: There is an option: the slots are drones, which share their worlds' resets.
+        """
+        each = [options] if isinstance(options, dict) else options or []
+        for given in each:
+            reset_options(given)
+            if given:
+                raise ValueError(
+                    f"options is {shown(given)}: resets of a DroneVecEnv take none, as its slots "
+                    f"are drones; give start and goal when the environment is made"
+                )
 
     @exclusive
     def reset(self) -> Any:
@@ -348,7 +364,8 @@ class DroneVecEnv(Environment, VecEnv):
             NotImplementedError: The slots share one environment.
         """
         raise NotImplementedError(
-            "slots share one environment, so that none has attributes of its own"
+            f"setting {attr_name} has no effect: slots share one environment, whose options are "
+            f"given when it is made"
         )
 
     def env_method(

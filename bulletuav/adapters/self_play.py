@@ -21,6 +21,7 @@ from bulletuav.envs.parallel import (
     ParallelAviary,
     check_agents,
 )
+from bulletuav.envs.reset_options import refuse_setting
 from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.teams import team_names, team_rows
 from bulletuav.errors import choose, numbers_of, shown
@@ -267,6 +268,18 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         aviary = self.env.env.aviary
         sizes = [aviary.action.size(i) for i in team_rows(aviary.task)[team]]
         self._cuts = np.cumsum(sizes)[:-1]
+        self._config = aviary.task.config
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute; raise AttributeError where that has no effect."""
+        if type(self) is CentralTeamAviary and "_config" in vars(self):
+            refuse_setting(self, name, self._config)
+        super().__setattr__(name, value)
+
+    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
+        """Set an attribute that a wrapper passes on; see `gymnasium.Env.set_wrapper_attr`."""
+        refuse_setting(self, name, self._config)
+        return super().set_wrapper_attr(name, value, force=force)
 
     def _joined(self, spaces: Mapping[str, Space[Any]]) -> Box:
         """Join the drones' boxes."""

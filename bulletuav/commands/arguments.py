@@ -38,7 +38,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dynamics", help=f"{', '.join(DYNAMICS)} (default: bullet)")
     parser.add_argument(
         "--action",
-        help=f"{', '.join(ACTIONS)} (default: the task's, or one that the policy gives)",
+        help=f"{', '.join(ACTIONS)} (default: the task's, or one that the dynamics and "
+        f"the policy take)",
     )
     parser.add_argument("--controller", help=f"{' or '.join(CONTROLLERS)} (default: lee)")
     # How hard and how long

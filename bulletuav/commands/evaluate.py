@@ -229,7 +229,10 @@ def print_score(result: Evaluation, origin: str = "") -> None:
         for name in SCORES
         if found[name].episodes
     )
-    print(f"score of {about['policy']}{reads}: {result.conditions}{origin}: {told}")
+    action = about["options"]["action"]
+    print(
+        f"score of {about['policy']}{reads}: {result.conditions}, action {action}{origin}: {told}"
+    )
 
 
 def shared_episodes(arguments: argparse.Namespace, cases: int = 1) -> int:

@@ -172,7 +172,8 @@ def _table(recording: Recording, aviary: Aviary, seed: int) -> Table:
     flown = Conditions(task.name, options.difficulty, options.dynamics_name, 1, seed)
     shows = shown_infos(task)
     table = Table(
-        title=f"{flown}, drones: {aviary.num_drones}, d_safe {task.config.d_safe:g} m",
+        title=f"{flown}, drones: {aviary.num_drones}, action {options.action}, "
+        f"d_safe {task.config.d_safe:g} m",
         caption=CAPTION,
     )
     for heading in ("drone", *shows.values(), "time (s)"):

@@ -12,8 +12,10 @@ from rich.table import Table
 
 from bulletuav.commands.arguments import add_options, given_options
 from bulletuav.commands.output import print_table, print_text
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.resolve import resolve
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.ingredients import find_term
@@ -237,6 +239,8 @@ def options_table(task: type[Task[Any]]) -> Table:
         table.add_row(name, repr(default), told.get(name, ""))
     for name, value in task.defaults.items():
         table.add_row(name, repr(value), "Common to all tasks, see below.")
+    if (actions := _default_actions(task)) is not None:
+        table.add_row("action by dynamics", actions, "Where none is chosen.")
     return table
 
 
@@ -247,6 +251,12 @@ def _defaults(task: type[Task[Any]]) -> dict[str, Any]:
         field.name: {} if field.default is dataclasses.MISSING else field.default
         for field in dataclasses.fields(task.Config)
     }
+
+
+def _default_actions(task: type[Task[Any]]) -> str | None:
+    """List the default action of each dynamics, as NAME=VALUE; None if all have the same one."""
+    actions = {name: resolve(task, {"dynamics": name}).options.action for name in DYNAMICS}
+    return _pairs(actions) if len(set(actions.values())) > 1 else None
 
 
 def option_texts(config: type) -> dict[str, str]:

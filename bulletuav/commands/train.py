@@ -351,7 +351,8 @@ def _finish(
     replace_file(table, learning_table(runs, scores))
     print(table.read_text())
     for config, rows in runs:
-        print(f"{config.task}, {config.algo}, seed {config.seed}: {wall_time(rows)}")
+        named = f"{config.task}, {config.algo}, action {config.action}, seed {config.seed}"
+        print(f"{named}: {wall_time(rows)}")
     for score in scores:
         print_score(score, f", options of {Path(score.about['policy']) / CONFIG}")
     print_files([*files, table, picture])

@@ -4,7 +4,7 @@ A dynamics is one substep of flight; contacts are dealt with for all of them, se
 """
 
 from bulletuav.dynamics.base import Dynamics
-from bulletuav.registry import find
+from bulletuav.registry import find, require_declared
 
 DYNAMICS = ("single_integrator", "double_integrator", "point_mass", "rigid_body", "bullet")
 """Names of the package's own dynamics, the cheapest first"""
@@ -20,10 +20,11 @@ def find_dynamics(source: str | type[Dynamics]) -> type[Dynamics]:
         The class, which is called with a `Flight`.
 
     Raises:
-        ValueError: There is none of that name (the nearest are told), or what was given is no
-            class derived from `Dynamics`.
+        ValueError: There is none of that name (the nearest are listed), what was given is no class
+            derived from `Dynamics`, or the class has an unknown public attribute.
     """
     found: type[Dynamics] = find("dynamics", source, _is_dynamics)
+    require_declared("dynamics", found, Dynamics)
     return found
 
 

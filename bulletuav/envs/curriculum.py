@@ -13,6 +13,7 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
+from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.envs.state import slices
@@ -212,7 +213,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         Args:
             seed: With it, or the option of that name, all later episodes follow from it and from
                 the stage, which stays. None goes on with the random numbers.
-            options: Part of PettingZoo's interface; not read.
+            options: As of `ParallelAviary.reset`, for the drones of the stage.
 
         Returns:
             Observations and infos, by agent.
@@ -221,6 +222,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             RuntimeError: After `close`.
         """
         self._require_open()
+        reset_options(options)  # before the curriculum and the random numbers go on
         # An episode that was left early tells nothing.
         if self._successes and not self.agents:
             successes = list(self._successes.values())
@@ -229,7 +231,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         if seed is not None:
             self._rng = np.random.default_rng(as_int("seed", seed, 0))
         env = self._env_of(self.curriculum.stage)
-        observations, infos = env.reset(seed=int(self._rng.integers(2**31)))
+        observations, infos = env.reset(int(self._rng.integers(2**31)), options)
         # Only now: where no start is found, the episode that was flown goes on.
         self._current, self._successes, self.agents = env, {}, env.agents[:]
         return observations, self._with_stage(infos)

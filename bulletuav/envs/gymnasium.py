@@ -21,7 +21,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import later
 from bulletuav.envs.options import RENDER_MODES
-from bulletuav.envs.reset_options import reset_options
+from bulletuav.envs.reset_options import refuse_setting, reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.envs.vector import BatchAviary, BatchResults
@@ -129,6 +129,18 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         self.action_space = joint_action_space(action)
         # Whether actions can be taken over as they are
         self._takes = self._is_alone and action.choices is None
+        self._config = self.aviary.task.config
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute; raise AttributeError where that has no effect."""
+        if type(self) is CentralAviary and "_config" in vars(self):
+            refuse_setting(self, name, self._config)
+        super().__setattr__(name, value)
+
+    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
+        """Set an attribute that a wrapper passes on; see `gymnasium.Env.set_wrapper_attr`."""
+        refuse_setting(self, name, self._config)
+        return super().set_wrapper_attr(name, value, force=force)
 
     @exclusive
     def reset(

@@ -61,7 +61,9 @@ class EnvOptions:
     Attributes:
         num_drones: Drones in a world.
         airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
-        action: What the drones' actions mean: a name in `bulletuav.control.actions.ACTIONS`.
+        action: What the drones' actions mean: a name in `bulletuav.control.actions.ACTIONS`. Where
+            it is left out, the task's default; if the dynamics cannot take that, the action of the
+            highest setpoint level that the dynamics takes, such as "velocity" in "point_mass".
         decision_hz: Decisions a second: a whole number that divides physics_hz, or down to 0.1,
             decisions of 10 s, where they are of whole substeps.
         horizon: Decisions until truncation.

@@ -1,30 +1,55 @@
 """What `reset(options=...)` may say, in every environment class."""
 
+import dataclasses
 import difflib
 from collections.abc import Mapping
 from typing import Any
 
-from bulletuav.errors import shown, unknown
+from bulletuav.envs.options import EnvOptions
+from bulletuav.errors import shown
 from bulletuav.tasks.given import PLACES
 
 MASK = "reset_mask"
 """Option that tells which worlds are reset, where there are several"""
+OF_WRAPPERS = ("minari_autoseed",)
+"""Options that wrappers read themselves and pass on"""
+ENV_OPTIONS = frozenset(field.name for field in dataclasses.fields(EnvOptions))
+"""Options that an environment keeps from when it is made"""
+_START = "where drones start is 'start'"
+_GOAL = "where drones are to go is 'goal'"
+_SPEED = "speeds and attitudes at the start follow from the task's own options, such as start_speed"
+_SCENE = "obstacles follow from the task's own options, given when the environment is made"
+_WORLDS = "worlds of a batch are chosen by 'reset_mask' of batch_env and Gymnasium's vector classes"
+ELSEWHERE: Mapping[str, str] = {
+    **dict.fromkeys(("position", "positions", "pos", "initial_positions", "init_pos"), _START),
+    **dict.fromkeys(("initial_xyzs", "start_pos", "start_positions", "spawn", "state"), _START),
+    **dict.fromkeys(("goals", "goal_position", "destination", "waypoints"), _GOAL),
+    **dict.fromkeys(("target", "targets", "target_pos", "target_position"), _GOAL),
+    **dict.fromkeys(("velocity", "velocities", "initial_velocities", "init_vel"), _SPEED),
+    **dict.fromkeys(("initial_rpys", "start_orn", "orientation", "attitude", "rpy"), _SPEED),
+    **dict.fromkeys(("obstacle", "obstacles", "num_obstacles", "world_scale"), _SCENE),
+    **dict.fromkeys(("env_index", "env_ids", "env_idx", "indices", MASK), _WORLDS),
+    **dict.fromkeys(
+        ("flight_mode", "act", "action_type"), "what actions mean is the option action"
+    ),
+    "seed": "the seed is an argument of its own: reset(seed=...)",
+    "return_info": "infos are always returned",
+}
+"""What to use here for names of other simulators, such as gym-pybullet-drones, PyFlyt and VMAS"""
 
 
 def reset_options(options: Any, *also: str) -> dict[str, Any]:
-    """Take what a reset's options say.
-
-    Wrappers pass on options of their own, so names unlike all of ours are left alone.
+    """Check the options of a reset.
 
     Args:
         options: A dict with "start" or "goal", (N, 3) m each, or None for nothing.
         also: Further names that it may have.
 
     Returns:
-        Those that are asked for.
+        Those that are given, without what wrappers pass on.
 
     Raises:
-        ValueError: Options are neither a dict nor None, or have a name that is nearly one of ours.
+        ValueError: Options are neither a dict nor None, or one has no effect.
     """
     if options is not None and not isinstance(options, Mapping):
         raise ValueError(
@@ -34,6 +59,56 @@ def reset_options(options: Any, *also: str) -> dict[str, Any]:
     given = dict(options or {})
     known = (*PLACES, *also)
     for name in given:
-        if name not in known and difflib.get_close_matches(str(name), known):
-            raise ValueError(f"options: {unknown('option of a reset', str(name), known)}")
+        if name not in known and name not in OF_WRAPPERS:
+            raise ValueError(f"options: {_without_effect(name, known)}")
     return {name: given[name] for name in known if given.get(name) is not None}
+
+
+def _without_effect(name: Any, known: tuple[str, ...]) -> str:
+    """Describe an option that a reset does not have, and what to use instead."""
+    text = str(name)
+
+    def likeness(one: str) -> float:
+        return difflib.SequenceMatcher(None, text, one).ratio()
+
+    near = difflib.get_close_matches(text, known, n=1)
+    if near:
+        remedy = f"did you mean {near[0]!r}?"
+    elif text in ELSEWHERE:
+        remedy = f"{ELSEWHERE[text]};"
+    elif text in ENV_OPTIONS:
+        remedy = f"{text} is given when the environment is made, and stays;"
+    else:
+        remedy = "all other options are given when the environment is made;"
+    valid = ", ".join(sorted(known, key=likeness, reverse=True))
+    return f"unknown option of a reset {shown(name)}: {remedy} a reset takes {valid}"
+
+
+def refuse_setting(env: Any, name: str, config: Any) -> None:
+    """Raise AttributeError where an attribute would be set that changes nothing.
+
+    Wrappers and vector classes set attributes by name, such as `set_attr` of stable-baselines3.
+
+    Args:
+        env: The environment.
+        name: Name of the attribute.
+        config: Config of its task.
+
+    Raises:
+        AttributeError: It is an option of environments, or nearly one, and no attribute of this
+            environment that may be set.
+    """
+    if name.startswith("_") or name == "render_mode":
+        return
+    known = ENV_OPTIONS | {field.name for field in dataclasses.fields(config)}
+    if name in known:
+        raise AttributeError(
+            f"setting {name} of a {type(env).__name__} has no effect: it is an option that is "
+            f"given when the environment is made; {', '.join(PLACES)} are also options of a reset"
+        )
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
+    if near and not hasattr(env, name):
+        raise AttributeError(
+            f"setting {name} of a {type(env).__name__} has no effect: did you mean {near[0]!r}? "
+            f"It is an option that is given when the environment is made"
+        )

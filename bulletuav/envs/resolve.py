@@ -2,9 +2,13 @@
 
 import dataclasses
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
+from bulletuav.control.actions import usable_action
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics import find_dynamics
+from bulletuav.dynamics.base import Dynamics
 from bulletuav.envs.options import (
     MOST_COUNT,
     MOST_DRONES,
@@ -58,7 +62,8 @@ def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
     """Make common options and the task's config from keyword arguments.
 
     What is given goes before the preset's values, those before the difficulty's, and those before
-    the task's defaults.
+    the task's defaults. An action that is not given, and that the dynamics cannot take, becomes
+    that of the highest setpoint level that the dynamics takes.
 
     Args:
         task: The task.
@@ -80,6 +85,8 @@ def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
             raise ValueError(f"{name} is None: leave it out for the task's default")
     make_tuples(values)
     _find_airframes(values, given)
+    if "action" not in given:
+        values["action"] = _default_action(values)
     sensors = known_sensors(values.get("sensors", ()))
     known = known_uncertainties(sensors)
     values["randomization"] = Randomization(values.get("randomization"), known)
@@ -160,6 +167,34 @@ def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
     if "max_speed" not in given:
         limit = finite("max_speed", values["max_speed"])
         values["max_speed"] = min(limit, *(one.max_speed for one in values["airframe"]))
+
+
+def _default_action(values: Mapping[str, Any]) -> str:
+    """Return the task's default action, or that of the highest level that the dynamics takes."""
+    dynamics = values.get("dynamics", EnvOptions.dynamics)
+    return action_for(dynamics, values["action"], values["airframe"])
+
+
+def action_for(dynamics: str | type[Dynamics], action: str, airframes: Sequence[Airframe]) -> str:
+    """Return the action that drones use by default where a task or a policy prefers another.
+
+    Args:
+        dynamics: The dynamics, by name or class.
+        action: Name of the preferred action.
+        airframes: Airframe of each drone.
+
+    Returns:
+        The same action, or where the dynamics cannot take its setpoints, the action of the highest
+        level that the dynamics takes.
+
+    Raises:
+        ValueError: There is no such dynamics, or no such action.
+    """
+    # A dynamics may compute its level; then only an environment can check the action
+    level: object = find_dynamics(dynamics).consumes
+    if not isinstance(level, SetpointLevel) or level == SetpointLevel.ROTOR:
+        return action
+    return usable_action(action, airframes, level)
 
 
 def airframes_of(airframe: Any, count: int) -> tuple[Airframe, ...]:

@@ -8,7 +8,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.resolve import action_for, resolve
 from bulletuav.errors import choose, shown, unknown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunConfig, shipped
@@ -22,7 +23,7 @@ from bulletuav.policies.versus import (
     joint_actions,
     joint_options,
 )
-from bulletuav.registry import find, names
+from bulletuav.registry import find, names, require_declared
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.version import CONSTANTS
 
@@ -75,18 +76,34 @@ class PolicySpec(NamedTuple):
 
         Returns:
             The options with those that a trained policy needs. Where the user chose no action and
-            the policy cannot give the task's own, they have the first that it can give.
+            the policy cannot give the task's own, they have the first that it can give and that
+            the dynamics takes.
 
         Raises:
-            ValueError: An option is none that can be.
+            ValueError: An option is none that can be, or the dynamics takes no action of the
+                policy.
         """
         whole = {**self.options, **options}
         # Also refuses what cannot be, before any flight.
         common = resolve(find_task(task), whole).options
         # A policy without a list of actions can give all of them.
-        if not self.actions or "action" in whole or common.action in self.actions:
+        if not self.actions or "action" in options:
             return whole
-        return {**whole, "action": self.actions[0]}
+        usable = [one for one in self.actions if _is_usable(one, common)]
+        if not usable:
+            raise ValueError(
+                f"policy {self.name!r} gives {' or '.join(self.actions)} actions, which dynamics "
+                f"{common.dynamics_name!r} does not take: choose another policy, or dynamics "
+                f"'rigid_body' or 'bullet'"
+            )
+        if "action" in whole or common.action in self.actions:
+            return whole
+        return {**whole, "action": usable[0]}
+
+
+def _is_usable(action: str, options: EnvOptions) -> bool:
+    """Return True if the dynamics of an environment takes an action."""
+    return action_for(options.dynamics, action, options.airframe) == action
 
 
 def policy_names() -> list[str]:
@@ -207,6 +224,7 @@ def _from_class(kind: type[Policy]) -> PolicySpec:
             f"policy {kind.__name__} has no {lacks[0]}: a policy needs it, "
             f"see bulletuav.policies.base.Policy"
         )
+    require_declared("policy", kind, Policy)
     return PolicySpec(kind.name, kind.actions, kind.reads_swarm, kind)
 
 

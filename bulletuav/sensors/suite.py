@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.engine.engine import Engine
 from bulletuav.errors import shown
-from bulletuav.registry import find, names
+from bulletuav.registry import find, names, require_declared
 from bulletuav.sensors.base import (
     Image,
     Label,
@@ -42,9 +42,12 @@ def find_sensor(source: Any) -> Sensor:
     """Find a sensor: an object, a class, a registered name, or `module:Name`.
 
     Raises:
-        ValueError: There is none of that name, or it is no sensor.
+        ValueError: There is none of that name, it is no sensor, or its class has an unknown public
+            attribute.
     """
     found = find("sensor", source, _is_sensor)
+    kind = found if isinstance(found, type) else type(found)
+    require_declared("sensor", kind, Sensor)
     sensor: Sensor = found() if isinstance(found, type) else found
     return sensor
 

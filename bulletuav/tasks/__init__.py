@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bulletuav.errors import shown
-from bulletuav.registry import find, names
+from bulletuav.registry import find, names, require_declared
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.frame import Frame, Scene, Spawn, StepResult, TaskContext
@@ -34,6 +34,8 @@ TaskSource = str | type[Task[Any]]
 """A task by its name, also with its version, by `module:Name`, or its class"""
 VERSIONED = re.compile(r"(\w+?)[-_]v(\d+)")
 """A task's name with the version of its environment"""
+OPTIONS = "Options of environments go into defaults, options of the task alone into its Config. "
+"""What an unknown attribute of a task may have been meant for"""
 NEEDED = ("name", "observation", "reward")
 """Attributes that every task class has"""
 
@@ -81,6 +83,7 @@ def require_task(kind: type[Task[Any]]) -> None:
         raise ValueError(
             f"task {name} has no {lacks[0]}: a task needs it, see bulletuav.tasks.base.Task"
         )
+    require_declared("task", kind, Task, OPTIONS)
     # Name and config
     if not isinstance(kind.name, str):
         raise ValueError(f"name of task {name} is {shown(kind.name)}: a text is needed")

@@ -130,7 +130,8 @@ class Hover(Task[HoverConfig]):
     axes (forward, left, up).
 
     Action, by default `rotor`, Box(4) per drone in [-1, 1]: thrust of each rotor, from -1 for none
-    to 1 for the most. There are 30 decisions a second.
+    to 1 for the most. In dynamics without rotors it is the highest level that they take, such as
+    `velocity` in `point_mass`. There are 30 decisions a second.
 
     Reward per decision, the sum of these terms times their weights:
 

@@ -155,7 +155,8 @@ def test_what_a_folder_cannot_tell_apart_is_not_taken_for_the_same(tmp_path):
 class Broken(Policy):
     """Fails in the way of `fault`."""
 
-    name, actions, reads_swarm, fault = "broken", ("velocity",), False, staticmethod(lambda: None)
+    name, actions, reads_swarm = "broken", ("velocity",), False
+    fault: staticmethod = staticmethod(lambda: None)
 
     def reset(self, mask):
         type(self).fault()

@@ -144,6 +144,9 @@ def test_tasks_are_listed_and_explained(capsys):
         "decision_hz=10",
     ):
         assert word in said
+    assert "action by dynamics" not in said  # the same in all of them
+    main(["tasks", "hover", "--all"])
+    assert "action by dynamics" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("task", bulletuav.list_tasks())
@@ -205,7 +208,7 @@ def test_evaluating_prints_and_writes_and_goes_on(tmp_path, capsys):
     said = capsys.readouterr()
     for word in (
         "score of orca, which reads the true state: converge, difficulty medium, dynamics "
-        "point_mass, 3 episodes, seeds 0 to 2: success 1 [",
+        "point_mass, 3 episodes, seeds 0 to 2, action velocity: success 1 [",
         "conflict",
         "95 % interval",
         "summary.png",

@@ -92,7 +92,7 @@ BAD = [
     ("hover", {"airframe": ("cf2x", "iris"), "num_drones": 3}, "2 airframes for 3 drones"),
     (
         "hover",
-        {"dynamics": "point_mass"},
+        {"dynamics": "point_mass", "action": "rotor"},
         "action 'rotor' gives rotor setpoints, but dynamics 'point_mass' is driven by velocity",
     ),
     ("hover", {"dynamics": "double_integrator", "action": "attitude"}, "driven by acceleration"),

@@ -583,10 +583,10 @@ class Shared(Sensor):
 
     name = "shared"
     numbers = (Label("luck", "1", 0.0, 1.0),)
-    rng = np.random.default_rng(0)
+    _rng = np.random.default_rng(0)
 
     def measure(self, moment):
-        return {"shared": self.rng.random(moment.mask.shape)}
+        return {"shared": self._rng.random(moment.mask.shape)}
 
 
 class Mixed(Sensor):

@@ -4,8 +4,10 @@ Each function that is registered as "action" makes one kind of action for the dr
 `ActionContext`. Unless its docstring says otherwise, each number is from -1 to 1.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+
+import numpy as np
 
 from bulletuav.control.actions.attitudes import attitude, rates
 from bulletuav.control.actions.base import Action, ActionContext, ActionMaker, limit_norm
@@ -18,16 +20,20 @@ from bulletuav.control.actions.motion import (
     velocity_increment,
 )
 from bulletuav.control.actions.rotors import hover_rpm, rotor, rpm
+from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.registry import find
+from bulletuav.vehicle.airframe import Airframe
 
 __all__ = [
     "ACTIONS",
     "CHOICES",
+    "LEVEL_ACTIONS",
     "Action",
     "ActionContext",
     "ActionMaker",
     "limit_norm",
     "make_action",
+    "usable_action",
 ]
 
 ACTIONS: Mapping[str, ActionMaker] = MappingProxyType(
@@ -50,6 +56,17 @@ ACTIONS: Mapping[str, ActionMaker] = MappingProxyType(
     }
 )
 """Makers of the package's own actions, by name; read-only"""
+LEVEL_ACTIONS: Mapping[SetpointLevel, str] = MappingProxyType(
+    {
+        SetpointLevel.POSITION: "target_position",
+        SetpointLevel.VELOCITY: "velocity",
+        SetpointLevel.ACCELERATION: "acceleration",
+        SetpointLevel.ATTITUDE: "attitude",
+        SetpointLevel.RATES: "rates",
+        SetpointLevel.ROTOR: "rotor",
+    }
+)
+"""Name of the plain action of each setpoint level; read-only"""
 
 
 def make_action(source: str | ActionMaker, context: ActionContext) -> Action:
@@ -67,3 +84,24 @@ def make_action(source: str | ActionMaker, context: ActionContext) -> Action:
     """
     maker: ActionMaker = find("action", source, callable)
     return maker(context)
+
+
+def usable_action(action: str, airframes: Sequence[Airframe], consumes: SetpointLevel) -> str:
+    """Return the default action of a task for a dynamics.
+
+    Args:
+        action: Name of the task's default action.
+        airframes: Airframe of each drone.
+        consumes: Setpoint level that drives the dynamics.
+
+    Returns:
+        The same action if the dynamics can be driven by its setpoints, directly or through the
+        controllers. Otherwise the action of the level that the dynamics consumes, which is the
+        nearest to the task's own.
+
+    Raises:
+        ValueError: There is no such action; the nearest names are listed.
+    """
+    # No action's level depends on speeds, the arena or gravity
+    context = ActionContext(airframes, 1.0, 1.0, -np.ones(3), np.ones(3), 1.0, 1.0)
+    return action if make_action(action, context).level <= consumes else LEVEL_ACTIONS[consumes]
