@@ -61,7 +61,7 @@ class DrawingProcess:
         """Number of the process."""
         return self._process.pid
 
-    def load(self, setup: tuple[Any, ...]) -> None:
+    def prepare(self, setup: tuple[Any, ...]) -> None:
         """Send what is in the world, and wait until the copy is made.
 
         Args:
