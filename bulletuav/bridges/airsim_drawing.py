@@ -4,14 +4,13 @@ PyBullet holds the interpreter in each of its calls, so that drawing in a thread
 flight. The server starts this process at the first picture, and sends it pickled jobs.
 """
 
-import contextlib
 import os
-import pickle
 import struct
 import subprocess
 import sys
 import threading
 import time
+from multiprocessing.connection import Connection
 from typing import Any, BinaryIO
 
 from bulletuav.bridges.airsim_images import Exposure, response
@@ -54,6 +53,9 @@ class DrawingProcess:
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": paths},
         )
+        assert self._process.stdin is not None
+        self._jobs = Connection(os.dup(self._process.stdin.fileno()), readable=False)
+        self._process.stdin.close()
         self._num_added = 0
 
     @property
@@ -61,7 +63,7 @@ class DrawingProcess:
         """Number of the process."""
         return self._process.pid
 
-    def load(self, setup: tuple[Any, ...]) -> None:
+    def prepare(self, setup: tuple[Any, ...]) -> None:
         """Send what is in the world, and wait until the copy is made.
 
         Args:
@@ -86,10 +88,8 @@ class DrawingProcess:
 
     def _ask(self, job: tuple[Any, ...]) -> bytes:
         """Send a job, and wait for its answer."""
-        assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.write(pickle.dumps(job))
-        self._process.stdin.flush()
+        self._jobs.send(job)
         (length,) = LENGTH.unpack(_read(self._process.stdout, LENGTH.size))
         return _read(self._process.stdout, length)
 
@@ -103,11 +103,9 @@ class DrawingProcess:
         Returns:
             Its exit code, negative for the number of a signal.
         """
-        for pipe in (self._process.stdin, self._process.stdout):
-            assert pipe is not None
-            # What was not sent yet cannot be
-            with contextlib.suppress(OSError):
-                pipe.close()
+        assert self._process.stdout is not None
+        self._jobs.close()
+        self._process.stdout.close()
         try:
             return self._process.wait(PATIENCE)
         except subprocess.TimeoutExpired:
@@ -132,10 +130,11 @@ def main() -> None:
     os.dup2(nowhere, 1)
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     try:
-        copy = SceneCopy(*pickle.load(sys.stdin.buffer))
+        jobs = Connection(os.dup(0), writable=False)
+        copy = SceneCopy(*jobs.recv())
         _answer(answers, b"")
         while True:
-            poses, exposure, is_list = pickle.load(sys.stdin.buffer)
+            poses, exposure, is_list = jobs.recv()
             drawn = response(exposure, copy.picture(0, poses, exposure.sight.shot))
             _answer(answers, msgpack.packb(drawn if is_list else drawn["image_data_uint8"]))
     # The server has ended, or closed the pipes.

@@ -92,7 +92,7 @@ class Pictures:
             with self._closing:
                 self._require_open()
                 self._process = DrawingProcess()
-            self._process.load(self._world.airspace.scene_setup)
+            self._process.prepare(self._world.airspace.scene_setup)
         except (OSError, EOFError) as error:
             raise self._ended(error) from error
 

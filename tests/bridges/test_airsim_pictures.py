@@ -119,7 +119,7 @@ class Stub:
         type(self).made += (self,)
         self.drawn = []
 
-    def load(self, setup):
+    def prepare(self, setup):
         contents, _ = setup
         assert len(contents.airframes) >= 1
 

@@ -356,7 +356,7 @@ def test_a_picture_that_cannot_be_drawn_is_an_error(serve, connect, monkeypatch)
 class Large:
     """In place of the process that draws: each picture is a million bytes."""
 
-    def load(self, setup):
+    def prepare(self, setup):
         assert setup
 
     def draw(self, poses, exposure, is_list):
