@@ -36,6 +36,7 @@ from bulletuav.envs.snapshot import (
 )
 from bulletuav.envs.stages import finish, headings, prepare
 from bulletuav.errors import numbers_of, shown
+from bulletuav.geometry.scenery import Scenery
 from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts
 from bulletuav.vehicle.wind import MOST_WIND
@@ -69,6 +70,7 @@ class Airspace(AirspaceParts):
 
     _layout: Layout | None = None
     _parts: Mapping[str, str] | None = None
+    _laid_out: Scenery | None = None
 
     @property
     def time(self) -> float:
@@ -299,7 +301,10 @@ class Airspace(AirspaceParts):
         if self._parts is None:
             made: dict[str, Any] = {"obstacles": self._obstacles, "layout": faces_of(self._layouts)}
             self._parts = parts_of(self._options, **made)
-        if self._layout is None or not self._layout.is_of(arrays):
+        scenery = self._engine.scenery  # another one where bodies were added
+        known = self._layout is not None and self._layout.is_of(arrays)
+        if self._layout is None or not known or scenery is not self._laid_out:
+            self._laid_out = scenery
             self._layout = Layout("airspace", self._parts, self._bounds(), arrays)
         return self._layout
 
@@ -310,7 +315,7 @@ class Airspace(AirspaceParts):
             "levels": (0, int(self.consumes)),
             "steps": (0, MAX_STEPS),
             **self._sensors.kept_bounds(),
-            **contact_bounds(self._dynamics.contact),
+            **contact_bounds(self._engine.scenery),
         }
 
     def _state_arrays(self) -> dict[str, np.ndarray]:

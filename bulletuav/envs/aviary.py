@@ -61,7 +61,7 @@ class Aviary(Resets):
 
     _layout: Layout | None = None
     _parts: Mapping[str, str] | None = None
-    _varying: Sequence[np.ndarray] = ()
+    _varying: Sequence[object] = ()
 
     @exclusive
     def reset(
@@ -290,9 +290,9 @@ class Aviary(Resets):
         return layout
 
     def _all_arrays(self) -> Layout:
-        # Who keeps arrays may keep others later, and first readings make some
-        varying = [*self._sensors.kept().values(), *self._dynamics.kept().values()]
-        varying += self._readings.values()
+        # Sensors may keep other arrays later, readings make some, bodies change the bounds
+        varying: list[object] = [*self._sensors.kept().values(), *self._dynamics.kept().values()]
+        varying += [*self._readings.values(), self._engine.scenery]
         known = self._varying
         is_known = len(known) == len(varying) and all(map(operator.is_, known, varying))
         if self._layout is None or not is_known:

@@ -11,12 +11,12 @@ from typing import Any, cast
 import numpy as np
 
 from bulletuav.contact.memory import ROWS
-from bulletuav.contact.rest import Contact
 from bulletuav.contact.touches import MOST_TOUCHES
 from bulletuav.dynamics.divergence import FASTEST, FASTEST_SPIN
 from bulletuav.envs.described import text_of
 from bulletuav.envs.rows import Rows
 from bulletuav.errors import shown
+from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 
 BODIES, BODIES_BYTES = "bodies", 8
@@ -31,7 +31,7 @@ Fields = Mapping[str, np.ndarray]
 """Arrays (W, ...) by name"""
 
 
-Bounds = Mapping[str, tuple[float, float]]
+Bounds = Mapping[str, tuple[Any, Any]]
 """Lowest and highest value of arrays by name; "name.field" where rows have fields"""
 UNIT = 1e-6
 """Rounding of the components of a quaternion"""
@@ -302,9 +302,9 @@ def state_bounds(swarm: Swarm) -> dict[str, tuple[float, float]]:
     }
 
 
-def contact_bounds(contact: Contact) -> dict[str, tuple[float, float]]:
+def contact_bounds(scenery: Scenery) -> dict[str, tuple[float, float]]:
     """Return the bounds of counts, and of numbers of shapes, that contacts remember."""
-    shapes = (0, contact.scenery.ground)
+    shapes = (0, scenery.ground)
     return {
         **dict.fromkeys(("slept number", "touches number"), (0, MOST_TOUCHES)),
         **dict.fromkeys(("slept other", "touches other"), shapes),
@@ -403,7 +403,7 @@ class Layout:
             )
         # Looked at once: its bytes cannot change
         known = vars(snapshot)
-        if not snapshot.is_own and known.get("_within") != self._bounds:
+        if not snapshot.is_own and known.get("_within") is not self._bounds:
             self._check(snapshot.data)
             object.__setattr__(snapshot, "_within", self._bounds)
 
@@ -424,6 +424,7 @@ class Layout:
             low, high = bounds
             wrong = ~((values >= low) & (values <= high))
             if wrong.any():
+                low, high = (np.broadcast_to(one, values.shape)[wrong][0] for one in bounds)
                 raise ValueError(
                     f"the snapshot has {name} {values[wrong][0]:g}: from {low:g} to {high:g} is "
                     f"needed; it is damaged"
@@ -483,6 +484,7 @@ def _columns(data: np.ndarray, fields: Fields) -> Iterator[tuple[str, np.ndarray
             continue
         size = array[0].nbytes
         values = np.ascontiguousarray(data[:, at : at + size]).view(array.dtype)
+        values = values.reshape(len(data), *array.shape[1:])
         at += size
         if array.dtype.names is None:
             yield name, values

@@ -135,8 +135,9 @@ class Worlds(Environment):
             **state_bounds(self.swarm),
             "steps": (0, MAX_STEPS),
             "layout": (NO_LAYOUT, len(self.task.layouts()) - 1),
+            **{f"memory {name}": one for name, one in self.task.memory_bounds().items()},
             **self._sensors.kept_bounds(),
-            **contact_bounds(self._dynamics.contact),
+            **contact_bounds(self._engine.scenery),
         }
 
     def _current(self) -> Frame:

@@ -291,6 +291,16 @@ class Task(ABC, Generic[ConfigT]):
         """
         return {}
 
+    def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
+        """Return the bounds of what `memory` has, by name, for snapshots that come from elsewhere.
+
+        Arrays from which compiled code takes indices or numbers of steps need them.
+
+        Returns:
+            Lowest and highest values, which broadcast to the array of one world; none by default.
+        """
+        return {}
+
     def start_memory(self, frame: Frame) -> None:
         """Fill the memory of worlds that were reset from their first frame; draws nothing.
 

@@ -525,6 +525,36 @@ def test_values_that_no_state_has_are_refused_though_the_checksum_is_right():
     aviary.close()
 
 
+@pytest.mark.parametrize("mobility", ["manhattan", "hotspot", "waypoint", "gauss_markov"])
+def test_memory_from_which_users_walk_is_checked(mobility):
+    """Streets are indices of a graph: one beyond it ended the process, an endless speed hung it."""
+    aviary = bulletuav.Aviary("mobile_users", 2, num_layouts=1, area=250.0, mobility=mobility)
+    aviary.reset(seeds=0)
+    aviary.step(np.zeros((2, *aviary.action.low.shape)))
+    saved, hashed = aviary.save_state(), aviary.state_hash()
+    aviary.load_state(sent(saved))
+    kept = [f"memory {name}" for name in aviary.task.mobility.state(1)]
+    assert set(kept) <= aviary._bounds().keys()
+    for name in kept:
+        for value in (1e300, np.nan):
+            with pytest.raises(ValueError, match=f"the snapshot has {name} .* is needed"):
+                aviary.load_state(written(aviary, saved, name, value))
+    assert aviary.state_hash() == hashed
+    aviary.close()
+
+
+def test_bodies_that_were_added_are_within_the_bounds():
+    """A drone that lies on the ground touches the shape with the highest number."""
+    airspace = bulletuav.Airspace([(0.0, 0.0, 0.05)], dynamics="rigid_body")
+    airspace.save_state()
+    airspace.add_body(Obstacle("sphere", (0.3,)), (3.0, 0.0, 0.3))
+    for _ in range(240):
+        airspace.step()
+    assert len(airspace.contacts.other)
+    airspace.load_state(sent(airspace.save_state()))
+    airspace.close()
+
+
 def test_parameters_and_contacts_are_checked_row_by_row():
     aviary = made("crossing", dynamics="rigid_body")
     saved = pickle.loads(pickle.dumps(aviary.save_state()))

@@ -15,6 +15,8 @@ from bulletuav.network.mobility.ground import Ground
 
 SPEED_LIMIT = 100.0
 """Greatest speed that an option may give users, m/s"""
+MAX_VELOCITY = 10 * SPEED_LIMIT
+"""Bound of a user's velocity in a snapshot, m/s"""
 MAX_TIME = 1e6
 """Longest time that an option may give, s"""
 MAX_LENGTH = 1e6
@@ -73,6 +75,21 @@ class Mobility(ABC):
             else the model keeps.
         """
         return {"users": (count, 3), "user_velocity": (count, 2)}
+
+    def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
+        """Return the bounds of the arrays that the model keeps, for snapshots.
+
+        Args:
+            ground: Ground of all layouts.
+
+        Returns:
+            Lowest and highest values by name; they broadcast to the array of one world.
+        """
+        reach = float(ground.raster.reach)
+        return {
+            "users": (-reach, max(reach, ground.height)),
+            "user_velocity": (-MAX_VELOCITY, MAX_VELOCITY),
+        }
 
     def require(self, ground: Ground) -> None:  # noqa: B027
         """Check that users can walk on a ground in this way.

@@ -7,7 +7,7 @@ T. Camp, J. Boleng and V. Davies, A survey of mobility models for ad hoc network
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from bulletuav.functions import exp, log
 from bulletuav.kernel import elementwise, kernel
 from bulletuav.network.mobility.base import (
     MAX_TIME,
+    MAX_VELOCITY,
     SPEED_LIMIT,
     Generators,
     State,
@@ -92,6 +93,11 @@ class GaussMarkov(Walking):
         Beside those of every model this is "user_mean_velocity" (U, 2), m/s.
         """
         return super().state(count) | {"user_mean_velocity": (count, 2)}
+
+    def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
+        """Return the bounds of what the model keeps, see `Mobility.bounds`."""
+        mean = {"user_mean_velocity": (-MAX_VELOCITY, MAX_VELOCITY)}
+        return super().bounds(ground) | mean
 
     def start(
         self,

@@ -4,7 +4,7 @@ The model is our own.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from bulletuav.kernel import kernel
 from bulletuav.network.mobility.base import (
     MAX_LENGTH,
     MAX_TIME,
+    MAX_VELOCITY,
     SPEED_LIMIT,
     Generators,
     State,
@@ -89,6 +90,17 @@ class Hotspot(Walking):
             "user_hotspot": (count,),
             "user_speed": (count,),
             "user_heading": (count, 2),
+        }
+
+    def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
+        """Return the bounds of what the model keeps, see `Mobility.bounds`."""
+        reach = float(ground.raster.reach)
+        return super().bounds(ground) | {
+            "hotspots": (-reach, reach),
+            "hotspot_velocity": (-MAX_VELOCITY, MAX_VELOCITY),
+            "user_hotspot": (0, self.num_hotspots - 1),
+            "user_speed": (0.0, MAX_VELOCITY),
+            "user_heading": (-MAX_VELOCITY, MAX_VELOCITY),
         }
 
     def start(

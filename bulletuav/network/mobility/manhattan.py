@@ -6,13 +6,20 @@ distance between those who follow each other are left out.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from bulletuav.errors import as_sequence, finite
 from bulletuav.kernel import func, kernel
-from bulletuav.network.mobility.base import Generators, State, Walking, stream_keys, uniform
+from bulletuav.network.mobility.base import (
+    MAX_VELOCITY,
+    Generators,
+    State,
+    Walking,
+    stream_keys,
+    uniform,
+)
 from bulletuav.network.mobility.ground import OFF_GRID, Graph, Ground
 from bulletuav.network.mobility.raster import length
 from bulletuav.registry import register
@@ -59,6 +66,15 @@ class Manhattan(Walking):
         node behind, the node ahead, and the distance from the former, m.
         """
         return super().state(count) | {"user_speed": (count,), "user_street": (count, 3)}
+
+    def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
+        """Return the bounds of what the model keeps, see `Mobility.bounds`."""
+        last = ground.graph.node.shape[1] - 1
+        longest = 4.0 * float(ground.raster.reach)  # longer than the diagonal of the square
+        return super().bounds(ground) | {
+            "user_speed": (0.0, MAX_VELOCITY),
+            "user_street": (np.zeros(3), np.array((last, last, longest))),
+        }
 
     def require(self, ground: Ground) -> None:
         """Check that all cities have streets.

@@ -5,7 +5,7 @@ users walk only to places in straight view, as in ns-3's outdoor random walk.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from bulletuav.functions import power
 from bulletuav.kernel import func, kernel
 from bulletuav.network.mobility.base import (
     MAX_TIME,
+    MAX_VELOCITY,
     Generators,
     State,
     Walking,
@@ -66,6 +67,15 @@ class Waypoint(Walking):
             "user_goal": (count, 2),
             "user_speed": (count,),
             "user_pause": (count,),
+        }
+
+    def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
+        """Return the bounds of what the model keeps, see `Mobility.bounds`."""
+        reach = float(ground.raster.reach)
+        return super().bounds(ground) | {
+            "user_goal": (-reach, reach),
+            "user_speed": (0.0, MAX_VELOCITY),
+            "user_pause": (0.0, MAX_TIME),
         }
 
     def start(

@@ -100,6 +100,10 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
             "mean_dwell_time": (drones,),
         }
 
+    def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
+        """Return the bounds of what the mobility model keeps."""
+        return self.mobility.bounds(self.ground)
+
     def targets(self, scene: Scene) -> np.ndarray:
         """Tell where the users are, (W, U, 3) m."""
         return scene.memory["users"]
