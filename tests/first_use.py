@@ -37,9 +37,6 @@ def entry_points():
         "aec_env": lambda: flown(bulletuav.aec_env("hover", **options)),
         "available_airframes": lambda: bulletuav.available_airframes(),
         "batch_env": lambda: flown(bulletuav.batch_env("formation", 2, **options)),
-        "batch_env, workers": lambda: flown(
-            bulletuav.batch_env("crossing", 2, workers=2, **options)
-        ),
         "check_dynamics": lambda: bulletuav.check_dynamics("point_mass", horizon=3),
         "check_policy": lambda: bulletuav.check_policy("straight", "hover", **options),
         "check_sensor": lambda: bulletuav.check_sensor("radio", **options),

@@ -9,6 +9,27 @@ import pytest
 
 import bulletuav
 
+FORK = """
+import os, sys, threading
+from numba.core.compiler_lock import global_compiler_lock
+import bulletuav.dispatcher
+
+held = threading.Event()
+
+def compile_something():
+    with global_compiler_lock:
+        held.set()
+        threading.Event().wait(0.3)
+
+threading.Thread(target=compile_something).start()
+held.wait(60)
+child = os.fork()
+if child == 0:
+    os._exit(0 if global_compiler_lock._lock.acquire(timeout=10) else 1)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+"""Forks while another thread compiles; fails if the child cannot compile"""
+
 
 @pytest.mark.parametrize("way", ["threads", "import", "fork", "spawn"])
 def test_every_entry_point_can_be_the_first_use_of_a_process(way):
@@ -19,3 +40,7 @@ def test_every_entry_point_can_be_the_first_use_of_a_process(way):
 
 def test_no_public_entry_point_is_left_out():
     assert set(bulletuav.__all__) - {"__version__"} <= set(first_use.entry_points())
+
+
+def test_a_fork_can_compile_though_another_thread_was_compiling():
+    subprocess.run([sys.executable, "-c", FORK], check=True, timeout=first_use.LIMIT)
