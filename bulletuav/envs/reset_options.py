@@ -11,8 +11,9 @@ from bulletuav.tasks.given import PLACES
 
 MASK = "reset_mask"
 """Option that tells which worlds are reset, where there are several"""
-OF_WRAPPERS = ("minari_autoseed",)
-"""Options that wrappers read themselves and pass on"""
+OF_WRAPPERS = ("minari_autoseed", "options")
+"""Options of others: Minari's wrapper passes the first on, PettingZoo's `parallel_api_test` gives
+the second to every environment"""
 ENV_OPTIONS = frozenset(field.name for field in dataclasses.fields(EnvOptions))
 """Options that an environment keeps from when it is made"""
 _START = "where drones start is 'start'"

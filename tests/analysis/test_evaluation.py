@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import signal
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -191,7 +192,8 @@ def test_the_end_of_a_worker_is_told(fault, said, monkeypatch):
 class Doomed(Policy):
     """Ends its process in the second batch that it flies, as often as there are files to remove."""
 
-    name, actions, reads_swarm, folder = "doomed", ("velocity",), False, None
+    name, actions, reads_swarm = "doomed", ("velocity",), False
+    folder: ClassVar = None
 
     def __init__(self, aviary):
         super().__init__(aviary)
