@@ -4,17 +4,24 @@
     server.run()
 
 A request is [0, number, name, arguments], its answer [1, number, error or nil, result].
+
+Neither AirSim's client (airsim 1.8.1) nor Cosys-AirSim's (cosysairsim 3.5.0) sends anything but
+requests. A connection ends therefore with the first message that is none: HTTP, WebSocket and TLS
+begin with bytes that msgpack reads as integers, so that no page in a browser can send a request.
 """
 
 import asyncio
-import contextlib
+import logging
+import time
 from typing import TYPE_CHECKING, Any
 
 from bulletuav.bridges.airsim_calls import Calls
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_world import World
-from bulletuav.bridges.sockets import listening
+from bulletuav.bridges.sockets import LOG_NAME, listening
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits, PeerLog
 from bulletuav.envs.pacer import Pacer
+from bulletuav.envs.streams import Stream, StreamServer
 from bulletuav.errors import as_int, missing
 
 if TYPE_CHECKING:
@@ -22,11 +29,9 @@ if TYPE_CHECKING:
 
 PORT = 41451
 """Port that clients connect to, unless they are told another"""
-MOST_CLIENTS = 64
+LIMITS = Limits()
 MOST_REQUEST = 2**20
 """Greatest size of a request, bytes"""
-MOST_WAITING = 2**26
-"""Most bytes of answers that a client leaves unread until it is let go"""
 IN_ONE_GO = 50
 """Requests of a client, or steps of a call, after which others have their turn"""
 CONTINUES = ("simContinueForTime", "simContinueForFrames")
@@ -48,6 +53,8 @@ class AirsimServer:
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
+        limits: Limits = LIMITS,
+        clock: Clock = time.monotonic,
     ) -> None:
         """Open the port; clients are answered once it runs.
 
@@ -56,6 +63,8 @@ class AirsimServer:
             host: Address to listen at. Whoever can reach it can fly the vehicles.
             port: Port; 0 for a free one.
             speed: Simulated seconds in one of the clock.
+            limits: Limits of connections.
+            clock: Function that returns the time by which connections are idle, s.
 
         Raises:
             ValueError: The port or the speed cannot be.
@@ -73,13 +82,18 @@ class AirsimServer:
         self._calls = Calls(world)
         self._left = 0.0
         self.pacer = Pacer(world.airspace.period, speed, _sleep=self._note)
-        # Who is there, and what has to be ended with the server
-        self._clients: set[_Client] = set()
-        self._meetings: set[asyncio.Future[Any]] = set()
+        self._streams = StreamServer(
+            self._talk, limits, PeerLog(logging.getLogger(LOG_NAME), clock), clock
+        )
         self._stopped = False
         # Last, so that nobody comes too early
         self._socket = listening(host, port)
         self.port: int = self._socket.getsockname()[1]
+
+    @property
+    def connections(self) -> Connections[Stream]:
+        """The connections that there are."""
+        return self._streams.connections
 
     def _note(self, seconds: float) -> None:
         """Note how long the pacer would sleep: others work meanwhile."""
@@ -108,17 +122,14 @@ class AirsimServer:
 
     async def serve(self, seconds: float | None = None) -> None:
         """Do what `run` does, in an event loop of one's own."""
-        server = await asyncio.start_server(self._meet, sock=self._socket)
+        await self._streams.start(self._socket)
         try:
             async with asyncio.timeout(seconds):
                 await self._fly()
         except TimeoutError:
             pass
         finally:
-            server.close()
-            for client in self._clients:
-                client.close()
-            await asyncio.gather(*self._meetings, return_exceptions=True)
+            await self._streams.stop()
 
     async def _fly(self) -> None:
         """Fly in real time, unless time stands still."""
@@ -130,22 +141,9 @@ class AirsimServer:
             self.pacer.wait()
             await asyncio.sleep(self._left)
 
-    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _talk(self, stream: Stream) -> None:
         """Answer a client until it goes."""
-        client = _Client(self, writer)
-        if len(self._clients) >= MOST_CLIENTS:
-            client.close()
-            return
-        meeting = asyncio.current_task()
-        assert meeting is not None  # as this is a coroutine
-        self._clients.add(client)
-        self._meetings.add(meeting)
-        try:
-            await client.listen(reader)
-        finally:
-            self._clients.discard(client)
-            self._meetings.discard(meeting)
-            client.close()
+        await _Client(self, stream).listen()
 
     async def advance(self, steps: int) -> None:
         """Fly a number of steps at once; others have their turns meanwhile."""
@@ -159,30 +157,41 @@ class AirsimServer:
 class _Client:
     """One client's connection."""
 
-    def __init__(self, server: AirsimServer, writer: asyncio.StreamWriter) -> None:
-        self._server, self._writer = server, writer
+    def __init__(self, server: AirsimServer, stream: Stream) -> None:
+        self._server, self._stream = server, stream
         self._calls, self._msgpack = server._calls, server._msgpack
 
-    def close(self) -> None:
-        """End the connection."""
-        self._writer.close()
-
-    async def listen(self, reader: asyncio.StreamReader) -> None:
-        """Answer requests until the client goes, or sends what is no msgpack."""
+    async def listen(self) -> None:
+        """Answer requests until the client goes, or sends what is no request."""
         unpacker: msgpack.Unpacker = self._msgpack.Unpacker(
             max_buffer_size=MOST_REQUEST, strict_map_key=False, unicode_errors="replace"
         )
         taken, goes_on = 0, True
-        with contextlib.suppress(ConnectionError):
-            while goes_on and (data := await reader.read(65536)):
-                messages, goes_on = self._messages(unpacker, data)
-                for message in messages:
-                    await self._take(message)
-                    if self._writer.is_closing():
-                        return
-                    taken += 1
-                    if taken % IN_ONE_GO == 0:
-                        await asyncio.sleep(0)
+        while goes_on and (data := await self._stream.reader.read(65536)):
+            messages, goes_on = self._messages(unpacker, data)
+            for message in messages:
+                if not _is_request(message):
+                    self._stream.drop("was dropped: it sent a message that is no request")
+                    return
+                if not self._admit(message[1]):
+                    return
+                await self._take(message)
+                if not self._stream.is_open:
+                    return
+                taken += 1
+                if taken % IN_ONE_GO == 0:
+                    await asyncio.sleep(0)
+        if not goes_on:
+            self._stream.drop("was dropped: it sent bytes that are no msgpack, or too many")
+
+    def _admit(self, number: int) -> bool:
+        """Record a request; return False if there is no place for one more client."""
+        try:
+            self._stream.request()
+        except FullError as error:
+            self._answer(number, f"this server is full: {error}; try again later", None)
+            return False
+        return True
 
     def _messages(self, unpacker: "msgpack.Unpacker", data: bytes) -> tuple[list[Any], bool]:
         """Read all messages that are whole; tell also whether what follows can be read."""
@@ -196,18 +205,15 @@ class _Client:
         return messages, True
 
     async def _take(self, message: Any) -> None:
-        """Answer a message; one that is no request is a probe, and not answered."""
-        if not isinstance(message, list) or len(message) != 4 or message[0] != 0:
-            return
+        """Answer a request."""
         _, number, name, arguments = message
-        if not isinstance(number, int) or not isinstance(arguments, list):
-            return
         try:
             if isinstance(name, str) and name in MOTIONS:
-                self._calls.move(name, arguments, lambda done: self._answer(number, None, done))
+                self._calls.move(name, arguments, lambda done: self._end_motion(number, done))
+                self._server.connections.wait(self._stream)
                 return
             if name in CONTINUES:
-                await self._server.advance(self._calls.steps(name, arguments))
+                await self._advance(self._calls.steps(name, arguments))
                 self._answer(number, None, None)
                 return
             result = self._calls.call(name, arguments)
@@ -217,17 +223,37 @@ class _Client:
             return
         self._answer(number, None, result)
 
+    async def _advance(self, steps: int) -> None:
+        """Fly a number of steps at once, for which the client waits."""
+        connections = self._server.connections
+        connections.wait(self._stream)
+        try:
+            await self._server.advance(steps)
+        finally:
+            connections.wait(self._stream, -1)
+
+    def _end_motion(self, number: int, done: bool) -> None:
+        """Answer a motion that has ended."""
+        self._server.connections.wait(self._stream, -1)
+        self._answer(number, None, done)
+
     def _answer(
         self,
         number: int,
         error: str | None,
         result: Any,
     ) -> None:
-        """Send an answer; a client that reads nothing is let go."""
-        transport = self._writer.transport
-        if transport.is_closing():
-            return
-        if transport.get_write_buffer_size() > MOST_WAITING:
-            transport.abort()
-            return
-        self._writer.write(self._msgpack.packb([1, number, error, result]))
+        """Send an answer."""
+        self._stream.send(self._msgpack.packb([1, number, error, result]))
+
+
+def _is_request(message: Any) -> bool:
+    """Return True if a message is a request of msgpack-rpc."""
+    return (
+        isinstance(message, list)
+        and len(message) == 4
+        and type(message[0]) is int
+        and message[0] == 0
+        and type(message[1]) is int
+        and isinstance(message[3], list)
+    )

@@ -11,10 +11,12 @@ import msgpack
 import numpy as np
 import pytest
 
-from bulletuav.bridges import airsim
 from bulletuav.bridges.airsim import AirsimServer
 from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.sockets import LOG_NAME
 from bulletuav.cli import main
+from bulletuav.envs.connections import Limits
+from bulletuav.envs.streams import SWEEP_PERIOD
 
 FREE = (0, {"is_rate": True, "yaw_or_rate": 0.0})
 
@@ -62,9 +64,10 @@ def serve():
     running = []
 
     def serve(drones=1, speed=20.0, **options):
-        world = World(drones, seed=0, **options)
-        server = AirsimServer(world, port=0, speed=speed)
+        world = World(drones, seed=0)
+        server = AirsimServer(world, port=0, speed=speed, **options)
         thread = threading.Thread(target=server.run)
+        server.is_running = thread.is_alive
         thread.start()
         running.append((server, thread))
         return server
@@ -89,6 +92,14 @@ def connect():
         client.socket.close()
 
 
+def until(happens):
+    """Wait for something; the limit only finds hangs."""
+    end = time.perf_counter() + 60
+    while not happens():
+        assert time.perf_counter() < end
+        time.sleep(0.01)
+
+
 def ready(client, vehicle=""):
     assert client.get("enableApiControl", True, vehicle) is None
     assert client.get("armDisarm", True, vehicle) is True
@@ -103,12 +114,82 @@ def test_the_bytes_of_a_call(serve, connect):
     assert client.get("getMinRequiredClientVersion") == 1
 
 
-def test_what_is_no_request_is_not_answered(serve, connect):
-    """A lone number, a list too short, a number that is a text, arguments that are none."""
-    client = connect(serve())
-    for probe in (7, [0, 1, "ping"], [0, "1", "ping", []], [0, 1, "ping", 5], [2, 1, "ping", []]):
-        client.socket.sendall(msgpack.packb(probe))
-    assert client.get("ping") is True
+MOVES = b"".join(
+    msgpack.packb([0, number, *call])
+    for number, call in enumerate(
+        [("enableApiControl", [True, ""]), ("armDisarm", [True, ""]), ("takeoff", [20.0, ""])]
+    )
+)
+"""Requests that make a drone fly"""
+HEADERS = b"Host: 127.0.0.1\r\nOrigin: https://evil.example\r\nContent-Length: 200\r\n"
+CHUNKED = b"Transfer-Encoding: chunked\r\n\r\n%x\r\n" % len(MOVES)
+FORM = b"--b\r\nContent-Disposition: form-data; name=x\r\n\r\n"
+NO_REQUESTS = {
+    "GET": b"GET / HTTP/1.1\r\n" + HEADERS + b"\r\n",
+    "POST": b"POST / HTTP/1.1\r\n" + HEADERS + b"\r\n",
+    "POST a form": b"POST / HTTP/1.1\r\n" + HEADERS + b"\r\n" + FORM,
+    "PUT": b"PUT / HTTP/1.1\r\n" + HEADERS + b"\r\n",
+    "OPTIONS": b"OPTIONS / HTTP/1.1\r\n" + HEADERS + b"\r\n",
+    "POST chunks": b"POST / HTTP/1.1\r\n" + HEADERS + CHUNKED,
+    "HTTP/2": b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    "WebSocket": b"GET / HTTP/1.1\r\nUpgrade: websocket\r\n\r\n\x82\x7e\x00\x80",
+    "TLS": b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+    "TURN": b"\x00\x03\x00\x08\x21\x12\xa4\x42" + bytes(12),
+    "ICE over TCP": b"\x00\x94\x00\x01\x00\x80\x21\x12\xa4\x42",
+    "number": msgpack.packb(7),
+    "nil": msgpack.packb(None),
+    "text": msgpack.packb("ping"),
+    "map": msgpack.packb({0: 1, 1: "ping"}),
+    "short list": msgpack.packb([0, 1, "ping"]),
+    "text as number": msgpack.packb([0, "1", "ping", []]),
+    "truth as number": msgpack.packb([0, True, "ping", []]),
+    "truth as kind": msgpack.packb([False, 1, "ping", []]),
+    "no arguments": msgpack.packb([0, 1, "ping", 5]),
+    "answer": msgpack.packb([1, 1, None, True]),
+    "notification": msgpack.packb([2, "ping", []]),
+    "no msgpack": b"\xc1",
+}
+"""First bytes of what browsers can be made to send, and of other messages that are no requests"""
+
+
+@pytest.fixture(scope="module")
+def still():
+    """A server that waits for a client to fly; tests of no requests share it."""
+    world = World(1, seed=0, dynamics="point_mass")
+    server = AirsimServer(world, port=0, speed=20.0)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    yield server
+    server.stop()
+    thread.join()
+    world.close()
+
+
+@pytest.mark.parametrize("in_pieces", [False, True], ids=["whole", "in pieces"])
+@pytest.mark.parametrize("kind", NO_REQUESTS)
+def test_a_connection_ends_with_the_first_message_that_is_no_request(kind, in_pieces, still):
+    """Also where requests follow, so that no page in a browser can fly a drone."""
+    data = NO_REQUESTS[kind] + MOVES
+    with socket.create_connection(("127.0.0.1", still.port), timeout=60) as one:
+        answer = b""
+        with contextlib.suppress(ConnectionError):
+            for piece in [data[k : k + 1] for k in range(len(data))] if in_pieces else [data]:
+                one.sendall(piece)
+            while more := one.recv(65536):
+                answer += more
+    assert answer == b""
+    vehicle = still.world.vehicle("")[1]
+    assert not vehicle.is_ours
+    assert not vehicle.is_armed
+
+
+def test_requests_before_one_that_is_none_are_answered(still, connect):
+    client = connect(still)
+    client.socket.sendall(msgpack.packb([0, 1, "ping", []]) + NO_REQUESTS["POST"] + MOVES)
+    assert client.receive() == [1, None, True]
+    with pytest.raises(ConnectionError):
+        client.receive()
+    assert not still.world.vehicle("")[1].is_ours
 
 
 def test_motions_are_answered_when_they_end(serve, connect):
@@ -179,7 +260,7 @@ def test_a_client_that_vanishes_leaves_the_drone_flying(serve, connect):
     client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     client.socket.close()
     other = connect(server)
-    while len(server._clients) > 1:
+    while len(server.connections) > 1:
         time.sleep(0.01)
     end = time.perf_counter() + 20
     while other.get("getMultirotorState", "")["kinematics_estimated"]["position"]["z_val"] > -2.5:
@@ -217,13 +298,13 @@ def survive(server, connect, messages):
 
 def test_it_survives_any_calls_and_bytes(serve, connect, caplog):
     survive(serve(2), connect, 600)
-    assert not caplog.records
+    assert not [one for one in caplog.records if one.name != LOG_NAME]
 
 
 @pytest.mark.slow
 def test_it_survives_a_hundred_thousand_calls_and_bytes(serve, connect, caplog):
     survive(serve(2), connect, 100_000)
-    assert not caplog.records
+    assert not [one for one in caplog.records if one.name != LOG_NAME]
 
 
 def test_a_request_that_is_too_long_ends_its_connection_alone(serve, connect):
@@ -254,18 +335,68 @@ def test_a_flood_does_not_stop_others(serve, connect):
     flooding.socket.shutdown(socket.SHUT_RDWR)
 
 
-def test_there_is_an_end_of_clients(serve, connect, monkeypatch):
-    monkeypatch.setattr(airsim, "MOST_CLIENTS", 2)
-    server = serve()
-    kept = [connect(server), connect(server)]
-    assert [one.get("ping") for one in kept] == [True, True]
+def test_silent_connections_lock_nobody_out(serve, connect):
+    """Many more than there are places; the client that flies is not disconnected for them."""
+    server = serve(limits=Limits(max_clients=2, max_pending=8))
+    client = connect(server)
+    ready(client)
+    silent = [connect(server) for _ in range(30)]
+    assert client.get("ping") is True
+    assert connect(server).get("ping") is True
+    closed = sum(one.socket.recv(1) == b"" for one in silent[:20])
+    assert closed == 20
+    assert client.get("ping") is True
+
+
+def test_connections_without_a_request_are_closed_in_time(serve, connect):
+    now = [0.0]
+    server = serve(limits=Limits(handshake=10.0), clock=lambda: now[0])
+    client, silent, partial = connect(server), connect(server), connect(server)
+    assert client.get("ping") is True
+    partial.socket.sendall(b"\x94\x00")
+    until(lambda: len(server.connections) == 3)
+    now[0] = 9.0
+    partial.socket.sendall(b"\x01")
+    time.sleep(2 * SWEEP_PERIOD)
+    assert len(server.connections) == 3
+    now[0] = 11.0
+    for one in (silent, partial):
+        with pytest.raises(ConnectionError):
+            one.receive()
+    now[0] = 1e6  # a client may be idle as long as nobody needs its place
+    time.sleep(2 * SWEEP_PERIOD)
+    assert client.get("ping") is True
+
+
+def test_a_client_too_many_is_told_so(serve, connect, caplog):
+    now = [0.0]
+    server = serve(limits=Limits(max_clients=2, grace=60.0), clock=lambda: now[0])
+    first, second = connect(server), connect(server)
+    assert [one.get("ping") for one in (first, second)] == [True, True]
+    third = connect(server)
+    error, result = third.ask("ping")
+    assert error == "this server is full: 2 others are connected, which is the limit; try again later"
+    assert result is None
     with pytest.raises(ConnectionError):
-        connect(server).get("ping")
+        third.get("ping")
+    assert sum("was refused" in record.message for record in caplog.records) == 1
+    # The one that is idle longest makes room, unless it waits for an answer
+    ready(first)
+    first.send("moveByVelocity", 0.0, 0.0, -1.0, 1e6, *FREE, "")
+    first.send("ping")
+    first.receive()
+    now[0] = 50.0
+    second.get("ping")
+    now[0] = 120.0
+    fourth = connect(server)
+    assert fourth.get("ping") is True
+    with pytest.raises(ConnectionError):
+        second.receive()
+    assert first.get("ping") is True
 
 
-def test_who_reads_nothing_is_let_go(serve, connect, monkeypatch):
-    monkeypatch.setattr(airsim, "MOST_WAITING", 1000)
-    server = serve()
+def test_a_client_that_reads_nothing_is_dropped(serve, connect, caplog):
+    server = serve(limits=Limits(max_unread=1000))
     client = connect(server)
 
     def send():
@@ -276,6 +407,45 @@ def test_who_reads_nothing_is_let_go(serve, connect, monkeypatch):
     with pytest.raises(ConnectionError):
         send()
     assert connect(server).get("ping") is True
+    assert "bytes unread" in caplog.text
+
+
+PICTURES = [{"camera_name": "0", "image_type": 0}] * 32
+"""An answer of 3.5 MB, more than sockets hold"""
+
+
+def test_a_client_that_stops_reading_is_dropped_in_time(serve, connect, caplog):
+    now = [0.0]
+    server = serve(limits=Limits(max_stall=30.0), clock=lambda: now[0])
+    client = connect(server)
+    for _ in range(3):
+        client.send("simGetImages", PICTURES, "")
+    until(lambda: [one.unread > 0 for one in server.connections.all()] == [True])
+    now[0] = 31.0
+    until(lambda: len(server.connections) == 0)
+    assert "read nothing for 30 s" in caplog.text
+
+
+@pytest.mark.parametrize("goes", [False, True])
+def test_a_client_that_reads_nothing_holds_up_neither_the_end_nor_memory(goes, serve, connect):
+    """It may have closed its own side, too."""
+    server = serve(limits=Limits(linger=0.1))
+    client = connect(server)
+    for _ in range(3):
+        client.send("simGetImages", PICTURES, "")
+    until(lambda: [one.unread > 0 for one in server.connections.all()] == [True])
+    if goes:
+        client.socket.shutdown(socket.SHUT_WR)
+        until(lambda: len(server.connections) == 0)
+    server.stop()
+    until(lambda: not server.is_running())
+
+
+def test_a_client_that_closes_its_own_side_reads_its_answers(serve, connect):
+    client = connect(serve())
+    client.send("simGetImages", PICTURES, "")
+    client.socket.shutdown(socket.SHUT_WR)
+    assert len(client.receive()[2]) == 32
 
 
 def test_a_port_in_use_is_told(serve):
