@@ -25,7 +25,7 @@ class Client:
     """A socket that sends requests."""
 
     def __init__(self, server):
-        self.socket = socket.create_connection(("127.0.0.1", server.port), timeout=20)
+        self.socket = socket.create_connection(("127.0.0.1", server.port), timeout=60)
         self._unpacker, self._count = msgpack.Unpacker(), 0
 
     def send(self, name, *arguments):
@@ -155,7 +155,7 @@ NO_REQUESTS = {
 @pytest.fixture(scope="module")
 def still():
     """A server that waits for a client to fly; tests of no requests share it."""
-    world = World(1, seed=0, dynamics="point_mass")
+    world = World(1, seed=0)
     server = AirsimServer(world, port=0, speed=20.0)
     thread = threading.Thread(target=server.run)
     thread.start()
@@ -375,7 +375,9 @@ def test_a_client_too_many_is_told_so(serve, connect, caplog):
     assert [one.get("ping") for one in (first, second)] == [True, True]
     third = connect(server)
     error, result = third.ask("ping")
-    assert error == "this server is full: 2 others are connected, which is the limit; try again later"
+    assert (
+        error == "this server is full: 2 others are connected, which is the limit; try again later"
+    )
     assert result is None
     with pytest.raises(ConnectionError):
         third.get("ping")
@@ -421,8 +423,13 @@ def test_a_client_that_stops_reading_is_dropped_in_time(serve, connect, caplog):
     for _ in range(3):
         client.send("simGetImages", PICTURES, "")
     until(lambda: [one.unread > 0 for one in server.connections.all()] == [True])
-    now[0] = 31.0
-    until(lambda: len(server.connections) == 0)
+
+    def later():
+        now[0] += 31.0
+        time.sleep(SWEEP_PERIOD)
+        return len(server.connections) == 0
+
+    until(later)
     assert "read nothing for 30 s" in caplog.text
 
 
