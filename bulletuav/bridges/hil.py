@@ -255,12 +255,12 @@ class HilServer:
         for i, connections in enumerate(self._connections):
             for link in connections.overdue():
                 self._drop(i, link, "was dropped: it sent no message in time")
-        for i, link in enumerate(self._links):
-            if link is None or link.answers or link.begun is None:
+        for i, one in enumerate(self._links):
+            if one is None or one.answers or one.begun is None:
                 continue
-            if self._clock() - link.begun > START:
+            if self._clock() - one.begun > START:
                 self._drop(
-                    i, link, f"was dropped: it has not answered any measurement in {START:g} s"
+                    i, one, f"was dropped: it has not answered any measurement in {START:g} s"
                 )
 
     def _take(self, i: int, link: Link, messages: list[Message]) -> None:

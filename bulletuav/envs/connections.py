@@ -45,7 +45,7 @@ class Limits:
         max_idle: Time after its last request after which a client is dropped, s.
         max_unread: Bytes that a client may leave unread.
         max_stall: Time in which a client with unread bytes has to read some, s.
-        linger: Time in which a closed connection has to read what was sent, s.
+        linger: The same for a connection that the server has closed, s.
     """
 
     max_clients: int = 64
@@ -147,8 +147,9 @@ class Connections(Generic[Key]):
         return evicted
 
     def touch(self, key: Key) -> None:
-        """Record that a connection is in use, without a request."""
-        self._entries[key].active = self._clock()
+        """Record that a connection is in use, without a request: it reads what it is sent."""
+        if key in self._entries:
+            self._entries[key].active = self._clock()
 
     def wait(self, key: Key, count: int = 1) -> None:
         """Record that a client waits for `count` more requests, or for fewer if negative."""

@@ -79,12 +79,14 @@ class Stream:
         if evicted is not None:
             evicted.drop("was disconnected: it was idle longest, and another client needed room")
 
-    def is_stalled(self) -> bool:
-        """Return True if the peer has unread bytes and has read none of them for too long."""
+    def look(self) -> None:
+        """Look whether the peer has read something since the last look."""
         delivered = self._sent - self.unread
-        if not self.unread or delivered > self._delivered:
-            self._moved, self._delivered = self._server.clock(), delivered
-        return self.stalled > self._server.limits.max_stall
+        if delivered > self._delivered or not self.unread:
+            self._moved = self._server.clock()
+        if delivered > self._delivered:
+            self._server.connections.touch(self)
+        self._delivered = delivered
 
     @property
     def stalled(self) -> float:
@@ -106,15 +108,20 @@ class Stream:
         self._transport.abort()
 
     async def end(self) -> None:
-        """Close the connection; a peer that does not read what was sent loses it."""
+        """Close the connection; a peer that stops reading what was sent loses it."""
         self.close()
+        moved, unread = self._server.clock(), self.unread
         try:
-            async with asyncio.timeout(self._server.limits.linger):
-                await self._writer.wait_closed()
-        except OSError:  # TimeoutError, or the peer has gone
-            pass
+            closed = asyncio.ensure_future(self._writer.wait_closed())
+            while not (await asyncio.wait([closed], timeout=SWEEP_PERIOD))[0]:
+                if self.unread < unread:
+                    moved, unread = self._server.clock(), self.unread
+                elif self._server.clock() - moved > self._server.limits.linger:
+                    return
         finally:
-            self._transport.abort()
+            self.abort()
+            with contextlib.suppress(OSError):
+                await closed
 
 
 class StreamServer:
@@ -153,7 +160,7 @@ class StreamServer:
 
         Args:
             listening: The socket.
-            max_line: Most bytes that a stream's reader keeps.
+            max_line: Longest line that a stream's reader reads, bytes.
         """
         self._server = await asyncio.start_server(self._meet, sock=listening, limit=max_line)
         self._sweeper = asyncio.create_task(self._sweep_often())
@@ -182,10 +189,10 @@ class StreamServer:
         stream = Stream(self, reader, writer)
         self._talks[task] = stream
         try:
-            evicted = self.connections.add(stream)
-            if evicted is not None:
-                evicted.drop("was disconnected: it sent no request, and others needed room")
             with contextlib.suppress(ConnectionError):
+                evicted = self.connections.add(stream)
+                if evicted is not None:
+                    evicted.drop("was disconnected: it sent no request, and others needed room")
                 await self._talk(stream)
         finally:
             # A connection keeps its place until it has ended: it still holds memory
@@ -202,7 +209,8 @@ class StreamServer:
     def sweep(self) -> None:
         """Drop connections that are overdue, or read nothing of what they were sent."""
         for stream in self.connections.all():
-            if stream.is_stalled():
+            stream.look()
+            if stream.stalled > self.limits.max_stall:
                 stream.drop(f"was dropped: it read nothing for {self.limits.max_stall:g} s")
         for stream in self.connections.overdue():
             stream.drop("was dropped: it sent no request in time")
