@@ -201,15 +201,18 @@ class PeerLog:
         self._reported: dict[tuple[str, str], None] = {}
         self._start, self._count = -math.inf, 0
 
-    def report(self, peer: str, reason: str) -> None:
+    def report(self, peer: str, reason: str) -> bool:
         """Log at level WARNING that a peer was refused or dropped, and why.
 
         Args:
             peer: Address of the peer.
             reason: Words that follow the address, such as "was dropped: it sent no request".
+
+        Returns:
+            False if it has been reported before.
         """
         if (peer, reason) in self._reported:
-            return
+            return False
         self._reported[peer, reason] = None
         if len(self._reported) > MAX_REPORTED:
             del self._reported[next(iter(self._reported))]
@@ -223,3 +226,4 @@ class PeerLog:
             self._logger.warning(
                 "%s %s; more such peers are not logged for %.0f s", peer, reason, REPORT_PERIOD
             )
+        return True

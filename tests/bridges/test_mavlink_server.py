@@ -2,14 +2,14 @@
 
 import socket
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from bridges.mavlink_client import NAN, VELOCITY_ONLY, Station, common, random_frame
 from pymavlink import mavutil
 
-from bulletuav.bridges import mavlink
-from bulletuav.bridges.mavlink import MavlinkServer
+from bulletuav.bridges.mavlink import LIMITS, MOST_READ, MavlinkServer
 from bulletuav.bridges.mavlink_wire import Mode, Told, Wire
 from bulletuav.cli import main
 
@@ -18,9 +18,9 @@ from bulletuav.cli import main
 def serve(make_vehicles, keep_running):
     """Runs servers, ten times as fast as real time, until the test ends."""
 
-    def serve(drones=1, speed=10.0, client_port=None):
+    def serve(drones=1, speed=10.0, client_port=None, **options):
         fleet = make_vehicles(drones)
-        return keep_running(MavlinkServer(fleet, port=0, speed=speed, client_port=client_port))
+        return keep_running(MavlinkServer(fleet, "127.0.0.1", 0, speed, client_port, **options))
 
     return serve
 
@@ -120,19 +120,18 @@ def test_frames_of_the_older_mavlink_are_read_and_several_of_a_datagram(serve, c
         expect(link, "AUTOPILOT_VERSION")
 
 
-def test_clients_that_vanish_are_sent_nothing_more_and_the_vehicle_holds(
-    serve, connect, monkeypatch
-):
-    server = serve(speed=5.0)
+def test_clients_that_vanish_are_sent_nothing_more_and_the_vehicle_holds(serve, connect):
+    skipped = [0.0]
+    server = serve(speed=5.0, clock=lambda: time.monotonic() + skipped[0])
     link = connect(server)
     command(link, 400, 1)
     command(link, 22, 0, 0, 0, NAN, NAN, NAN, NAN)
     expect(link, "LOCAL_POSITION_NED", lambda told: told.z < -2.3)
     go_offboard(link, (0, 1, 1, 1, VELOCITY_ONLY, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0))
-    monkeypatch.setattr(mavlink, "GONE", 0.3)
     link.close()
+    skipped[0] = LIMITS.max_idle
     pilot = server.fleet.services[0].vehicle.pilot
-    until(lambda: server._clients == [{}] and pilot.mode == Mode.HOLD)
+    until(lambda: not len(server.connections[0]) and pilot.mode == Mode.HOLD)
     sent = server.sent
     time.sleep(0.2)
     assert server.sent == sent
@@ -153,14 +152,38 @@ def test_two_clients_both_hear_it_and_only_one_flies_it(serve, connect):
     assert command(second, 512, 242) == 0  # commands are everybody's
 
 
-def test_more_clients_than_there_is_room_for_are_not_served(serve, connect, monkeypatch):
-    monkeypatch.setattr(mavlink, "MOST_CLIENTS", 2)
-    server = serve()
+def test_more_peers_than_there_is_room_for_are_told_so(serve, connect, caplog):
+    server = serve(limits=replace(LIMITS, max_pending=2, pending_grace=1e9))
     for _ in range(2):
-        connect(server).wait_heartbeat(timeout=10)
+        connect(server).wait_heartbeat(timeout=60)
     third = connect(server)
-    until(lambda: server.refused)
+    text = "refused: too many clients, try later"
+    assert third.recv_match(blocking=True, timeout=60).text == text
+    for _ in range(5):
+        third.mav.heartbeat_send(6, 8, 0, 0, 4)
+    until(lambda: server.refused > 1)
     assert third.wait_heartbeat(timeout=0.3) is None
+    port = third.port.getsockname()[1]
+    assert [f":{port} was refused by vehicle 1" in one.message for one in caplog.records] == [True]
+
+
+def test_a_flood_from_many_ports_does_not_disconnect_a_client_that_flies(serve, connect):
+    """Nor do clients that are there keep others out for ever."""
+    now = [0.0]
+    server = serve(limits=replace(LIMITS, max_clients=2), clock=lambda: now[0])
+    link = connect(server)
+    assert command(link, 512, 148) == 0
+    flyer = link.port.getsockname()
+    now[0] = 4.0
+    beat = bytes(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(common.MAVLink(None, 9)))
+    for k in range(60):
+        now[0] += 0.1
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+            one.sendto(beat, ("127.0.0.1", server.ports[0]))
+        until(lambda k=k: server.received + server.refused >= k + 2)
+    assert flyer in server.connections[0].clients()
+    assert len(server.connections[0].all()) <= 9
+    assert command(connect(server), 512, 148) == 0
 
 
 def test_it_survives_what_is_no_frame(serve, connect):
@@ -178,6 +201,23 @@ def test_it_survives_what_is_no_frame(serve, connect):
     assert command(link, 512, 148) == 0
     assert server.malformed > 1000
     assert np.isfinite(server.fleet.airspace.swarm.position).all()
+
+
+def test_few_messages_are_taken_in_one_go_and_none_is_lost(make_vehicles):
+    """A datagram of 1400 bytes has room for many more."""
+    server = MavlinkServer(make_vehicles(1), port=0, client_port=None)
+    packer = common.MAVLink(None, 9)
+    ping = b"".join(bytes(common.MAVLink_ping_message(0, k, 0, 0).pack(packer)) for k in range(50))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.settimeout(60)
+        for _ in range(3):
+            one.sendto(ping, ("127.0.0.1", server.ports[0]))
+        counts = []
+        while server.received < 150:
+            server._read(0)
+            counts.append(server.received)
+    assert max(np.diff([0, *counts])) == MOST_READ
+    server.close()
 
 
 def test_a_flood_does_not_stop_the_flight(serve, connect):
