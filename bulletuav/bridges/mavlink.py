@@ -160,12 +160,12 @@ class MavlinkServer(DatagramServer):
         """
         connections = self.connections[i]
         try:
-            if address not in connections:
-                connections.add(address)
-            if message.get_type() == "HEARTBEAT":
+            if message.get_type() != "HEARTBEAT":
+                connections.request(address)
+            elif address in connections:
                 connections.touch(address)
             else:
-                connections.request(address)
+                connections.add(address)
         except FullError as error:
             self.refused += 1
             if self._log.report(join_address(*address), f"was refused by vehicle {i + 1}: {error}"):

@@ -131,7 +131,7 @@ class Connections(Generic[Key]):
         """Record a valid request; a pending connection becomes a client's.
 
         Args:
-            key: A connection that was added.
+            key: The connection; one that is new needs no pending place.
 
         Returns:
             A client that is evicted for it: the server closes its connection.
@@ -139,11 +139,11 @@ class Connections(Generic[Key]):
         Raises:
             FullError: All clients' places are taken, and none of them may be evicted yet.
         """
-        entry, evicted = self._entries[key], None
-        if not entry.is_client:
+        evicted = None
+        if not self.is_client(key):
             evicted = self._make_room(True, self.limits.max_clients, self.limits.grace)
-            entry.is_client = True
-        entry.active = self._clock()
+            self._entries[key] = _Entry(0.0, is_client=True)
+        self._entries[key].active = self._clock()
         return evicted
 
     def touch(self, key: Key) -> None:
