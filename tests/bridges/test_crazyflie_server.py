@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from bridges.crtp_client import entries, read
 
-from bulletuav.bridges import crazyflie
-from bulletuav.bridges.crazyflie import CrazyflieServer
+from bulletuav.bridges.crazyflie import LIMITS, CrazyflieServer
 from bulletuav.cli import main
 
 SOURCE = b"\xfd\x00"
@@ -53,8 +52,8 @@ class Client:
 def serve(make_fleet, keep_running):
     """Runs servers, ten times as fast as real time, until the test ends."""
 
-    def serve(drones=1, speed=10.0):
-        return keep_running(CrazyflieServer(make_fleet(drones), port=0, speed=speed))
+    def serve(drones=1, speed=10.0, **options):
+        return keep_running(CrazyflieServer(make_fleet(drones), port=0, speed=speed, **options))
 
     return serve
 
@@ -99,9 +98,9 @@ def test_a_client_finds_drones_connects_and_flies(serve, connect):
     assert server.fleet.airspace.swarm.position[0, 2] < 0.02
 
 
-def test_a_second_client_waits_until_the_first_is_silent(serve, connect, monkeypatch):
-    monkeypatch.setattr(crazyflie, "SILENT", 1.0)
-    server = serve()
+def test_a_second_client_waits_until_the_first_is_silent(serve, connect, caplog):
+    now = [0.0]
+    server = serve(clock=lambda: now[0])
     first, second = connect(server), connect(server)
     first.ask(15, 1, b"\0")
     second.send(SOURCE)
@@ -111,7 +110,12 @@ def test_a_second_client_waits_until_the_first_is_silent(serve, connect, monkeyp
     second.send(bytes([0x8C]) + struct.pack("<BBff?f", 7, 0, 0.5, 0.0, True, 1.0))
     assert second.silent()
     assert server.refused == 2
+    peer = f"127.0.0.1:{second.socket.getsockname()[1]}"
+    assert [f"{peer} was refused: drone 0" in one.message for one in caplog.records] == [True]
     first.ask(15, 0, b"ping")
+    now[0] = 0.4
+    assert second.silent()
+    now[0] = 0.6
     assert second.receive()[0] == 15  # once the first has been silent
     assert second.ask(15, 0, b"ping") == b"ping"
     first.send(b"\xfcping")
@@ -130,17 +134,32 @@ def test_a_client_that_closes_its_link_leaves_the_drone_at_once(serve, connect):
     assert server.refused == 0
 
 
-def test_a_client_that_vanished_is_sent_nothing_more(serve, connect, monkeypatch):
-    monkeypatch.setattr(crazyflie, "GONE", 0.1)
-    server = serve()
+def test_a_client_that_vanished_is_sent_nothing_more(serve, connect):
+    now = [0.0]
+    server = serve(clock=lambda: now[0])
     client = connect(server)
     client.ask(15, 1, b"\0")
     client.ask(5, 1, b"\x06\x00" + struct.pack("<BH", 7, 0))
     client.ask(5, 1, b"\x03\x00\x01")
     client.socket.close()
+    now[0] = LIMITS.max_idle + 1
     until(lambda: server._peers == [None])
     assert server.fleet.vehicles[0].logs.due(10**6) == []
     assert connect(server).ask(15, 0, b"alive") == b"alive"
+
+
+STUN = b"\x00\x01\x00\x00\x21\x12\xa4\x42" + bytes(12)
+"""Request of WebRTC, which a page can have sent to any port"""
+
+
+@pytest.mark.parametrize("datagram", [b"", b"\xff", STUN, b"\x16\xfe\xfd" + bytes(20), bytes(100)])
+def test_what_is_for_no_service_takes_no_drone(datagram, serve, connect):
+    server = serve()
+    other, client = connect(server), connect(server)
+    other.send(datagram)
+    assert client.ask(15, 1, b"\0").startswith(b"Bitcraze")
+    assert server._peers[0].address == client.socket.getsockname()
+    assert server.refused == 0
 
 
 def test_it_survives_what_is_no_packet(serve, connect):
