@@ -164,7 +164,10 @@ class _Client:
     async def listen(self) -> None:
         """Answer requests until the client goes, or sends what is no request."""
         unpacker: msgpack.Unpacker = self._msgpack.Unpacker(
-            max_buffer_size=MOST_REQUEST, strict_map_key=False, unicode_errors="replace"
+            max_buffer_size=MOST_REQUEST,
+            strict_map_key=False,
+            unicode_errors="replace",
+            ext_hook=_refuse_type,
         )
         taken, goes_on = 0, True
         while goes_on and (data := await self._stream.reader.read(65536)):
@@ -257,3 +260,12 @@ def _is_request(message: Any) -> bool:
         and type(message[1]) is int
         and isinstance(message[3], list)
     )
+
+
+def _refuse_type(code: int, data: bytes) -> None:
+    """Refuse a value of a type that msgpack does not define.
+
+    Raises:
+        ValueError: Always.
+    """
+    raise ValueError(f"a value of type {code}, which no call needs")
