@@ -9,7 +9,8 @@ an echo takes, and how much faster than real time the fleet flies if nothing hol
 
 AirSim's calls: states that one client reads a second, one after the other, while the world flies
 in real time; velocities that it sets, one after the other; and how much faster than real time a
-loop in lockstep runs that commands and reads every vehicle ten times a simulated second.
+loop in lockstep runs that commands and reads every vehicle ten times a simulated second. With
+`--pictures` alone: how long pings of one client take while another one asks for pictures.
 
 MAVLink: all vehicles fly offboard, with setpoints at 50 Hz each, and send telemetry at the usual
 rates, with local positions at 50 Hz. Reported are setpoints and messages a second, and the rest as
@@ -31,6 +32,7 @@ import statistics
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -230,6 +232,44 @@ def airsim(drones: int, seconds: float) -> list[str]:
     return [str(drones), f"{reads:.0f}", f"{commands:.0f}", f"{factor:.1f}"]
 
 
+def pictures(seconds: float) -> str:
+    """Measure what one client's pictures cost another client and the flight; give a sentence."""
+    server, _ = served("airsim", "--port", str(AIRSIM_PORT))
+    try:
+        caller, drawer = Caller(), Caller()
+        wanted = [{"camera_name": "0", "image_type": 0}] * 32
+        drawer.get("simGetImages", wanted, "")  # the first one waits for the process that draws
+        drawn, lasted, stop = 0, [], threading.Event()
+
+        def draw() -> None:
+            nonlocal drawn
+            while not stop.is_set():
+                drawn += len(drawer.get("simGetImages", wanted, ""))
+
+        def stamp() -> float:
+            return caller.get("getMultirotorState", "")["timestamp"] / 1e9
+
+        thread = threading.Thread(target=draw)
+        thread.start()
+        begin, stamped = time.perf_counter(), stamp()
+        while time.perf_counter() < begin + seconds:
+            sent = time.perf_counter()
+            caller.get("ping")
+            lasted.append(1000 * (time.perf_counter() - sent))
+            time.sleep(0.01)
+        flown, passed = stamp() - stamped, time.perf_counter() - begin
+        stop.set()
+        thread.join()
+    finally:
+        server.terminate()
+        server.wait()
+    return (
+        f"{drawn / passed:.0f} pictures/s; pings of another client took {max(lasted):.1f} ms at "
+        f"most, {statistics.median(lasted):.1f} ms in the median; real-time factor "
+        f"{flown / passed:.3f}"
+    )
+
+
 def frame(drone: int, name: str, *fields: object) -> bytes:
     """Pack a message for a vehicle."""
     made = getattr(common, f"MAVLink_{name}_message")(*fields)
@@ -412,7 +452,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/results/bridges"))
     parser.add_argument("--drones", type=int, nargs="+", default=[1, 10, 100])
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--pictures", action="store_true", help="measure AirSim's pictures alone")
     arguments = parser.parse_args()
+    if arguments.pictures:
+        print(pictures(arguments.seconds))
+        return
     arguments.out.mkdir(parents=True, exist_ok=True)
     rates = ("real-time factor", "processor of the server", "echo, ms", "times real time, unpaced")
     heads = ("drones", "setpoints/s", "log packets/s", *rates)

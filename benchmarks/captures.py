@@ -5,11 +5,12 @@
 Of each pair: share of episodes in which all evaders were captured, with Wilson's 95 % interval;
 share of evaders captured; and time until capture, s, mean of the evaders, 30 s for those that were
 not. Finished pairs are kept below --runs, and the same command goes on where it was interrupted.
-Writes NAME.md and NAME.csv.
+Writes NAME.md, and NAME.csv with the hash of each pair's episodes.
 """
 
 import argparse
 import csv
+import datetime
 import itertools
 from pathlib import Path
 
@@ -17,36 +18,58 @@ import bulletuav
 from bulletuav.analysis.metrics import estimate
 from bulletuav.files import replace_file
 from bulletuav.tasks import find_task
+from bulletuav.version import CONSTANTS
 
 TASK = "pursuit_evasion"
 CHASERS = ("lead", "pure_pursuit", "area_minimising", "random")
 EVADERS = ("random", "wander", "flee", "flee_weighted", "flee_gap")
-COLUMNS = ("difficulty", "chasers", "evaders", "all", "low", "high", "captured", "seconds")
+SEED = 0
+"""Seed of the first episode of each pair"""
+COLUMNS = (
+    "difficulty",
+    "chasers",
+    "evaders",
+    "all",
+    "low",
+    "high",
+    "captured",
+    "seconds",
+    "dynamics",
+    "episodes",
+    "seed",
+    "hash",
+)
 
 
 def measure(difficulty: str, chasers: str, evaders: str, arguments: argparse.Namespace) -> tuple:
-    """Fly a pair; give a row of the columns."""
+    """Fly a pair and return a row of the columns."""
     name = "-".join((difficulty, arguments.dynamics, chasers, evaders))
     result = bulletuav.evaluate(
         TASK,
         f"{chasers} vs {evaders}",
         arguments.episodes,
+        SEED,
         out=arguments.runs / name,
         dynamics=arguments.dynamics,
         difficulty=difficulty,
     )
     every = estimate("success", [row["captured"] == 1 for row in result.rows])
     means = [result.estimates()[metric].mean for metric in ("captured", "capture_time")]
-    return (difficulty, chasers, evaders, every.mean, every.low, every.high, *means)
+    of = result.conditions
+    conditions = (of.dynamics, of.episodes, of.seed, result.hash)
+    return (difficulty, chasers, evaders, every.mean, every.low, every.high, *means, *conditions)
 
 
 def markdown(rows: list[tuple], arguments: argparse.Namespace) -> str:
     """Write a table for each difficulty, with a line for each policy of chasers."""
     evaders = arguments.evaders.split(",")
+    seeds = f"seeds {SEED} to {SEED + arguments.episodes - 1}"
+    version = f"bulletuav {bulletuav.__version__}, constants {CONSTANTS}"
     lines = [
         "Share of episodes in which all evaders were captured, with its 95 % interval / share of "
         "evaders captured / seconds until capture (30 for those that were not).",
-        f"{arguments.episodes} episodes each, `{arguments.dynamics}`. Made by",
+        f"`{TASK}`, `{arguments.dynamics}`, {arguments.episodes} episodes of each pair, {seeds}. "
+        f"Flown on {datetime.date.today()} by {version}, with",
         "",
         "```bash",
         f"python benchmarks/captures.py --difficulties {arguments.difficulties} --chasers "
@@ -61,7 +84,7 @@ def markdown(rows: list[tuple], arguments: argparse.Namespace) -> str:
         for chasers, cells in itertools.groupby(group, lambda row: row[1]):
             told = (
                 f"{every:.2f} [{low:.2f}, {high:.2f}] / {share:.2f} / {seconds:.1f}"
-                for *_, every, low, high, share, seconds in cells
+                for every, low, high, share, seconds in (cell[3:8] for cell in cells)
             )
             lines.append(f"| `{chasers}` | {' | '.join(told)} |")
     return "\n".join(lines) + "\n"
@@ -77,7 +100,7 @@ def main() -> None:
     parser.add_argument("--chasers", default=",".join(CHASERS))
     parser.add_argument("--evaders", default=",".join(EVADERS))
     parser.add_argument("--name", default="captures", help="of the files")
-    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--dynamics", default="bullet")
     parser.add_argument("--out", type=Path, default=Path("out/captures"))
     parser.add_argument("--runs", type=Path, default=Path("out/captures/runs"))
@@ -90,7 +113,9 @@ def main() -> None:
     with (arguments.out / f"{arguments.name}.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        writer.writerows([[*row[:3], *(f"{one:.4g}" for one in row[3:])] for row in rows])
+        writer.writerows(
+            [[*row[:3], *(f"{one:.4g}" for one in row[3:8]), *row[8:]] for row in rows]
+        )
 
 
 if __name__ == "__main__":

@@ -88,7 +88,8 @@ def main() -> None:
     other = "" if arguments.policy == "race_pilot" else f"--policy {arguments.policy} "
     other += f"--seed {arguments.seed} " if arguments.seed else ""
     lines = [
-        f"`{arguments.policy}`, {arguments.episodes} races of each row, `{arguments.dynamics}`. "
+        f"`{arguments.policy}`, {arguments.episodes} races of each row, seeds {arguments.seed} to "
+        f"{arguments.seed + arguments.episodes - 1}, `{arguments.dynamics}`. "
         "Missed, contacts, overtakes: mean of the drones. Lap: race time of the first drone to "
         "start over that of the fastest line, mean with 95 % interval, and the worst. Made by",
         "",

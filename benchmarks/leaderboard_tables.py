@@ -10,10 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from leaderboard_rows import Row, read_told
 
+from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.metrics import Estimate
+from bulletuav.analysis.seals import read_call
+from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
 from bulletuav.report.charts import COLOURS
 from bulletuav.report.figures import blank_figure, save_figure
+from bulletuav.tasks import find_task
 
 SHOWN = ("success", "team_0_success", "drone_success", "conflict", "collision")
 """Metrics beside the score"""
@@ -165,12 +169,28 @@ def _summary(entries: Mapping[str, Sequence[Entry]], scores: Mapping[str, str]) 
     return "\n".join(lines) + "\n"
 
 
+def _conditions(told: Mapping[str, Any]) -> str:
+    """Write the task, difficulty, dynamics, episodes and seeds of the evaluation of a row."""
+    call = read_call(told["call"], trust=False)
+    options = resolve(find_task(call["task"]), call["options"]).options
+    conditions = Conditions(
+        task=call["task"],
+        difficulty=options.difficulty,
+        dynamics=options.dynamics_name,
+        episodes=told["episodes"],
+        seed=call["seed"],
+    )
+    return str(conditions)
+
+
 def _table(task: str, entries: Sequence[Entry], score: str) -> str:
     """Write the table of a task."""
     shown = [name for name in SHOWN if any(not math.isnan(one.mean(name)) for one in entries)]
     heads = ["policy", "reads", "seeds", score.replace("_", " ")]
     heads += [name.replace("_", " ") for name in shown]
-    lines = [f"## {task}", "", *_head([*heads, "decisions", "CPU s", "wall s"])]
+    conditions = dict.fromkeys(_conditions(told) for one in entries for told in one.told)
+    lines = [f"## {task}", "", f"Each policy: {'; '.join(conditions)}.", ""]
+    lines += _head([*heads, "decisions", "CPU s", "wall s"])
     for one in entries:
         seeds = ", ".join(str(told["seed"]) for told in one.told) if one.is_learned else "-"
         found = [one.mean(name) for name in shown]

@@ -11,6 +11,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from waiting import PATIENCE
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 FLAGS = (
     *("--headless=new", "--no-sandbox", "--remote-debugging-pipe", "--no-first-run"),
@@ -19,7 +21,6 @@ FLAGS = (
     *("--mute-audio", "--hide-scrollbars", "--force-device-scale-factor=1"),
 )
 """Everything is drawn by the processor, so that machines without a graphics card are alike"""
-PATIENCE = 60.0
 """s that an answer may take"""
 
 

@@ -213,7 +213,13 @@ def _arrays(observations):
     return observations.values() if isinstance(observations, dict) else (observations,)
 
 
-def _line(given):
+def machine():
+    """Name what the bits of a table may depend on."""
+    return f"{platform.machine()} {platform.libc_ver()} NumPy {np.__version__}"
+
+
+def line(given):
+    """Return an environment's line of the table."""
     shown = dict(given)
     if shown.get("randomization") == UNCERTAIN:
         shown["randomization"] = "all"
@@ -231,13 +237,12 @@ def main():
     parser.add_argument("--every", type=int, default=1, help="only each nth line")
     args = parser.parse_args()
     chosen = list(variations())[:: args.every]
-    machine = f"{platform.machine()} {platform.libc_ver()} NumPy {np.__version__}"
-    print(f"# {machine}: {len(chosen)} environments", flush=True)
+    print(f"# {machine()}: {len(chosen)} environments", flush=True)
     failed = False
     with multiprocessing.get_context("spawn").Pool(args.jobs) as pool:
-        for line in pool.imap(_line, chosen):
-            print(line, flush=True)
-            failed |= line.startswith("failed")
+        for row in pool.imap(line, chosen):
+            print(row, flush=True)
+            failed |= row.startswith("failed")
     sys.exit(failed)
 
 

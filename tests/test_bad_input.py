@@ -98,10 +98,10 @@ CASES = [("hover", name) for name in COMMON] + [
 ]
 
 
-def refusal(call, limit=5.0):
+def refusal(call, limit=30.0):
     """Give the message of the refusal, or None where the call was accepted.
 
-    Either must take less than `limit` seconds of the processor.
+    Either must take less than `limit` seconds of the processor: what grows without end takes more.
     """
     begin, told = time.process_time(), None
     try:
@@ -383,7 +383,7 @@ def test_city_files_that_cannot_be_are_named(tmp_path, name):
     begin = time.process_time()
     with pytest.raises(ValueError, match=message):
         (from_obj if name.endswith(".obj") else from_geojson)(path, **options)
-    assert time.process_time() - begin < 2
+    assert time.process_time() - begin < 30
 
 
 @pytest.mark.parametrize("read", [from_geojson, from_obj])

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import LONG
 
 import bulletuav
 from bulletuav.cli import main
@@ -143,7 +144,7 @@ def test_each_runs_as_a_program(name, run_program, tmp_path):
 
 def test_one_runs_in_a_process_of_its_own(tmp_path):
     command = [sys.executable, str(FOLDER / "smoothness.py")]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=LONG)
     assert done.returncode == 0, done.stderr
     check_smoothness(done.stdout)
     assert list(tmp_path.iterdir()) == [], "writes files"

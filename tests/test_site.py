@@ -13,6 +13,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from test_public_names import listed
+from waiting import LONG
 
 import bulletuav
 
@@ -50,7 +51,7 @@ def site(tmp_path_factory):
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder]
     nowhere = dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), "http://127.0.0.1:9")
     told = subprocess.run(
-        command, cwd=ROOT, env=os.environ | nowhere, capture_output=True, text=True, timeout=300
+        command, cwd=ROOT, env=os.environ | nowhere, capture_output=True, text=True, timeout=LONG
     )
     assert told.returncode == 0, told.stderr
     assert "WARNING  -" not in told.stderr

@@ -9,6 +9,7 @@ import venv
 from pathlib import Path
 
 import pytest
+from waiting import LONG
 
 ROOT = Path(__file__).parents[1]
 OWN = ROOT / "examples" / "own"
@@ -72,7 +73,7 @@ def errors_of_mypy(python, folder, cache):
     files = sorted(path.name for path in folder.glob("*.py"))
     options = ["--strict", "--warn-unreachable", "--config-file=", f"--cache-dir={cache}"]
     words = [python, "-m", "mypy", *options, *files]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=1200)
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=LONG)
     assert done.returncode in (0, 1), done.stdout + done.stderr
     assert "checked" in done.stdout, done.stdout + done.stderr
     return [(name, int(line), kind) for name, line, kind in ERROR.findall(done.stdout)]
@@ -105,8 +106,8 @@ def test_they_are_so_after_the_installation_of_the_readme(place, tmp_path):
     python = home / ("Scripts" if os.name == "nt" else "bin") / "python"
     install = [python, "-m", "pip", "install", "-q", "-c", "constraints.txt", "-e", ".", "mypy"]
     clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    subprocess.run(install, cwd=checkout, env=clean, check=True, timeout=1800)
+    subprocess.run(install, cwd=checkout, env=clean, check=True, timeout=LONG)
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("PYTHONPATH", raising=False)
         check(python, place, tmp_path)
-        subprocess.run([python, "barometer.py"], cwd=place, check=True, timeout=600)
+        subprocess.run([python, "barometer.py"], cwd=place, check=True, timeout=LONG)

@@ -73,9 +73,12 @@ class MlflowWriter(KVWriter):
         key_excluded: dict[str, tuple[str, ...]],
         step: int = 0,
     ) -> None:
-        """Write numbers at a step; those that are not finite are left out."""
+        """Write numbers at a step, without those that are not finite, and texts as tags."""
         now = int(1000 * time.time())
-        numbers = {key: float(value) for key, value in key_values.items()}
+        texts = {key: value for key, value in key_values.items() if isinstance(value, str)}
+        numbers = {key: float(key_values[key]) for key in key_values.keys() - texts.keys()}
+        for key, text in texts.items():
+            self._client.set_tag(self._run, key, text)
         told = [
             Metric(key, value, now, step) for key, value in numbers.items() if math.isfinite(value)
         ]

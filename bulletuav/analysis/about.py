@@ -1,21 +1,17 @@
 """What decides the results of flights, as a file can tell it."""
 
-import contextlib
 import functools
 import hashlib
-import inspect
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import numba
-import numpy as np
 
-from bulletuav.analysis.described import described
 from bulletuav.analysis.episodes import BATCH, Flights
 from bulletuav.analysis.metrics import MetricSpec
+from bulletuav.envs.described import described, parts_of, text_of
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.policies import PolicySpec
 from bulletuav.policies.base import check_action
@@ -96,42 +92,12 @@ def _fingerprint(
     # Code of the package, and of what comes from outside of it.
     digest = hashlib.sha256(_own_sources().encode())
     policy = flights.policy
-    for source in (
-        type(spec.task),
-        *(policy.sides.values() if isinstance(policy, Versus) else (policy,)),
-        *(metric.source for metric in measures),
-        spec.options.dynamics,
-        *(spec.options.observation or ()),
-        *spec.options.sensors,
-        *(term for term, _ in spec.options.reward.values()),
-    ):
-        digest.update(_code(source))
+    policies = policy.sides.values() if isinstance(policy, Versus) else (policy,)
+    # Names and paths are compared by themselves
+    for source in (*policies, *(metric.source for metric in measures)):
+        if not isinstance(source, str | Path):
+            digest.update(text_of(source).encode())
     for model in models:
         digest.update(model.read_bytes())
-    # The numbers of airframes count, not where their files are.
-    for airframe in spec.options.airframe:
-        digest.update(repr(replace(airframe, urdf=Path())).encode())
-    # Cities by their faces, and the arena that follows from them.
-    for solids in spec.task.layouts():
-        for corners, _ in solids.faces:
-            digest.update(corners.tobytes())
-    digest.update(np.concatenate([spec.task.arena_low, spec.task.arena_high]).tobytes())
+    digest.update(text_of(parts_of(spec.options, spec.task)).encode())
     return digest.hexdigest()[:16]
-
-
-def _code(source: object) -> bytes:
-    """Tell a class, function or object from others: its name, and the file that it is from."""
-    if isinstance(source, str | Path):
-        return b""
-    home: Any = source if inspect.isroutine(source) or inspect.isclass(source) else type(source)
-    named = str(home.__qualname__)
-    # What a function was made with counts, too.
-    for cell in getattr(home, "__closure__", None) or ():
-        named += repr(cell.cell_contents)
-    # Parameters of an object count as well as its class.
-    if home is not source:
-        named += repr(getattr(source, "__dict__", {}))
-    # The source of what is from an interactive session is not known.
-    with contextlib.suppress(OSError, TypeError):
-        return named.encode() + Path(inspect.getfile(home)).read_bytes()
-    return named.encode()

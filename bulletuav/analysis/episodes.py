@@ -2,11 +2,13 @@
 
 import multiprocessing
 import signal
+import warnings
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,6 +22,8 @@ from bulletuav.tasks.observations.observer import Observation
 
 BATCH = 10
 """Episodes flown at once; part of what an evaluation is, whatever the number of processes"""
+MAX_DEATHS = 3
+"""Processes that may die in the same batch before the evaluation ends"""
 Row = dict[str, float]
 """Metrics of an episode by name, with "episode" and "seed" """
 Result = TypeVar("Result")
@@ -141,7 +145,7 @@ def fly_batches(
         ray: Address of a Ray cluster that flies them instead.
 
     Raises:
-        RuntimeError: A process has died.
+        RuntimeError: Several processes in turn have died in the same batch.
         ConnectionError: No cluster answers.
     """
     if ray is not None and batches:
@@ -153,25 +157,105 @@ def fly_batches(
     if workers <= 1:
         yield from run.fly(batches)
         return
-    processes: list[multiprocessing.Process] = []
-    pipes: list[Connection] = []
+    crew = _Crew(run)
     try:
-        # Each process takes every `workers`-th batch, and sends results through its own pipe.
+        # Each process takes every `workers`-th batch
         for k in range(workers):
-            mine, theirs = multiprocessing.Pipe()
-            share = batches[k::workers]
-            process = multiprocessing.Process(target=_work, args=(theirs, run, share), daemon=True)
-            process.start()
-            theirs.close()
-            processes.append(process)
-            pipes.append(mine)
-        yield from _received(pipes)
+            crew.start(batches[k::workers])
+        yield from crew.results()
     # Also when the caller stops in between.
     finally:
-        for process in processes:
+        crew.end()
+
+
+class _Worker(NamedTuple):
+    """A process that flies batches, and those whose results are still to come, in their order."""
+
+    process: multiprocessing.Process
+    batches: list[range]
+
+
+class _Crew:
+    """Processes that fly batches; one that dies is replaced, and flies again what is missing."""
+
+    def __init__(self, run: Flights[Any]) -> None:
+        self._run = run
+        self._workers: dict[Connection, _Worker] = {}
+        self._deaths: Counter[range] = Counter()
+
+    def start(self, batches: list[range]) -> None:
+        """Start a process that flies batches, and sends results through a pipe of its own."""
+        mine, theirs = multiprocessing.Pipe()
+        process = multiprocessing.Process(
+            target=_work, args=(theirs, self._run, list(batches)), daemon=True
+        )
+        self._workers[mine] = _Worker(process, list(batches))
+        process.start()
+        theirs.close()
+
+    def results(self) -> Iterator[Any]:
+        """Yield results of whichever process has some, until all are done.
+
+        Raises:
+            RuntimeError: Processes die again and again in the same batch.
+        """
+        while self._workers:
+            for pipe in wait(list(self._workers)):
+                assert isinstance(pipe, Connection)
+                batches = self._workers[pipe].batches
+                # A pipe ends before its None where its process was killed.
+                try:
+                    answer = pipe.recv()
+                except (EOFError, OSError):
+                    process = self._leave(pipe)
+                    if batches:
+                        self._replace(process, batches)
+                    continue
+                if isinstance(answer, Exception):
+                    raise answer
+                if answer is None:
+                    self._leave(pipe)
+                else:
+                    del batches[0]
+                    yield answer
+
+    def end(self) -> None:
+        """Kill the processes that are left."""
+        for pipe in list(self._workers):
+            self._leave(pipe)
+
+    def _leave(self, pipe: Connection) -> multiprocessing.Process:
+        """Wait until a process has ended, and close its pipe."""
+        process = self._workers.pop(pipe).process
+        pipe.close()
+        # One that could not start has no number
+        if process.pid is not None:
             # A process that is stopped would not hear anything milder.
             process.kill()
             process.join()
+        return process
+
+    def _replace(self, dead: multiprocessing.Process, batches: list[range]) -> None:
+        """Start another process for what one that died has not flown."""
+        batch = batches[0]
+        self._deaths[batch] += 1
+        first, last = batch[0], batch[-1]
+        seeds = f"seeds {self._run.seed + first} to {self._run.seed + last}"
+        said = f"episodes {first} to {last} ({seeds})"
+        if self._deaths[batch] == MAX_DEATHS:
+            raise RuntimeError(
+                f"{MAX_DEATHS} worker processes in turn have died in {said}: memory may have run "
+                f"out (take fewer workers), the task or the policy may end its process (fly these "
+                f"seeds with workers=1 to see it), or the script lacks "
+                f'`if __name__ == "__main__":`; batches that are kept in a folder are not flown '
+                f"again"
+            )
+        warnings.warn(
+            f"a worker process has died (exit code {dead.exitcode}): another flies {said} again",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        self.start(batches)
 
 
 def _work(
@@ -188,24 +272,3 @@ def _work(
         pipe.send(None)
     except Exception as error:
         pipe.send(portable(error))
-
-
-def _received(pipes: list[Connection]) -> Iterator[Any]:
-    """Yield results of whichever process has some, until all are done."""
-    open_pipes: list[Any] = list(pipes)
-    while open_pipes:
-        for pipe in wait(open_pipes):
-            assert isinstance(pipe, Connection)
-            # A pipe ends before its None where its process was killed.
-            try:
-                answer = pipe.recv()
-            except EOFError:
-                raise RuntimeError(
-                    "a worker process has died: memory may have run out; call again to go on"
-                ) from None
-            if isinstance(answer, Exception):
-                raise answer
-            if answer is None:
-                open_pipes.remove(pipe)
-            else:
-                yield answer

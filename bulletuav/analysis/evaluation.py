@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.analysis.about import about_flights
+from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.episodes import BATCH, Row, Run, fly_batches
 from bulletuav.analysis.metrics import (
     METRICS,
@@ -70,6 +71,11 @@ class Evaluation:
     seconds: float
     flight: float
     metrics: dict[str, str] = field(default_factory=lambda: dict(METRICS))
+
+    @property
+    def conditions(self) -> Conditions:
+        """Task, difficulty, dynamics, episodes and seeds, which are named with each score."""
+        return Conditions.of(self.about)
 
     def estimates(self) -> dict[str, Estimate]:
         """Return the mean and 95 % confidence interval of each metric by name."""
@@ -138,7 +144,8 @@ def evaluate(
             otherwise, and takes no other action.
         episodes: How many; episode e begins from `seed` + e.
         seed: Seed of the first episode.
-        workers: Processes, which change nothing but the time.
+        workers: Processes, which change nothing but the time. One that dies is replaced, and its
+            episodes are flown again.
         out: Folder where finished batches of episodes are kept. A second call with the same
             arguments goes on where the first one was interrupted.
         progress: Told how many more episodes are done.
@@ -157,7 +164,7 @@ def evaluate(
     Raises:
         ValueError: An argument is none that can be, or `out` holds another run.
         FileNotFoundError: The policy's file is not there.
-        RuntimeError: A process has died.
+        RuntimeError: Three processes in turn have died in the same episodes.
         ConnectionError: No Ray cluster answers.
     """
     # What only this call needs is checked first, then what makes the run.

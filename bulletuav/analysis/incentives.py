@@ -8,6 +8,7 @@ losses of the other.
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
+from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.evaluation import Evaluation, evaluate
 from bulletuav.analysis.metrics import Estimate, mean_estimate
 from bulletuav.analysis.metrics.teams import FIRST_RETURN, FIRST_SUCCESS
@@ -37,6 +38,7 @@ class Incentive(NamedTuple):
         gained: Return of the other.
         gap: By how much the baseline earns more in the same episode.
         lead: By how much it earns more than standing still, in the mean.
+        conditions: Dynamics, episodes and seeds of all these, with task and difficulty.
     """
 
     task: str
@@ -48,6 +50,7 @@ class Incentive(NamedTuple):
     gained: Estimate
     gap: Estimate
     lead: float
+    conditions: Conditions
 
     @property
     def holds(self) -> bool:
@@ -130,6 +133,7 @@ def incentives(
             gained=other.estimates()[gained],
             gap=_gap(base, other, gained),
             lead=lead,
+            conditions=base.conditions,
         )
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.analysis.described import described
 from bulletuav.analysis.recorded import (
     ARRAYS,
     INFO,
@@ -26,6 +25,7 @@ from bulletuav.analysis.results_folder import RUN
 from bulletuav.analysis.scene import PARTS
 from bulletuav.analysis.seals import call_text, hash_files, sealed
 from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.described import described
 from bulletuav.errors import require_file
 from bulletuav.files import replace_file, whole_file
 from bulletuav.geometry.closest_approach import distances

@@ -2,13 +2,13 @@
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from bulletuav.bridges import airsim_states as states
-from bulletuav.bridges.airsim_images import Request, response
+from bulletuav.bridges.airsim_images import Request, expose, mount, response
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_values import duration, pose_in, pose_of, vector_in
-from bulletuav.bridges.airsim_world import Collision, World
+from bulletuav.bridges.airsim_world import Collision, Vehicle, World
 from bulletuav.bridges.motions import Answer
 from bulletuav.earth import ned_to_enu
 from bulletuav.errors import as_int, as_sequence, shown, unknown
@@ -20,6 +20,26 @@ MOST_IMAGES = 32
 """Most pictures of one call"""
 LONGEST_CALL = 600.0
 """Longest time that one call flies, s"""
+
+
+CONTINUES = ("simContinueForTime", "simContinueForFrames")
+"""Calls that fly"""
+PICTURES = ("simGetImage", "simGetImages")
+"""Calls that take pictures: the server leaves drawing to another process"""
+
+
+class Album(NamedTuple):
+    """The pictures of one call.
+
+    Attributes:
+        drone: Index of the drone that carries the cameras.
+        requests: What is asked for, in order.
+        is_list: Whether the call is answered by a list of responses, or by the bytes of one alone.
+    """
+
+    drone: int
+    requests: list[Request]
+    is_list: bool
 
 
 class Calls:
@@ -52,10 +72,8 @@ class Calls:
             "simSetVehiclePose": self._place,
             "simGetVehiclePose": self._pose,
             "getHomeGeoPoint": self._home,
-            # What it met and sees
+            # What it met
             "simGetCollisionInfo": self._collision,
-            "simGetImage": self._image,
-            "simGetImages": self._images,
             "simPrintLogMessage": lambda message, parameter="", severity=0: None,
             # States, and readings of sensors
             "getMultirotorState": self._of(states.multirotor),
@@ -76,7 +94,7 @@ class Calls:
 
     def names(self) -> list[str]:
         """List all calls that are there."""
-        return sorted({*self._table, *MOTIONS, "simContinueForTime", "simContinueForFrames"})
+        return sorted({*self._table, *MOTIONS, *PICTURES, *CONTINUES})
 
     def call(self, name: Any, arguments: list[Any]) -> Any:
         """Answer a call that takes no time.
@@ -91,6 +109,8 @@ class Calls:
         Raises:
             ValueError: There is no such call, or it cannot be; the world is as it was.
         """
+        if name in PICTURES:
+            return self._draw(name, arguments)
         if not isinstance(name, str) or name not in self._table:
             raise unknown("call", name, self.names())
         function = self._table[name]
@@ -135,9 +155,12 @@ class Calls:
             raise ValueError(f"{name} needs a vehicle's name, or an empty one, as last argument")
         i, vehicle = self.world.vehicle(arguments[-1])
         if not vehicle.is_ours:
-            raise ValueError(f"{name}: call enableApiControl(True) first")
+            raise _needs_control(vehicle)
         if not vehicle.is_armed:
-            raise ValueError(f"{name}: {vehicle.name} is not armed, call armDisarm(True) first")
+            raise ValueError(
+                f"vehicle {vehicle.name!r} is not armed; call armDisarm(True, {vehicle.name!r}) "
+                f"first"
+            )
         given = (self.world, i, vehicle, *arguments[:-1])
         _require_arguments(name, MOTIONS[name], given)
         vehicle.begin(MOTIONS[name](*given), answer)
@@ -177,7 +200,7 @@ class Calls:
         """Let motors turn, or stop them."""
         _, vehicle = self.world.vehicle(vehicle_name)
         if not vehicle.is_ours:
-            raise ValueError("armDisarm: call enableApiControl(True) first")
+            raise _needs_control(vehicle)
         vehicle.is_armed = bool(arm)
         if not arm:
             vehicle.stop()
@@ -214,32 +237,58 @@ class Calls:
         told, vehicle.collision = vehicle.collision, Collision()
         return states.collision(vehicle, told)
 
-    def _image(
+    def album(self, name: str, arguments: list[Any]) -> Album:
+        """Read a call that takes pictures.
+
+        Args:
+            name: One of `PICTURES`.
+            arguments: What was sent with it.
+
+        Raises:
+            ValueError: A picture, a camera or the vehicle cannot be.
+        """
+        read = self._one_image if name == "simGetImage" else self._images
+        _require_arguments(name, read, arguments)
+        album: Album = read(*arguments)
+        for camera in dict.fromkeys(one.camera for one in album.requests):
+            mount(self.world, album.drone, camera)
+        return album
+
+    def _one_image(
         self,
         camera: Any,
         kind: Any,
         vehicle_name: str = "",
         more: Any = None,
-    ) -> bytes:
-        """Take one picture, as a PNG; `more` is another thing for each client, and not there."""
+    ) -> Album:
+        """Read a call for one PNG; `more` is another thing for each client, and not there."""
         request = Request({"camera_name": camera, "image_type": kind, "compress": True})
-        picture: bytes = self._taken(request, vehicle_name)["image_data_uint8"]
-        return picture
+        return Album(self.world.vehicle(vehicle_name)[0], [request], False)
 
     def _images(
         self,
         requests: Any,
         vehicle_name: str = "",
         external: Any = False,
-    ) -> list[dict[str, Any]]:
-        """Take pictures; cameras that belong to no vehicle are not there."""
+    ) -> Album:
+        """Read a call for pictures; cameras that belong to no vehicle are not there."""
         wanted = [Request(one) for one in as_sequence("requests", requests, most=MOST_IMAGES)]
-        return [self._taken(one, vehicle_name) for one in wanted]
+        return Album(self.world.vehicle(vehicle_name)[0], wanted, True)
 
-    def _taken(self, request: Request, vehicle_name: str) -> dict[str, Any]:
-        """Take one picture of a vehicle's camera."""
-        i, _ = self.world.vehicle(vehicle_name)
-        return response(self.world, i, request)
+    def _draw(self, name: str, arguments: list[Any]) -> Any:
+        """Draw the pictures of a call here and now."""
+        album, airspace = self.album(name, arguments), self.world.airspace
+        exposures = expose(self.world, album.drone, album.requests)
+        drawn = [response(one, airspace.draw(one.sight.shot)) for one in exposures]
+        return drawn if album.is_list else drawn[0]["image_data_uint8"]
+
+
+def _needs_control(vehicle: Vehicle) -> ValueError:
+    """Make the error for a vehicle that clients do not control."""
+    return ValueError(
+        f"vehicle {vehicle.name!r} is not under API control; call enableApiControl(True, "
+        f"{vehicle.name!r}) first"
+    )
 
 
 def _require_arguments(

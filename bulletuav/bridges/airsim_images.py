@@ -2,8 +2,8 @@
 
 import io
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -12,6 +12,7 @@ from bulletuav.bridges.airsim_values import pose_of
 from bulletuav.bridges.airsim_world import World
 from bulletuav.errors import as_int, shown, unknown
 from bulletuav.geometry.rotation import Quat4, from_euler, product, to_world
+from bulletuav.geometry.view import Picture, Shot
 
 SIZE = (256, 144)
 """Width and height, pixels, as in AirSim's default settings"""
@@ -92,31 +93,79 @@ class Request:
                 f"image_type is {self.kind}: there are 0 (scene), 1, 2, 3 (depth) and 5 "
                 f"(segmentation)"
             )
+        if self.as_float and self.kind in (SCENE, SEGMENTATION):
+            raise ValueError("pixels_as_float is for depths: ask for image_type 1, 2 or 3")
 
 
-def response(
-    world: World,
-    i: int,
-    request: Request,
-) -> dict[str, Any]:
-    """Take a picture, and write it as AirSim does.
+class Sight(NamedTuple):
+    """What a camera sees at a time.
+
+    Attributes:
+        shot: What is to be drawn.
+        pose: Position and orientation of the camera, as AirSim writes them.
+        time_stamp: ns.
+    """
+
+    shot: Shot
+    pose: dict[str, Any]
+    time_stamp: int
+
+
+class Exposure(NamedTuple):
+    """Everything about a picture except its pixels.
+
+    Attributes:
+        request: What is asked for.
+        sight: What the camera sees.
+    """
+
+    request: Request
+    sight: Sight
+
+
+def expose(world: World, i: int, requests: Sequence[Request]) -> list[Exposure]:
+    """Note what cameras see now, to be drawn later.
 
     Args:
         world: The vehicles.
-        i: Index of the drone that carries the camera.
-        request: What is asked for.
-
-    Returns:
-        The map of an ImageResponse.
+        i: Index of the drone that carries the cameras.
+        requests: What is asked for.
 
     Raises:
         ValueError: There is no such camera.
     """
-    place, turn = mount(world, i, request.camera)
+    cameras = dict.fromkeys(one.camera for one in requests)
+    sights = {camera: _sight(world, i, camera) for camera in cameras}
+    return [Exposure(one, sights[one.camera]) for one in requests]
+
+
+def _sight(world: World, i: int, camera: str) -> Sight:
+    """Note what a camera sees now."""
+    place, turn = mount(world, i, camera)
     # AirSim tells the angle across the picture; `picture` takes the one up and down
     width, height = SIZE
     angle = math.degrees(2 * math.atan(math.tan(WIDTH_ANGLE / 2) * height / width))
-    picture = world.airspace.picture(i, place.tolist(), turn, size=SIZE, field_of_view=angle)
+    shot = world.airspace.shot(i, place.tolist(), turn, None, SIZE, angle)
+    # Places are told from where the vehicle started
+    swarm = world.airspace.swarm
+    body = swarm.quaternion[i]
+    start = list(world.vehicles.values())[i].start
+    where = swarm.position[i] + to_world(body, place) - start
+    return Sight(shot, pose_of(where, product(body, turn)), round(world.time * 1e9))
+
+
+def response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
+    """Write a picture as AirSim does.
+
+    Args:
+        exposure: What was asked for.
+        picture: What was drawn of it.
+
+    Returns:
+        The map of an ImageResponse.
+    """
+    request, sight = exposure
+    width, height = sight.shot.size
     # Depths in m, as numbers
     numbers: list[float] = []
     content = b""
@@ -127,8 +176,6 @@ def response(
             values = values * _stretch()
         elif request.kind == GREY:
             values = np.clip(values / FARTHEST, 0.0, 1.0)
-        elif request.kind in (SCENE, SEGMENTATION):
-            raise ValueError("pixels_as_float is for depths: ask for image_type 1, 2 or 3")
         numbers = values.ravel().astype(float).tolist()
     else:
         # Colours, labels, or depths as shades of grey
@@ -140,20 +187,14 @@ def response(
             pixels = np.repeat(grey[:, :, None], 3, axis=2)
         # Uncompressed pixels are blue, green, red, as Unreal writes them
         content = png(pixels) if request.compress else pixels[:, :, ::-1].tobytes()
-    # Places are told from where the vehicle started
-    swarm = world.airspace.swarm
-    body = swarm.quaternion[i]
-    start = list(world.vehicles.values())[i].start
-    where = swarm.position[i] + to_world(body, place) - start
-    pose = pose_of(where, product(body, turn))
     # Names and types that AirSim's own clients unpack
     return {
         "image_data_uint8": content,
         "image_data_float": numbers,
         "camera_name": request.camera,
-        "camera_position": pose["position"],
-        "camera_orientation": pose["orientation"],
-        "time_stamp": round(world.time * 1e9),
+        "camera_position": sight.pose["position"],
+        "camera_orientation": sight.pose["orientation"],
+        "time_stamp": sight.time_stamp,
         "message": "",
         "pixels_as_float": request.as_float,
         "compress": request.compress,

@@ -10,6 +10,7 @@ from bulletuav.bridges.crazyflie_tables import Telemetry
 from bulletuav.bridges.crtp import (
     MOST_DATA,
     PROTOCOL_VERSION,
+    Errno,
     MalformedError,
     Packet,
     Port,
@@ -25,6 +26,8 @@ TUMBLED_AFTER = 1.0
 """How long a drone is upside down until its motors stop, s"""
 WATCHDOG = 1.0
 """Longest time between packets of the emergency watchdog, once there was one, s"""
+MOTIONS = (7, 8, 11, 12, 13)
+"""Commands of the planner that move the drone"""
 TURNING = 0.1
 """Share of the greatest rotor speed from which on a drone is said to fly"""
 
@@ -52,6 +55,7 @@ class Vehicle:
         parameters: Its parameters.
         logs: Its log blocks.
         malformed: How many packets could not be read.
+        refusal: Why the last packet's command was refused, with the remedy; empty if it was not.
     """
 
     def __init__(self, airframe: Airframe, recover: Callable[[], bool]) -> None:
@@ -72,7 +76,7 @@ class Vehicle:
         self._state: State = ([0.0] * 3, [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
         self._rotor_speed = [0.0] * len(airframe.rotors)
         self._acceleration = [0.0] * 3
-        self.malformed = 0
+        self.malformed, self.refusal = 0, ""
 
     def leave(self) -> None:
         """Forget what belongs to a client that has gone."""
@@ -175,10 +179,12 @@ class Vehicle:
         Returns:
             The answers; none to a packet that cannot be read, which is counted.
         """
+        self.refusal = ""
         try:
             return self._answer(packet, tick)
-        except MalformedError:
+        except MalformedError as error:
             self.malformed += 1
+            self.refusal = str(error)
             return []
 
     def _answer(self, packet: Packet, tick: int) -> list[Packet]:
@@ -194,6 +200,10 @@ class Vehicle:
             return []
         if packet.port == Port.PLANNER:
             error = self._planner.take(packet.data, self._state, self._now)
+            if packet.data[0] in MOTIONS:
+                self._require_flight()
+            if error:
+                self.refusal = f"command {packet.data[0]} is answered by {Errno(error).name}"
             return [packet._replace(data=packet.data[:3] + bytes([error]))]
         if packet.port == Port.SUPERVISOR:
             return self._supervise(packet)
@@ -204,6 +214,20 @@ class Vehicle:
         # Positions from outside are not needed: the drone knows its own.
         return []
 
+    @property
+    def _obstacle(self) -> str:
+        """What keeps its motors from turning, with the remedy."""
+        if self._locked:
+            return "an emergency stop locked it; restart the server"
+        if self._crashed or self._tumbled:
+            return "it has crashed; send the supervisor's request to recover"
+        return "it is not armed; arm it first"
+
+    def _require_flight(self) -> None:
+        """Note that a command will have no effect, as with the firmware, if motors may not turn."""
+        if not self._can_fly:
+            self.refusal = f"it cannot fly: {self._obstacle}"
+
     def _take_setpoint(self, packet: Packet) -> None:
         """Take a low-level setpoint, which ends plans, or its end."""
         if packet.port == Port.SETPOINT and packet.channel == 1:
@@ -212,6 +236,9 @@ class Vehicle:
                 raise MalformedError(f"request {request} about setpoints: 0 is needed")
             self._commander.release()
             return
+        # Zeros stop motors that stand still anyway
+        if any(packet.data):
+            self._require_flight()
         values = self.parameters.values
         is_rate = not values["flightmode.stabModeRoll"] and not values["flightmode.stabModePitch"]
         self._commander.take(packet, self._now, (is_rate, not values["flightmode.stabModeYaw"]))
@@ -232,9 +259,13 @@ class Vehicle:
             success = not arms or Bits.CAN_BE_ARMED in self.bits
             if success:
                 self._armed = bool(arms)
+            else:
+                self.refusal = f"it cannot be armed: {self._obstacle}"
             outcome = self._armed
         elif request == 2:
             outcome = success = self._stand_up()
+            if not success:
+                self.refusal = f"it cannot recover: {self._obstacle}, or there is no room to stand"
         elif request == 3:
             self._locked = outcome = True
         elif request == 4:

@@ -180,7 +180,8 @@ class Pilot:
         if self.is_armed:
             return
         if self.has_tumbled:
-            raise RefusedError("arming refused: upside down", Result.TEMPORARILY_REJECTED)
+            words = "arming refused: upside down; restart the server"
+            raise RefusedError(words, Result.TEMPORARILY_REJECTED)
         self.is_armed, self._has_flown, self._changed = True, not self.has_landed, self.now
         try:
             self.enter(self.mode)
@@ -228,7 +229,9 @@ class Pilot:
         """
         self._fence.check("place is", place)
         if not self.is_armed or self.has_landed:
-            raise RefusedError("it does not fly", Result.TEMPORARILY_REJECTED)
+            raise RefusedError(
+                "it does not fly: arm it and take off first", Result.TEMPORARILY_REJECTED
+            )
         heading = Heading(forward=True) if yaw is None else Heading("angle", yaw)
         self.mode, self._next = Mode.HOLD, lambda: None
         self._motion = self._leg(place, self.route.speed, heading)
@@ -258,7 +261,7 @@ class Pilot:
             RefusedError: The mode cannot begin.
         """
         if mode == Mode.OFFBOARD and not self.hears:
-            words = "offboard refused: no setpoints come"
+            words = "offboard refused: send setpoints first"
             raise RefusedError(words, Result.TEMPORARILY_REJECTED)
         if mode == Mode.MISSION:
             self._check_route()
@@ -273,7 +276,7 @@ class Pilot:
     def _check_route(self) -> None:
         """Look whether the mission can begin: the fence may have changed since it came."""
         if not self.route.items:
-            raise RefusedError("no mission", Result.TEMPORARILY_REJECTED)
+            raise RefusedError("no mission: upload one first", Result.TEMPORARILY_REJECTED)
         farthest = self._values["MIS_DIST_1WP"]
         check_items(self.route.items, self._site, self._fence, farthest)
 

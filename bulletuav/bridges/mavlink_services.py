@@ -5,10 +5,12 @@ from collections.abc import Sequence
 
 from bulletuav.bridges import mavlink_setpoints as setpoints
 from bulletuav.bridges.mavlink_commands import COMMANDS, Request, set_mode
+from bulletuav.bridges.mavlink_missions import ACCEPTED
 from bulletuav.bridges.mavlink_telemetry import Streams, tell
 from bulletuav.bridges.mavlink_vehicle import Vehicle
 from bulletuav.bridges.mavlink_wire import (
     COMPONENT,
+    Command,
     Message,
     RefusedError,
     Result,
@@ -147,6 +149,28 @@ class Services:
         pilot.route.reached.clear()
         pilot.said.clear()
         return told
+
+
+def refusal_of(answers: Sequence[Told]) -> str:
+    """Return why a client's message was refused, by its answers; empty if it was not."""
+    reasons = []
+    for answer in answers:
+        if answer.name == "statustext":
+            reasons.append(answer.fields[1].decode())
+        elif answer.name == "command_ack" and answer.fields[1] != Result.ACCEPTED:
+            reasons.append(f"result {Result(answer.fields[1]).name}")
+        elif answer.name == "mission_ack" and answer.fields[2] != ACCEPTED:
+            reasons.append(f"mission result {answer.fields[2]}")
+    return "; ".join(reasons)
+
+
+def describe(message: Message) -> str:
+    """Name a message, and its command if it has one."""
+    kind: str = message.get_type()
+    if kind not in COMMAND_MESSAGES:
+        return kind
+    known = message.command in tuple(Command)
+    return f"{kind} {Command(message.command).name if known else message.command}"
 
 
 def packed(frames: Sequence[bytes], most: int) -> list[bytes]:

@@ -1,8 +1,9 @@
 """`bulletuav evaluate`: many episodes of one policy in one task."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from rich.console import Console, JustifyMethod
@@ -23,18 +24,21 @@ from bulletuav.commands.arguments import (
     show_episodes,
 )
 from bulletuav.policies import find_policy
+from bulletuav.policies.find import config_file, read_run_config
 from bulletuav.report.results import write_evaluation
-from bulletuav.tasks import find_task
+from bulletuav.tasks import find_task, list_tasks
 
 ABOUT = {
     "help": "fly many episodes and print metrics with confidence intervals",
     "description": (
         "Fly many episodes in batches and processes. Print metrics with 95 % confidence "
         "intervals. Write these, the metrics of every episode, and a picture. The same command "
-        "continues where it was interrupted."
+        "continues where it was interrupted. The folder of a run in place of the task flies its "
+        "policy with the options of its run.yaml; options that are given override these."
     ),
     "epilog": """examples:
   bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
+  bulletuav evaluate crossing-run
   bulletuav evaluate crossing --policy ppo:model.zip --trust --difficulty hard --out crossing-ppo
   bulletuav evaluate hover --metric mine:my_metric""",
 }
@@ -44,13 +48,21 @@ COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("95 % interval", "right"),
     ("what it is", "left"),
 )
+SCORES = ("success", "conflict", "collision", "completed", "return")
+"""Metrics in the line of a score"""
+EPISODES = 100
+"""Number of episodes where neither the command nor a run sets it"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the task, the policy, how many episodes, where to write, and the options."""
-    parser.add_argument("task", help="one of `bulletuav tasks`")
+    parser.add_argument(
+        "task", help="one of `bulletuav tasks`, or the folder of a run of `bulletuav train`"
+    )
     parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
     add_episodes(parser)
+    # Runs have a number of episodes of their own
+    parser.set_defaults(episodes=None)
     add_sharing(parser)
     parser.add_argument(
         "--metric",
@@ -69,7 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
     # Bad arguments end the command before anything is flown
-    task, policy, options, out = completed_case(arguments, "evaluation")
+    usual = _set_run(arguments)
+    task, policy, options, out = completed_case(arguments, "evaluation", usual or {})
     with show_episodes(shared_episodes(arguments)) as advance:
         result = evaluate_case(
             arguments,
@@ -86,19 +99,51 @@ def run(arguments: argparse.Namespace) -> None:
         print_piece(console, arguments.piece, out)
         return
     files = write_evaluation(result, out)
+    which = "other options" if given_options(arguments) else "options"
+    print_score(
+        console, result, f", {which} of {config_file(Path(policy))}" if usual is not None else ""
+    )
     console.print(_table(result))
     console.print(_pace(result))
     print_files(console, files)
 
 
+def _set_run(arguments: argparse.Namespace) -> dict[str, Any] | None:
+    """Replace the folder of a run among the arguments by its task and policy.
+
+    Args:
+        arguments: Parsed arguments; the number of episodes is set, too, unless it is given.
+
+    Returns:
+        The options of the run's evaluations; None where a task was given.
+
+    Raises:
+        ValueError: A policy is given beside a run.
+    """
+    folder = arguments.task
+    if folder in list_tasks() or not Path(folder).is_dir():
+        arguments.episodes = EPISODES if arguments.episodes is None else arguments.episodes
+        return None
+    if arguments.policy is not None:
+        raise ValueError(
+            f"--policy {arguments.policy} beside the run {folder}, which has a policy: "
+            f"give a task for another one"
+        )
+    config = read_run_config(Path(folder), arguments.trust)
+    arguments.task, arguments.policy = config.task, folder
+    arguments.episodes = config.episodes if arguments.episodes is None else arguments.episodes
+    return config.evaluated
+
+
 def completed_case(
-    arguments: argparse.Namespace, home: str
+    arguments: argparse.Namespace, home: str, usual: Mapping[str, Any] = MappingProxyType({})
 ) -> tuple[str, str, dict[str, Any], Path]:
     """Complete what a command left out, by the task and by the policy.
 
     Args:
         arguments: Parsed arguments of a command with a task, `--policy`, `--out` and `--trust`.
         home: Where its folder is, when none is given.
+        usual: Options where none are given.
 
     Returns:
         Task, policy, options of the environment, and the folder for the files.
@@ -106,7 +151,7 @@ def completed_case(
     task = arguments.task
     policy = arguments.policy or find_task(task).baseline
     spec = find_policy(policy, task, arguments.trust)
-    options = spec.complete(task, given_options(arguments))
+    options = spec.complete(task, {**usual, **given_options(arguments)})
     return task, policy, options, arguments.out or Path(home) / run_name(task, policy, options)
 
 
@@ -174,6 +219,30 @@ def evaluate_case(
         raise
 
 
+def print_score(console: Console, result: Evaluation, origin: str = "") -> None:
+    """Print the score of a policy in one line, with its conditions.
+
+    Args:
+        console: Where it is printed.
+        result: The evaluation.
+        origin: Where its options are from, after its conditions.
+    """
+    about = result.about
+    reads = ", which reads the true state" if about["reads_swarm"] else ""
+    found = result.estimates()
+    told = ", ".join(
+        f"{name} {found[name].mean:.4g} [{_interval(found[name])}]"
+        for name in SCORES
+        if found[name].episodes
+    )
+    console.print(
+        f"score of {about['policy']}{reads}: {result.conditions}{origin}: {told}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
 def shared_episodes(arguments: argparse.Namespace, cases: int = 1) -> int:
     """Count the episodes, of all cases, that this call is to fly."""
     batches = -(-arguments.episodes // BATCH)
@@ -183,11 +252,7 @@ def shared_episodes(arguments: argparse.Namespace, cases: int = 1) -> int:
 
 def _table(result: Evaluation) -> Table:
     """Lay out the metrics that have a value in some episode."""
-    about = result.about
-    reads = ", which reads the true state" if about["reads_swarm"] else ""
-    table = Table(
-        title=f"{about['task']}, policy {about['policy']}{reads}, {len(result.rows)} episodes"
-    )
+    table = Table()
     for heading, side in COLUMNS:
         table.add_column(heading, justify=side)
     for name, estimate in result.estimates().items():

@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.evaluation import EPISODES
 from bulletuav.analysis.recorded import Recording, outcomes, summary
 from bulletuav.analysis.recording import fly_episode, save
@@ -110,7 +111,7 @@ def run(arguments: argparse.Namespace) -> None:
     files += _draw(recording, aviary, arguments)
     if arguments.html:
         files.append(replay_run(arguments.out))
-    console.print(_table(recording, aviary))
+    console.print(_table(recording, aviary, arguments.seed))
     print_files(console, files)
     aviary.close()
 
@@ -166,12 +167,14 @@ def shown_infos(task: Task[Any]) -> Mapping[str, str]:
     return {name: label for name, label in task.shows.items() if name not in untold}
 
 
-def _table(recording: Recording, aviary: Aviary) -> Table:
+def _table(recording: Recording, aviary: Aviary, seed: int) -> Table:
     """Lay out how each drone's episode went."""
     task = aviary.task
+    options = aviary.options
+    flown = Conditions(task.name, options.difficulty, options.dynamics_name, 1, seed)
     shows = shown_infos(task)
     table = Table(
-        title=f"{task.name}, drones: {aviary.num_drones}, d_safe {task.config.d_safe:g} m",
+        title=f"{flown}, drones: {aviary.num_drones}, d_safe {task.config.d_safe:g} m",
         caption=CAPTION,
     )
     for heading in ("drone", *shows.values(), "time (s)"):

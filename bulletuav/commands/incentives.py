@@ -32,6 +32,7 @@ ABOUT = {
 COLUMNS = (
     "task",
     "difficulty",
+    "dynamics",
     "baseline",
     "return",
     "success",
@@ -110,14 +111,20 @@ def _difficulties(task: str, asked: str | None) -> list[str]:
 
 
 def markdown(found: list[Incentive]) -> str:
-    """Write comparisons as a table in markdown."""
-    lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
+    """Write comparisons as a table in markdown; its caption names episodes and seeds."""
+    flown = "; ".join(dict.fromkeys(one.conditions.flown for one in found))
+    lines = [
+        f"Each policy of each row: {flown}\n",
+        "| " + " | ".join(COLUMNS) + " |",
+        "|" + "---|" * len(COLUMNS),
+    ]
     for one in found:
         # What a shirker loses, as a share of what flying earns at all
         share = one.gap.low / one.lead if one.lead > 0 else float("nan")
         row = (
             one.task,
             one.difficulty,
+            one.conditions.dynamics,
             one.baseline,
             f"{one.earned.mean:.4g} [{one.earned.low:.4g}, {one.earned.high:.4g}]",
             f"{one.success.mean:.2f}",

@@ -8,22 +8,40 @@ from typing import Any, TypeVar
 
 from rich.console import Console
 
+from bulletuav.analysis.evaluation import evaluate
 from bulletuav.commands.arguments import (
     add_options,
     given_options,
     out_folder,
     parse_pairs,
     print_files,
+    show_episodes,
 )
+from bulletuav.commands.evaluate import print_score
 from bulletuav.commands.progress import show_progress
 from bulletuav.control.actions import CHOICES
 from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
-from bulletuav.policies.run import ALGORITHMS, CONFIG, POLICY, RunConfig, shipped, shipped_tasks
+from bulletuav.policies.run import (
+    ALGORITHMS,
+    CONFIG,
+    INTERFACE,
+    POLICY,
+    SCENE,
+    RunConfig,
+    shipped,
+    shipped_tasks,
+)
 from bulletuav.report.charts import plot_curves
 from bulletuav.tasks import find_task
 from bulletuav.training.campaign import Campaign, learning_table, wall_time
-from bulletuav.training.store import CURVE, UPDATES, Row
+from bulletuav.training.store import (
+    CURVE,
+    UPDATES,
+    Row,
+    evaluation_conditions,
+    training_conditions,
+)
 
 ABOUT = {
     "help": "train a policy that all drones share, with stable-baselines3",
@@ -142,8 +160,11 @@ def run(arguments: argparse.Namespace) -> None:
     for one, other in (("seed", "seeds"), ("difficulty", "curriculum")):
         if getattr(arguments, one) is not None and getattr(arguments, other):
             raise ValueError(f"--{one} and --{other}: give one of them")
-    tasks = shipped_tasks() if arguments.all else [arguments.task]
-    configs = [run_config(arguments, base_config(arguments, task)) for task in tasks]
+    if arguments.all:
+        bases = [_shipped_config(task) for task in shipped_tasks()]
+    else:
+        bases = [base_config(arguments, arguments.task)]
+    configs = [run_config(arguments, base) for base in bases]
     if arguments.all or arguments.seeds:
         _train_several(arguments, configs)
     else:
@@ -152,6 +173,9 @@ def run(arguments: argparse.Namespace) -> None:
 
 def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
     """Change the settings that a run starts from by what was given on the command line.
+
+    Options that were given hold in training and in evaluations, so that `evaluate` with the same
+    options finds the same score.
 
     Args:
         arguments: Parsed arguments of a command with those of `add_run`.
@@ -173,6 +197,10 @@ def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
     changes: dict[str, Any] = {
         name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None
     }
+    # Evaluations take over the others by themselves
+    held = {name: value for name, value in given.items() if name not in (*INTERFACE, *SCENE)}
+    kept = {name: value for name, value in base.evaluation.items() if name not in given}
+    changes["evaluation"] = {**kept, **held}
     # A curriculum of difficulties replaces the stages of the settings.
     if arguments.curriculum:
         changes["stages"] = [{"difficulty": name} for name in arguments.curriculum.split(",")]
@@ -184,6 +212,9 @@ def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
 
 def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
     """Read the settings of the file or of the package, or take the defaults.
+
+    The package's settings say how a task is learned. Its difficulty, the other options of `SCENE`
+    and those of evaluations are the task's own unless they are given, as in `evaluate`.
 
     Args:
         arguments: Parsed arguments of a command with `--config`.
@@ -198,6 +229,13 @@ def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
     assert task is not None
     if find_task(task).name not in shipped_tasks():
         return RunConfig(task)
+    known = _shipped_config(task)
+    options = {name: value for name, value in known.options.items() if name not in SCENE}
+    return dataclasses.replace(known, options=options, evaluation={})
+
+
+def _shipped_config(task: str) -> RunConfig:
+    """Read the settings with which the package's policy of a task was trained, with seed 0."""
     return dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0)
 
 
@@ -231,10 +269,17 @@ def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
     # Each run has a folder of its own, so that several do not meet.
     default = Path("training") / f"{config.task}-{config.algo}-{config.seed}"
     out = out_folder(arguments.out or default)
+    print_conditions(f"in training: {training_conditions(config)}")
     with show_progress(f"training {config.task}", config.steps, "steps") as report:
         mlflow = arguments.mlflow
         rows = or_tell(out, lambda: train(config, out, report, report.note, mlflow))
-    _finish(out, [(config, rows)], [out / CONFIG, out / POLICY, out / CURVE, out / UPDATES])
+    _finish(
+        arguments,
+        out,
+        [(config, rows)],
+        [out],
+        [out / CONFIG, out / POLICY, out / CURVE, out / UPDATES],
+    )
 
 
 def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:
@@ -243,10 +288,12 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
     chosen = arguments.seeds or ([0, 1, 2] if arguments.seed is None else [arguments.seed])
     runs = [dataclasses.replace(config, seed=seed) for config in configs for seed in chosen]
     campaign = Campaign(runs, out / "runs", arguments.mlflow)
+    for conditions in dict.fromkeys(map(evaluation_conditions, runs)):
+        print_conditions(f"evaluations in training: {conditions}")
     with show_progress(f"training {len(runs)} runs", campaign.total, "steps") as report:
         workers = arguments.workers
         learned = or_tell(out, lambda: campaign.train(workers, report, report.note))
-    _finish(out, learned, [])
+    _finish(arguments, out, learned, [campaign.place(config) for config in runs], [])
 
 
 def or_tell(out: Path, work: Callable[[], Result]) -> Result:
@@ -272,19 +319,42 @@ def or_tell(out: Path, work: Callable[[], Result]) -> Result:
         raise
 
 
+def print_conditions(text: str) -> None:
+    """Print what progress is told of, once, where progress goes."""
+    Console(stderr=True).print(text, markup=False, highlight=False, soft_wrap=True)
+
+
 def _finish(
+    arguments: argparse.Namespace,
     out: Path,
     runs: list[tuple[RunConfig, list[Row]]],
+    folders: list[Path],
     files: list[Path],
 ) -> None:
-    """Print and write the table of the runs, and draw their learning curves."""
+    """Evaluate the final policies, print and write their table, and draw the learning curves."""
     table = out / "learning.md"
     picture = out / "curves.png"
-    replace_file(table, learning_table(runs))
     plot_curves(runs, picture)
+    # As `bulletuav evaluate` flies the folder of a run
+    total = sum(config.episodes for config, _ in runs)
+    with show_episodes(total) as advance:
+        scores = [
+            evaluate(
+                config.task,
+                str(folder),
+                config.episodes,
+                workers=arguments.workers,
+                progress=advance,
+                **config.evaluated,
+            )
+            for (config, _), folder in zip(runs, folders, strict=True)
+        ]
+    replace_file(table, learning_table(runs, scores))
     console = Console()
     console.print(table.read_text(), markup=False, soft_wrap=True)
     for config, rows in runs:
         told = f"{config.task}, {config.algo}, seed {config.seed}: {wall_time(rows)}"
         console.print(told, highlight=False, markup=False, soft_wrap=True)
+    for score in scores:
+        print_score(console, score, f", options of {Path(score.about['policy']) / CONFIG}")
     print_files(console, [*files, table, picture])

@@ -9,12 +9,19 @@ from rich.console import Console
 from bulletuav.analysis.metrics import METRICS
 from bulletuav.commands.arguments import out_folder, parse_pairs, print_files
 from bulletuav.commands.progress import show_progress
-from bulletuav.commands.train import add_run, base_config, or_tell, run_config
+from bulletuav.commands.train import (
+    add_run,
+    base_config,
+    or_tell,
+    print_conditions,
+    run_config,
+)
 from bulletuav.errors import shown
 from bulletuav.files import replace_file
 from bulletuav.policies.run import CONFIG
 from bulletuav.policies.space import Space, parse_space
 from bulletuav.report.study import plot_study, study_table
+from bulletuav.training.store import evaluation_conditions
 from bulletuav.training.study import STUDY, TRIALS, Study, best_trials, run_study
 
 ABOUT = {
@@ -86,6 +93,7 @@ def run(arguments: argparse.Namespace) -> None:
     # Interrupted studies go on with the trials that are missing
     study = _study(arguments)
     out = out_folder(arguments.out or Path("tuning") / study.run.task)
+    print_conditions(f"evaluations of the trials: {evaluation_conditions(study.run)}")
     with show_progress(f"tuning {study.run.task}", study.trials, "trials") as report:
         trials = or_tell(out, lambda: run_study(study, out, arguments.workers, report, report.note))
     # What was found, as a table and a picture

@@ -5,6 +5,7 @@ each held by a test. Bodies are free of Bullet's hidden damping and velocity cla
 leave no trace of the past. A world does not feel what other worlds do.
 """
 
+import hashlib
 import weakref
 from collections.abc import Callable, Sequence
 from ctypes import PyDLL
@@ -21,6 +22,7 @@ from bulletuav.engine.drones import require_loadable
 from bulletuav.engine.in_bullet import InBullet, make_in_bullet
 from bulletuav.engine.parking import parking_places
 from bulletuav.engine.queries import EngineQueries
+from bulletuav.engine.scene_copy import AddedPiece, ScenePoses
 from bulletuav.engine.tiles import globalise, localise, tile_offset
 from bulletuav.errors import choose, finite
 from bulletuav.geometry.obstacle import MOST_FRICTION, Obstacle
@@ -51,6 +53,7 @@ class Engine(EngineQueries):
         dt: Length of a substep, s.
         first_world: Number of the first tile.
         omega: (W, N, 3) angular velocities as Bullet gave them last, world axes, rad/s.
+        bodies: (W,) uint64, a hash of the bodies that `add_body` put up in each world; 0 for none.
         closed: True after `close`.
     """
 
@@ -99,6 +102,8 @@ class Engine(EngineQueries):
         self.first_world = first_world
         self._live, self._contacts = live, contacts
         self._num_added = 0
+        self._added_pieces: list[AddedPiece] = []
+        self.bodies = np.zeros(num_worlds, dtype=np.uint64)
         # Of bodies that are not made yet
         self._masses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._contents = Contents(
@@ -140,6 +145,23 @@ class Engine(EngineQueries):
     def _is_made(self) -> bool:
         """Whether there are bodies in Bullet."""
         return "_bullet" in self.__dict__
+
+    @property
+    def contents(self) -> Contents:
+        """What is in the worlds but for added bodies, such as for a `SceneCopy`."""
+        return self._contents
+
+    def scene_poses(self, swarm: Swarm) -> ScenePoses:
+        """Return where everything is that pictures show, as a copy; drones are as in a swarm."""
+        count = self.obstacle_radius.size
+        return ScenePoses(
+            swarm.position.copy(),
+            swarm.quaternion.copy(),
+            self._scenery.place[:, :count].copy(),
+            self._scenery.quaternion[:, :count].copy(),
+            self.city_grid.layout.copy(),
+            tuple(self._added_pieces),
+        )
 
     @property
     def port(self) -> Port | None:
@@ -268,10 +290,17 @@ class Engine(EngineQueries):
             check(scenery)
         for p, piece in enumerate(pieces):
             in_bullet = places[worlds, p] + self._offset[worlds, 0]
-            poses = zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True)
-            self._bullet.bodies.add(piece.shape, like.colour, poses, other)
+            poses = list(zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True))
+            added = AddedPiece(piece.shape, like.colour, poses, other)
+            self._bullet.bodies.add(*added)
+            self._added_pieces.append(added)
         self._scenery = scenery
         self._num_added += 1
+        added_bodies = repr(([tuple(piece) for piece in pieces], position, turn, friction, restitution))
+        for w in worlds:
+            text = f"{self.bodies[w]} {added_bodies}".encode()
+            digest = hashlib.blake2b(text, digest_size=8).digest()
+            self.bodies[w] = int.from_bytes(digest, "little")
         return other
 
     def set_masses(self, world: int, mass: np.ndarray, inertia: np.ndarray) -> None:

@@ -1,6 +1,6 @@
 """An airspace: drones in Bullet that fly by a loop of one's own, without a task."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,17 +17,22 @@ from bulletuav.envs.airspace_inputs import (
 )
 from bulletuav.envs.airspace_parts import STILL, AirspaceParts
 from bulletuav.envs.airspace_setpoints import hold, level_of, setpoint_numbers
+from bulletuav.envs.described import faces_of, parts_of
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.parts import add_obstacles
 from bulletuav.envs.snapshot import (
+    BODIES,
+    MAX_STEPS,
+    Bounds,
     Layout,
     Snapshot,
+    contact_bounds,
     hashes_of,
-    layout_of,
+    own_snapshot,
     pack,
     require_contacts,
-    require_form,
     require_snapshot,
+    state_bounds,
 )
 from bulletuav.envs.stages import finish, headings, prepare
 from bulletuav.errors import numbers_of, shown
@@ -63,6 +68,7 @@ class Airspace(AirspaceParts):
     """
 
     _layout: Layout | None = None
+    _parts: Mapping[str, str] | None = None
 
     @property
     def time(self) -> float:
@@ -251,7 +257,7 @@ class Airspace(AirspaceParts):
         layout, only = self._all_arrays(), np.zeros(1, dtype=int)
         # Bullet rounds what is written: both flights are to go on from that.
         self._dynamics.restore(self._swarm, self._alive)
-        return Snapshot(layout.pack([self.rng], only), layout.form)
+        return own_snapshot(layout.pack([self.rng], only), layout.form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot) -> None:
@@ -266,12 +272,13 @@ class Airspace(AirspaceParts):
             ValueError: It does not fit; all stays as it was.
             RuntimeError: The airspace is closed.
         """
+        self._require_open()
+        require_snapshot(snapshot, Snapshot)
+        self._all_arrays().require(snapshot, np.zeros(1, dtype=int))
         self._look()
         # What was read from `readings` before stays as it is.
         self.readings = {name: reading.copy() for name, reading in self.readings.items()}
         layout, rngs = self._all_arrays(), [self.rng]
-        require_snapshot(snapshot, Snapshot)
-        require_form(snapshot, layout.form, "airspace")
         layout.unpack(snapshot.data, rngs, np.zeros(1, dtype=int))
         (self.rng,) = rngs
         self._turns = bool(self._yaw_rate.any())
@@ -288,9 +295,23 @@ class Airspace(AirspaceParts):
         return told
 
     def _all_arrays(self) -> Layout:
-        arrays = self._state_arrays() | self._more_arrays()
-        self._layout = layout_of(self._layout, "airspace", arrays)
+        arrays = {BODIES: self._engine.bodies, **self._state_arrays(), **self._more_arrays()}
+        if self._parts is None:
+            made: dict[str, Any] = {"obstacles": self._obstacles, "layout": faces_of(self._layouts)}
+            self._parts = parts_of(self._options, **made)
+        if self._layout is None or not self._layout.is_of(arrays):
+            self._layout = Layout("airspace", self._parts, self._bounds(), arrays)
         return self._layout
+
+    def _bounds(self) -> Bounds:
+        """Return the bounds of arrays that a snapshot may write, by name."""
+        return {
+            **state_bounds(self._swarm),
+            "levels": (0, int(self.consumes)),
+            "steps": (0, MAX_STEPS),
+            **self._sensors.kept_bounds(),
+            **contact_bounds(self._dynamics.contact),
+        }
 
     def _state_arrays(self) -> dict[str, np.ndarray]:
         """Tell the arrays (1, ...) by name that are the state, whatever flew before."""

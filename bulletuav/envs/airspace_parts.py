@@ -9,7 +9,9 @@ from bulletuav.contact.contacts import overlaps, see
 from bulletuav.contact.touch import TOUCH
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.body_source import BodySource, pose_of
+from bulletuav.engine.body_table import Contents
 from bulletuav.engine.parking import PARKING_HEIGHT
+from bulletuav.engine.scene_copy import ScenePoses
 from bulletuav.envs.airspace_inputs import (
     YAW,
     Drones,
@@ -31,7 +33,7 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, from_euler, product, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
-from bulletuav.geometry.view import Picture, projection_matrix, view_matrix
+from bulletuav.geometry.view import Picture, Shot, projection_matrix, view_matrix
 from bulletuav.program import Program
 from bulletuav.sensors.base import Moment
 from bulletuav.sensors.suite import SensorSuite
@@ -84,6 +86,7 @@ class AirspaceParts(Environment):
         known, carried = airspace_options(position, airframe, sensors, {**options, **rates})
         layouts = () if layout is None else (layout,)
         self._options, self.airframes = known, known.airframe
+        self._obstacles, self._layouts = tuple(obstacles), layouts
         self._engine = make_engine(known, 1, obstacles, layouts)
         self._dynamics = make_dynamics(known, self._engine)
         self._renderer = Renderer(self._engine, known.render_size)
@@ -342,6 +345,34 @@ class AirspaceParts(Environment):
         Raises:
             ValueError: There is no such drone, or a number cannot be.
         """
+        shot = self.shot(drone, position, quaternion, target, size, field_of_view)
+        return self.draw(shot)
+
+    @exclusive
+    def draw(self, shot: Shot) -> Picture:
+        """Draw what a camera sees, as `picture` does.
+
+        Args:
+            shot: What `shot` returned.
+        """
+        self._require_open()
+        self._show(self._swarm, self._alive)
+        return self._engine.picture(0, *shot)
+
+    @exclusive
+    def shot(
+        self,
+        drone: int | None,
+        position: Sequence[float] | None,
+        quaternion: Sequence[float],
+        target: Sequence[float] | None,
+        size: Sequence[int],
+        field_of_view: float,
+    ) -> Shot:
+        """Return what a camera sees from its present place, to be drawn now or elsewhere.
+
+        Arguments and errors are those of `picture`.
+        """
         self._require_open()
         if drone is not None:
             i = as_int("drone", drone, 0, len(self.airframes) - 1)
@@ -355,7 +386,6 @@ class AirspaceParts(Environment):
             body = self._swarm.quaternion[0, i]
             place = self._swarm.position[0, i] + to_world(body, place)
             turn = np.array(product(body, turn))
-        self._show(self._swarm, self._alive)
         forward, _, up = (np.array(axis) for axis in axes(turn))
         if target is not None:
             (ahead,) = points_of("target", [target])
@@ -366,7 +396,18 @@ class AirspaceParts(Environment):
                 raise ValueError(f"target is {shown(target)}, where the camera is: look elsewhere")
         view = view_matrix(place, place + forward, up.tolist())
         projection = projection_matrix(width / height, angle)
-        return self._engine.picture(0, view, projection, (width, height))
+        return Shot(view, projection, (width, height))
+
+    @exclusive
+    def scene_poses(self) -> ScenePoses:
+        """Return where everything is that pictures show now, as a copy; see `SceneCopy`."""
+        self._require_open()
+        return self._engine.scene_poses(self._swarm)
+
+    @property
+    def scene_setup(self) -> tuple[Contents, bool]:
+        """The arguments with which a `SceneCopy` of this airspace is made."""
+        return self._engine.contents, self._engine.asks_bodies
 
     def __repr__(self) -> str:
         """Tell what flies, how, and for how long."""

@@ -1,22 +1,25 @@
 """The batched core: W independent worlds of N drones through one decision at a time."""
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bulletuav.envs.agents import USUAL_TYPES
+from bulletuav.envs.described import parts_of
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.infos import Infos, later
 from bulletuav.envs.resets import Resets
 from bulletuav.envs.snapshot import (
+    BODIES,
     Layout,
     Snapshot,
     hashes_of,
+    own_snapshot,
     pack,
     require_contacts,
-    require_form,
+    require_parts,
     require_snapshot,
 )
 from bulletuav.envs.step import Step
@@ -57,6 +60,7 @@ class Aviary(Resets):
     """
 
     _layout: Layout | None = None
+    _parts: Mapping[str, str] | None = None
     _varying: Sequence[np.ndarray] = ()
 
     @exclusive
@@ -199,7 +203,7 @@ class Aviary(Resets):
         mask[chosen] = True
         # Bullet rounds what is written: both flights are to go on from that.
         self._dynamics.restore(self.swarm, mask[:, None] & self.alive)
-        return Snapshot(layout.pack(self.rng, chosen), layout.form)
+        return own_snapshot(layout.pack(self.rng, chosen), layout.form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
@@ -220,14 +224,10 @@ class Aviary(Resets):
                 them.
             RuntimeError: After `close`.
         """
-        # Worlds that were never reset begin first; then all is checked before it is written
+        # All is checked before anything is written
         chosen = self._spec.indices(worlds)
-        if self._frame is None:
-            self.reset()
-        self._current()
-        layout = self._all_arrays()
         require_snapshot(snapshot, Snapshot, len(chosen))
-        require_form(snapshot, layout.form, f"environment of {self.task.name!r}")
+        layout = self._layout_for(snapshot, chosen)
         # The state itself, and generators of random numbers
         layout.unpack(snapshot.data, self.rng, chosen)
         mask = np.zeros(self.num_worlds, dtype=bool)
@@ -266,6 +266,29 @@ class Aviary(Resets):
         chosen = self._spec.indices(worlds)
         return hashes_of(pack(self._state_arrays(), self.rng, chosen))
 
+    @exclusive
+    def require_loadable(self, snapshot: Snapshot) -> None:
+        """Check a snapshot as `load_state` does, whatever its number of worlds, and write nothing.
+
+        Raises:
+            ValueError: It does not fit.
+            RuntimeError: After `close`.
+        """
+        require_snapshot(snapshot, Snapshot, None)
+        self._layout_for(snapshot, np.zeros(len(snapshot), dtype=int))
+
+    def _layout_for(self, snapshot: Snapshot, chosen: np.ndarray) -> Layout:
+        """Check a snapshot against worlds (S,), and return where it is to be written."""
+        # Worlds that were never reset begin first
+        if self._frame is None:
+            self._require_open()
+            require_parts(snapshot.form, self._own_parts(), self._of)
+            self.reset()
+        self._current()
+        layout = self._all_arrays()
+        layout.require(snapshot, chosen)
+        return layout
+
     def _all_arrays(self) -> Layout:
         # Who keeps arrays may keep others later, and first readings make some
         varying = [*self._sensors.kept().values(), *self._dynamics.kept().values()]
@@ -273,6 +296,16 @@ class Aviary(Resets):
         known = self._varying
         is_known = len(known) == len(varying) and all(map(operator.is_, known, varying))
         if self._layout is None or not is_known:
-            arrays = {**self._state_arrays(), **self._more_arrays()}
-            self._layout, self._varying = Layout(self.task.name, arrays), varying
+            arrays = {BODIES: self._engine.bodies, **self._state_arrays(), **self._more_arrays()}
+            self._layout = Layout(self._of, self._own_parts(), self._bounds(), arrays)
+            self._varying = varying
         return self._layout
+
+    @property
+    def _of(self) -> str:
+        return f"environment of {self.task.name!r}"
+
+    def _own_parts(self) -> Mapping[str, str]:
+        if self._parts is None:
+            self._parts = parts_of(self.options, self.task)
+        return self._parts

@@ -3,35 +3,144 @@
 import hashlib
 import math
 import operator
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 
+from bulletuav.contact.memory import ROWS
+from bulletuav.contact.rest import Contact
+from bulletuav.contact.touches import MOST_TOUCHES
+from bulletuav.dynamics.divergence import FASTEST, FASTEST_SPIN
+from bulletuav.envs.described import text_of
 from bulletuav.envs.rows import Rows
 from bulletuav.errors import shown
+from bulletuav.vehicle.swarm import Swarm
 
+BODIES, BODIES_BYTES = "bodies", 8
+"""Array (W,) uint64 that differs where other bodies were added; the first one of a snapshot"""
 GENERATOR = 37
 """Bytes of the state of a random generator"""
+CHECKSUM = 16
+"""Bytes of a checksum"""
 UNSTARTED = np.random.default_rng(0)
 """Generator of worlds before their first reset; nothing draws from it"""
 Fields = Mapping[str, np.ndarray]
 """Arrays (W, ...) by name"""
 
 
+Bounds = Mapping[str, tuple[float, float]]
+"""Lowest and highest value of arrays by name; "name.field" where rows have fields"""
+UNIT = 1e-6
+"""Rounding of the components of a quaternion"""
+MAX_ROTOR_SPEED = 1e6
+"""Speed of a rotor, rad/s"""
+MAX_STEPS = 2**53
+"""Decisions of a world: as many as a float64 counts"""
+MAX_COORDINATE = 1e7
+"""Distance of a drone from its world's origin, m; flights that diverge end before"""
+FIRST_FIELDS = ("data", "form", "checksum")
+"""What a pickled snapshot consists of"""
+FACE_FIELDS = ("of", "flight", "beside", "checksum")
+"""The same of one of an environment class"""
+ANOTHER_VERSION = "the snapshot is of another version of bulletuav: save it again with this one"
+MOST_NAMED = 8
+"""Differences that a message lists"""
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a snapshot was saved from.
+
+    Attributes:
+        of: What kind of thing, such as "environment of 'crossing'".
+        parts: A text for everything that it is made from, by name; see `described.parts_of`.
+        arrays: Name, type and shape of each array of a world.
+    """
+
+    of: str
+    parts: Mapping[str, str]
+    arrays: tuple[tuple[str, str, tuple[int, ...]], ...]
+
+    @cached_property
+    def digest(self) -> bytes:
+        """Hash of all of it."""
+        text = repr((self.of, sorted(self.parts.items()), self.arrays))
+        return hashlib.blake2b(text.encode(), digest_size=CHECKSUM).digest()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes alone: the hash is computed again from what arrives."""
+        return {"of": self.of, "parts": dict(self.parts), "arrays": self.arrays}
+
+    def require(self, other: "Form") -> None:
+        """Raise ValueError with the names of the differences unless the other is the same."""
+        if self is other or self.digest == other.digest:
+            return
+        require_parts(other, self.parts, self.of)
+        mine, theirs = set(self.arrays), set(other.arrays)
+        arrays = dict.fromkeys(name for name, *_ in sorted(mine ^ theirs, key=repr))
+        raise ValueError(
+            f"the snapshot is of another simulation than this {self.of}: its state has other "
+            f"arrays ({', '.join(arrays)}); load it where the sensors and dynamics are the same"
+        )
+
+
+def require_parts(form: Form, parts: Mapping[str, str], of: str) -> None:
+    """Refuse what was saved from other parts than there are here.
+
+    Args:
+        form: What the snapshot was saved from.
+        parts: What there is here, see `described.parts_of`.
+        of: What kind of thing this is.
+
+    Raises:
+        ValueError: They differ; the names and both values are listed.
+    """
+    every = dict.fromkeys((*parts, *form.parts))
+    names = [name for name in every if parts.get(name) != form.parts.get(name)]
+    # With another task or airframe most of the rest differs, too
+    names = [name for name in names if name.partition(".")[0] not in {*names} - {name}]
+    names = ["task"] if "task" in names else names
+    if not names:
+        return
+    missing = "not there"
+    differ = [
+        f"{name} is {form.parts.get(name, missing)} in the snapshot and "
+        f"{parts.get(name, missing)} here"
+        for name in names[:MOST_NAMED]
+    ]
+    if len(names) > MOST_NAMED:
+        differ.append(f"others are {', '.join(names[MOST_NAMED:])}")
+    raise ValueError(
+        f"the snapshot is of another simulation than this {of}: {'; '.join(differ)}; load it "
+        f"where these are the same"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """The state of S worlds, as `save_state` gives it. It can be pickled, and sent to others.
 
+    The bytes are read-only. A snapshot of this process is known to be whole and is loaded without a
+    second look. One that was pickled carries a checksum, and is checked when it is loaded.
+
     Attributes:
-        data: (S, B) uint8.
-        form: What it fits: a hash of the task's name and of the form of all arrays.
+        data: (S, B) uint8, read-only.
+        form: What it was saved from.
+        checksum: Hash of both; None for a snapshot of this process.
     """
 
     data: np.ndarray
-    form: str
+    form: Form
+    checksum: bytes | None = None
+
+    def __post_init__(self) -> None:
+        """Copy the bytes, so that what is checked stays as it is."""
+        if isinstance(self.data, np.ndarray):
+            copied = np.frombuffer(self.data.tobytes(), self.data.dtype)
+            object.__setattr__(self, "data", copied.reshape(self.data.shape))
 
     def __len__(self) -> int:
         """Count its worlds."""
@@ -39,8 +148,71 @@ class Snapshot:
 
     def __getitem__(self, worlds: int | slice | list[int] | np.ndarray) -> "Snapshot":
         """Take some of its worlds, in the order of their indices, also several times."""
+        self.require_whole()
         chosen = [worlds] if isinstance(worlds, int | np.integer) else worlds
-        return Snapshot(self.data[chosen], self.form)
+        data = self.data[chosen]
+        if self.is_own:
+            return own_snapshot(data, self.form)
+        return Snapshot(data, self.form, checksum_of(data, self.form))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled, with a checksum."""
+        checksum = checksum_of(self.data, self.form) if self.is_own else self.checksum
+        return dict(zip(FIRST_FIELDS, (self.data, self.form, checksum), strict=True))
+
+    def __setstate__(self, state: Any) -> None:
+        """Take what was pickled; it is checked when it is loaded."""
+        if not isinstance(state, dict) or tuple(state) != FIRST_FIELDS:
+            raise ValueError(ANOTHER_VERSION)
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it was saved in this process, and its bytes cannot have changed."""
+        return "_own" in vars(self)
+
+    def require_whole(self) -> None:
+        """Raise ValueError for a snapshot that is damaged, or that was put together by hand."""
+        if "_own" in vars(self) or "_whole" in vars(self):
+            return
+        data, form = self.data, self.form
+        known = isinstance(form, Form) and isinstance(data, np.ndarray)
+        if not known or data.dtype != np.uint8 or data.ndim != 2:
+            raise ValueError(
+                f"snapshot is {shown(self)}: (S, B) uint8 with a form, as save_state of this "
+                f"version gives, is needed; save it again"
+            )
+        if self.checksum != checksum_of(data, form):
+            raise ValueError(
+                "the snapshot is damaged: its checksum is not that of its bytes; take another "
+                "copy, or save it again"
+            )
+        object.__setattr__(self, "_whole", True)
+
+
+def own_snapshot(data: np.ndarray, form: Form) -> Snapshot:
+    """Make a snapshot of bytes (S, B) that this process just wrote, without a copy or checksum."""
+    snapshot = object.__new__(Snapshot)
+    # A view of read-only memory cannot be made writeable again
+    fields = {
+        "data": np.asarray(memoryview(cast(Any, data)).toreadonly()),
+        "form": form,
+        "checksum": None,
+    }
+    for name, value in fields.items():
+        object.__setattr__(snapshot, name, value)
+    object.__setattr__(snapshot, "_own", True)
+    return snapshot
+
+
+def checksum_of(data: np.ndarray, form: Form) -> bytes:
+    """Hash the bytes (S, B) of a snapshot, with what it was saved from."""
+    text = repr((form.digest, data.shape)).encode()
+    digest = hashlib.blake2b(text, digest_size=CHECKSUM)
+    digest.update(cast(Any, np.ascontiguousarray(data)))
+    return digest.digest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,24 +229,56 @@ class FaceSnapshot:
     flight: Snapshot
     beside: Mapping[str, Any]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled, with a checksum."""
+        own = {"of": self.of, "flight": self.flight, "beside": dict(self.beside)}
+        return {**own, "checksum": self._checksum(own["beside"])}
+
+    def __setstate__(self, state: Any) -> None:
+        """Take what was pickled.
+
+        Raises:
+            ValueError: It is damaged, or of another version.
+        """
+        if not isinstance(state, dict) or tuple(state) != FACE_FIELDS:
+            raise ValueError(ANOTHER_VERSION)
+        if self._checksum(state["beside"]) != state["checksum"]:
+            raise ValueError(
+                f"the snapshot of {shown(state['of'])} is damaged: its checksum is not that of "
+                f"what it holds; take another copy, or save it again"
+            )
+        for name in FACE_FIELDS[:-1]:
+            object.__setattr__(self, name, state[name])
+
+    @staticmethod
+    def _checksum(beside: Any) -> bytes:
+        return hashlib.blake2b(text_of(beside).encode(), digest_size=CHECKSUM).digest()
+
 
 def require_snapshot(
     snapshot: Any,
     kind: type,
-    worlds: int = 1,
+    worlds: int | None = 1,
 ) -> None:
-    """Refuse what is no snapshot of a kind, or one of another number of worlds.
+    """Refuse what is no snapshot of a kind, a damaged one, or one of another number of worlds.
+
+    Args:
+        snapshot: What was given.
+        kind: `Snapshot` or `FaceSnapshot`.
+        worlds: How many worlds are to be written; None for any number.
 
     Raises:
-        ValueError: It is something else, or holds more or fewer of them.
+        ValueError: It is something else, is damaged, or holds more or fewer of them.
     """
     if not isinstance(snapshot, kind):
         raise ValueError(f"snapshot is {shown(snapshot)}: what save_state gave is needed")
-    if isinstance(snapshot, Snapshot) and len(snapshot) != worlds:
-        raise ValueError(
-            f"the snapshot holds {len(snapshot)} worlds, and {worlds} are to be written: "
-            f"take some of them, snapshot[0], or name the worlds"
-        )
+    if isinstance(snapshot, Snapshot):
+        snapshot.require_whole()
+        if worlds is not None and len(snapshot) != worlds:
+            raise ValueError(
+                f"the snapshot holds {len(snapshot)} worlds, and {worlds} are to be written: "
+                f"take some of them, snapshot[0], or name the worlds"
+            )
 
 
 def require_face(snapshot: Any, of: str) -> None:
@@ -86,6 +290,29 @@ def require_face(snapshot: Any, of: str) -> None:
         )
 
 
+def state_bounds(swarm: Swarm) -> dict[str, tuple[float, float]]:
+    """Return the bounds of the state of drones, and of the parameters that index rotors."""
+    return {
+        "position": (-MAX_COORDINATE, MAX_COORDINATE),
+        "quaternion": (-1.0 - UNIT, 1.0 + UNIT),
+        "velocity": (-FASTEST, FASTEST),
+        "rates": (-FASTEST_SPIN, FASTEST_SPIN),
+        "rotor_speed": (0.0, MAX_ROTOR_SPEED),
+        "parameters.num_rotors": (0, swarm.rotor_speed.shape[-1]),
+    }
+
+
+def contact_bounds(contact: Contact) -> dict[str, tuple[float, float]]:
+    """Return the bounds of counts, and of numbers of shapes, that contacts remember."""
+    shapes = (0, contact.scenery.ground)
+    return {
+        **dict.fromkeys(("slept number", "touches number"), (0, MOST_TOUCHES)),
+        **dict.fromkeys(("slept other", "touches other"), shapes),
+        "memory number": (0, ROWS),
+        "memory rows.other": shapes,
+    }
+
+
 def require_contacts(contacts: str | None) -> None:
     """Refuse contacts of which nothing can be saved. Raises ValueError."""
     if contacts == "bullet":
@@ -95,29 +322,9 @@ def require_contacts(contacts: str | None) -> None:
         )
 
 
-def require_form(
-    snapshot: Snapshot,
-    form: str,
-    of: str,
-) -> None:
-    """Refuse a snapshot of another form. Raises ValueError."""
-    if snapshot.form != form:
-        raise ValueError(
-            f"the snapshot is of another task, or of other options, than this {of}: load it where "
-            f"the options are those that it was saved with"
-        )
-
-
-def form_of(task: str, fields: Fields) -> str:
-    """Hash what a snapshot has to fit: the task's name, and names, types and shapes of arrays."""
-    return _form(task, tuple((name, one.dtype, one.shape[1:]) for name, one in fields.items()))
-
-
-@lru_cache(maxsize=64)
-def _form(task: str, told: tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...]) -> str:
-    """Hash names, types and shapes of arrays; kept, as it takes longer than the copying."""
-    texts = [(name, kind.str, shape) for name, kind, shape in told]
-    return hashlib.blake2b(repr((task, texts)).encode(), digest_size=8).hexdigest()
+def arrays_of(fields: Fields) -> tuple[tuple[str, str, tuple[int, ...]], ...]:
+    """List name, type and shape of the arrays of a world."""
+    return tuple((name, str(one.dtype), one.shape[1:]) for name, one in fields.items())
 
 
 def pack(
@@ -158,12 +365,20 @@ class Layout:
     them is another.
 
     Attributes:
-        form: What snapshots have to fit; see `form_of`.
+        form: What snapshots have to fit.
     """
 
-    def __init__(self, task: str, fields: Fields) -> None:
-        """Look at arrays (W, ...) by name."""
-        self._fields, self.form = dict(fields), form_of(task, fields)
+    def __init__(self, of: str, parts: Mapping[str, str], bounds: Bounds, fields: Fields) -> None:
+        """Look at arrays.
+
+        Args:
+            of: See `Form`, like the parts.
+            parts: What the simulation is made from.
+            bounds: Of arrays that are indices, counts or the like.
+            fields: The arrays (W, ...) by name.
+        """
+        self._fields, self._bounds = dict(fields), dict(bounds)
+        self.form = Form(of, parts, arrays_of(fields))
         self._rows: Rows | None = None
         self._is_known = False
 
@@ -171,6 +386,50 @@ class Layout:
         """Tell whether these are the very arrays that it is of."""
         known = self._fields.values()
         return len(known) == len(fields) and all(map(operator.is_, known, fields.values()))
+
+    def require(self, snapshot: Snapshot, worlds: np.ndarray) -> None:
+        """Check everything that is to be written to worlds (S,), before any of it is.
+
+        Raises:
+            ValueError: The snapshot does not fit.
+        """
+        self.form.require(snapshot.form)
+        # The first array of every layout
+        here = self._fields[BODIES][worlds].view(np.uint8).reshape(len(worlds), BODIES_BYTES)
+        if not np.array_equal(snapshot.data[:, :BODIES_BYTES], here):
+            raise ValueError(
+                "the snapshot is of worlds in which other bodies stand: add the same bodies, in "
+                "the same order, before it is loaded"
+            )
+        # Looked at once: its bytes cannot change
+        known = vars(snapshot)
+        if not snapshot.is_own and known.get("_within") != self._bounds:
+            self._check(snapshot.data)
+            object.__setattr__(snapshot, "_within", self._bounds)
+
+    def _check(self, data: np.ndarray) -> None:
+        """Check the bytes (S, B) of a snapshot that comes from elsewhere against all bounds."""
+        size = sum(array[0].nbytes for array in self._fields.values() if array.size) + GENERATOR
+        if data.shape[1] != size:
+            raise ValueError(
+                f"the snapshot has {data.shape[1]} bytes a world: {size} are needed; it is cut off"
+            )
+        for name, values in _columns(data, self._fields):
+            bounds = self._bounds.get(name)
+            if values.dtype == bool:
+                values, bounds = values.view(np.uint8), (0, 1)
+            if bounds is None:
+                continue
+            # NaN is within no bounds
+            low, high = bounds
+            wrong = ~((values >= low) & (values <= high))
+            if wrong.any():
+                raise ValueError(
+                    f"the snapshot has {name} {values[wrong][0]:g}: from {low:g} to {high:g} is "
+                    f"needed; it is damaged"
+                )
+        if (data[:, 32 - GENERATOR] > 1).any() or not (data[:, 16 - GENERATOR] % 2).all():
+            raise ValueError("the snapshot has no state of a random generator: it is damaged")
 
     def pack(self, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
         """Copy worlds (S,) of all arrays, and their random generators; see `pack`."""
@@ -216,13 +475,19 @@ class Layout:
         return self._rows
 
 
-def layout_of(
-    known: Layout | None,
-    task: str,
-    fields: Fields,
-) -> Layout:
-    """Look at arrays, unless what is known is of them."""
-    return known if known is not None and known.is_of(fields) else Layout(task, fields)
+def _columns(data: np.ndarray, fields: Fields) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the values of each array in bytes (S, B), each field of rows by itself."""
+    at = 0
+    for name, array in fields.items():
+        if not array.size:
+            continue
+        size = array[0].nbytes
+        values = np.ascontiguousarray(data[:, at : at + size]).view(array.dtype)
+        at += size
+        if array.dtype.names is None:
+            yield name, values
+        for field in array.dtype.names or ():
+            yield f"{name}.{field}", np.ascontiguousarray(values[field])
 
 
 def hashes_of(data: np.ndarray) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.shared_infos import SharedInfos
+from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.vector import BatchAviary
 from bulletuav.tasks import TaskSource
 
@@ -158,6 +159,10 @@ class Part:
         for name, array in zip(("reward", "terminated", "truncated"), results, strict=False):
             arrays[name][:] = array
         return infos
+
+    def require_loadable(self, snapshot: Snapshot) -> None:
+        """Check a snapshot of any worlds of the batch; see `Aviary.require_loadable`."""
+        self._batch.aviary.require_loadable(snapshot)
 
     def close(self) -> None:
         """Free the worlds."""

@@ -19,7 +19,7 @@ from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.shared_infos import SharedInfos, merged, room_for
-from bulletuav.envs.snapshot import Snapshot, require_snapshot
+from bulletuav.envs.snapshot import Snapshot, own_snapshot, require_snapshot
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
 from bulletuav.envs.worker import (
@@ -180,8 +180,7 @@ class WorkerAviary(LabelledEnvironment):
 
     def _ask(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
         """Call a method for some of the parts, with its arguments for each; tells their answers."""
-        if self._here is None or not self._finalizer.alive or os.getpid() != self._owner:
-            raise RuntimeError("this environment is closed, or of another process: make a new one")
+        here = self._require_flown_here()
         with self._closed_by_errors():
             others = [k for k in keywords if k]
             for k in others:
@@ -190,9 +189,15 @@ class WorkerAviary(LabelledEnvironment):
                     self._pipes[k - 1].send((method, keywords[k]))
                 self._arrays["questions"][self._parts[k].start] += 1
             # The first part is flown here meanwhile
-            own = [self._here.answer(method, keywords[0])] if 0 in keywords else []
+            own = [here.answer(method, keywords[0])] if 0 in keywords else []
             answers = [*own, *self._answers(others)]
         return raise_first(answers)
+
+    def _require_flown_here(self) -> Part:
+        """Return the part of this process. Raises RuntimeError where there is none."""
+        if self._here is None or not self._finalizer.alive or os.getpid() != self._owner:
+            raise RuntimeError("this environment is closed, or of another process: make a new one")
+        return self._here
 
     def _for_all(self, **keywords: Any) -> dict[int, dict[str, Any]]:
         """Give all workers the same arguments."""
@@ -287,14 +292,18 @@ class WorkerAviary(LabelledEnvironment):
     def save_state(self, worlds: Any = None) -> Snapshot:
         """Save all that makes the future of worlds; see `Aviary.save_state`."""
         rows, saved = self._ask_owners("save_state", self._spec.indices(worlds))
+        for one in saved:
+            one.require_whole()
         data = np.concatenate([one.data for one in saved])
-        return Snapshot(data[np.argsort(rows)], saved[0].form)
+        return own_snapshot(data[np.argsort(rows)], saved[0].form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
         """Go on from a state that was saved; see `Aviary.load_state`."""
         chosen = self._spec.indices(worlds)
         require_snapshot(snapshot, Snapshot, len(chosen))
+        # All is checked here before the first part writes
+        self._require_flown_here().require_loadable(snapshot)
         self._ask_owners("load_state", chosen, snapshot)
         self._started = True
         return self._observations()

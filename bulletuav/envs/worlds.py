@@ -14,7 +14,13 @@ from bulletuav.envs.marks import marks_of
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
-from bulletuav.envs.snapshot import UNSTARTED
+from bulletuav.envs.snapshot import (
+    MAX_STEPS,
+    UNSTARTED,
+    Bounds,
+    contact_bounds,
+    state_bounds,
+)
 from bulletuav.envs.viewer import VIEWERS, Viewer, make_viewer
 from bulletuav.errors import as_int, points_of
 from bulletuav.geometry.city_grid import NO_LAYOUT
@@ -122,6 +128,16 @@ class Worlds(Environment):
         """Tell what else its future follows from; something in them may be left from before."""
         parts = (self._wind, self._energy, self._sensors, self._dynamics)
         return {name: array for part in parts for name, array in part.kept().items()}
+
+    def _bounds(self) -> Bounds:
+        """Return the bounds of arrays that a snapshot may write, by name."""
+        return {
+            **state_bounds(self.swarm),
+            "steps": (0, MAX_STEPS),
+            "layout": (NO_LAYOUT, len(self.task.layouts()) - 1),
+            **self._sensors.kept_bounds(),
+            **contact_bounds(self._dynamics.contact),
+        }
 
     def _current(self) -> Frame:
         if self._frame is None:

@@ -30,6 +30,20 @@ class Picture(NamedTuple):
     labels: np.ndarray
 
 
+class Shot(NamedTuple):
+    """What a camera sees, before anything is drawn.
+
+    Attributes:
+        view: (4, 4) matrix from the world's own frame to the camera's; see `view_matrix`.
+        projection: (4, 4) matrix of the camera; see `projection_matrix`.
+        size: Width and height, pixels.
+    """
+
+    view: np.ndarray
+    projection: np.ndarray
+    size: tuple[int, int]
+
+
 def view_matrix(
     eye: np.ndarray,
     target: np.ndarray,

@@ -222,6 +222,12 @@ def _from_package(
     return _from_run(run if name == "trained" else run / CHECKPOINTS / "000", name, trust)
 
 
+def config_file(folder: Path) -> Path:
+    """Return the path of the settings of a run, for its folder or that of a checkpoint."""
+    is_checkpoint = folder.parent.name == CHECKPOINTS and not (folder / CONFIG).exists()
+    return (folder.parents[1] if is_checkpoint else folder) / CONFIG
+
+
 def read_run_config(folder: Path, trust: bool = False) -> RunConfig:
     """Read the settings of a run.
 
@@ -233,9 +239,7 @@ def read_run_config(folder: Path, trust: bool = False) -> RunConfig:
         ValueError: The file is of another kind, or holds an impossible setting.
         FileNotFoundError: There is no such file.
     """
-    is_checkpoint = folder.parent.name == CHECKPOINTS and not (folder / CONFIG).exists()
-    home = folder.parents[1] if is_checkpoint else folder
-    return RunConfig.read(home / CONFIG, trust)
+    return RunConfig.read(config_file(folder), trust)
 
 
 def _from_run(

@@ -12,7 +12,7 @@ from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.analysis.metrics import Estimate
 from bulletuav.report.figures import blank_figure, save_figure
 from bulletuav.training.campaign import Learned
-from bulletuav.training.store import Row
+from bulletuav.training.store import Row, evaluation_conditions
 
 COLOURS = (
     "#4477aa",
@@ -68,13 +68,11 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
         axes.set(xlabel=label, ylabel="episodes")
     # Below this line episodes had a conflict
     about = result.about
-    options = about["options"]
-    d_safe = options["d_safe"]
+    d_safe = about["options"]["d_safe"]
     apart.axvline(d_safe, color="crimson", ls="--", label=f"d_safe {d_safe:g} m")
     apart.legend()
     figure.suptitle(
-        f"{about['task']} {options['difficulty']}: policy {about['policy']}, "
-        f"{options['num_drones']} drones, {options['dynamics']}, {len(result.rows)} episodes"
+        f"policy {about['policy']}, {about['options']['num_drones']} drones\n{result.conditions}"
     )
     save_figure(figure, path)
 
@@ -136,13 +134,14 @@ def plot_curves(runs: Sequence[Learned], path: Path) -> None:
     figure = blank_figure(11, 1 + 2.6 * len(tasks))
     for row, task in zip(figure.subplots(len(tasks), 3, squeeze=False), tasks, strict=True):
         curves = {config.seed: rows for config, rows in runs if config.task == task}
+        conditions = [evaluation_conditions(config) for config, _ in runs if config.task == task]
         serves = not any(np.isnan(rows[-1]["completed"]) for rows in curves.values())
         metrics = ("return", "completed" if serves else "success", "conflict")
         for axes, metric in zip(row, metrics, strict=True):
             _curves(axes, curves, metric)
             bounds = None if metric == "return" else (-0.05, 1.05)
             axes.set(xlabel="steps", ylabel=metric, ylim=bounds)
-        row[0].set_title(task, loc="left")
+        row[0].set_title("; ".join(map(str, dict.fromkeys(conditions))), loc="left", fontsize=9)
         row[0].legend()
     save_figure(figure, path)
 
@@ -175,6 +174,7 @@ def _case(result: Evaluation) -> str:
             str(options["difficulty"]),
             f"{options['num_drones']} drones",
             str(options["dynamics"]),
+            *result.conditions.flown.split(", "),
         )
     )
 

@@ -81,8 +81,8 @@ def _group(
 ) -> str:
     """Write the table of one case, and that of the differences."""
     dynamics = ", ".join(dict.fromkeys(map(_dynamics, results)))
-    episodes = results[0].about["episodes"]
-    title = f"### {task}, {difficulty}: {drones} drones, {dynamics}, {episodes} episodes\n"
+    flown = "; ".join(dict.fromkeys(result.conditions.flown for result in results))
+    title = f"### {task}, {difficulty}: {drones} drones, {dynamics}, {flown}\n"
     text = _table(title, results, [result.estimates() for result in results])
     # Policies are compared in the same dynamics.
     references = {
@@ -162,7 +162,8 @@ def _cell(one: Estimate) -> str:
 def write_csv(results: Sequence[Evaluation], path: Path) -> None:
     """Write all metrics of all evaluations as a csv file, a row for each.
 
-    The columns are the case, the metric, its mean, the interval and the episodes that have it.
+    The columns are the case, the metric, its mean, the interval, the episodes that have it, and the
+    seed of the first episode.
 
     Args:
         results: The evaluations.
@@ -173,7 +174,7 @@ def write_csv(results: Sequence[Evaluation], path: Path) -> None:
     """
     with whole_file(path) as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow([*CASE, "metric", *Estimate._fields])
+        writer.writerow([*CASE, "metric", *Estimate._fields, "seed"])
         for result in results:
             about = result.about
             options = about["options"]
@@ -186,7 +187,9 @@ def write_csv(results: Sequence[Evaluation], path: Path) -> None:
                 about["reads_swarm"],
                 result.hash,
             ]
-            writer.writerows([*case, metric, *one] for metric, one in result.estimates().items())
+            writer.writerows(
+                [*case, metric, *one, about["seed"]] for metric, one in result.estimates().items()
+            )
 
 
 def write_json(

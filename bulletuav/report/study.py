@@ -12,7 +12,7 @@ from matplotlib.ticker import NullFormatter
 from bulletuav.policies.space import Range
 from bulletuav.report.charts import COLOURS
 from bulletuav.report.figures import blank_figure, save_figure
-from bulletuav.training.study import Study, Trial, best_trials
+from bulletuav.training.study import Study, Trial, best_trials, trial_conditions
 
 COLUMNS = 4
 """Panels of the picture beside each other"""
@@ -29,13 +29,20 @@ def study_table(study: Study, trials: Sequence[Trial]) -> str:
         The table in markdown.
     """
     headings = ["trial", study.metric, *study.space]
-    lines = [_line(headings), "|---" * len(headings) + "|"]
+    caption = f"{study.metric} of each trial's last evaluation: {_conditions(study, trials)}\n"
+    lines = [caption, _line(headings), "|---" * len(headings) + "|"]
     best = best_trials(study, trials)
     for trial in [*best, *(one for one in trials if one.error)]:
         result = f"failed: {trial.error}" if trial.error else f"{trial.result:.4g}"
         values = [_shown(trial.values[name]) for name in study.space]
         lines.append(_line([str(trial.number), result, *values]))
     return "\n".join(lines) + "\n"
+
+
+def _conditions(study: Study, trials: Sequence[Trial]) -> str:
+    """Write the conditions of all results, of which there are several where these vary."""
+    found = (trial_conditions(study, trial) for trial in trials if not trial.error)
+    return "; ".join(dict.fromkeys(map(str, found)))
 
 
 def _line(cells: Sequence[str]) -> str:
@@ -80,7 +87,9 @@ def plot_study(
     # Places of the grid that are left over
     for axes in others[len(study.space) :]:
         axes.set_axis_off()
-    figure.suptitle(f"{study.run.task}, {study.run.algo}, seed {study.run.seed}")
+    figure.suptitle(
+        f"{study.run.algo}, trained with seed {study.run.seed}\n{_conditions(study, trials)}"
+    )
     save_figure(figure, path)
 
 

@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.evaluation import RUN, Evaluation, evaluate
 from bulletuav.analysis.recording import ARRAYS_FILE, fly_episode, load
 from bulletuav.analysis.seals import (
@@ -142,9 +143,8 @@ class Verifier(NamedTuple):
         """Fly each row again that `bulletuav compare` wrote, and compare the tables from that."""
         results, checks = self._fly(about["cases"], folder), []
         for case, result in zip(about["cases"], results, strict=True):
-            options = case["options"]
-            where = ", ".join((case["task"], options["difficulty"], options["dynamics"]))
-            checks.append(Check(f"{where}: {case['policy']}", case["hash"], result.hash))
+            what = f"{Conditions.of(case)}: {case['policy']}"
+            checks.append(Check(what, case["hash"], result.hash))
         # The tables follow from the flights.
         with tempfile.TemporaryDirectory() as place:
             table = Path(place) / "leaderboard.csv"

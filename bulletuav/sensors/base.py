@@ -266,6 +266,13 @@ class Sensor(ABC):
         arrays = {name: one for name, one in vars(self).items() if isinstance(one, np.ndarray)}
         return {name: array for name, array in arrays.items() if array.shape[:2] == shape}
 
+    def kept_bounds(self) -> Mapping[str, tuple[float, float]]:
+        """Return the lowest and highest value of counts and indices in `kept`, by name.
+
+        A snapshot with a value beyond them is refused. By default there are none.
+        """
+        return {}
+
 
 def check_readings(
     sensor: Sensor,

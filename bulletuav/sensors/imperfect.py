@@ -141,6 +141,10 @@ class Imperfect(Sensor):
         past = {f"past {name}": array.swapaxes(0, 1) for name, array in self._past.items()}
         return {**super().kept(), **self.sensor.kept(), **past}
 
+    def kept_bounds(self) -> Mapping[str, tuple[float, float]]:
+        """Return the bounds of what the wrapped sensor keeps."""
+        return self.sensor.kept_bounds()
+
     def _share(self) -> None:
         """Let the wrapped sensor work with what was drawn for it."""
         for key in self.sensor.uncertain:

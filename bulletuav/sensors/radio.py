@@ -136,6 +136,10 @@ class Radio(Sensor):
         arrays = {"message": self.message, "age": self._age, "received": self.received}
         return {**arrays, "sent": self._sent.swapaxes(0, 1)}
 
+    def kept_bounds(self) -> Mapping[str, tuple[float, float]]:
+        """Return the bounds of the number of messages; see the base class."""
+        return {"received": (0, self.setup.shape[1])}
+
     def _deliver(
         self,
         world: int,

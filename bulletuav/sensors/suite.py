@@ -202,6 +202,14 @@ class SensorSuite:
             for key, array in sensor.kept().items()
         }
 
+    def kept_bounds(self) -> dict[str, tuple[float, float]]:
+        """Return the bounds of counts and indices in `kept`, by name."""
+        return {
+            f"{name} {key}": bounds
+            for name, sensor in self.sensors.items()
+            for key, bounds in sensor.kept_bounds().items()
+        }
+
     def numbers(self) -> dict[str, tuple[Label, ...]]:
         """Tell the labels of all readings but pictures, by the readings' names."""
         return {

@@ -14,9 +14,11 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
+from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.errors import as_int
 from bulletuav.policies.run import RunConfig
 from bulletuav.training.store import STATE, WALL, Row
@@ -104,7 +106,8 @@ class Campaign:
     def _words(self, last: Sequence[Row]) -> str:
         """Say what the last evaluation of each run found, of those that have one."""
         return "; ".join(
-            f"{config.task} {config.seed}: return {row['return']:.4g}, success {row['success']:.2f}"
+            f"{config.task} {config.seed}: evaluated return {row['return']:.4g}, success "
+            f"{row['success']:.2f}"
             for config, row in zip(self.configs, last, strict=True)
             if row
         )
@@ -122,6 +125,7 @@ def processes(workers: int) -> Iterator[Executor]:
 
     Raises:
         ValueError: `workers` is no number of processes.
+        RuntimeError: A process has died.
     """
     as_int("workers", workers, 1)
     # PyTorch's threads do not survive a fork.
@@ -130,10 +134,15 @@ def processes(workers: int) -> Iterator[Executor]:
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts) as pool:
         try:
             yield pool
-        except BaseException:
+        except BaseException as error:
             # A process that is stopped would not hear anything milder.
             for process in set(multiprocessing.active_children()) - others:
                 process.kill()
+            if isinstance(error, BrokenProcessPool):
+                raise RuntimeError(
+                    "a worker process has died: memory may have run out (take fewer workers); call "
+                    "again, and each run continues from its last checkpoint"
+                ) from None
             raise
 
 
@@ -183,17 +192,19 @@ def wall_time(rows: Sequence[Row]) -> str:
     return f"{whole / 60:.1f} minutes: {parts}"
 
 
-def learning_table(runs: Sequence[Learned]) -> str:
-    """Write a table of runs: what each took, and what its last evaluation found.
+def learning_table(runs: Sequence[Learned], scores: Sequence[Evaluation]) -> str:
+    """Write a table of runs: what each took, and the score of its final policy.
 
     Args:
         runs: The runs with their learning curves.
+        scores: The evaluation of the final policy of each.
 
     Returns:
         The table in markdown. Minutes and speed are of wall time, with evaluations.
     """
+    estimates = [score.estimates() for score in scores]
     # Metrics that at least one run has
-    shown = [name for name in TOLD if any(not math.isnan(rows[-1][name]) for _, rows in runs)]
+    shown = [name for name in TOLD if any(found[name].episodes for found in estimates)]
     headings = [
         "task",
         "algorithm",
@@ -202,15 +213,20 @@ def learning_table(runs: Sequence[Learned]) -> str:
         "minutes",
         *WALL,
         "steps/s",
+        "difficulty",
+        "dynamics",
+        "scored in",
         *shown,
     ]
     lines = [_line(headings), "|---" * len(headings) + "|"]
-    # One row a run, by its last evaluation
-    for config, rows in runs:
+    # One row a run, by its final policy
+    for (config, rows), score, estimate in zip(runs, scores, estimates, strict=True):
         last = rows[-1]
         # Rows tell the time since the one before; a clock may not have gone on
         seconds = max(sum(row["seconds"] for row in rows), 1e-9)
-        found = ["-" if math.isnan(last[name]) else f"{last[name]:.2f}" for name in shown]
+        means = [estimate[name].mean for name in shown]
+        found = ["-" if math.isnan(mean) else f"{mean:.2f}" for mean in means]
+        conditions = score.conditions
         lines.append(
             _line(
                 [
@@ -221,6 +237,9 @@ def learning_table(runs: Sequence[Learned]) -> str:
                     f"{seconds / 60:.1f}",
                     *(f"{100 * sum(row[name] for row in rows) / seconds:.0f} %" for name in WALL),
                     f"{last['steps'] / seconds:,.0f}",
+                    conditions.difficulty,
+                    conditions.dynamics,
+                    conditions.flown,
                     *found,
                 ]
             )

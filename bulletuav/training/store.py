@@ -10,14 +10,21 @@ import json
 import math
 import shutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from bulletuav.analysis.conditions import Conditions
+from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file, whole_file
 from bulletuav.policies.run import CHECKPOINTS, CONFIG, MODULE_NAME, POLICY, RunConfig
+from bulletuav.tasks import find_task
 
+EVALUATION_SEED = 1_000_000
+"""Seed of the first episode of evaluations on the way: no seed of training or of tables"""
+RECENT = 100
+"""Number of training episodes over which progress is averaged"""
 CURVE = "curve.csv"
 """File of the learning curve"""
 UPDATES = "updates.csv"
@@ -64,7 +71,9 @@ class Store:
           choice of actions), of the "update" of networks, and of "evaluation";
         - means of the episodes in training since then, of a drone: "train/return",
           "train/decisions", "train/success", "train/conflicts", "train/collision";
-        - means of `bulletuav.analysis.metrics.METRICS` in the evaluation.
+        - means of `bulletuav.analysis.metrics.METRICS` in the evaluation;
+        - in the file also the conditions of the evaluation: "task", "difficulty", "dynamics",
+          "episodes" and "seed".
     """
 
     def __init__(self, folder: Path, config: RunConfig) -> None:
@@ -177,7 +186,8 @@ class Store:
         rows = [*self.rows, row]
         with whole_file(self.folder / POLICY) as part:
             shutil.copyfile(checkpoint / POLICY, part)
-        replace_file(self.folder / CURVE, _table(rows))
+        conditions = evaluation_conditions(self._config)._asdict()
+        replace_file(self.folder / CURVE, _table([one | conditions for one in rows]))
         # One that is ahead of the state is cut to it when the run goes on.
         updates = [*self.updates, *updates]
         replace_file(self.folder / UPDATES, _table(updates))
@@ -194,7 +204,40 @@ class Store:
                 (old / name).unlink(missing_ok=True)
 
 
-def _table(rows: list[Row]) -> str:
+def evaluation_conditions(config: RunConfig) -> Conditions:
+    """Return the conditions of the evaluations during a training.
+
+    Args:
+        config: The settings of the run.
+    """
+    task = find_task(config.task)
+    options = resolve(task, config.evaluated).options
+    return Conditions(
+        task=task.name,
+        difficulty=options.difficulty,
+        dynamics=options.dynamics_name,
+        episodes=config.episodes,
+        seed=EVALUATION_SEED,
+    )
+
+
+def training_conditions(config: RunConfig) -> str:
+    """Write what the episodes of a training fly, by whose returns progress is shown.
+
+    Args:
+        config: The settings of the run; several stages have several difficulties or dynamics.
+    """
+    task = find_task(config.task)
+    stages = [resolve(task, {**config.options, **stage}).options for stage in config.stages]
+    difficulty = ", then ".join(dict.fromkeys(stage.difficulty for stage in stages))
+    dynamics = ", then ".join(dict.fromkeys(stage.dynamics_name for stage in stages))
+    return (
+        f"{task.name}, difficulty {difficulty}, dynamics {dynamics}, the last {RECENT} training "
+        f"episodes of seed {config.seed}, by the stochastic policy while it learns"
+    )
+
+
+def _table(rows: Sequence[Mapping[str, object]]) -> str:
     """Write rows as CSV; what one of them lacks is left empty."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = io.StringIO()

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.metrics import METRICS
 from bulletuav.errors import as_int, choose, unknown
 from bulletuav.files import replace_file
 from bulletuav.policies.run import MODULE_NAME, VERSION, RunConfig, read_settings, write_settings
 from bulletuav.policies.space import Space, check_space, parse_space, with_values
 from bulletuav.training.campaign import processes, train_in_process
-from bulletuav.training.store import FolderError, Row, locked
+from bulletuav.training.store import FolderError, Row, evaluation_conditions, locked
 
 STUDY = "study.yaml"
 """File with the settings of a study, in its folder"""
@@ -199,6 +200,11 @@ def best_trials(study: Study, trials: Sequence[Trial]) -> list[Trial]:
     return sorted(done, key=lambda trial: trial.result, reverse=study.maximise)
 
 
+def trial_conditions(study: Study, trial: Trial) -> Conditions:
+    """Return the conditions of the result of a trial that did not fail."""
+    return evaluation_conditions(with_values(study.run, trial.values))
+
+
 def _begin(study: Study, folder: Path) -> None:
     """Write the settings, or check that they are those of the folder."""
     path = folder / STUDY
@@ -246,14 +252,15 @@ def _outcome(future: Future[list[Row]], metric: str) -> tuple[float, str]:
 
 
 def _table(study: Study, trials: list[Trial]) -> str:
-    """Write the trials as CSV; values are in JSON."""
+    """Write the trials as CSV with the conditions of their results; values are in JSON."""
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(["trial", study.metric, *study.space, "error"])
+    writer.writerow(["trial", study.metric, *study.space, "error", *Conditions._fields])
     for trial in trials:
         values = [json.dumps(trial.values[name]) for name in study.space]
         result = "" if trial.error else trial.result
-        writer.writerow([trial.number, result, *values, trial.error])
+        conditions = () if trial.error else trial_conditions(study, trial)
+        writer.writerow([trial.number, result, *values, trial.error, *conditions])
     return table.getvalue()
 
 

@@ -19,17 +19,21 @@ from bulletuav.errors import missing
 from bulletuav.policies.run import RunConfig
 from bulletuav.training import checkpoint
 from bulletuav.training.models import make_model
-from bulletuav.training.store import Row, Store, opened
+from bulletuav.training.store import (
+    EVALUATION_SEED,
+    RECENT,
+    Row,
+    Store,
+    evaluation_conditions,
+    opened,
+    training_conditions,
+)
 from bulletuav.training.wall_time import WallTime
 
-EVALUATION_SEED = 1_000_000
-"""Seed of the first episode of evaluations on the way: no seed of training or of tables"""
 MLFLOW = "bulletuav.adapters.mlflow"
 """Module that tells MLflow; it needs an extra of its own"""
 MOST_UPDATES = 1000
 """Most points that a run tells TensorBoard and `updates.csv`"""
-RECENT = 100
-"""Episodes over which progress tells means"""
 Progress = Callable[[int], None]
 """Is told the steps done so far"""
 Told = Callable[[str], None]
@@ -105,6 +109,10 @@ def _train(
         # With rows in the store, the model goes on from its last checkpoint
         model = _model(config, env, store)
         model.set_logger(logger)
+        # What the curves that follow are of
+        logger.record("rollout/conditions", training_conditions(config))
+        logger.record("evaluation/conditions", str(evaluation_conditions(config)))
+        logger.dump(model.num_timesteps)
         # Chapters evaluate and save between the steps
         chapters = _Chapters(config, env, store, progress, told)
         # Steps that an earlier call did are not done again
@@ -250,7 +258,8 @@ class _Chapters(BaseCallback):
         seconds = sum(self._wall.seconds().values())
         done = self.num_timesteps - self._store.rows[-1]["steps"]
         return (
-            f"return {_mean(recent, 'r'):.4g}, success {_mean(recent, 'success'):.2f}, "
+            f"training return {_mean(recent, 'r'):.4g}, training success "
+            f"{_mean(recent, 'success'):.2f} at {self._env.aviary.options.difficulty}, "
             f"{done / max(seconds, 1e-9):,.0f} steps/s"
         )
 

@@ -71,6 +71,7 @@ def test_settings_and_curves_are_those_of_the_folder(client, tmp_path):
     assert (run.info.run_name, run.info.status) == ("converge-ppo-0", "FINISHED")
     assert (run.data.params["task"], run.data.params["steps"]) == ("converge", "200")
     assert run.data.params["options"] == str(OPTIONS)
+    assert "1 episode, seed 1000000" in run.data.tags["evaluation/conditions"]
     for name, file, column in (
         ("evaluation/return", "curve.csv", "return"),
         ("rollout/return", "updates.csv", "rollout/return"),

@@ -173,12 +173,77 @@ def fail():
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"), [(die, "worker process has died"), (fail, "no such thing")]
+    ("fault", "said"),
+    [
+        (die, r"3 worker processes in turn have died in episodes \d+ to \d+ \(seeds 1?\d+ to "),
+        (fail, "no such thing"),
+    ],
 )
+@pytest.mark.filterwarnings("ignore:a worker process has died")
 def test_the_end_of_a_worker_is_told(fault, said, monkeypatch):
     monkeypatch.setattr(Broken, "fault", staticmethod(fault))
     with pytest.raises(RuntimeError, match=said):
-        evaluate("converge", Broken, 25, workers=2, **QUICK)
+        evaluate("converge", Broken, 25, seed=1, workers=2, **QUICK)
+    assert not multiprocessing.active_children()
+
+
+class Doomed(Policy):
+    """Ends its process in the second batch that it flies, as often as there are files to remove."""
+
+    name, actions, reads_swarm, folder = "doomed", ("velocity",), False, None
+
+    def __init__(self, aviary):
+        super().__init__(aviary)
+        self.resets = 0
+
+    def reset(self, mask):
+        self.resets += 1
+        for file in type(self).folder.glob("*") if self.resets == 2 else ():
+            file.unlink()
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def act(self, observations, swarm):
+        return np.full((self.aviary.num_worlds, self.aviary.num_drones, 3), 0.5)
+
+
+def test_a_worker_that_is_killed_is_replaced_and_no_bit_changes(tmp_path, monkeypatch):
+    deaths = tmp_path / "deaths"
+    deaths.mkdir()
+    monkeypatch.setattr(Doomed, "folder", deaths)
+    undisturbed = evaluate("converge", Doomed, 65, workers=2, out=tmp_path / "one", **QUICK)
+    (deaths / "first").touch()
+    done = []
+    with pytest.warns(RuntimeWarning, match=r"died \(exit code -9\): another flies episodes"):
+        disturbed = evaluate(
+            "converge", Doomed, 65, workers=2, out=tmp_path / "two", progress=done.append, **QUICK
+        )
+    assert not list(deaths.iterdir())  # one was killed
+    assert (sum(done), len(done)) == (65, 8)
+    np.testing.assert_array_equal(numbers(disturbed), numbers(undisturbed))
+    for name in ("episodes.csv", "run.json"):
+        one, two = ((tmp_path / run / name).read_bytes() for run in ("one", "two"))
+        assert one == two
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.filterwarnings("ignore:a worker process has died")
+def test_what_was_flown_before_the_last_death_is_kept(tmp_path, monkeypatch):
+    """Each process dies in its second batch; the episodes of the first are in the folder."""
+    deaths = tmp_path / "deaths"
+    deaths.mkdir()
+    monkeypatch.setattr(Doomed, "folder", deaths)
+    for k in range(100):
+        (deaths / str(k)).touch()
+    monkeypatch.setattr("bulletuav.analysis.episodes.MAX_DEATHS", 1)
+    with pytest.raises(RuntimeError, match="not flown again"):
+        evaluate("converge", Doomed, 40, workers=2, out=tmp_path / "run", **QUICK)
+    kept = (tmp_path / "run" / "episodes.csv").read_text().splitlines()
+    assert len(kept) > 10
+    for file in deaths.iterdir():
+        file.unlink()
+    done = []
+    evaluate("converge", Doomed, 40, out=tmp_path / "run", progress=done.append, **QUICK)
+    assert done[0] == len(kept) - 1
 
 
 @pytest.mark.parametrize(
@@ -211,7 +276,9 @@ def test_summary_pictures_and_leaderboard(straight, tmp_path):
     for name in ("one.png", "all.png"):
         assert np.asarray(Image.open(tmp_path / name).convert("L")).std() > 10
     text = markdown([straight, orca])
-    assert "### converge, medium: 3 drones, point_mass at 240 Hz, 13 episodes" in text
+    assert (
+        "### converge, medium: 3 drones, point_mass at 240 Hz, 13 episodes, seeds 4 to 16\n" in text
+    )
     assert "| straight \\* | 0." in text
     assert "1.00 [0.77, 1.00]" in text
     assert markdown([straight, orca], "potential") == text  # which is not among them
@@ -229,11 +296,12 @@ def test_summary_pictures_and_leaderboard(straight, tmp_path):
     with (tmp_path / "board.csv").open() as file:
         rows = list(csv.DictReader(file))
     row = next(row for row in rows if row["policy"] == "orca" and row["metric"] == "conflict")
-    assert (row["mean"], row["episodes"], row["task"], row["drones"]) == (
+    assert (row["mean"], row["episodes"], row["task"], row["drones"], row["seed"]) == (
         "0.0",
         "13",
         "converge",
         "3",
+        "4",
     )
 
 

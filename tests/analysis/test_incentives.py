@@ -56,11 +56,11 @@ def test_the_command_writes_the_table(tmp_path, capsys):
     arguments = ["hover", "--difficulties", "easy", "--episodes", "2", "--out", str(tmp_path)]
     cli.main(["incentives", *arguments, "--dynamics", "single_integrator"])
     rows = (tmp_path / "all.md").read_text().splitlines()
-    assert len(rows) == 2 + len(shirkers("hover", "straight"))
+    assert len(rows) == 4 + len(shirkers("hover", "straight"))
     worst = (tmp_path / "incentives.md").read_text().splitlines()
-    assert len(worst) == 3
-    assert worst[2] in rows
-    shares = [float(row.split("|")[8]) for row in rows[2:]]
-    assert float(worst[2].split("|")[8]) == min(shares)
+    assert len(worst) == 5
+    assert worst[4] in rows
+    shares = [float(row.split("|")[9]) for row in rows[4:]]
+    assert float(worst[4].split("|")[9]) == min(shares)
     assert "yes" in capsys.readouterr().out
     assert np.isfinite(shares).all()

@@ -1,8 +1,14 @@
 """The server of AirSim's calls, spoken to by bytes: clients, floods, and what is no request."""
 
+import asyncio
 import contextlib
+import logging
+import os
+import select
+import signal
 import socket
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -11,13 +17,20 @@ import msgpack
 import numpy as np
 import pytest
 
+<<<<<<< HEAD
 from bulletuav.bridges.airsim import AirsimServer
+=======
+from bulletuav.bridges import airsim, airsim_drawing, airsim_pictures
+from bulletuav.bridges.airsim import AirsimServer, Turns
+>>>>>>> main
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.sockets import LOG_NAME
 from bulletuav.cli import main
 from bulletuav.envs.connections import Limits
 from bulletuav.envs.streams import SWEEP_PERIOD
 
+LIMIT = 120.0
+"""Seconds after which something hangs"""
 FREE = (0, {"is_rate": True, "yaw_or_rate": 0.0})
 
 
@@ -296,15 +309,28 @@ def survive(server, connect, messages):
     assert all(np.isfinite(array).all() for array in server.world.airspace.swarm)
 
 
+def failures(caplog):
+    """What was logged, but for requests that were refused."""
+    return [one for one in caplog.records if one.levelno > logging.WARNING]
+
+
 def test_it_survives_any_calls_and_bytes(serve, connect, caplog):
     survive(serve(2), connect, 600)
+<<<<<<< HEAD
     assert not [one for one in caplog.records if one.name != LOG_NAME]
+=======
+    assert not failures(caplog)
+>>>>>>> main
 
 
 @pytest.mark.slow
 def test_it_survives_a_hundred_thousand_calls_and_bytes(serve, connect, caplog):
     survive(serve(2), connect, 100_000)
+<<<<<<< HEAD
     assert not [one for one in caplog.records if one.name != LOG_NAME]
+=======
+    assert not failures(caplog)
+>>>>>>> main
 
 
 def test_a_request_that_is_too_long_ends_its_connection_alone(serve, connect):
@@ -315,24 +341,278 @@ def test_a_request_that_is_too_long_ends_its_connection_alone(serve, connect):
     assert other.get("ping") is True
 
 
-def test_a_flood_does_not_stop_others(serve, connect):
-    server = serve(speed=1.0)
-    flooding, client = connect(server), connect(server)
-    flood = msgpack.packb([0, 1, "getMultirotorState", [""]]) * 200
+def until(happens):
+    """Wait for something; the limit only finds what hangs."""
+    end = time.perf_counter() + LIMIT
+    while not happens():
+        assert time.perf_counter() < end
+        time.sleep(0.001)
+
+
+@contextlib.contextmanager
+def flooding(client, name, *arguments):
+    """Sends a request without end, and reads the answers, until the end of the block."""
+    flood = msgpack.packb([0, 1, name, list(arguments)]) * 200
+    client.socket.settimeout(None)
+
+    def send():
+        with contextlib.suppress(OSError):
+            while True:
+                client.socket.sendall(flood)
 
     def read():
         with contextlib.suppress(OSError):
-            while flooding.socket.recv(2**20):
+            while client.socket.recv(2**20):
                 pass
 
-    threading.Thread(target=read, daemon=True).start()
-    end, before, answered = time.perf_counter() + 0.6, server.world.time, 0
-    while time.perf_counter() < end:
-        flooding.socket.sendall(flood)
-        answered += client.get("ping")
-    assert answered > 2
-    assert server.world.time - before > 0.1
-    flooding.socket.shutdown(socket.SHUT_RDWR)
+    threads = [threading.Thread(target=one) for one in (send, read)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+        assert all(thread.is_alive() for thread in threads)
+    finally:
+        client.socket.shutdown(socket.SHUT_RDWR)
+        for thread in threads:
+            thread.join()
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("getMultirotorState", [""]),
+        ("simContinueForFrames", [60_000]),
+        ("simGetImages", [[{"camera_name": "0", "image_type": 0}] * 32, ""]),
+    ],
+)
+def test_a_flood_does_not_stop_others(serve, connect, name, arguments):
+    server = serve(speed=1.0)
+    client = connect(server)
+    with flooding(connect(server), name, *arguments):
+        for _ in range(20):
+            before = server.world.time
+            assert client.get("ping") is True
+            until(lambda before=before: server.world.time > before)
+
+
+def worker_of(server):
+    """The number of the process that draws pictures."""
+    return server._pictures._process.pid
+
+
+ONE = {"camera_name": "0", "image_type": 0}
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="stops a process by a signal")
+def test_the_flight_and_others_do_not_wait_for_pictures(serve, connect):
+    """While the process that draws stands still, all else goes on; answers keep their order."""
+    server = serve(speed=1.0)
+    client, other = connect(server), connect(server)
+    assert len(client.get("simGetImages", [ONE], "")) == 1
+    os.kill(worker_of(server), signal.SIGSTOP)
+    try:
+        numbers = [client.send("simGetImages", [ONE] * 2, ""), client.send("ping")]
+        before = server.world.time
+        for _ in range(50):
+            assert other.get("ping") is True
+        until(lambda: server.world.time > before + 0.2)
+        # Its owner waits, also with requests that come after pictures
+        assert not select.select([client.socket], [], [], 0)[0]
+    finally:
+        os.kill(worker_of(server), signal.SIGCONT)
+    assert [client.receive()[0] for _ in numbers] == numbers
+
+
+def test_the_start_of_the_process_stops_nobody(serve, connect, monkeypatch):
+    """Neither does a start that never ends, and the server ends nevertheless."""
+    monkeypatch.setattr(airsim_drawing, "START", "import time; time.sleep(1e6)")
+    server = serve()
+    client, other = connect(server), connect(server)
+    client.send("simGetImages", [ONE], "")
+    until(lambda: server._pictures._process is not None)
+    before = server.world.time
+    assert other.get("ping") is True
+    until(lambda: server.world.time > before + 0.2)
+
+
+def test_a_picture_that_cannot_be_drawn_is_an_error(serve, connect, monkeypatch):
+    def refuse():
+        raise OSError("no room for a process")
+
+    monkeypatch.setattr(airsim_pictures, "DrawingProcess", refuse)
+    client = connect(serve())
+    error, result = client.ask("simGetImages", [ONE], "")
+    assert "the process that draws pictures ended (no room for a process)" in error
+    assert result is None
+    assert client.get("ping") is True
+
+
+class Large:
+    """In place of the process that draws: each picture is a million bytes."""
+
+    def load(self, setup):
+        assert setup
+
+    def draw(self, poses, exposure, is_list):
+        return msgpack.packb(bytes(10**6))
+
+    def kill(self):
+        assert self
+
+    def close(self):
+        return 0
+
+
+@pytest.fixture
+def sending(serve, connect, monkeypatch):
+    """A server, and a client whose answer of 32 MB is under way, as it reads nothing yet."""
+    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Large)
+    server = serve()
+    client = connect(server)
+    ready(client)
+    motion = client.send("moveByVelocity", 0.0, 0.0, -0.1, 600.0, *FREE, "")
+    pictures = client.send("simGetImages", [ONE] * 32, "")
+    (peer,) = server._clients
+    sizes = []
+
+    def is_stuck():
+        sizes.append(peer._writer.transport.get_write_buffer_size())
+        return peer._held is not None and sizes[-1] > 0 and len(set(sizes[-50:])) == 1
+
+    until(is_stuck)
+    return server, client, motion, pictures
+
+
+def test_a_motion_that_ends_does_not_cut_into_pictures(sending, connect):
+    server, client, motion, pictures = sending
+    assert connect(server).get("cancelLastTask", "") is None
+    number, error, result = client.receive()
+    assert (number, error) == (pictures, None)
+    assert result == [bytes(10**6)] * 32
+    assert client.receive() == [motion, None, False]
+    assert client.get("ping") is True
+
+
+def test_a_server_stops_though_a_client_reads_no_pictures(sending):
+    server, *_ = sending
+    server.stop()
+    until(lambda: not server._clients)
+
+
+SERVE_ONE = """
+import socket, msgpack, threading
+from bulletuav.bridges.airsim import AirsimServer
+from bulletuav.bridges.airsim_world import World
+server = AirsimServer(World(seed=0), port=0)
+threading.Thread(target=server.run, daemon=True).start()
+client = socket.create_connection(("127.0.0.1", server.port))
+client.sendall(msgpack.packb([0, 1, "simGetImage", ["0", 0, ""]]))
+client.recv(1)
+print("drawn", flush=True)
+threading.Event().wait()
+"""
+
+
+def test_the_process_that_draws_ends_with_a_server_that_is_killed():
+    """It holds the server's stderr: that ends only with the last process that has it."""
+    command = [sys.executable, "-c", SERVE_ONE]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes) as server:
+        assert server.stdout.readline().strip() == b"drawn"
+        server.kill()
+        server.communicate(timeout=LIMIT)
+
+
+def test_refused_motions_are_logged_with_the_remedy(serve, connect, caplog):
+    server = serve(2)
+    client, other = connect(server), connect(server)
+    motion = (1.0, 0.0, 0.0, 1.0, *FREE)
+    for _ in range(3):
+        assert "enableApiControl(True, 'Drone1')" in client.ask("takeoff", 20.0, "")[0]
+        client.get("enableApiControl", True, "Drone2")
+        client.ask("moveByVelocity", *motion, "Drone2")
+        client.ask("moveByVelocity", *motion, "Drone9")
+        client.ask("moveByVelocite", *motion, "Drone2")
+        client.get("armDisarm", True, "Drone2")
+        client.ask("moveByVelocity", float("nan"), *motion[1:], "Drone2")
+        client.get("armDisarm", False, "Drone2")
+    client.ask("getMultirotorState", "a\nclient 1.2.3.4:5: \x1b[31m" + "x" * 5000)
+    other.ask("takeoff", 20.0, "")
+    lines = [record.getMessage() for record in caplog.records]
+    mine, theirs = (f"client 127.0.0.1:{one.socket.getsockname()[1]}: " for one in (client, other))
+    control = (
+        "vehicle 'Drone1' is not under API control; call enableApiControl(True, 'Drone1') first"
+    )
+    assert lines[0] == f"{mine}takeoff refused: {control}"
+    assert lines[1] == (
+        f"{mine}moveByVelocity refused: vehicle 'Drone2' is not armed; "
+        f"call armDisarm(True, 'Drone2') first"
+    )
+    assert lines[2].startswith(f"{mine}moveByVelocity refused: unknown vehicle 'Drone9': did you")
+    assert lines[3].startswith(f"{mine}moveByVelocite refused: unknown call 'moveByVelocite'")
+    assert lines[4].startswith(f"{mine}moveByVelocity refused: velocity is nan")
+    assert lines[5].startswith(f"{mine}getMultirotorState refused: unknown vehicle 'a")
+    assert len(lines[5]) < 500
+    assert lines[6:] == [f"{theirs}takeoff refused: {control}"]
+    assert all(line.isprintable() for line in lines)
+    client.socket.close()
+    until(lambda: len(server._refusals._kinds) == 1)
+
+
+def test_turns_end_by_time_not_by_a_number_of_requests(monkeypatch):
+    """Of two clients one sends requests of a whole turn each, the other ten times as quick ones."""
+    monkeypatch.setattr(airsim, "LONGEST_TURN", 10)
+    now, order = [0], []
+    turns = Turns(lambda: now[0])
+
+    def work(name, cost, count):
+        for _ in range(count):
+            now[0] += cost
+            order.append(name)
+            yield None
+
+    async def later():
+        order.append("later")
+
+    def waits():
+        yield later()
+        order.append("after")
+        yield None
+
+    async def both():
+        await asyncio.gather(turns.take(work("slow", 10, 3)), turns.take(work("quick", 1, 15)))
+
+    asyncio.run(both())
+    assert order == ["slow", *["quick"] * 10, "slow", *["quick"] * 5, "slow"]
+    # What takes longer than a turn is awaited outside of it, before the client's next request
+    order.clear()
+    asyncio.run(turns.take(waits()))
+    assert order == ["later", "after"]
+
+
+def test_time_that_is_continued_is_flown_in_turns(monkeypatch):
+    """Others run between any two steps that take a turn each."""
+    world, now, seen = World(seed=0), [0.0], []
+    server = AirsimServer(world, port=0)
+    server._turns = Turns(lambda: now[0])
+
+    def step():
+        now[0] += airsim.LONGEST_TURN
+        seen.append("step")
+
+    async def others():
+        while seen.count("step") < 5:
+            seen.append("others")
+            await asyncio.sleep(0)
+
+    async def both():
+        await asyncio.gather(server.advance(5), others())
+
+    monkeypatch.setattr(world, "step", step)
+    asyncio.run(both())
+    assert "step, step" not in ", ".join(seen)
+    server.close()
+    world.close()
 
 
 def test_silent_connections_lock_nobody_out(serve, connect):
@@ -401,10 +681,11 @@ def test_a_client_that_reads_nothing_is_dropped(serve, connect, caplog):
     server = serve(limits=Limits(max_unread=1000))
     client = connect(server)
 
+    states = msgpack.packb([0, 1, "getMultirotorState", [""]]) * 100
+
     def send():
-        while True:  # pictures of 110 KB each
-            client.send("simGetImages", [{"camera_name": "0", "image_type": 0}], "")
-            time.sleep(0.001)
+        while True:
+            client.socket.sendall(states)
 
     with pytest.raises(ConnectionError):
         send()

@@ -122,6 +122,42 @@ def test_a_second_client_waits_until_the_first_is_silent(serve, connect, caplog)
     assert first.silent()
 
 
+def test_commands_without_effect_are_logged_once(serve, connect, caplog, monkeypatch):
+    monkeypatch.setattr(crazyflie, "SILENT", 1e3)
+    server = serve()
+    client, other = connect(server), connect(server)
+    take_off = struct.pack("<BBff?f", 7, 0, 0.5, 0.0, True, 1.0)
+    client.ask(9, 1, bytes((1, 0)))
+    for _ in range(2):
+        client.ask(8, 0, take_off)
+        client.send(b"\x3c" + struct.pack("<fffH", 0.0, 0.0, 0.0, 30000))
+        client.send(b"\x3c" + bytes(14))  # motors off: nothing that it does not do
+        assert client.ask(8, 0, b"\x63\0\0")[3] == 8
+        client.send(b"\x9d\x09")
+    client.ask(9, 1, bytes((3,)))
+    assert client.ask(9, 1, bytes((1, 1)))[1] == 0
+    assert client.ask(9, 1, bytes((2,)))[1] == 0
+    other.send(SOURCE)
+    other.receive()
+    until(lambda: len(caplog.records) >= 7)
+    port = client.socket.getsockname()[1]
+    mine = f"client 127.0.0.1:{port}: packet to "
+    disarmed = "it cannot fly: it is not armed; arm it first"
+    locked = "an emergency stop locked it; restart the server"
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{mine}PLANNER, channel 0, of drone 0 refused: {disarmed}",
+        f"{mine}ATTITUDE_SETPOINT, channel 0, of drone 0 refused: {disarmed}",
+        f"{mine}PLANNER, channel 0, of drone 0 refused: command 99 is answered by ENOEXEC",
+        f"{mine}SUPERVISOR, channel 1, of drone 0 refused: "
+        f"command 9 to the supervisor: from 1 to 4 is needed",
+        f"{mine}SUPERVISOR, channel 1, of drone 0 refused: it cannot be armed: {locked}",
+        f"{mine}SUPERVISOR, channel 1, of drone 0 refused: "
+        f"it cannot recover: {locked}, or there is no room to stand",
+        f"client beyond the one of drone 0: connection refused: drone 0 is flown by port {port}; "
+        f"close that link first",
+    ]
+
+
 def test_a_client_that_closes_its_link_leaves_the_drone_at_once(serve, connect):
     server = serve()
     first, second = connect(server), connect(server)

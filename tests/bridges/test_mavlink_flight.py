@@ -127,7 +127,7 @@ def test_who_lies_upside_down_is_disarmed_and_does_not_arm(station):
     station.fleet.airspace.place(0, (*place[:2], 0.2), (1.0, 0.0, 0.0, 0.0), rotor_speed=0.0)
     assert "upside down: disarmed" in texts(station.fly(2.0))
     result, more = station.command(400, 1)
-    assert (result, texts(more)) == (REJECTED, ["arming refused: upside down"])
+    assert (result, texts(more)) == (REJECTED, ["arming refused: upside down; restart the server"])
 
 
 def test_modes_that_are_not_there_are_refused(station):
@@ -359,7 +359,7 @@ def test_it_returns_and_lands_at_home(station):
 
 def test_a_place_is_refused_to_who_stands(station):
     result, more = station.command(192, -1, 1, 0, NAN, NAN, NAN, NAN)
-    assert (result, texts(more)) == (REJECTED, ["it does not fly"])
+    assert (result, texts(more)) == (REJECTED, ["it does not fly: arm it and take off first"])
 
 
 def test_it_pauses_where_it_is(station):

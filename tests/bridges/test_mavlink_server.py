@@ -99,6 +99,35 @@ def test_a_client_of_pymavlink_flies(serve, connect):
     assert abs(server.fleet.airspace.swarm.position[0, 2]) < 0.1  # the other one still stands
 
 
+def test_what_is_denied_is_logged_once(serve, connect, caplog, monkeypatch):
+    monkeypatch.setattr(mavlink, "MOST_CLIENTS", 1)
+    monkeypatch.setattr(mavlink, "GONE", 1e3)
+    server = serve()
+    link = connect(server)
+    for _ in range(2):
+        assert command(link, 192, -1, 1, 0, NAN, NAN, NAN, NAN) == 1
+        assert command(link, 31000) == 3
+        link.mav.mission_request_int_send(1, 1, 7)
+        expect(link, "MISSION_ACK")
+        link.mav.param_request_read_send(1, 1, b"NO_SUCH\n", -1)
+        expect(link, "STATUSTEXT", lambda told: "no parameter" in told.text)
+    for other in (connect(server), connect(server)):
+        other.mav.heartbeat_send(6, 8, 0, 0, 4)
+    until(lambda: server.refused >= 4)
+    port = link.port.getsockname()[1]
+    told = [
+        "COMMAND_LONG REPOSITION to vehicle 1 refused: result TEMPORARILY_REJECTED; "
+        "it does not fly: arm it and take off first",
+        "COMMAND_LONG 31000 to vehicle 1 refused: result UNSUPPORTED",
+        "MISSION_REQUEST_INT to vehicle 1 refused: mission result 13",
+        "PARAM_REQUEST_READ to vehicle 1 refused: no parameter NO_SUCH\\n",
+    ]
+    expected = [f"client 127.0.0.1:{port}: {line}" for line in told]
+    room = "connection refused: there are 1 clients already; close one first"
+    expected.append(f"client beyond the limit of vehicle 1: {room}")
+    assert [record.getMessage() for record in caplog.records] == expected
+
+
 def test_it_sends_to_the_clients_port_without_being_asked(serve):
     listener = mavutil.mavlink_connection("udpin:127.0.0.1:0")
     port = listener.port.getsockname()[1]

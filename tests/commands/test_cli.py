@@ -185,7 +185,8 @@ def test_evaluating_prints_and_writes_and_goes_on(tmp_path, capsys):
     main(command)
     said = capsys.readouterr()
     for word in (
-        "converge, policy orca, which reads the true state, 3 episodes",
+        "score of orca, which reads the true state: converge, difficulty medium, dynamics "
+        "point_mass, 3 episodes, seeds 0 to 2: success 1 [",
         "conflict",
         "95 % interval",
         "summary.png",

@@ -63,9 +63,17 @@ def test_progress_tells_how_it_goes_and_where_the_time_went(tmp_path, capsys, mo
     monkeypatch.setattr("bulletuav.commands.progress.LINE_PERIOD", 0.0)
     main(["train", "obstacles", *TINY, "--set", "observation=goal", "--out", "run"])
     told = capsys.readouterr()
-    first, *_, last = told.err.splitlines()
+    told_of, first, *_, last = [
+        line for line in told.err.splitlines() if not line.startswith("flying: ")
+    ]
+    assert told_of == (
+        "in training: obstacles, difficulty easy, dynamics single_integrator, the last 100 "
+        "training episodes of seed 0, by the stochastic policy while it learns"
+    )
     assert re.match(r"training obstacles: 4 of 64 steps \(6 %\), \d+ s$", first)
-    assert re.search(r"return -?[\d.]+, success \d\.\d\d, [\d,]+ steps/s$", last)
+    assert re.search(
+        r"training return -?[\d.]+, training success \d\.\d\d at easy, [\d,]+ steps/s$", last
+    )
     assert re.search(r"minutes: simulation \d+ %, update \d+ %, evaluation \d+ %", told.out)
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from waiting import PATIENCE
 
 from bulletuav.cli import main
 
@@ -22,7 +23,7 @@ def completed(line, tmp_path, forked=True):
     }
     if not forked:
         command = [sys.executable, "-m", "bulletuav"]
-        subprocess.run(command, env=os.environ | asked, check=True, timeout=120)
+        subprocess.run(command, env=os.environ | asked, check=True, timeout=PATIENCE)
     elif (child := os.fork()) == 0:  # a process that has imported the package
         os.environ |= asked
         with contextlib.suppress(BaseException):

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import bench
 import numpy as np
 import pytest
+from waiting import LONG
 
 import bulletuav.engine.engine as engine_module
 from bulletuav.control.setpoint import SetpointLevel
@@ -247,7 +248,7 @@ def test_a_smoke_set_without_the_extension():
         env={**os.environ, SWITCH: "0"},
         capture_output=True,
         text=True,
-        timeout=250,
+        timeout=LONG,
         check=False,
     )
     assert done.returncode == 0, done.stdout[-3000:]

@@ -1,5 +1,7 @@
 """Snapshots: the same bits go on from them, here, in another process, and in another world."""
 
+import copy
+import dataclasses
 import pickle
 import subprocess
 import sys
@@ -9,11 +11,15 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import bulletuav
+from bulletuav.envs.described import WITHOUT_EFFECT, parts_of, text_of
+from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.gymnasium import CentralAviary, CentralVectorAviary
-from bulletuav.envs.snapshot import Snapshot
+from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, checksum_of
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
+from bulletuav.vehicle.airframes import load_airframe
 
 UNCERTAIN = {
     "mass": (0.8, 1.2),
@@ -85,6 +91,11 @@ def flown(aviary, decisions, seed, worlds=slice(None)):
     return told
 
 
+def sent(snapshot):
+    """As another process takes it: with a checksum, and checked against all bounds."""
+    return pickle.loads(pickle.dumps(snapshot))
+
+
 def same(one, other):
     assert len(one) == len(other)
     for mine, theirs in zip(one, other, strict=True):
@@ -98,7 +109,7 @@ def test_flights_go_on_from_a_snapshot_to_the_last_bit(case, dynamics):
         pytest.skip("hover commands rotors")
     aviary = made(case, dynamics=dynamics)
     flown(aviary, 15, 0)
-    saved, before = aviary.save_state(), aviary.state_hash()
+    saved, before = sent(aviary.save_state()), aviary.state_hash()
     seen, state = aviary.observations(), aviary.state()
     first = flown(aviary, 15, 1)
     assert aviary.state_hash() != before
@@ -122,7 +133,7 @@ def test_any_moment_of_any_flight_can_be_gone_back_to(case, dynamics):
     for k in range(240):
         flown(aviary, int(rng.integers(1, 12)), k)
         which = rng.permutation(3)[: rng.integers(1, 4)]
-        saved, after = aviary.save_state(which), int(rng.integers(1, 6))
+        saved, after = sent(aviary.save_state(which)), int(rng.integers(1, 6))
         first = flown(aviary, after, 1000 + k, which)
         hashes = aviary.state_hash(which)
         flown(aviary, int(rng.integers(0, 8)), k)
@@ -166,7 +177,7 @@ def test_what_lies_in_contact_goes_on_lying(dynamics):
     down[..., 2] = -1.0
     for _ in range(60):
         aviary.step(down)
-    saved = aviary.save_state()
+    saved = sent(aviary.save_state())
     first = [aviary.step(down).info["impulse"] for _ in range(40)]
     aviary.load_state(saved)
     same([aviary.step(down).info["impulse"] for _ in range(40)], first)
@@ -296,8 +307,14 @@ def test_worlds_of_several_processes_save_and_load():
             np.testing.assert_array_equal(a[[2, 0]], b[1:])
     with pytest.raises(ValueError, match="holds 2 worlds, and 3"):
         spread.load_state(saved)
-    with pytest.raises(ValueError, match="of another task"):
-        spread.load_state(Snapshot(saved.data, "other"), [0, 2])
+    before = spread.state_hash()
+    with pytest.raises(ValueError, match="damaged"):
+        spread.load_state(Snapshot(saved.data, saved.form), [0, 2])
+    # The part that is damaged belongs to one process, and no other one has loaded its own
+    bad = written(alone.aviary, saved, "steps", -1, world=1)
+    with pytest.raises(ValueError, match="steps -1"):
+        spread.load_state(bad, [0, 2])
+    assert spread.state_hash() == before
     assert spread.step(actions[0])[0].shape[:2] == (3, 2)
     alone.close()
     spread.close()
@@ -418,7 +435,12 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
     airspace.command(None, "velocity", (0.5, 0.0, 0.0))
     airspace.place_obstacle(0, (1.5, 0.1, 0.6), velocity=(0.3, 0.0, 0.0))
     flown(airspace, 30)
-    saved, hashed, read = airspace.save_state(), airspace.state_hash(), dict(airspace.readings)
+    saved, hashed = sent(airspace.save_state()), airspace.state_hash()
+    read = dict(airspace.readings)
+        sent(airspace.save_state()),
+        airspace.state_hash(),
+        dict(airspace.readings),
+    )
     first = flown(airspace, 60)
     kept = {name: array.copy() for name, array in airspace.readings.items()}
     held = dict(airspace.readings)
@@ -430,14 +452,345 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
     other = made()
     other.load_state(saved)
     same(flown(other, 60), first)
-    with pytest.raises(
-        ValueError, match="of another task, or of other options, than this airspace"
-    ):
+    with pytest.raises(ValueError, match="with a form, as save_state of this version gives"):
         other.load_state(Snapshot(saved.data, "other"))
     airspace.close()
     with pytest.raises(RuntimeError, match="closed"):
         airspace.save_state()
     other.close()
+
+
+def written(environment, snapshot, name, value, world=0):
+    """A snapshot with another value in an array, and the checksum that belongs to it."""
+    data, at = snapshot.data.copy(), 0
+    for key, array in environment._layout._fields.items():
+        if key == name:
+            size = array[0].nbytes
+            row = data[world, at : at + size].view(array.dtype)
+            row.view(np.uint8)[:] = np.full(row.shape, value).astype(row.dtype).view(np.uint8)
+            return Snapshot(data, snapshot.form, checksum_of(data, snapshot.form))
+        at += array[0].nbytes if array.size else 0
+    raise AssertionError(name)
+
+
+BEYOND = {
+    "layout": (-2, 7, 2**30),
+    "steps": (-1, 2**62),
+    "slept number": (-1, 17),
+    "slept other": (-1, 7),
+    "touches number": (-1, 2**30),
+    "touches other": (-(2**30), 7),
+    "memory number": (-1, 17),
+    "radio received": (-1, 3),
+    "position": (np.nan, 1e8),
+    "velocity": (np.inf, 1e5),
+    "rates": (np.nan, -1e5),
+    "rotor_speed": (-1.0, np.nan),
+}
+
+
+def test_values_that_no_state_has_are_refused_though_the_checksum_is_right():
+    """Each integer of the package is declared: one that is overwritten ends no process."""
+    aviary = bulletuav.Aviary("crossing", 2, num_drones=2, dynamics="rigid_body")
+    aviary.reset(seeds=0)
+    aviary.step(np.full((2, 2, 3), 0.3))
+    saved = aviary.save_state()
+    arrays = aviary._layout._fields
+    integers = {name for name, array in arrays.items() if array.size and array.dtype.kind in "iu"}
+    assert integers - BEYOND.keys() == {"bodies"}
+    aviary.step(np.full((2, 2, 3), -0.3))
+    hashed = aviary.state_hash()
+    for name, values in BEYOND.items():
+        if name not in arrays:
+            continue
+        for value in values:
+            with pytest.raises(ValueError, match=f"the snapshot has {name} .* is needed"):
+                aviary.load_state(written(aviary, saved, name, value))
+            assert aviary.state_hash() == hashed
+    with pytest.raises(ValueError, match="in which other bodies stand"):
+        aviary.load_state(written(aviary, saved, "bodies", 7))
+    bad = written(aviary, saved, "steps", 0)
+    for at, value in ((-5, 7), (16 - 37, 0)):  # whether a number is kept; an even increment
+        data = bad.data.copy()
+        data[0, at] = value
+        with pytest.raises(ValueError, match="no state of a random generator"):
+            aviary.load_state(Snapshot(data, bad.form, checksum_of(data, bad.form)))
+    for name, array in arrays.items():
+        if array.size and array.dtype == bool:
+            flipped = written(aviary, saved, name, True).data.copy()
+            ones = np.argwhere(flipped[0] != saved.data[0])
+            if len(ones):
+                flipped[0, ones[0]] = 7
+                with pytest.raises(ValueError, match="from 0 to 1 is needed"):
+                    aviary.load_state(
+                        Snapshot(flipped, saved.form, checksum_of(flipped, saved.form))
+                    )
+    assert aviary.state_hash() == hashed
+    aviary.close()
+
+
+def test_parameters_and_contacts_are_checked_row_by_row():
+    aviary = made("crossing", dynamics="rigid_body")
+    saved = pickle.loads(pickle.dumps(aviary.save_state()))
+    for name in ("parameters.num_rotors", "memory rows.other"):
+        whole, field = name.rsplit(".", 1)
+        data, at = saved.data.copy(), 0
+        for key, array in aviary._layout._fields.items():
+            if key == whole:
+                size = array[0].nbytes
+                data[0, at : at + size].view(array.dtype)[field] = 2**30
+            at += array[0].nbytes if array.size else 0
+        with pytest.raises(ValueError, match=f"the snapshot has {name} 1.07374e"):
+            aviary.load_state(Snapshot(data, saved.form, checksum_of(data, saved.form)))
+    aviary.close()
+
+
+def test_damaged_snapshots_are_refused_and_nothing_changes():
+    aviary = made("crossing", dynamics="point_mass")
+    aviary.step(aviary.action.high + np.zeros((3, 6, 3)))
+    saved = aviary.save_state()
+    copied = sent(saved)
+    aviary.load_state(copied)
+    aviary.load_state(copied[[1, 0, 2]])
+    hashed = aviary.state_hash()
+    with pytest.raises(ValueError, match="read-only"):
+        saved.data[0, 0] = 1
+    with pytest.raises(ValueError, match="cannot set WRITEABLE"):
+        saved.data.setflags(write=True)
+    damaged = saved.data.copy()
+    damaged[1, 100] ^= 1
+    form = saved.form
+    others = (
+        Snapshot(damaged, form, copied.checksum),
+        Snapshot(damaged, form),
+        Snapshot(saved.data[:, :-1], form, copied.checksum),
+        Snapshot(saved.data.astype(float), form, copied.checksum),
+        Snapshot(saved.data[0], form, copied.checksum),
+        Snapshot(None, form, copied.checksum),
+        Snapshot(saved.data, dataclasses.replace(form, parts={}), copied.checksum),
+        dataclasses.replace(saved, data=damaged),
+    )
+    for one in others:
+        with pytest.raises(ValueError, match="damaged|as save_state of this version gives"):
+            aviary.load_state(one)
+        with pytest.raises(ValueError, match="damaged|as save_state of this version gives"):
+            one[0]
+        assert aviary.state_hash() == hashed
+    short = saved.data[:, :-64]
+    with pytest.raises(ValueError, match="bytes a world: .* are needed"):
+        aviary.load_state(Snapshot(short, form, checksum_of(short, form)))
+    assert aviary.state_hash() == hashed
+    aviary.close()
+
+
+def test_snapshots_of_former_versions_are_refused():
+    aviary = made("crossing", dynamics="point_mass")
+    saved = aviary.save_state()
+    for kind, state in (
+        (Snapshot, {"data": saved.data, "form": "0123456789abcdef"}),
+        (FaceSnapshot, {"of": "aec_env", "flight": saved, "beside": {}}),
+    ):
+        with pytest.raises(ValueError, match="of another version of bulletuav: save it again"):
+            kind.__new__(kind).__setstate__(state)
+    face = FaceSnapshot("aec_env", saved, {"agents": ["drone_0"]})
+    state = face.__getstate__()
+    for key, value in (("beside", {"agents": ["drone_1"]}), ("checksum", b"other")):
+        with pytest.raises(ValueError, match="'aec_env' is damaged"):
+            kind.__new__(kind).__setstate__({**state, key: value})
+    aviary.close()
+
+
+def test_bodies_that_were_added_have_to_be_the_same():
+    def made():
+        aviary = bulletuav.Aviary("crossing", 2, num_drones=2, dynamics="point_mass")
+        aviary.reset(seeds=0)
+        return aviary
+
+    aviary, other = made(), made()
+    empty = aviary.save_state()
+    ball = Obstacle("sphere", (0.3,))
+    aviary.add_body(ball, (1.0, 0.0, 5.0), world=1)
+    other.load_state(aviary.save_state([0]), [1])
+    for snapshot, worlds in ((aviary.save_state([1]), [0]), (aviary.save_state(), None)):
+        with pytest.raises(ValueError, match="in which other bodies stand"):
+            other.load_state(snapshot, worlds)
+    with pytest.raises(ValueError, match="in which other bodies stand"):
+        aviary.load_state(empty)
+    other.add_body(ball, (1.0, 0.0, 5.0), world=1)
+    other.load_state(aviary.save_state())
+    aviary.close()
+    other.close()
+
+
+ANOTHER = "another value"
+SAMPLE = ("crossing", "hover", "formation")
+"""Tasks that the default suite looks at; the slow one looks at all"""
+
+
+def changed(source, name, value):
+    """A copy of a frozen dataclass with another value, which is not checked."""
+    copied = copy.copy(source)
+    object.__setattr__(copied, name, value)
+    return copied
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        one if one in SAMPLE else pytest.param(one, marks=pytest.mark.slow)
+        for one in bulletuav.list_tasks()
+    ],
+)
+def test_every_option_is_among_the_parts_of_a_snapshot_or_without_effect(task):
+    """An option that is added later and forgotten is found here."""
+    given = {"observation": ("velocity",), "num_drones": 3}
+    spec, other = (
+        EnvSpec(task, 1, {**given, **more})
+        for more in (
+            {},
+            {
+                "airframe": "iris",
+                "randomization": {"mass": 1.1},
+                "sensors": (Imperfect(Imu(), noise=0.2),),
+                "observation": ("velocity", "imu"),
+                "reward": {"mine": ("energy", 0.1)},
+            },
+        )
+    )
+    parts = parts_of(spec.options, spec.task)
+    values = {one: getattr(other.options, one) for one in ("airframe", "randomization", "sensors")}
+    values |= {"observation": other.options.observation, "reward": {"mine": (len, 0.1)}}
+    for field in dataclasses.fields(EnvOptions):
+        value = values.get(field.name, ANOTHER)
+        found = parts_of(changed(spec.options, field.name, value), spec.task)
+        differ = {name for name in parts if parts[name] != found[name]}
+        if field.name == "airframe":
+            assert {"airframe", "airframe.mass", "airframe.rotors"} <= differ
+        else:
+            assert differ == {field.name} - WITHOUT_EFFECT
+    for field in dataclasses.fields(spec.task.config):
+        flown = copy.copy(spec.task)
+        flown.config = changed(spec.task.config, field.name, ANOTHER)
+        flown.obstacles, flown.layouts = spec.task.obstacles, spec.task.layouts
+        found = parts_of(spec.options, flown)
+        assert {name for name in parts if parts[name] != found[name]} == {field.name}
+    # Options without effect are options
+    assert {field.name for field in dataclasses.fields(EnvOptions)} >= WITHOUT_EFFECT
+
+
+def test_options_without_effect_leave_the_continuation_as_it_is():
+    options = {"num_drones": 2, "dynamics": "point_mass"}
+    aviary = bulletuav.Aviary("crossing", 2, **options)
+    aviary.reset(seeds=3)
+    aviary.step(np.ones((2, 2, 3)))
+    saved = pickle.loads(pickle.dumps(aviary.save_state()))
+    first = flown(aviary, 5, 1)
+    # The values of another difficulty, all of which are overridden
+    values = {**vars(aviary.options), **vars(aviary.task.config)}
+    kept = {name: values[name] for name in aviary.task.difficulties["hard"]}
+    cases = (
+        {"seed": 5},
+        {"render_mode": "rgb_array"},
+        {"render_size": (32, 16)},
+        {"render_address": "127.0.0.1:4321"},
+        {**kept, "difficulty": "hard", "randomization": {"gps_noise": (0.5, 1.5)}},
+    )
+    names = {name for case in cases for name in case} | {"preset"}  # crossing has none
+    assert names >= WITHOUT_EFFECT
+    for case in cases:
+        other = bulletuav.Aviary("crossing", 3, **{**options, **case})
+        other.load_state(saved, [0, 1])
+        alone = bulletuav.Aviary("crossing", 1, **{**options, **case})
+        alone.load_state(saved[1])
+        other.close()
+        again = bulletuav.Aviary("crossing", 2, **{**options, **case})
+        again.load_state(saved)
+        same(flown(again, 5, 1), first)
+        assert alone.options != aviary.options
+        alone.close()
+        again.close()
+    aviary.close()
+
+
+DIFFERENCES = (
+    ({"gravity": 1.62}, "gravity is 9.80665 in the snapshot and 1.62 here"),
+    ({"airframe": "iris"}, "airframe is 'hummingbird' in the snapshot and 'iris' here;"),
+    ({"wind": (1.0, 0.0, 0.0)}, r"wind is \(0.0, 0.0, 0.0\) in the snapshot and \(1.0"),
+    ({"horizon": 20}, "horizon is 500 in the snapshot and 20 here"),
+    ({"weights": {"goal": 3.0}}, "weights is {} in the snapshot and {'goal': 3.0} here"),
+    ({"lane_spacing": 12.0}, "lane_spacing is 15.0 in the snapshot and 12.0 here"),
+    ({"max_speed": 9.0, "normalise": True}, "max_speed is .*; normalise is False in"),
+    ({"dynamics": "double_integrator"}, "dynamics is 'point_mass' in the snapshot and 'double"),
+)
+
+
+def test_a_snapshot_of_another_simulation_is_refused_with_what_differs():
+    options = {"num_drones": 2, "dynamics": "point_mass"}
+
+    def made(task="crossing", **more):
+        aviary = bulletuav.Aviary(task, 1, **{**options, **more})
+        aviary.reset(seeds=0)
+        return aviary
+
+    saved = made().save_state()
+    for more, told in DIFFERENCES:
+        other = made(**more)
+        hashed = other.state_hash()
+        with pytest.raises(ValueError, match=f"another simulation than .*: {told}"):
+            other.load_state(saved)
+        assert other.state_hash() == hashed
+        other.close()
+    with pytest.raises(ValueError, match="task is crossing in the snapshot and converge here;"):
+        made("converge").load_state(saved)
+    # The same name, and another number
+    light = dataclasses.replace(load_airframe("hummingbird"), mass=0.5)
+    with pytest.raises(ValueError, match=r": airframe.mass is 0.716 in the snapshot and 0.5 here;"):
+        made(airframe=light).load_state(saved)
+    # Worlds that were never reset refuse it before they begin
+    never = bulletuav.Aviary("crossing", 1, **{**options, "gravity": 5.0})
+    with pytest.raises(ValueError, match="gravity is"):
+        never.load_state(saved)
+    with pytest.raises(RuntimeError, match="reset"):
+        never.state_hash()
+
+
+def test_an_airspace_refuses_a_snapshot_of_another_one():
+    place, options = [(0.0, 0.0, 1.0)], {"dynamics": "point_mass"}
+    ball, box = Obstacle("sphere", (0.3,)), Obstacle("box", (0.3, 0.3, 0.3))
+    airspace = bulletuav.Airspace(place, "cf2x", obstacles=(ball,), **options)
+    airspace.step()
+    saved = airspace.save_state()
+    for airframe, obstacle, more, told in (
+        ("iris", ball, {}, "airframe is 'cf2x' in the snapshot and 'iris' here"),
+        ("cf2x", box, {}, "obstacles is .* in the snapshot and"),
+        ("cf2x", ball, {"gravity": 1.62}, "gravity is 9.80665 in the snapshot and 1.62 here"),
+        ("cf2x", ball, {"effects": ()}, "effects is"),
+    ):
+        other = bulletuav.Airspace(place, airframe, obstacles=(obstacle,), **options, **more)
+        hashed = other.state_hash()
+        with pytest.raises(ValueError, match=f"another simulation than this airspace: {told}"):
+            other.load_state(saved)
+        assert other.state_hash() == hashed
+        other.close()
+    beyond = written(airspace, saved, "levels", 7)
+    with pytest.raises(ValueError, match="the snapshot has levels 7: from 0 to 1 is needed"):
+        airspace.load_state(beyond)
+    airspace.close()
+
+
+def test_equal_values_have_equal_texts_in_every_process():
+    field = lambda place, time: place * 0.0  # noqa: E731
+    again = "from bulletuav.envs.described import text_of; print(text_of({'b', 'a', 'c'}))"
+    told = subprocess.run([sys.executable, "-c", again], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == text_of({"c", "a", "b"})
+    assert text_of(Imperfect(Imu(), noise=0.1)) == text_of(Imperfect(Imu(), noise=0.1))
+    assert " at 0x" not in text_of((Imperfect(Imu(), noise=0.1), field, np.zeros))
+    assert text_of(Imperfect(Imu(), noise=0.1)) != text_of(Imperfect(Imu(), noise=0.2))
+    made = [lambda speed=speed: speed for speed in (1.0, 2.0)]
+    assert text_of(made[0]) != text_of(made[1])
+    loop = []
+    loop.append(loop)
+    assert text_of(loop) == "(itself)"
 
 
 def test_snapshots_that_do_not_fit_are_refused():
@@ -449,7 +802,7 @@ def test_snapshots_that_do_not_fit_are_refused():
         ({"snapshot": saved[0], "worlds": 3}, "world is 3"),
         ({"snapshot": saved[[0, 0]], "worlds": [1, 1]}, "each one once"),
         ({"snapshot": saved[0], "worlds": 0.5}, "worlds is 0.5"),
-        ({"snapshot": Snapshot(saved.data, "other")}, "of another task, or of other options"),
+        ({"snapshot": Snapshot(saved.data, "other")}, "as save_state of this version gives"),
     )
     for keywords, told in refused:
         with pytest.raises(ValueError, match=told):

@@ -11,6 +11,7 @@ import time
 import numpy as np
 import pytest
 from payload_block import Block
+from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.cli import main
@@ -21,6 +22,7 @@ from bulletuav.report.feed import Feed, event
 
 FREE = "127.0.0.1:0"
 SHORT = {"num_drones": 3, "dynamics": "point_mass", "horizon": 20}
+<<<<<<< HEAD
 PATIENCE = 60.0
 
 
@@ -29,6 +31,8 @@ def until(condition):
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.005)
+=======
+>>>>>>> main
 
 
 class Watcher:

@@ -65,7 +65,7 @@ def test_the_best_trial_is_found_and_failures_are_told(trained, tmp_path):
         rows = list(csv.DictReader(file))
     assert [row["error"] for row in rows] == [trial.error for trial in trials]
     assert float(rows[best.number]["return"]) == best.result
-    assert study_table(STUDY, trials).splitlines()[2].startswith(f"| {best.number} | ")
+    assert study_table(STUDY, trials).splitlines()[4].startswith(f"| {best.number} | ")
     plot_study(STUDY, trials, tmp_path / "study.png")
     assert (tmp_path / "study.png").stat().st_size > 10_000
 

@@ -4,12 +4,12 @@ import dataclasses
 import importlib.util
 import json
 import math
+import os
 import random
 import re
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ import psutil
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
@@ -27,7 +28,7 @@ from bulletuav.policies.run import RunConfig
 from bulletuav.report.charts import plot_curves
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
-from bulletuav.training.campaign import Campaign, learning_table, wall_time
+from bulletuav.training.campaign import Campaign, learning_table, processes, wall_time
 from bulletuav.training.models import make_model
 from bulletuav.training.store import WALL, Store, opened
 from bulletuav.training.trainer import train
@@ -197,6 +198,9 @@ def test_each_update_is_told_to_tensorboard_and_a_table(run):
     assert [point.step for point in points] == [64, 128, 192, 256]
     assert [point.value for point in points] == pytest.approx(last, rel=1e-6)
     assert len(told.Scalars("evaluation/return")) == 4
+    for name, part in (("rollout", "training episodes of seed 0"), ("evaluation", "seed 1000000")):
+        (text,) = told.Tensors(f"{name}/conditions/text_summary")
+        assert part in str(text.tensor_proto.string_val)
 
 
 def test_long_runs_tell_of_a_thousand_updates(tmp_path, monkeypatch):
@@ -208,7 +212,9 @@ def test_long_runs_tell_of_a_thousand_updates(tmp_path, monkeypatch):
 def test_training_says_how_it_goes(tmp_path):
     said = []
     train(config(), tmp_path, told=said.append)
-    assert re.fullmatch(r"return -?[\d.]+, success \d\.\d\d, [\d,]+ steps/s", said[-1])
+    assert re.fullmatch(
+        r"training return -?[\d.]+, training success \d\.\d\d at easy, [\d,]+ steps/s", said[-1]
+    )
 
 
 def test_a_run_of_an_older_version_is_still_read(run, tmp_path):
@@ -237,9 +243,9 @@ def test_signals_cost_no_more_than_the_chapter_that_they_cut(tmp_path):
         process = subprocess.Popen(
             [*command, "--out", str(folder)], stderr=subprocess.PIPE, text=True
         )
-        wait_until(lambda: count_rows(folder) > reached + 2)  # noqa: B023 - ends at once
+        until(lambda: count_rows(folder) > reached + 2)  # noqa: B023 - ends at once
         process.send_signal(number)
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=PATIENCE)
         assert process.returncode == code, said
         assert ("the same command goes on" in said) == (number == 2)
         reached = count_rows(folder)
@@ -287,7 +293,7 @@ def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
     )
     process = subprocess.Popen([sys.executable, "-c", script], cwd=Path(__file__).parents[1])
     store = tmp_path / "converge" / "0"
-    wait_until(lambda: (store / "state.json").exists())
+    until(lambda: (store / "state.json").exists())
     with pytest.raises(ValueError, match="by another process"):
         train(config(steps=10**7), store)
     workers = [child.pid for child in psutil.Process(process.pid).children(recursive=True)]
@@ -299,15 +305,8 @@ def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
         with contextlib.suppress(ValueError), opened(store, config(steps=10**7)):
             return True
 
-    wait_until(is_free)
-    wait_until(lambda: not any(psutil.pid_exists(pid) for pid in workers))
-
-
-def wait_until(done, seconds=60):
-    end = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end
-        time.sleep(0.1)
+    until(is_free)
+    until(lambda: not any(psutil.pid_exists(pid) for pid in workers))
 
 
 def test_a_damaged_or_impossible_folder_is_refused(run, tmp_path):
@@ -477,14 +476,23 @@ def test_a_campaign_trains_in_processes_as_one_would(run, tmp_path):
     np.testing.assert_array_equal(weights(tmp_path / "converge" / "0"), weights(run[0]))
     assert done[-1] == campaign.total == 200
     runs = [*runs, (config(seed=1), run[1])]
-    table = learning_table(runs)
+    options = {"num_drones": 2, "dynamics": "single_integrator", "horizon": 3}
+    table = learning_table(runs, [bulletuav.evaluate("converge", "random", 1, **options)] * 2)
     assert table.count("\n") == 4
     assert "| converge | ppo | 1 | 256 |" in table
+    assert "| medium | single_integrator | 1 episode, seed 0 |" in table
     plot_curves(runs, tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 10_000
 
 
 @pytest.mark.slow
+def test_a_process_that_dies_in_training_is_told_with_what_to_do():
+    """Of `train` and `tune` with workers; each run continues from its checkpoint."""
+    said = "a worker process has died: .* continues from its last checkpoint"
+    with pytest.raises(RuntimeError, match=said), processes(1) as pool:
+        pool.submit(os._exit, 1).result()
+
+
 def test_what_a_run_of_a_campaign_raises_is_raised(tmp_path):
     with pytest.raises(ValueError, match="did you mean 'gamma'"):
         Campaign([config(model={"gama": 1.0})], tmp_path).train()

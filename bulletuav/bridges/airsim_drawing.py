@@ -1,0 +1,156 @@
+"""The process that draws pictures for AirSim's clients, next to the server that flies.
+
+PyBullet holds the interpreter in each of its calls, so that drawing in a thread would stop the
+flight. The server starts this process at the first picture, and sends it pickled jobs.
+"""
+
+import contextlib
+import os
+import pickle
+import struct
+import subprocess
+import sys
+import threading
+import time
+from typing import Any, BinaryIO
+
+from bulletuav.bridges.airsim_images import Exposure, response
+from bulletuav.engine.scene_copy import SceneCopy, ScenePoses
+
+LENGTH = struct.Struct(">Q")
+"""Number of bytes of the answer that follows"""
+PATIENCE = 5.0
+"""Seconds that the process has to end by itself"""
+GLANCE = 2.0
+"""Seconds after which the process checks again that its server lives"""
+START = """
+import os, signal
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+if hasattr(os, "nice"):
+    os.nice(5)
+from bulletuav.bridges.airsim_drawing import main
+main()
+"""
+"""Program of the process. An interrupt is for the server, and the flight goes before pictures."""
+
+
+class DrawingProcess:
+    """A process that draws pictures of a copy of the world. Its methods block.
+
+    Calls raise EOFError or OSError when the process has ended.
+    """
+
+    def __init__(self) -> None:
+        """Start the process.
+
+        Raises:
+            OSError: There is no room for a process.
+        """
+        # As this process finds the package, the other one does, whatever has changed sys.path.
+        paths = os.pathsep.join(filter(None, sys.path))
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", START],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": paths},
+        )
+        self._num_added = 0
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    def load(self, setup: tuple[Any, ...]) -> None:
+        """Send what is in the world, and wait until the copy is made.
+
+        Args:
+            setup: Arguments of `SceneCopy`.
+        """
+        self._ask(setup)
+
+    def draw(self, poses: ScenePoses, exposure: Exposure, is_list: bool) -> bytes:
+        """Draw a picture.
+
+        Args:
+            poses: Where everything is.
+            exposure: What is asked for.
+            is_list: Whether the whole response is wanted, or its bytes alone.
+
+        Returns:
+            The response, packed by msgpack.
+        """
+        new = poses._replace(added=poses.added[self._num_added :])
+        self._num_added = len(poses.added)
+        return self._ask((new, exposure, is_list))
+
+    def _ask(self, job: tuple[Any, ...]) -> bytes:
+        """Send a job, and wait for its answer."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(pickle.dumps(job))
+        self._process.stdin.flush()
+        (length,) = LENGTH.unpack(_read(self._process.stdout, LENGTH.size))
+        return _read(self._process.stdout, length)
+
+    def kill(self) -> None:
+        """End the process; may be called from any thread, and more than once."""
+        self._process.kill()
+
+    def close(self) -> int:
+        """Close the pipes, which ends the process, and wait for it.
+
+        Returns:
+            Its exit code, negative for the number of a signal.
+        """
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            # What was not sent yet cannot be
+            with contextlib.suppress(OSError):
+                pipe.close()
+        try:
+            return self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            return self._process.wait()
+
+
+def _read(pipe: Any, length: int) -> bytes:
+    """Read a number of bytes; raises EOFError where there are fewer."""
+    data: bytes = pipe.read(length)
+    if len(data) < length:
+        raise EOFError("the process that draws pictures has ended")
+    return data
+
+
+def main() -> None:
+    """Draw what is asked for by standard input, until it ends."""
+    import msgpack
+
+    # What libraries print must not get between the answers.
+    answers, nowhere = os.fdopen(os.dup(1), "wb"), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    try:
+        copy = SceneCopy(*pickle.load(sys.stdin.buffer))
+        _answer(answers, b"")
+        while True:
+            poses, exposure, is_list = pickle.load(sys.stdin.buffer)
+            drawn = response(exposure, copy.picture(0, poses, exposure.sight.shot))
+            _answer(answers, msgpack.packb(drawn if is_list else drawn["image_data_uint8"]))
+    # The server has ended, or closed the pipes.
+    except (EOFError, BrokenPipeError):
+        os._exit(0)
+
+
+def _answer(pipe: BinaryIO, data: bytes) -> None:
+    """Send an answer."""
+    pipe.write(LENGTH.pack(len(data)) + data)
+    pipe.flush()
+
+
+def _end_with(parent: int) -> None:
+    """End this process when its parent has ended, though a fork of that keeps the pipes open."""
+    while os.getppid() == parent:
+        time.sleep(GLANCE)
+    os._exit(0)

@@ -1,0 +1,190 @@
+"""What a simulation is made from: as files hold it, and as texts that can be compared."""
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import inspect
+import pickle
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from bulletuav.city.model import City
+from bulletuav.envs.options import EnvOptions
+from bulletuav.geometry.solids import Solids
+from bulletuav.network.mobility.base import Mobility
+from bulletuav.sensors.suite import find_sensor
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.observations.observer import observation_name
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.version import __version__
+
+WITHOUT_EFFECT = frozenset(
+    {
+        # Only names of values that other options have
+        *("difficulty", "preset"),
+        # Generators of random numbers are part of the state; a seed only starts them
+        "seed",
+        # Pictures read the state and never write to it
+        *("render_mode", "render_size", "render_address"),
+    }
+)
+"""Options that cannot change how a simulation continues from a given state"""
+LONGEST = 60
+"""Letters of a value that is shown as it is; of a longer one a hash is shown"""
+
+
+def described(options: EnvOptions, config: Any) -> dict[str, Any]:
+    """Tell all options of an environment, as a json file can hold them.
+
+    Args:
+        options: The common ones.
+        config: The task's own, a dataclass.
+
+    Returns:
+        Their values by name; names stand for airframes, cities, mobility models and functions.
+    """
+    # Names stand for what a file cannot hold.
+    ranges = options.randomization.ranges
+    random = {name: ranges[name] for name in options.randomization.active}
+    observed = options.observation
+    own = {one.name: getattr(config, one.name) for one in dataclasses.fields(config)}
+    city = own.get("city")
+    if isinstance(city, City | Path):
+        own["city"] = getattr(city, "name", "")
+    mobility = own.get("mobility")
+    if isinstance(mobility, Mobility):
+        own["mobility"] = {
+            "model": mobility.name,
+            **dataclasses.asdict(cast(Any, mobility)),
+        }
+    return {
+        **vars(options),
+        "airframe": [airframe.name for airframe in options.airframe],
+        "wind": "function" if callable(options.wind) else options.wind,
+        "randomization": random,
+        "dynamics": options.dynamics_name,
+        "observation": observed and [observation_name(one) for one in observed],
+        "sensors": [find_sensor(one).name for one in options.sensors],
+        "reward": {
+            name: (observation_name(term), weight)
+            for name, (term, weight) in options.reward.items()
+        },
+        **own,
+    }
+
+
+def parts_of(options: EnvOptions, task: Task[Any] | None = None, **made: Any) -> dict[str, str]:
+    """Describe everything that a simulation is made from, but for `WITHOUT_EFFECT`.
+
+    Args:
+        options: The common options.
+        task: The task, with its own options; None where there is none.
+        **made: What else it is made from, by name.
+
+    Returns:
+        A text for each part, by the names of the options. Parts whose texts are equal are equal.
+        "airframe.mass" and the like are the numbers of airframes.
+    """
+    names = vars(options) if task is None else described(options, task.config)
+    values = {one.name: getattr(options, one.name) for one in dataclasses.fields(options)}
+    if task is not None:
+        values |= {
+            one.name: getattr(task.config, one.name) for one in dataclasses.fields(task.config)
+        }
+        values |= {"obstacles": task.obstacles(), "layouts": faces_of(task.layouts())}
+        values["arena"] = (task.arena_low, task.arena_high)
+    values |= made
+    # Only what is uncertain counts, and airframes by their numbers, below
+    ranges = options.randomization.ranges
+    values["randomization"] = {name: ranges[name] for name in options.randomization.active}
+    airframes = values.pop("airframe")
+    parts = {"bulletuav": __version__, "airframe": _shown([one.name for one in airframes])}
+    if task is not None:
+        parts |= {"task": task.name, "task.code": _digest(text_of(type(task)))}
+    for field in dataclasses.fields(Airframe):
+        if field.name != "urdf":  # the numbers count, not where the file is
+            values[f"airframe.{field.name}"] = [getattr(one, field.name) for one in airframes]
+    for name in sorted(values.keys() - WITHOUT_EFFECT):
+        parts[name] = _shown(values[name], names.get(name))
+    return parts
+
+
+def faces_of(layouts: Sequence[Solids]) -> list[list[np.ndarray]]:
+    """Return the faces of cities, by which they are compared."""
+    return [[corners for corners, _ in solids.faces] for solids in layouts]
+
+
+def _shown(value: Any, name: Any = None) -> str:
+    """Write a value, or where that is long, its name and a hash of it."""
+    if (
+        isinstance(value, list)
+        and value
+        and all(text_of(one) == text_of(value[0]) for one in value)
+    ):
+        value = value[0]  # the same for all drones
+    text = text_of(value)
+    if len(text) <= LONGEST:
+        return text
+    named = "" if name is None else repr(name)
+    return f"{named[:LONGEST]} (hash {_digest(text)})".strip()
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=6).hexdigest()
+
+
+def text_of(value: Any, within: tuple[int, ...] = ()) -> str:
+    """Write a value so that equal values have equal texts, in every process.
+
+    Code counts by its source file, with what a function was made with; objects by their class and
+    attributes; arrays by their numbers; paths by their last name.
+
+    Args:
+        value: The value.
+        within: Identities of the objects that it is part of.
+    """
+    if value is None or isinstance(value, bool | int | float | str | bytes | np.generic):
+        return repr(value.item() if isinstance(value, np.generic) else value)
+    if isinstance(value, Path):
+        return repr(value.name)
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        digest = hashlib.blake2b(np.ascontiguousarray(value).tobytes(), digest_size=8).hexdigest()
+        return f"array {value.dtype.str} {value.shape} {digest}"
+    # An object that is part of itself
+    if id(value) in within:
+        return "itself"
+    inner = functools.partial(text_of, within=(*within, id(value)))
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{inner(k)}: {inner(one)}" for k, one in value.items()) + "}"
+    if isinstance(value, set | frozenset):
+        return "{" + ", ".join(sorted(map(inner, value))) + "}"
+    if isinstance(value, list | tuple):
+        return "(" + ", ".join(map(inner, value)) + ")"
+    if inspect.isroutine(value) or inspect.isclass(value):
+        cells = [one.cell_contents for one in getattr(value, "__closure__", None) or ()]
+        made = [*cells, getattr(value, "__defaults__", None), getattr(value, "__self__", None)]
+        name: str = value.__qualname__
+        return f"{name} {_source(cast(Any, value))} {inner(made)}"
+    kind: Any = type(value)
+    if dataclasses.is_dataclass(value):
+        own = {one.name: getattr(value, one.name) for one in dataclasses.fields(value)}
+    elif hasattr(value, "__dict__"):
+        cached = functools.cached_property
+        own = {k: v for k, v in vars(value).items() if not isinstance(vars(kind).get(k), cached)}
+    else:
+        own = {"pickled": None}
+        with contextlib.suppress(Exception):
+            own["pickled"] = pickle.dumps(value, protocol=5)
+    return f"{kind.__qualname__} {_source(kind)} {inner(own)}"
+
+
+@functools.lru_cache(maxsize=1024)
+def _source(code: Any) -> str:
+    """Hash the file that a class or function is from; nothing for interactive and built-in ones."""
+    with contextlib.suppress(OSError, TypeError):
+        return hashlib.blake2b(Path(inspect.getfile(code)).read_bytes(), digest_size=8).hexdigest()
+    return ""
