@@ -11,32 +11,22 @@ begin with bytes that msgpack reads as integers, so that no page in a browser ca
 """
 
 import asyncio
-<<<<<<< HEAD
+import contextlib
 import logging
 import time
-=======
-import contextlib
-import time
 from collections.abc import Awaitable, Callable, Iterator
->>>>>>> main
 from typing import TYPE_CHECKING, Any
 
 from bulletuav.bridges.airsim_calls import CONTINUES, PICTURES, Album, Calls
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_pictures import DrawingError, Pictures
 from bulletuav.bridges.airsim_world import World
-<<<<<<< HEAD
 from bulletuav.bridges.sockets import LOG_NAME, listening
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits, PeerLog
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
 from bulletuav.envs.pacer import Pacer
+from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.streams import Stream, StreamServer
-from bulletuav.errors import as_int, missing
-=======
-from bulletuav.bridges.refusals import Refusals, address_text
-from bulletuav.bridges.sockets import listening
-from bulletuav.envs.pacer import Pacer
 from bulletuav.errors import as_int, missing, shown
->>>>>>> main
 
 if TYPE_CHECKING:
     import msgpack
@@ -46,13 +36,6 @@ PORT = 41451
 LIMITS = Limits()
 MOST_REQUEST = 2**20
 """Greatest size of a request, bytes"""
-<<<<<<< HEAD
-IN_ONE_GO = 50
-"""Requests of a client, or steps of a call, after which others have their turn"""
-CONTINUES = ("simContinueForTime", "simContinueForFrames")
-=======
-MOST_WAITING = 2**26
-"""Most bytes of answers that a client leaves unread until it is let go"""
 ANSWER_HEAD, NO_ERROR = b"\x94\x01", b"\xc0"
 """Packed, the first two of an answer's four values, and the third where there is no error"""
 LONGEST_TURN = 0.005
@@ -90,7 +73,6 @@ class Turns:
                 else:
                     return
             await (asyncio.sleep(0) if rest is None else rest)
->>>>>>> main
 
 
 class AirsimServer:
@@ -136,12 +118,10 @@ class AirsimServer:
         as_int("port", port, 0, 65535)
         self.world, self.host = world, host
         self._calls, self._turns, self._pictures = Calls(world), Turns(), Pictures(world)
-        self._refusals = Refusals()
         self._left = 0.0
         self.pacer = Pacer(world.airspace.period, speed, _sleep=self._note)
-        self._streams = StreamServer(
-            self._talk, limits, PeerLog(logging.getLogger(LOG_NAME), clock), clock
-        )
+        self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
+        self._streams = StreamServer(self._talk, limits, self._refusals, clock)
         self._stopped = False
         # Last, so that nobody comes too early
         self._socket = listening(host, port)
@@ -179,28 +159,17 @@ class AirsimServer:
 
     async def serve(self, seconds: float | None = None) -> None:
         """Do what `run` does, in an event loop of one's own."""
-<<<<<<< HEAD
-        await self._streams.start(self._socket)
-=======
         self._pictures.warm_up()
-        server = await asyncio.start_server(self._meet, sock=self._socket)
->>>>>>> main
+        await self._streams.start(self._socket)
         try:
             async with asyncio.timeout(seconds):
                 await self._fly()
         except TimeoutError:
             pass
         finally:
-<<<<<<< HEAD
-            await self._streams.stop()
-=======
             self._stopped = True
-            server.close()
-            for client in self._clients:
-                client.close()
             self._pictures.close()
-            await asyncio.gather(*self._meetings, return_exceptions=True)
->>>>>>> main
+            await self._streams.stop()
 
     async def _fly(self) -> None:
         """Fly in real time, unless time stands still."""
@@ -214,25 +183,7 @@ class AirsimServer:
 
     async def _talk(self, stream: Stream) -> None:
         """Answer a client until it goes."""
-<<<<<<< HEAD
         await _Client(self, stream).listen()
-=======
-        client = _Client(self, writer)
-        if len(self._clients) >= MOST_CLIENTS:
-            client.close()
-            return
-        meeting = asyncio.current_task()
-        assert meeting is not None  # as this is a coroutine
-        self._clients.add(client)
-        self._meetings.add(meeting)
-        try:
-            await client.listen(reader)
-        finally:
-            self._clients.discard(client)
-            self._meetings.discard(meeting)
-            self._refusals.forget(client.address)
-            client.close()
->>>>>>> main
 
     async def advance(self, steps: int) -> None:
         """Fly a number of steps at once, or until the server stops; others have their turns."""
@@ -249,84 +200,56 @@ class AirsimServer:
 
 
 class _Client:
-    """One client's connection.
-
-    Attributes:
-        address: Host and port.
-    """
+    """One client's connection."""
 
     def __init__(self, server: AirsimServer, stream: Stream) -> None:
         self._server, self._stream = server, stream
         self._calls, self._msgpack = server._calls, server._msgpack
         # Answers of motions that end while another answer is sent in parts
         self._held: list[bytes] | None = None
-        # A client that has gone already has no address
-        peer = writer.get_extra_info("peername") or ("unknown", 0)
-        self.address = address_text(*peer[:2])
 
-<<<<<<< HEAD
     async def listen(self) -> None:
         """Answer requests until the client goes, or sends what is no request."""
-=======
-    def close(self) -> None:
-        """End the connection; an answer that is being sent in parts is cut off."""
-        if self._held is None:
-            self._writer.close()
-        else:
-            self._writer.transport.abort()
-
-    async def listen(self, reader: asyncio.StreamReader) -> None:
-        """Answer requests until the client goes, or sends what is no msgpack."""
->>>>>>> main
         unpacker: msgpack.Unpacker = self._msgpack.Unpacker(
             max_buffer_size=MOST_REQUEST,
             strict_map_key=False,
             unicode_errors="replace",
             ext_hook=_refuse_type,
         )
-<<<<<<< HEAD
-        taken, goes_on = 0, True
+        goes_on = True
         while goes_on and (data := await self._stream.reader.read(65536)):
             messages, goes_on = self._messages(unpacker, data)
-            for message in messages:
-                if not _is_request(message):
-                    self._stream.drop("was dropped: it sent a message that is no request")
-                    return
-                if not self._admit(message[1]):
-                    return
-                await self._take(message)
-                if not self._stream.is_open:
-                    return
-                taken += 1
-                if taken % IN_ONE_GO == 0:
-                    await asyncio.sleep(0)
+            await self._server._turns.take(self._answers(messages))
+            if not self._stream.is_open:
+                return
         if not goes_on:
-            self._stream.drop("was dropped: it sent bytes that are no msgpack, or too many")
-
-    def _admit(self, number: int) -> bool:
-        """Record a request; return False if there is no place for one more client."""
-        try:
-            self._stream.request()
-        except FullError as error:
-            self._answer(number, f"this server is full: {error}; try again later", None)
-            return False
-        return True
-=======
-        goes_on = True
-        with contextlib.suppress(ConnectionError):
-            while goes_on and (data := await reader.read(65536)):
-                messages, goes_on = self._messages(unpacker, data)
-                await self._server._turns.take(self._answers(messages))
-                if self._writer.is_closing():
-                    return
+            self._stream.drop("dropped: it sent bytes that are no msgpack, or too many")
 
     def _answers(self, messages: list[Any]) -> Iterator[Awaitable[None] | None]:
         """Answer messages in order, until the client goes; yields what takes longer than a turn."""
         for message in messages:
-            if self._writer.is_closing():
+            if not self._stream.is_open:
+                return
+            if not _is_request(message):
+                self._stream.drop("dropped: it sent a message that is no request")
+                return
+            if not self._admit(message[1]):
                 return
             yield self._take(message)
->>>>>>> main
+
+    def _admit(self, number: int) -> bool:
+        """Record a request; if there is no place for one more client, end the connection.
+
+        Returns:
+            Whether there is a place.
+        """
+        try:
+            self._stream.request()
+        except FullError as error:
+            self._answer(number, f"this server is full: {error}; try again later", None)
+            self._stream.close()
+            return False
+        return True
 
     def _messages(self, unpacker: "msgpack.Unpacker", data: bytes) -> tuple[list[Any], bool]:
         """Read all messages that are whole; tell also whether what follows can be read."""
@@ -339,46 +262,28 @@ class _Client:
             return messages, False
         return messages, True
 
-<<<<<<< HEAD
-    async def _take(self, message: Any) -> None:
-        """Answer a request."""
-        _, number, name, arguments = message
-        try:
-            if isinstance(name, str) and name in MOTIONS:
-                self._calls.move(name, arguments, lambda done: self._end_motion(number, done))
-                self._server.connections.wait(self._stream)
-                return
-            if name in CONTINUES:
-                await self._advance(self._calls.steps(name, arguments))
-                self._answer(number, None, None)
-                return
-=======
     def _take(self, message: Any) -> Awaitable[None] | None:
-        """Answer a message; one that is no request is a probe, and not answered.
+        """Answer a request.
 
         Returns:
             What will answer it later, before the client's next message is taken; None if it is
             answered, or will be by the end of a motion.
         """
-        if not isinstance(message, list) or len(message) != 4 or message[0] != 0:
-            return None
         _, number, name, arguments = message
-        if not isinstance(number, int) or not isinstance(arguments, list):
-            return None
         try:
             if isinstance(name, str) and name in MOTIONS:
-                self._calls.move(name, arguments, lambda done: self._answer(number, None, done))
+                self._calls.move(name, arguments, lambda done: self._end_motion(number, done))
+                self._server.connections.wait(self._stream)
                 return None
             if name in CONTINUES:
                 return self._continue(number, self._calls.steps(name, arguments))
             if name in PICTURES:
                 return self._draw(number, self._calls.album(name, arguments))
->>>>>>> main
             result = self._calls.call(name, arguments)
         # What clients send wrong is told to them; a flight that diverged ends the server.
         except ValueError as error:
             call = name if isinstance(name, str) else shown(name)
-            self._server._refusals.log(self.address, call, str(error))
+            self._server._refusals.log(self._stream.peer, call, str(error))
             self._answer(number, str(error), None)
             return None
         self._answer(number, None, result)
@@ -386,34 +291,45 @@ class _Client:
 
     async def _continue(self, number: int, steps: int) -> None:
         """Answer a call when its steps are flown."""
-        await self._server.advance(steps)
-        self._answer(number, None, None)
+        with self._busy():
+            await self._server.advance(steps)
+            self._answer(number, None, None)
 
     async def _draw(self, number: int, album: Album) -> None:
         """Answer a call when its pictures are drawn."""
-        try:
-            parts = await self._server._pictures.take(album)
-        except DrawingError as error:
-            self._answer(number, str(error), None)
-            return
-        head = ANSWER_HEAD + self._msgpack.packb(number) + NO_ERROR
-        # Pictures of a call are up to 11 MB: copying them at once would keep others waiting
-        self._held = []
-        for part in (head, *parts):
-            self._send(part)
-            await asyncio.sleep(0)
-            await self._writer.drain()
-        held, self._held = self._held, None
-        for data in held:
-            self._send(data)
+        with self._busy():
+            try:
+                parts = await self._server._pictures.take(album, lambda: self._stream.is_open)
+            except DrawingError as error:
+                self._answer(number, str(error), None)
+                return
+            head = ANSWER_HEAD + self._msgpack.packb(number) + NO_ERROR
+            await self._send_parts([head, *parts])
 
-<<<<<<< HEAD
-    async def _advance(self, steps: int) -> None:
-        """Fly a number of steps at once, for which the client waits."""
+    async def _send_parts(self, parts: list[bytes]) -> None:
+        """Send an answer in parts, as fast as the client reads; answers of motions come after it.
+
+        Pictures of a call are up to 11 MB: copying them at once would keep others waiting, and
+        queuing them at once would be too much for a client that reads slowly.
+        """
+        self._held = []
+        try:
+            for part in parts:
+                self._stream.send(part)
+                await asyncio.sleep(0)
+                await self._stream.drain()
+        finally:
+            held, self._held = self._held, None
+        for data in held:
+            self._stream.send(data)
+
+    @contextlib.contextmanager
+    def _busy(self) -> Iterator[None]:
+        """Record that the client waits, until the end of the block: meanwhile it is not idle."""
         connections = self._server.connections
         connections.wait(self._stream)
         try:
-            await self._server.advance(steps)
+            yield
         finally:
             connections.wait(self._stream, -1)
 
@@ -422,14 +338,13 @@ class _Client:
         self._server.connections.wait(self._stream, -1)
         self._answer(number, None, done)
 
-    def _answer(
-        self,
-        number: int,
-        error: str | None,
-        result: Any,
-    ) -> None:
-        """Send an answer."""
-        self._stream.send(self._msgpack.packb([1, number, error, result]))
+    def _answer(self, number: int, error: str | None, result: Any) -> None:
+        """Send an answer, after one that is being sent in parts."""
+        data = self._msgpack.packb([1, number, error, result])
+        if self._held is None:
+            self._stream.send(data)
+        else:
+            self._held.append(data)
 
 
 def _is_request(message: Any) -> bool:
@@ -451,22 +366,3 @@ def _refuse_type(code: int, data: bytes) -> None:
         ValueError: Always.
     """
     raise ValueError(f"a value of type {code}, which no call needs")
-=======
-    def _answer(self, number: int, error: str | None, result: Any) -> None:
-        """Send an answer, after one that is being sent in parts."""
-        data = self._msgpack.packb([1, number, error, result])
-        if self._held is None:
-            self._send(data)
-        else:
-            self._held.append(data)
-
-    def _send(self, data: bytes) -> None:
-        """Send bytes; a client that reads nothing is let go."""
-        transport = self._writer.transport
-        if transport.is_closing():
-            return
-        if transport.get_write_buffer_size() > MOST_WAITING:
-            transport.abort()
-            return
-        self._writer.write(data)
->>>>>>> main

@@ -12,14 +12,10 @@ from dataclasses import dataclass
 
 from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import MOST_DATA, NULL, MalformedError, Packet, Port
-<<<<<<< HEAD
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
-from bulletuav.envs.connections import Clock, Limits, PeerLog
+from bulletuav.envs.connections import Clock, Limits
+from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.viewer import join_address
-=======
-from bulletuav.bridges.refusals import Refusals, address_text
-from bulletuav.bridges.sockets import Address, DatagramServer
->>>>>>> main
 
 PORT = 19850
 """Port of the first drone; cflib looks for drones at this one and the nine after it"""
@@ -83,12 +79,8 @@ class CrazyflieServer(DatagramServer):
         super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
         self.refused = 0
-<<<<<<< HEAD
         self._limits, self._clock = limits, clock
-        self._log = PeerLog(logging.getLogger(LOG_NAME), clock)
-=======
-        self._refusals = Refusals()
->>>>>>> main
+        self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
         self._peers: list[Peer | None] = [None] * len(fleet)
         self._waiting: dict[int, tuple[Address, Packet]] = {}
         self.uris = [f"udp://{host}:{one}" for one in self.ports]
@@ -149,17 +141,13 @@ class CrazyflieServer(DatagramServer):
     ) -> None:
         """Let a second client of a drone wait; its request to connect is kept."""
         self.refused += 1
-        self._log.report(
-            join_address(*address), f"was refused: drone {i} is flown by port {peer.address[1]}"
-        )
+        text = f"drone {i} is flown by port {peer.address[1]}"
+        event = f"refused: {text}; close that link first"
+        self._refusals.log_connection(join_address(*address), event)
         if packet.port == Port.LINK and packet.channel == 1:
             self._waiting[i] = (address, packet)
-            text = f"drone {i} is flown by port {peer.address[1]}"
             line = f"{text}\n".encode()[:MOST_DATA]
             self._send_to(i, Packet(Port.CONSOLE, 0, line).frame(), address)
-            # Addresses can be made up: those of a drone share one entry of the log
-            reason = f"{text}; close that link first"
-            self._refusals.log(f"beyond the one of drone {i}", "connection", reason)
 
     def _connect(
         self,
@@ -178,7 +166,7 @@ class CrazyflieServer(DatagramServer):
         if reason := self.fleet.vehicles[i].refusal:
             port = Port(packet.port).name if packet.port in tuple(Port) else packet.port
             call = f"packet to {port}, channel {packet.channel}, of drone {i}"
-            self._refusals.log(address_text(*address), call, reason)
+            self._refusals.log(join_address(*address), call, reason)
 
     def _serve_waiting(self) -> None:
         """Connect clients that waited, where the one before has gone."""

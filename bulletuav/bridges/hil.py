@@ -19,8 +19,9 @@ from typing import Any
 from bulletuav.bridges.hil_bodies import STEP_HZ, HilBodies
 from bulletuav.bridges.mavlink_wire import Command, Message, Told, Wire, text, whole_frames
 from bulletuav.bridges.sockets import LOG_NAME, listening
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits, PeerLog
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
 from bulletuav.envs.pacer import Pacer
+from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import as_int, finite
 
@@ -134,7 +135,7 @@ class HilServer:
         self.pacer = Pacer(bodies.airspace.period, speed, _sleep=self._listen_for)
         self._selector = selectors.DefaultSelector()
         self._links: list[Link | None] = [None] * len(bodies)
-        self._clock, self._log = clock, PeerLog(logging.getLogger(LOG_NAME), clock)
+        self._clock, self._log = clock, Refusals(logging.getLogger(LOG_NAME), clock)
         self._connections: list[Connections[Link]] = [
             Connections(limits, clock) for _ in range(len(bodies))
         ]
@@ -187,7 +188,7 @@ class HilServer:
         # Who is too slow is dropped, and the others fly on
         for i, link in enumerate(self._links):
             if link is not None and link.answers and link.waits:
-                self._drop(i, link, f"was dropped: it did not answer for {SILENT:g} s")
+                self._drop(i, link, f"dropped: it did not answer for {SILENT:g} s")
         # The first step waits for answers of all; later ones do without those dropped
         self._flies = self._flies or all(link and link.answers for link in self._links)
         if self._flies:
@@ -228,7 +229,7 @@ class HilServer:
             self._selector.register(one, selectors.EVENT_READ, (i, link))
             evicted = self._connections[i].add(link)
             if evicted is not None:
-                self._drop(i, evicted, "was disconnected: it sent nothing, and others needed room")
+                self._drop(i, evicted, "evicted: it sent nothing, and others needed room")
 
     def _hear(self, i: int, link: Link) -> None:
         """Read the messages of a connection, and take them if it is an autopilot's."""
@@ -243,10 +244,10 @@ class HilServer:
         except FullError:
             with contextlib.suppress(OSError):
                 link.send([text(f"body {i} is flown by another autopilot")])
-            self._drop(i, link, f"was refused: body {i} is flown by another autopilot")
+            self._drop(i, link, f"refused: body {i} is flown by another autopilot")
             return False
         if evicted is not None:
-            self._drop(i, evicted, "was disconnected: it was idle, and another one has come")
+            self._drop(i, evicted, "evicted: it was idle, and another one has come")
         self._links[i] = link
         return True
 
@@ -254,14 +255,12 @@ class HilServer:
         """Drop connections that send nothing, and autopilots that never answer."""
         for i, connections in enumerate(self._connections):
             for link in connections.overdue():
-                self._drop(i, link, "was dropped: it sent no message in time")
+                self._drop(i, link, "dropped: it sent no message in time")
         for i, one in enumerate(self._links):
             if one is None or one.answers or one.begun is None:
                 continue
             if self._clock() - one.begun > START:
-                self._drop(
-                    i, one, f"was dropped: it has not answered any measurement in {START:g} s"
-                )
+                self._drop(i, one, f"dropped: it has not answered any measurement in {START:g} s")
 
     def _take(self, i: int, link: Link, messages: list[Message]) -> None:
         """Take the messages of an autopilot."""
@@ -286,16 +285,17 @@ class HilServer:
         try:
             does(*arguments)
         except OSError as error:
-            self._drop(i, link, f"was dropped: {error}")
+            self._drop(i, link, f"dropped: {error}")
 
-    def _drop(self, i: int, link: Link, reason: str) -> None:
+    def _drop(self, i: int, link: Link, event: str) -> None:
         """Close a connection; if it is the autopilot's, its motors stop, and others fly on."""
-        self._log.report(link.peer, reason)
+        self._log.log_connection(link.peer, event)
         self._forget(i, link)
 
     def _forget(self, i: int, link: Link) -> None:
         """Close a connection without a word."""
         self._connections[i].remove(link)
+        self._log.forget(link.peer)
         self._selector.unregister(link.socket)
         link.socket.close()
         if self._links[i] is link:

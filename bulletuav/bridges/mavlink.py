@@ -12,18 +12,12 @@ import time
 from collections import deque
 
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-<<<<<<< HEAD
-from bulletuav.bridges.mavlink_services import packed
+from bulletuav.bridges.mavlink_services import describe, packed, refusal_of
 from bulletuav.bridges.mavlink_wire import Message, Sender, Told, Wire, text
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits, PeerLog
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
+from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.viewer import join_address
-=======
-from bulletuav.bridges.mavlink_services import describe, packed, refusal_of
-from bulletuav.bridges.mavlink_wire import Sender, Told, Wire
-from bulletuav.bridges.refusals import Refusals, address_text
-from bulletuav.bridges.sockets import Address, DatagramServer
->>>>>>> main
 from bulletuav.errors import as_int
 
 PORT = 18570
@@ -86,18 +80,12 @@ class MavlinkServer(DatagramServer):
         super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
         self.refused = self.received = self.sent = 0
-<<<<<<< HEAD
-        self._log = PeerLog(logging.getLogger(LOG_NAME), clock)
+        self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
         self.connections: list[Connections[Address]] = [
             Connections(limits, clock) for _ in self.ports
         ]
         # Messages of a datagram that had more than are taken in one go
         self._waiting: list[deque[tuple[Message, Address]]] = [deque() for _ in self.ports]
-=======
-        self._refusals = Refusals()
-        # When each client was heard last
-        self._clients: list[dict[Address, float]] = [{} for _ in self.ports]
->>>>>>> main
         self._always: list[tuple[Address, ...]] = [
             () if client_port is None else ((host, client_port + k),) for k in range(len(fleet))
         ]
@@ -139,7 +127,6 @@ class MavlinkServer(DatagramServer):
             if waiting:
                 self._take(i, *waiting.popleft())
 
-<<<<<<< HEAD
     def _receive(self, i: int) -> bool:
         """Receive a datagram, whose messages wait; return False if there is none."""
         try:
@@ -157,6 +144,9 @@ class MavlinkServer(DatagramServer):
             return
         sender = Sender(message.get_srcSystem(), message.get_srcComponent(), address)
         told = self.fleet.take(i, message, sender)
+        if reason := refusal_of(told):
+            call = f"{describe(message)} to vehicle {i + 1}"
+            self._refusals.log(join_address(*address), call, reason)
         self._send_frames(i, told, address)
         self.received += 1
 
@@ -182,40 +172,8 @@ class MavlinkServer(DatagramServer):
                 connections.add(address)
         except FullError as error:
             self.refused += 1
-            if self._log.report(join_address(*address), f"was refused by vehicle {i + 1}: {error}"):
+            event = f"refused by vehicle {i + 1}: {error}; close one first"
+            if self._refusals.log_connection(join_address(*address), event):
                 self._send_frames(i, [text("refused: too many clients, try later")], address)
-=======
-    def _take(
-        self,
-        i: int,
-        datagram: bytes,
-        address: Address,
-    ) -> int:
-        """Take a datagram; tell how many messages it had."""
-        messages = self._wires[i].read(datagram)
-        if not messages or not self._knows(i, address):
-            return 1
-        for message in messages:
-            sender = Sender(message.get_srcSystem(), message.get_srcComponent(), address)
-            told = self.fleet.take(i, message, sender)
-            if reason := refusal_of(told):
-                call = f"{describe(message)} to vehicle {i + 1}"
-                self._refusals.log(address_text(*address), call, reason)
-            frames = [self._wires[i].pack(one) for one in told]
-            for answer in packed(frames, MOST_DATAGRAM):
-                self._send_to(i, answer, address)
-            self.sent += len(told)
-        self.received += len(messages)
-        return len(messages)
-
-    def _knows(self, i: int, address: Address) -> bool:
-        """Take a client in, or note that it is still there; tell whether there is room for it."""
-        clients = self._clients[i]
-        if address not in clients and len(clients) >= MOST_CLIENTS:
-            self.refused += 1
-            # Addresses can be made up: those of a vehicle share one entry of the log
-            reason = f"there are {MOST_CLIENTS} clients already; close one first"
-            self._refusals.log(f"beyond the limit of vehicle {i + 1}", "connection", reason)
->>>>>>> main
             return False
         return True

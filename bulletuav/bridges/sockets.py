@@ -12,7 +12,7 @@ from bulletuav.errors import as_int
 
 Address = tuple[str, int]
 LOG_NAME = "bulletuav.bridges"
-"""Name of the logger of peers that servers refuse or drop"""
+"""Name of the logger of what servers refuse: calls, and connections"""
 
 
 def cannot_listen(

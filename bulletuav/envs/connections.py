@@ -1,4 +1,4 @@
-"""One policy for the connections of all servers: limits, eviction, and a log of refused peers.
+"""One policy for the connections of all servers: limits and eviction.
 
 A connection is pending until its first valid request, then it belongs to a client. Both have
 places of their own, so that peers which send nothing cannot take a client's place:
@@ -8,10 +8,10 @@ places of their own, so that peers which send nothing cannot take a client's pla
 - A first valid request needs a client's place. If all are taken, the client that has been idle
   longest is evicted, if that is longer than `grace` seconds. Otherwise the new client is refused.
 
-`Connections` keeps the books and has no sockets; `streams.py` applies it to asyncio's.
+`Connections` keeps the books and has no sockets; `streams.py` applies it to asyncio's. What is
+refused, dropped or evicted is logged by `refusals.py`.
 """
 
-import logging
 import math
 import time
 from collections.abc import Callable, Hashable
@@ -20,12 +20,6 @@ from typing import Generic, TypeVar
 
 Key = TypeVar("Key", bound=Hashable)
 Clock = Callable[[], float]
-
-MAX_REPORTED = 1024
-"""Peers that a log remembers, so that it reports each once"""
-MAX_REPORTS = 20
-"""Reports of a log in `REPORT_PERIOD`; a flood from many ports does not fill the disk"""
-REPORT_PERIOD = 60.0
 
 
 class FullError(ConnectionError):
@@ -190,40 +184,3 @@ class Connections(Generic[Key]):
         evicted = max(free, key=self.idle)
         self.remove(evicted)
         return evicted
-
-
-class PeerLog:
-    """Logs why peers were refused or dropped: each peer once, and not many in a short time."""
-
-    def __init__(self, logger: logging.Logger, clock: Clock = time.monotonic) -> None:
-        """Log to a logger, with a clock in seconds."""
-        self._logger, self._clock = logger, clock
-        self._reported: dict[tuple[str, str], None] = {}
-        self._start, self._count = -math.inf, 0
-
-    def report(self, peer: str, reason: str) -> bool:
-        """Log at level WARNING that a peer was refused or dropped, and why.
-
-        Args:
-            peer: Address of the peer.
-            reason: Words that follow the address, such as "was dropped: it sent no request".
-
-        Returns:
-            False if it has been reported before.
-        """
-        if (peer, reason) in self._reported:
-            return False
-        self._reported[peer, reason] = None
-        if len(self._reported) > MAX_REPORTED:
-            del self._reported[next(iter(self._reported))]
-        # In a new period reports are counted from zero
-        if self._clock() - self._start > REPORT_PERIOD:
-            self._start, self._count = self._clock(), 0
-        self._count += 1
-        if self._count < MAX_REPORTS:
-            self._logger.warning("%s %s", peer, reason)
-        elif self._count == MAX_REPORTS:
-            self._logger.warning(
-                "%s %s; more such peers are not logged for %.0f s", peer, reason, REPORT_PERIOD
-            )
-        return True

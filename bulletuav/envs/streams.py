@@ -6,7 +6,8 @@ import socket
 import time
 from collections.abc import Awaitable, Callable
 
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits, PeerLog
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
+from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.viewer import join_address
 
 SWEEP_PERIOD = 0.25
@@ -58,12 +59,20 @@ class Stream:
         if not self.is_open:
             return
         if self.unread and self.unread + len(data) > self._server.limits.max_unread:
-            self.drop(f"was dropped: it left {self.unread} bytes unread")
+            self.drop(f"dropped: it left {self.unread} bytes unread")
             return
         if not self.unread:
             self._moved = self._server.clock()
         self._sent += len(data)
         self._writer.write(data)
+
+    async def drain(self) -> None:
+        """Wait until the peer has read most of what was sent.
+
+        Raises:
+            ConnectionError: The connection was lost.
+        """
+        await self._writer.drain()
 
     def request(self) -> None:
         """Record a valid request.
@@ -74,10 +83,10 @@ class Stream:
         try:
             evicted = self._server.connections.request(self)
         except FullError as error:
-            self._server.log.report(self.peer, f"was refused: {error}")
+            self._server.log.log_connection(self.peer, f"refused: {error}")
             raise
         if evicted is not None:
-            evicted.drop("was disconnected: it was idle longest, and another client needed room")
+            evicted.drop("evicted: it was idle longest, and another client needed room")
 
     def look(self) -> None:
         """Look whether the peer has read something since the last look."""
@@ -97,10 +106,14 @@ class Stream:
         """Close the connection once the peer has read what was sent."""
         self._writer.close()
 
-    def drop(self, reason: str) -> None:
-        """Close the connection immediately, and log why."""
+    def drop(self, event: str) -> None:
+        """Close the connection immediately, and log why.
+
+        Args:
+            event: What happened, and why, such as "dropped: it sent no request in time".
+        """
         if self.is_open:
-            self._server.log.report(self.peer, reason)
+            self._server.log.log_connection(self.peer, event)
         self.abort()
 
     def abort(self) -> None:
@@ -138,7 +151,7 @@ class StreamServer:
         self,
         talk: Callable[[Stream], Awaitable[None]],
         limits: Limits,
-        log: PeerLog,
+        log: Refusals,
         clock: Clock = time.monotonic,
     ) -> None:
         """Make a server that listens nowhere yet.
@@ -192,12 +205,13 @@ class StreamServer:
             with contextlib.suppress(ConnectionError):
                 evicted = self.connections.add(stream)
                 if evicted is not None:
-                    evicted.drop("was disconnected: it sent no request, and others needed room")
+                    evicted.drop("evicted: it sent no request, and others needed room")
                 await self._talk(stream)
         finally:
             # A connection keeps its place until it has ended: it still holds memory
             await stream.end()
             self.connections.remove(stream)
+            self.log.forget(stream.peer)
             del self._talks[task]
 
     async def _sweep_often(self) -> None:
@@ -211,6 +225,6 @@ class StreamServer:
         for stream in self.connections.all():
             stream.look()
             if stream.stalled > self.limits.max_stall:
-                stream.drop(f"was dropped: it read nothing for {self.limits.max_stall:g} s")
+                stream.drop(f"dropped: it read nothing for {self.limits.max_stall:g} s")
         for stream in self.connections.overdue():
-            stream.drop("was dropped: it sent no request in time")
+            stream.drop("dropped: it sent no request in time")

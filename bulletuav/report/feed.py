@@ -19,7 +19,8 @@ from email.message import Message
 from http import HTTPStatus
 from ipaddress import ip_address
 
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits, PeerLog
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
+from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.streams import Stream, StreamServer
 from bulletuav.envs.viewer import join_address
 
@@ -109,7 +110,7 @@ class Feed:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.address = join_address(host, self._socket.getsockname()[1])
         self._names, self._is_on_loopback = _names_of(host), _is_loopback(host)
-        self._streams = StreamServer(self._talk, limits, PeerLog(LOG, clock), clock)
+        self._streams = StreamServer(self._talk, limits, Refusals(LOG, clock), clock)
         # A daemon, so that a program that ends is not held up
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
         self._thread.start()
@@ -232,12 +233,12 @@ class Feed:
         path, headers = request
         host = headers.get("Host", "")
         if not self.knows(host):
-            self._streams.log.report(stream.peer, "was refused: it asked for another host")
+            self._streams.log.log_connection(stream.peer, "refused: it asked for another host")
             raise RequestError(
                 HTTPStatus.FORBIDDEN, f"unknown host: open http://{self.address}/ instead"
             )
         if not _is_of_this_page(host, headers):
-            self._streams.log.report(stream.peer, "was refused: it is a page of another site")
+            self._streams.log.log_connection(stream.peer, "refused: it is a page of another site")
             raise RequestError(HTTPStatus.FORBIDDEN, "pages of other sites are not served")
         if path not in ("/", "/feed"):
             raise RequestError(HTTPStatus.NOT_FOUND, "there is no such page")

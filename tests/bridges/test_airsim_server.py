@@ -17,12 +17,8 @@ import msgpack
 import numpy as np
 import pytest
 
-<<<<<<< HEAD
-from bulletuav.bridges.airsim import AirsimServer
-=======
 from bulletuav.bridges import airsim, airsim_drawing, airsim_pictures
 from bulletuav.bridges.airsim import AirsimServer, Turns
->>>>>>> main
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.sockets import LOG_NAME
 from bulletuav.cli import main
@@ -316,21 +312,13 @@ def failures(caplog):
 
 def test_it_survives_any_calls_and_bytes(serve, connect, caplog):
     survive(serve(2), connect, 600)
-<<<<<<< HEAD
-    assert not [one for one in caplog.records if one.name != LOG_NAME]
-=======
     assert not failures(caplog)
->>>>>>> main
 
 
 @pytest.mark.slow
 def test_it_survives_a_hundred_thousand_calls_and_bytes(serve, connect, caplog):
     survive(serve(2), connect, 100_000)
-<<<<<<< HEAD
-    assert not [one for one in caplog.records if one.name != LOG_NAME]
-=======
     assert not failures(caplog)
->>>>>>> main
 
 
 def test_a_request_that_is_too_long_ends_its_connection_alone(serve, connect):

@@ -22,17 +22,6 @@ from bulletuav.report.feed import Feed, event
 
 FREE = "127.0.0.1:0"
 SHORT = {"num_drones": 3, "dynamics": "point_mass", "horizon": 20}
-<<<<<<< HEAD
-PATIENCE = 60.0
-
-
-def until(condition):
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-=======
->>>>>>> main
 
 
 class Watcher:
