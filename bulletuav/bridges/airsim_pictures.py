@@ -52,7 +52,7 @@ class Pictures:
         """Load the compiled code that finds cameras, for which the flight would wait later."""
         expose(self._world, 0, [Request({"camera_name": "0", "image_type": 0})])
 
-    async def take(self, album: Album, is_wanted: Callable[[], bool]) -> list[bytes]:
+    async def take(self, album: Album, is_wanted: Callable[[], bool] = lambda: True) -> list[bytes]:
         """Take the pictures of a call.
 
         Args:

@@ -16,17 +16,15 @@ import time
 import msgpack
 import numpy as np
 import pytest
+from waiting import PATIENCE, until
 
 from bulletuav.bridges import airsim, airsim_drawing, airsim_pictures
 from bulletuav.bridges.airsim import AirsimServer, Turns
 from bulletuav.bridges.airsim_world import World
-from bulletuav.bridges.sockets import LOG_NAME
 from bulletuav.cli import main
 from bulletuav.envs.connections import Limits
 from bulletuav.envs.streams import SWEEP_PERIOD
 
-LIMIT = 120.0
-"""Seconds after which something hangs"""
 FREE = (0, {"is_rate": True, "yaw_or_rate": 0.0})
 
 
@@ -34,7 +32,7 @@ class Client:
     """A socket that sends requests."""
 
     def __init__(self, server):
-        self.socket = socket.create_connection(("127.0.0.1", server.port), timeout=60)
+        self.socket = socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE)
         self._unpacker, self._count = msgpack.Unpacker(), 0
 
     def send(self, name, *arguments):
@@ -99,14 +97,6 @@ def connect():
     yield connect
     for client in made:
         client.socket.close()
-
-
-def until(happens):
-    """Wait for something; the limit only finds hangs."""
-    end = time.perf_counter() + 60
-    while not happens():
-        assert time.perf_counter() < end
-        time.sleep(0.01)
 
 
 def ready(client, vehicle=""):
@@ -179,7 +169,7 @@ def still():
 def test_a_connection_ends_with_the_first_message_that_is_no_request(kind, in_pieces, still):
     """Also where requests follow, so that no page in a browser can fly a drone."""
     data = NO_REQUESTS[kind] + MOVES
-    with socket.create_connection(("127.0.0.1", still.port), timeout=60) as one:
+    with socket.create_connection(("127.0.0.1", still.port), timeout=PATIENCE) as one:
         answer = b""
         with contextlib.suppress(ConnectionError):
             for piece in [data[k : k + 1] for k in range(len(data))] if in_pieces else [data]:
@@ -255,8 +245,7 @@ def test_two_clients_fly_one_drone_and_the_newer_motion_counts(serve, connect):
     ready(first)
     older = first.send("moveByVelocity", 0.0, 0.0, -1.0, 600.0, *FREE, "")
     second.get("ping")
-    while not server.world.vehicle("")[1].flies:
-        time.sleep(0.01)
+    until(lambda: server.world.vehicle("")[1].flies)
     assert second.get("hover", "") is True
     assert first.receive() == [older, None, False]
 
@@ -269,11 +258,12 @@ def test_a_client_that_vanishes_leaves_the_drone_flying(serve, connect):
     client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     client.socket.close()
     other = connect(server)
-    while len(server.connections) > 1:
-        time.sleep(0.01)
-    end = time.perf_counter() + 20
-    while other.get("getMultirotorState", "")["kinematics_estimated"]["position"]["z_val"] > -2.5:
-        assert time.perf_counter() < end
+    until(lambda: len(server.connections) == 1)
+
+    def height():
+        return other.get("getMultirotorState", "")["kinematics_estimated"]["position"]["z_val"]
+
+    until(lambda: height() < -2.5)
 
 
 def survive(server, connect, messages):
@@ -327,14 +317,6 @@ def test_a_request_that_is_too_long_ends_its_connection_alone(serve, connect):
     with pytest.raises(ConnectionError):
         client.ask("ping", "x" * 3_000_000)
     assert other.get("ping") is True
-
-
-def until(happens):
-    """Wait for something; the limit only finds what hangs."""
-    end = time.perf_counter() + LIMIT
-    while not happens():
-        assert time.perf_counter() < end
-        time.sleep(0.001)
 
 
 @contextlib.contextmanager
@@ -460,12 +442,12 @@ def sending(serve, connect, monkeypatch):
     ready(client)
     motion = client.send("moveByVelocity", 0.0, 0.0, -0.1, 600.0, *FREE, "")
     pictures = client.send("simGetImages", [ONE] * 32, "")
-    (peer,) = server._clients
+    (stream,) = server.connections.all()
     sizes = []
 
     def is_stuck():
-        sizes.append(peer._writer.transport.get_write_buffer_size())
-        return peer._held is not None and sizes[-1] > 0 and len(set(sizes[-50:])) == 1
+        sizes.append(stream.unread)
+        return sizes[-1] > 0 and len(sizes) > 50 and len(set(sizes[-50:])) == 1
 
     until(is_stuck)
     return server, client, motion, pictures
@@ -484,7 +466,92 @@ def test_a_motion_that_ends_does_not_cut_into_pictures(sending, connect):
 def test_a_server_stops_though_a_client_reads_no_pictures(sending):
     server, *_ = sending
     server.stop()
-    until(lambda: not server._clients)
+    until(lambda: not server.is_running())
+
+
+def test_more_than_a_client_may_leave_unread_is_sent_to_one_that_reads(
+    serve, connect, monkeypatch, caplog
+):
+    """32 pictures of a million bytes, to a client that is busy but reads: it is not dropped."""
+    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Large)
+    server = serve(limits=Limits(max_unread=2 * 10**6))
+    client = connect(server)
+    for _ in range(2):
+        assert client.get("simGetImages", [ONE] * 32, "") == [bytes(10**6)] * 32
+    assert not caplog.records
+
+
+def test_a_client_that_waits_for_pictures_is_not_idle(serve, connect, monkeypatch):
+    """It keeps its place, however long they take; one that waits for nothing makes room."""
+    may_draw, now = threading.Event(), [0.0]
+
+    class Slow(Large):
+        def draw(self, poses, exposure, is_list):
+            assert may_draw.wait(PATIENCE)
+            return msgpack.packb(b"drawn")
+
+    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Slow)
+    limits = Limits(max_clients=2, grace=60.0, max_idle=1000.0)
+    server = serve(limits=limits, clock=lambda: now[0])
+    client, idle = connect(server), connect(server)
+    assert client.get("ping") is True
+    number = client.send("simGetImages", [ONE] * 2, "")
+    until(lambda: [one.busy for one in server.connections._entries.values()].count(1) == 1)
+    now[0] = 100.0
+    assert idle.get("ping") is True
+    now[0] = 1050.0
+    other = connect(server)
+    assert other.get("ping") is True
+    with pytest.raises(ConnectionError):
+        idle.receive()
+    may_draw.set()
+    assert client.receive() == [number, None, [b"drawn"] * 2]
+    assert client.get("ping") is True
+
+
+@pytest.mark.parametrize("is_sending", [False, True], ids=["while drawn", "while sent"])
+def test_a_client_dropped_before_its_pictures_came_leaves_nothing(
+    is_sending, serve, connect, monkeypatch, caplog
+):
+    may_draw, drawn = threading.Event(), []
+
+    class Slow(Large):
+        def draw(self, poses, exposure, is_list):
+            drawn.append(None)
+            assert is_sending or may_draw.wait(PATIENCE)
+            return msgpack.packb(bytes(10**6))
+
+    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Slow)
+    now = [0.0]
+    server = serve(clock=lambda: now[0])
+    client, other = connect(server), connect(server)
+    ready(client)
+    client.send("moveByVelocity", 0.0, 0.0, -0.1, 600.0, *FREE, "")
+    client.send("simGetImages", [ONE] * 32, "")
+    stream = server.connections.clients()[0]
+    if is_sending:
+        until(lambda: stream.unread > 0)
+
+        def is_dropped():
+            now[0] += 1.0
+            return not stream.is_open
+
+        assert other.get("ping") is True
+        until(is_dropped)
+    else:
+        until(lambda: drawn)
+        assert other.get("ping") is True
+        reset = struct.pack("ii", 1, 0)
+        client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset)
+        client.socket.close()
+        until(lambda: not stream.is_open)
+        may_draw.set()
+    until(lambda: len(server.connections) == 1)
+    assert is_sending or len(drawn) == 1
+    assert len(server._streams._talks) == 1
+    assert other.get("cancelLastTask", "") is None  # the end of its motion is no answer to it
+    assert other.get("simGetImages", [ONE], "") == [bytes(10**6)]
+    assert not failures(caplog)
 
 
 SERVE_ONE = """
@@ -508,7 +575,7 @@ def test_the_process_that_draws_ends_with_a_server_that_is_killed():
     with subprocess.Popen(command, **pipes) as server:
         assert server.stdout.readline().strip() == b"drawn"
         server.kill()
-        server.communicate(timeout=LIMIT)
+        server.communicate(timeout=PATIENCE)
 
 
 def test_refused_motions_are_logged_with_the_remedy(serve, connect, caplog):
@@ -649,7 +716,7 @@ def test_a_client_too_many_is_told_so(serve, connect, caplog):
     assert result is None
     with pytest.raises(ConnectionError):
         third.get("ping")
-    assert sum("was refused" in record.message for record in caplog.records) == 1
+    assert sum("connection refused" in record.message for record in caplog.records) == 1
     # The one that is idle longest makes room, unless it waits for an answer
     ready(first)
     first.send("moveByVelocity", 0.0, 0.0, -1.0, 1e6, *FREE, "")

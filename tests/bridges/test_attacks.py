@@ -16,6 +16,7 @@ import msgpack
 import numpy as np
 import pytest
 from bridges.mavlink_client import NAN, Station, common, messages
+from waiting import PATIENCE
 
 import bulletuav
 from bulletuav.bridges.airsim import MOST_REQUEST, AirsimServer
@@ -82,7 +83,7 @@ def ports_of_tcp(world):
 
 def test_servers_of_tcp_are_not_reached_by_other_addresses(world):
     for port in ports_of_tcp(world):
-        socket.create_connection(("127.0.0.1", port), timeout=60).close()
+        socket.create_connection(("127.0.0.1", port), timeout=PATIENCE).close()
         with pytest.raises(OSError):  # noqa: PT011 as its kind depends on the system
             socket.create_connection(("127.0.0.2", port), timeout=1)
 
@@ -174,7 +175,7 @@ def speak(world, monkeypatch):
 
     def speak(data):
         unpacker, answers = msgpack.Unpacker(), []
-        with socket.create_connection(("127.0.0.1", server.port), timeout=60) as one:
+        with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE) as one:
             try:
                 one.sendall(data)
                 one.shutdown(socket.SHUT_WR)
@@ -380,9 +381,9 @@ def test_what_is_no_frame_ends_its_connection(data, in_pieces):
     server = HilServer(bodies, port=0)
     controls = common.MAVLink_hil_actuator_controls_message(10**9, [1.0] * 16, 128, 1)
     data += bytes(controls.pack(common.MAVLink(None, 1, 1)))
-    with socket.create_connection(("127.0.0.1", server.ports[0]), timeout=60) as one:
+    with socket.create_connection(("127.0.0.1", server.ports[0]), timeout=PATIENCE) as one:
         pieces = [data[k : k + 1] for k in range(len(data))] if in_pieces else [data]
-        ended, end = False, time.perf_counter() + 60
+        ended, end = False, time.perf_counter() + PATIENCE
         one.setblocking(False)
         while not ended and time.perf_counter() < end:
             try:

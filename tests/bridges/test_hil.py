@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pytest
 from bridges.mavlink_client import common, random_frame
+from waiting import PATIENCE, until
 
 from bulletuav import load_airframe
 from bulletuav.bridges import hil
@@ -77,7 +78,7 @@ class Connection:
     """An autopilot's end of the wire, as a client of TCP."""
 
     def __init__(self, port):
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=10.0)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
         self.packer, self.rest = common.MAVLink(None, 1, 1), b""
         self.wire = Wire(2)
         self.send("heartbeat", 2, 12, 0, 0, 0, 3)
@@ -264,10 +265,12 @@ def test_one_that_goes_or_is_silent_or_sends_no_mavlink_is_let_go(start, serve, 
         fly(port)
 
     start(many_things)
-    end = time.perf_counter() + 20
-    while server.bodies.airspace.swarm.position[0, 2] < 1.5:
-        assert time.perf_counter() < end
+
+    def is_up():
         server.run(0.1)
+        return server.bodies.airspace.swarm.position[0, 2] >= 1.5
+
+    until(is_up)
 
 
 @pytest.fixture
@@ -275,11 +278,14 @@ def step():
     """Turns a server in this thread, until something has happened."""
 
     def step(server, happens):
-        end = time.perf_counter() + 60
-        while not happens():
-            assert time.perf_counter() < end
+        def turn():
+            if happens():
+                return True
             server._patience = 0.0
             server._turn()
+            return False
+
+        until(turn, every=0.0)
 
     return step
 
@@ -373,10 +379,12 @@ def test_a_second_autopilot_of_a_body_is_told_why_it_is_refused(start, serve):
     start(fly, server.ports[0])
     server.run(0.1)
     start(second)
-    end = time.perf_counter() + 60
-    while not heard:
-        assert time.perf_counter() < end
+
+    def is_heard():
         server.run(0.05)
+        return bool(heard)
+
+    until(is_heard)
     assert [one.get_type() for one in heard] == ["STATUSTEXT"]
     assert heard[0].text == "body 0 is flown by another autopilot"
     before = server.bodies.airspace.time

@@ -1,13 +1,11 @@
 """The policy of servers' connections, by a clock of the test's own."""
 
-import logging
 import math
 
 import numpy as np
 import pytest
 
-from bulletuav.envs import connections as module
-from bulletuav.envs.connections import Connections, FullError, Limits, PeerLog
+from bulletuav.envs.connections import Connections, FullError, Limits
 
 
 class Clock:
@@ -130,23 +128,3 @@ def test_any_order_of_events_keeps_the_limits(clock):
                 kept.touch(key)
         assert len(kept.clients()) <= 5
         assert len(kept) - len(kept.clients()) <= 3
-
-
-def test_each_peer_is_logged_once_and_a_flood_does_not_fill_the_log(clock, caplog, monkeypatch):
-    monkeypatch.setattr(module, "MAX_REPORTED", 100)
-    log = PeerLog(logging.getLogger("bulletuav.test"), clock)
-    assert log.report("127.0.0.1:1", "was refused: full")
-    assert not log.report("127.0.0.1:1", "was refused: full")
-    assert log.report("127.0.0.1:1", "was dropped: silent")
-    assert [record.message for record in caplog.records] == [
-        "127.0.0.1:1 was refused: full",
-        "127.0.0.1:1 was dropped: silent",
-    ]
-    for port in range(2, 1000):
-        log.report(f"127.0.0.1:{port}", "was refused: full")
-    assert len(caplog.records) == module.MAX_REPORTS
-    assert "more such peers are not logged for 60 s" in caplog.records[-1].message
-    assert len(log._reported) == 100
-    clock.now = 61.0
-    log.report("127.0.0.1:2000", "was refused: full")
-    assert len(caplog.records) == module.MAX_REPORTS + 1
