@@ -72,14 +72,15 @@ class Refusals:
 
     def _log(self, client: str, topic: str, kind: str, line: str) -> bool:
         """Log a line of a kind, unless it was logged before; return whether it was logged."""
-        kinds, number = self._kinds.get(client, set()), hash(kind)
+        kinds, number = self._kinds.pop(client, set()), hash(kind)
+        # The client that was heard last is the last one
+        if kinds:
+            self._kinds[client] = kinds
         if number in kinds or len(kinds) > MAX_KINDS or not self._has_room(topic):
             return False
         kinds.add(number)
         if len(kinds) > MAX_KINDS:
             line = f"more than {MAX_KINDS} kinds of refusals: further ones are not logged"
-        # The newest is the last one
-        self.forget(client)
         self._kinds[client] = kinds
         if len(self._kinds) > MAX_CLIENTS:
             del self._kinds[next(iter(self._kinds))]
