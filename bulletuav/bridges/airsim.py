@@ -4,10 +4,15 @@
     server.run()
 
 A request is [0, number, name, arguments], its answer [1, number, error or nil, result].
+
+Neither AirSim's client (airsim 1.8.1) nor Cosys-AirSim's (cosysairsim 3.5.0) sends anything but
+requests. A connection ends therefore with the first message that is none: HTTP, WebSocket and TLS
+begin with bytes that msgpack reads as integers, so that no page in a browser can send a request.
 """
 
 import asyncio
 import contextlib
+import logging
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import TYPE_CHECKING, Any
@@ -16,9 +21,11 @@ from bulletuav.bridges.airsim_calls import CONTINUES, PICTURES, Album, Calls
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_pictures import DrawingError, Pictures
 from bulletuav.bridges.airsim_world import World
-from bulletuav.bridges.refusals import Refusals, address_text
-from bulletuav.bridges.sockets import listening
+from bulletuav.bridges.sockets import LOG_NAME, listening
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
 from bulletuav.envs.pacer import Pacer
+from bulletuav.envs.refusals import Refusals
+from bulletuav.envs.streams import Stream, StreamServer
 from bulletuav.errors import as_int, missing, shown
 
 if TYPE_CHECKING:
@@ -26,11 +33,9 @@ if TYPE_CHECKING:
 
 PORT = 41451
 """Port that clients connect to, unless they are told another"""
-MOST_CLIENTS = 64
+LIMITS = Limits()
 MOST_REQUEST = 2**20
 """Greatest size of a request, bytes"""
-MOST_WAITING = 2**26
-"""Most bytes of answers that a client leaves unread until it is let go"""
 ANSWER_HEAD, NO_ERROR = b"\x94\x01", b"\xc0"
 """Packed, the first two of an answer's four values, and the third where there is no error"""
 LONGEST_TURN = 0.005
@@ -86,6 +91,8 @@ class AirsimServer:
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
+        limits: Limits = LIMITS,
+        clock: Clock = time.monotonic,
     ) -> None:
         """Open the port; clients are answered once it runs.
 
@@ -94,6 +101,8 @@ class AirsimServer:
             host: Address to listen at. Whoever can reach it can fly the vehicles.
             port: Port; 0 for a free one.
             speed: Simulated seconds in one of the clock.
+            limits: Limits of connections.
+            clock: Function that returns the time by which connections are idle, s.
 
         Raises:
             ValueError: The port or the speed cannot be.
@@ -109,16 +118,19 @@ class AirsimServer:
         as_int("port", port, 0, 65535)
         self.world, self.host = world, host
         self._calls, self._turns, self._pictures = Calls(world), Turns(), Pictures(world)
-        self._refusals = Refusals()
         self._left = 0.0
         self.pacer = Pacer(world.airspace.period, speed, _sleep=self._note)
-        # Who is there, and what has to be ended with the server
-        self._clients: set[_Client] = set()
-        self._meetings: set[asyncio.Future[Any]] = set()
+        self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
+        self._streams = StreamServer(self._talk, limits, self._refusals, clock)
         self._stopped = False
         # Last, so that nobody comes too early
         self._socket = listening(host, port)
         self.port: int = self._socket.getsockname()[1]
+
+    @property
+    def connections(self) -> Connections[Stream]:
+        """The connections that there are."""
+        return self._streams.connections
 
     def _note(self, seconds: float) -> None:
         """Note how long the pacer would sleep: others work meanwhile."""
@@ -148,7 +160,7 @@ class AirsimServer:
     async def serve(self, seconds: float | None = None) -> None:
         """Do what `run` does, in an event loop of one's own."""
         self._pictures.warm_up()
-        server = await asyncio.start_server(self._meet, sock=self._socket)
+        await self._streams.start(self._socket)
         try:
             async with asyncio.timeout(seconds):
                 await self._fly()
@@ -156,11 +168,8 @@ class AirsimServer:
             pass
         finally:
             self._stopped = True
-            server.close()
-            for client in self._clients:
-                client.close()
             self._pictures.close()
-            await asyncio.gather(*self._meetings, return_exceptions=True)
+            await self._streams.stop()
 
     async def _fly(self) -> None:
         """Fly in real time, unless time stands still."""
@@ -172,23 +181,9 @@ class AirsimServer:
             self.pacer.wait()
             await asyncio.sleep(self._left)
 
-    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _talk(self, stream: Stream) -> None:
         """Answer a client until it goes."""
-        client = _Client(self, writer)
-        if len(self._clients) >= MOST_CLIENTS:
-            client.close()
-            return
-        meeting = asyncio.current_task()
-        assert meeting is not None  # as this is a coroutine
-        self._clients.add(client)
-        self._meetings.add(meeting)
-        try:
-            await client.listen(reader)
-        finally:
-            self._clients.discard(client)
-            self._meetings.discard(meeting)
-            self._refusals.forget(client.address)
-            client.close()
+        await _Client(self, stream).listen()
 
     async def advance(self, steps: int) -> None:
         """Fly a number of steps at once, or until the server stops; others have their turns."""
@@ -205,47 +200,56 @@ class AirsimServer:
 
 
 class _Client:
-    """One client's connection.
+    """One client's connection."""
 
-    Attributes:
-        address: Host and port.
-    """
-
-    def __init__(self, server: AirsimServer, writer: asyncio.StreamWriter) -> None:
-        self._server, self._writer = server, writer
+    def __init__(self, server: AirsimServer, stream: Stream) -> None:
+        self._server, self._stream = server, stream
         self._calls, self._msgpack = server._calls, server._msgpack
         # Answers of motions that end while another answer is sent in parts
         self._held: list[bytes] | None = None
-        # A client that has gone already has no address
-        peer = writer.get_extra_info("peername") or ("unknown", 0)
-        self.address = address_text(*peer[:2])
 
-    def close(self) -> None:
-        """End the connection; an answer that is being sent in parts is cut off."""
-        if self._held is None:
-            self._writer.close()
-        else:
-            self._writer.transport.abort()
-
-    async def listen(self, reader: asyncio.StreamReader) -> None:
-        """Answer requests until the client goes, or sends what is no msgpack."""
+    async def listen(self) -> None:
+        """Answer requests until the client goes, or sends what is no request."""
         unpacker: msgpack.Unpacker = self._msgpack.Unpacker(
-            max_buffer_size=MOST_REQUEST, strict_map_key=False, unicode_errors="replace"
+            max_buffer_size=MOST_REQUEST,
+            strict_map_key=False,
+            unicode_errors="replace",
+            ext_hook=_refuse_type,
         )
         goes_on = True
-        with contextlib.suppress(ConnectionError):
-            while goes_on and (data := await reader.read(65536)):
-                messages, goes_on = self._messages(unpacker, data)
-                await self._server._turns.take(self._answers(messages))
-                if self._writer.is_closing():
-                    return
+        while goes_on and (data := await self._stream.reader.read(65536)):
+            messages, goes_on = self._messages(unpacker, data)
+            await self._server._turns.take(self._answers(messages))
+            if not self._stream.is_open:
+                return
+        if not goes_on:
+            self._stream.drop("dropped: it sent bytes that are no msgpack, or too many")
 
     def _answers(self, messages: list[Any]) -> Iterator[Awaitable[None] | None]:
         """Answer messages in order, until the client goes; yields what takes longer than a turn."""
         for message in messages:
-            if self._writer.is_closing():
+            if not self._stream.is_open:
+                return
+            if not _is_request(message):
+                self._stream.drop("dropped: it sent a message that is no request")
+                return
+            if not self._admit(message[1]):
                 return
             yield self._take(message)
+
+    def _admit(self, number: int) -> bool:
+        """Record a request; if there is no place for one more client, end the connection.
+
+        Returns:
+            Whether there is a place.
+        """
+        try:
+            self._stream.request()
+        except FullError as error:
+            self._answer(number, f"this server is full: {error}; try again later", None)
+            self._stream.close()
+            return False
+        return True
 
     def _messages(self, unpacker: "msgpack.Unpacker", data: bytes) -> tuple[list[Any], bool]:
         """Read all messages that are whole; tell also whether what follows can be read."""
@@ -259,20 +263,17 @@ class _Client:
         return messages, True
 
     def _take(self, message: Any) -> Awaitable[None] | None:
-        """Answer a message; one that is no request is a probe, and not answered.
+        """Answer a request.
 
         Returns:
             What will answer it later, before the client's next message is taken; None if it is
             answered, or will be by the end of a motion.
         """
-        if not isinstance(message, list) or len(message) != 4 or message[0] != 0:
-            return None
         _, number, name, arguments = message
-        if not isinstance(number, int) or not isinstance(arguments, list):
-            return None
         try:
             if isinstance(name, str) and name in MOTIONS:
-                self._calls.move(name, arguments, lambda done: self._answer(number, None, done))
+                self._calls.move(name, arguments, lambda done: self._end_motion(number, done))
+                self._server.connections.wait(self._stream)
                 return None
             if name in CONTINUES:
                 return self._continue(number, self._calls.steps(name, arguments))
@@ -282,7 +283,7 @@ class _Client:
         # What clients send wrong is told to them; a flight that diverged ends the server.
         except ValueError as error:
             call = name if isinstance(name, str) else shown(name)
-            self._server._refusals.log(self.address, call, str(error))
+            self._server._refusals.log(self._stream.peer, call, str(error))
             self._answer(number, str(error), None)
             return None
         self._answer(number, None, result)
@@ -290,41 +291,78 @@ class _Client:
 
     async def _continue(self, number: int, steps: int) -> None:
         """Answer a call when its steps are flown."""
-        await self._server.advance(steps)
-        self._answer(number, None, None)
+        with self._busy():
+            await self._server.advance(steps)
+            self._answer(number, None, None)
 
     async def _draw(self, number: int, album: Album) -> None:
         """Answer a call when its pictures are drawn."""
-        try:
-            parts = await self._server._pictures.take(album)
-        except DrawingError as error:
-            self._answer(number, str(error), None)
-            return
-        head = ANSWER_HEAD + self._msgpack.packb(number) + NO_ERROR
-        # Pictures of a call are up to 11 MB: copying them at once would keep others waiting
+        with self._busy():
+            try:
+                parts = await self._server._pictures.take(album, lambda: self._stream.is_open)
+            except DrawingError as error:
+                self._answer(number, str(error), None)
+                return
+            head = ANSWER_HEAD + self._msgpack.packb(number) + NO_ERROR
+            await self._send_parts([head, *parts])
+
+    async def _send_parts(self, parts: list[bytes]) -> None:
+        """Send an answer in parts, as fast as the client reads; answers of motions come after it.
+
+        Pictures of a call are up to 11 MB: copying them at once would keep others waiting, and
+        queuing them at once would be too much for a client that reads slowly.
+        """
         self._held = []
-        for part in (head, *parts):
-            self._send(part)
-            await asyncio.sleep(0)
-            await self._writer.drain()
-        held, self._held = self._held, None
+        try:
+            for part in parts:
+                self._stream.send(part)
+                await asyncio.sleep(0)
+                await self._stream.drain()
+        finally:
+            held, self._held = self._held, None
         for data in held:
-            self._send(data)
+            self._stream.send(data)
+
+    @contextlib.contextmanager
+    def _busy(self) -> Iterator[None]:
+        """Record that the client waits, until the end of the block: meanwhile it is not idle."""
+        connections = self._server.connections
+        connections.wait(self._stream)
+        try:
+            yield
+        finally:
+            connections.wait(self._stream, -1)
+
+    def _end_motion(self, number: int, done: bool) -> None:
+        """Answer a motion that has ended."""
+        self._server.connections.wait(self._stream, -1)
+        self._answer(number, None, done)
 
     def _answer(self, number: int, error: str | None, result: Any) -> None:
         """Send an answer, after one that is being sent in parts."""
         data = self._msgpack.packb([1, number, error, result])
         if self._held is None:
-            self._send(data)
+            self._stream.send(data)
         else:
             self._held.append(data)
 
-    def _send(self, data: bytes) -> None:
-        """Send bytes; a client that reads nothing is let go."""
-        transport = self._writer.transport
-        if transport.is_closing():
-            return
-        if transport.get_write_buffer_size() > MOST_WAITING:
-            transport.abort()
-            return
-        self._writer.write(data)
+
+def _is_request(message: Any) -> bool:
+    """Return True if a message is a request of msgpack-rpc."""
+    return (
+        isinstance(message, list)
+        and len(message) == 4
+        and type(message[0]) is int
+        and message[0] == 0
+        and type(message[1]) is int
+        and isinstance(message[3], list)
+    )
+
+
+def _refuse_type(code: int, data: bytes) -> None:
+    """Refuse a value of a type that msgpack does not define.
+
+    Raises:
+        ValueError: Always.
+    """
+    raise ValueError(f"a value of type {code}, which no call needs")

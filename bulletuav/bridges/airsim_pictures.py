@@ -3,15 +3,17 @@
 import asyncio
 import logging
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 from bulletuav.bridges.airsim_calls import Album
 from bulletuav.bridges.airsim_drawing import DrawingProcess
 from bulletuav.bridges.airsim_images import Exposure, Request, expose
 from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.sockets import LOG_NAME
 from bulletuav.engine.scene_copy import ScenePoses
 
-LOG = logging.getLogger("bulletuav.airsim")
+LOG = logging.getLogger(LOG_NAME)
 MAX_RESTARTS = 1
 """How often in a row the process that draws is started again without having drawn anything"""
 AGAIN = "the process that draws pictures ended ({}); the next request starts it again"
@@ -50,14 +52,17 @@ class Pictures:
         """Load the compiled code that finds cameras, for which the flight would wait later."""
         expose(self._world, 0, [Request({"camera_name": "0", "image_type": 0})])
 
-    async def take(self, album: Album) -> list[bytes]:
+    async def take(self, album: Album, is_wanted: Callable[[], bool] = lambda: True) -> list[bytes]:
         """Take the pictures of a call.
 
         Args:
             album: What `Calls.album` returned.
+            is_wanted: Function that returns whether the client is still there. Once it is not, no
+                more of its pictures are drawn.
 
         Returns:
-            The result of the call, packed by msgpack, in parts: joining them would take long.
+            The result of the call, packed by msgpack, in parts: joining them would take long. It
+            is empty if the client has gone.
 
         Raises:
             DrawingError: The process that draws ended, or the server is closing.
@@ -70,6 +75,8 @@ class Pictures:
         exposures: list[Exposure] = []
         while len(parts) < len(album.requests):
             async with self._turn:
+                if not is_wanted():
+                    return []
                 self._require_open()
                 if self._process is None:
                     await run(self._thread, self._start)

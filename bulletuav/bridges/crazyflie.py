@@ -6,20 +6,24 @@
 Clients open `udp://127.0.0.1:19850` and the ports after it, one for each drone.
 """
 
+import logging
 import time
 from dataclasses import dataclass
 
 from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import MOST_DATA, NULL, MalformedError, Packet, Port
-from bulletuav.bridges.refusals import Refusals, address_text
-from bulletuav.bridges.sockets import Address, DatagramServer
+from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
+from bulletuav.envs.connections import Clock, Limits
+from bulletuav.envs.refusals import Refusals
+from bulletuav.envs.viewer import join_address
 
 PORT = 19850
 """Port of the first drone; cflib looks for drones at this one and the nine after it"""
-SILENT = 0.5
-"""How long a client says nothing until another may have its drone, s; cflib pings at 10 Hz"""
-GONE = 10.0
-"""How long a client says nothing until it is sent no more logs, s"""
+LIMITS = Limits(max_clients=1, grace=0.5, max_idle=10.0)
+"""Limits of a drone's client. Another one may have the drone after `grace` seconds of silence, as
+cflib pings at 10 Hz. After `max_idle` seconds it is sent no more logs."""
+SERVICES = frozenset(Port) - {Port.CONSOLE}
+"""Ports that clients send to"""
 MOST_READ = 16
 """Most packets that are taken from a drone's socket in one go: others wait, or are dropped"""
 
@@ -55,6 +59,8 @@ class CrazyflieServer(DatagramServer):
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
+        limits: Limits = LIMITS,
+        clock: Clock = time.monotonic,
     ) -> None:
         """Open the ports; clients are answered once it runs.
 
@@ -63,6 +69,8 @@ class CrazyflieServer(DatagramServer):
             host: Address to listen at. Whoever can reach it can fly the drones.
             port: Of the first drone; 0 for free ones.
             speed: Simulated seconds in one of the clock.
+            limits: Limits of each drone's client.
+            clock: Function that returns the time by which clients are silent, s.
 
         Raises:
             ValueError: The port or the speed cannot be.
@@ -71,7 +79,8 @@ class CrazyflieServer(DatagramServer):
         super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
         self.refused = 0
-        self._refusals = Refusals()
+        self._limits, self._clock = limits, clock
+        self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
         self._peers: list[Peer | None] = [None] * len(fleet)
         self._waiting: dict[int, tuple[Address, Packet]] = {}
         self.uris = [f"udp://{host}:{one}" for one in self.ports]
@@ -109,16 +118,19 @@ class CrazyflieServer(DatagramServer):
         except MalformedError:
             self.fleet.vehicles[i].malformed += 1
             return
+        # Such as those of WebRTC, which a page in a browser can send here
+        if packet.port not in SERVICES:
+            self.fleet.vehicles[i].malformed += 1
+            return
         peer = self._peers[i]
         if peer is not None and peer.address != address and not self._gone(peer):
             self._refuse(i, packet, address, peer)
             return
         self._connect(i, address, packet)
 
-    @staticmethod
-    def _gone(peer: Peer) -> bool:
-        """Tell whether a client has gone, as far as can be known."""
-        return peer.left or time.perf_counter() - peer.heard > SILENT
+    def _gone(self, peer: Peer) -> bool:
+        """Return True if a client has gone, as far as can be known."""
+        return peer.left or self._clock() - peer.heard > self._limits.grace
 
     def _refuse(
         self,
@@ -129,14 +141,13 @@ class CrazyflieServer(DatagramServer):
     ) -> None:
         """Let a second client of a drone wait; its request to connect is kept."""
         self.refused += 1
+        text = f"drone {i} is flown by port {peer.address[1]}"
+        event = f"refused: {text}; close that link first"
+        self._refusals.log_connection(join_address(*address), event)
         if packet.port == Port.LINK and packet.channel == 1:
             self._waiting[i] = (address, packet)
-            text = f"drone {i} is flown by port {peer.address[1]}"
             line = f"{text}\n".encode()[:MOST_DATA]
             self._send_to(i, Packet(Port.CONSOLE, 0, line).frame(), address)
-            # Addresses can be made up: those of a drone share one entry of the log
-            reason = f"{text}; close that link first"
-            self._refusals.log(f"beyond the one of drone {i}", "connection", reason)
 
     def _connect(
         self,
@@ -149,13 +160,13 @@ class CrazyflieServer(DatagramServer):
         if peer is None or peer.address != address:
             self.fleet.vehicles[i].leave()
         is_end = packet.port == Port.ATTITUDE_SETPOINT and not any(packet.data)
-        self._peers[i] = Peer(address, time.perf_counter(), is_end)
+        self._peers[i] = Peer(address, self._clock(), is_end)
         for answer in self.fleet.take(i, packet):
             self._send(i, answer)
         if reason := self.fleet.vehicles[i].refusal:
             port = Port(packet.port).name if packet.port in tuple(Port) else packet.port
             call = f"packet to {port}, channel {packet.channel}, of drone {i}"
-            self._refusals.log(address_text(*address), call, reason)
+            self._refusals.log(join_address(*address), call, reason)
 
     def _serve_waiting(self) -> None:
         """Connect clients that waited, where the one before has gone."""
@@ -170,7 +181,7 @@ class CrazyflieServer(DatagramServer):
         peer = self._peers[i]
         if peer is None:
             return
-        if time.perf_counter() - peer.heard > GONE:
+        if self._clock() - peer.heard > self._limits.max_idle:
             self._peers[i] = None
             self.fleet.vehicles[i].leave()
             return

@@ -8,6 +8,7 @@ measure, and answer with what motors are to do. Time goes on when all have answe
 """
 
 import contextlib
+import logging
 import math
 import selectors
 import socket
@@ -16,9 +17,12 @@ from collections.abc import Callable
 from typing import Any
 
 from bulletuav.bridges.hil_bodies import STEP_HZ, HilBodies
-from bulletuav.bridges.mavlink_wire import Command, Message, Told, Wire, whole_frames
-from bulletuav.bridges.sockets import listening
+from bulletuav.bridges.mavlink_wire import Command, Message, Told, Wire, text, whole_frames
+from bulletuav.bridges.sockets import LOG_NAME, listening
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
 from bulletuav.envs.pacer import Pacer
+from bulletuav.envs.refusals import Refusals
+from bulletuav.envs.viewer import join_address
 from bulletuav.errors import as_int, finite
 
 PORT = 4560
@@ -29,6 +33,10 @@ MOST_WAITING = 65536
 """Most bytes of a frame that is not whole, and of what an autopilot leaves unread"""
 SILENT = 10.0
 """How long an autopilot may take to answer, s; then it is let go"""
+START = 30.0
+"""The same for its first answer, for which it has to start"""
+LIMITS = Limits(max_clients=1, max_pending=4)
+"""Limits of the connections of one body"""
 LONGEST_WAIT = 0.1
 """Time after which `run` looks again who has connected, s"""
 SIMULATOR = 1
@@ -43,11 +51,15 @@ class Link:
         answers: Whether it has answered newest measurements: from then on it is waited for.
         waits: Whether an answer is awaited.
         asked: When it was sent something that it has not answered yet, by the clock, s.
+        begun: When it was sent the first measurement, by the server's clock, s; None before.
+        peer: Its address.
         wants_truth: Whether it has asked for HIL_STATE_QUATERNION.
     """
 
-    def __init__(self, one: socket.socket) -> None:
-        """Take a connection over."""
+    def __init__(self, one: socket.socket, peer: str) -> None:
+        """Take over a connection from an address."""
+        self.peer = peer
+        self.begun: float | None = None
         self.socket, self.wire, self._rest = one, Wire(SIMULATOR), b""
         self.answers = self.waits = self.wants_truth = False
         self.asked = time.perf_counter()
@@ -96,6 +108,8 @@ class HilServer:
         port: int = PORT,
         speed: float = 1.0,
         patience: float = 1 / STEP_HZ,
+        limits: Limits = LIMITS,
+        clock: Clock = time.monotonic,
     ) -> None:
         """Open the ports; autopilots are answered once it runs.
 
@@ -106,6 +120,8 @@ class HilServer:
             speed: Simulated seconds in one of the clock, at most.
             patience: How long an autopilot that starts may take to answer a measurement, until it
                 is sent the next one, s. Flights repeat to the last bit if it always answers in it.
+            limits: Limits of the connections of each body.
+            clock: Function that returns the time by which connections are idle, s.
 
         Raises:
             ValueError: The port or the speed cannot be.
@@ -119,6 +135,10 @@ class HilServer:
         self.pacer = Pacer(bodies.airspace.period, speed, _sleep=self._listen_for)
         self._selector = selectors.DefaultSelector()
         self._links: list[Link | None] = [None] * len(bodies)
+        self._clock, self._log = clock, Refusals(logging.getLogger(LOG_NAME), clock)
+        self._connections: list[Connections[Link]] = [
+            Connections(limits, clock) for _ in range(len(bodies))
+        ]
         self._listening: list[socket.socket] = []
         self._flies = False
         # A port for each body; if one is taken, those before are closed again
@@ -126,7 +146,7 @@ class HilServer:
             for i in range(len(bodies)):
                 self._listening.append(listening(host, port + i if port else 0))
                 self._listening[i].setblocking(False)
-                self._selector.register(self._listening[i], selectors.EVENT_READ, i)
+                self._selector.register(self._listening[i], selectors.EVENT_READ, (i, None))
         except OSError:
             self.close()
             raise
@@ -149,6 +169,7 @@ class HilServer:
 
     def _turn(self) -> None:
         """Measure, wait for the answers, and fly a step once all autopilots have answered."""
+        self._drop_overdue()
         # Before the first step all autopilots have to be there
         if not self._flies and None in self._links:
             self._listen(LONGEST_WAIT)
@@ -159,14 +180,15 @@ class HilServer:
             if link is not None:
                 told = measured[i] + ([self.bodies.truth(i)] if link.wants_truth else [])
                 link.waits, link.asked = True, time.perf_counter()
-                self._guarded(i, link.send, told)
+                link.begun = self._clock() if link.begun is None else link.begun
+                self._guarded(i, link, link.send, told)
         # Time stands still until all have answered, or waited too long
         while (left := self._left()) > 0:
             self._listen(left)
         # Who is too slow is dropped, and the others fly on
         for i, link in enumerate(self._links):
             if link is not None and link.answers and link.waits:
-                self._drop(i)
+                self._drop(i, link, f"dropped: it did not answer for {SILENT:g} s")
         # The first step waits for answers of all; later ones do without those dropped
         self._flies = self._flies or all(link and link.answers for link in self._links)
         if self._flies:
@@ -193,25 +215,56 @@ class HilServer:
     def _listen(self, seconds: float) -> None:
         """Take what comes, and wait for it at most a time, s."""
         for key, _ in self._selector.select(seconds):
-            i, link = key.data, self._links[key.data]
-            if key.fileobj is self._listening[i]:
+            i, link = key.data
+            if link is None:
                 self._meet(i)
-            elif link is not None:
-                self._guarded(i, self._take, i, link)
+            elif link in self._connections[i]:
+                self._guarded(i, link, self._hear, i, link)
 
     def _meet(self, i: int) -> None:
-        """Take an autopilot in; a second one of a body is turned away."""
+        """Accept a connection; it is an autopilot's once it has sent a message."""
         with contextlib.suppress(OSError):
-            one, _ = self._listening[i].accept()
-            if self._links[i] is not None:
-                one.close()
-                return
-            self._links[i] = Link(one)
-            self._selector.register(one, selectors.EVENT_READ, i)
+            one, address = self._listening[i].accept()
+            link = Link(one, join_address(*address[:2]))
+            self._selector.register(one, selectors.EVENT_READ, (i, link))
+            evicted = self._connections[i].add(link)
+            if evicted is not None:
+                self._drop(i, evicted, "evicted: it sent nothing, and others needed room")
 
-    def _take(self, i: int, link: Link) -> None:
+    def _hear(self, i: int, link: Link) -> None:
+        """Read the messages of a connection, and take them if it is an autopilot's."""
+        messages = link.read()
+        if messages and self._admit(i, link):
+            self._take(i, link, messages)
+
+    def _admit(self, i: int, link: Link) -> bool:
+        """Record messages of a connection; return False if another autopilot has the body."""
+        try:
+            evicted = self._connections[i].request(link)
+        except FullError:
+            with contextlib.suppress(OSError):
+                link.send([text(f"body {i} is flown by another autopilot")])
+            self._drop(i, link, f"refused: body {i} is flown by another autopilot")
+            return False
+        if evicted is not None:
+            self._drop(i, evicted, "evicted: it was idle, and another one has come")
+        self._links[i] = link
+        return True
+
+    def _drop_overdue(self) -> None:
+        """Drop connections that send nothing, and autopilots that never answer."""
+        for i, connections in enumerate(self._connections):
+            for link in connections.overdue():
+                self._drop(i, link, "dropped: it sent no message in time")
+        for i, one in enumerate(self._links):
+            if one is None or one.answers or one.begun is None:
+                continue
+            if self._clock() - one.begun > START:
+                self._drop(i, one, f"dropped: it has not answered any measurement in {START:g} s")
+
+    def _take(self, i: int, link: Link, messages: list[Message]) -> None:
         """Take the messages of an autopilot."""
-        for message in link.read():
+        for message in messages:
             kind = message.get_type()
             if kind == "HIL_ACTUATOR_CONTROLS":
                 # An autopilot that starts may answer late; lockstep begins with what is new.
@@ -224,28 +277,36 @@ class HilServer:
     def _guarded(
         self,
         i: int,
+        link: Link,
         does: Callable[..., None],
         *arguments: Any,
     ) -> None:
-        """Do something with a connection; an autopilot that has gone is forgotten."""
+        """Do something with a connection; one that fails is dropped."""
         try:
             does(*arguments)
-        except OSError:
-            self._drop(i)
+        except OSError as error:
+            self._drop(i, link, f"dropped: {error}")
 
-    def _drop(self, i: int) -> None:
-        """Forget an autopilot; its motors stop, and others fly on."""
-        link = self._links[i]
-        if link is not None:
-            self._selector.unregister(link.socket)
-            link.socket.close()
+    def _drop(self, i: int, link: Link, event: str) -> None:
+        """Close a connection; if it is the autopilot's, its motors stop, and others fly on."""
+        self._log.log_connection(link.peer, event)
+        self._forget(i, link)
+
+    def _forget(self, i: int, link: Link) -> None:
+        """Close a connection without a word."""
+        self._connections[i].remove(link)
+        self._log.forget(link.peer)
+        self._selector.unregister(link.socket)
+        link.socket.close()
+        if self._links[i] is link:
             self._links[i] = None
             self.bodies.stop(i)
 
     def close(self) -> None:
         """Close the ports and connections; the bodies stay."""
-        for i in range(len(self._links)):
-            self._drop(i)
+        for i, connections in enumerate(self._connections):
+            for link in connections.all():
+                self._forget(i, link)
         for one in self._listening:
             one.close()
         self._selector.close()

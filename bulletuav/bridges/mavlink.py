@@ -7,23 +7,27 @@ Vehicle k is system k + 1. It sends to port 14540 + k, as PX4 does, and to whoev
 its own port, 18570 + k.
 """
 
+import logging
 import time
+from collections import deque
 
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.bridges.mavlink_services import describe, packed, refusal_of
-from bulletuav.bridges.mavlink_wire import Sender, Told, Wire
-from bulletuav.bridges.refusals import Refusals, address_text
-from bulletuav.bridges.sockets import Address, DatagramServer
+from bulletuav.bridges.mavlink_wire import Message, Sender, Told, Wire, text
+from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
+from bulletuav.envs.refusals import Refusals
+from bulletuav.envs.viewer import join_address
 from bulletuav.errors import as_int
 
 PORT = 18570
 """Port of the first vehicle"""
 CLIENT_PORT = 14540
 """Port to which the first vehicle sends without being asked: MAVSDK listens there"""
-GONE = 10.0
-"""How long a client says nothing until it is sent nothing more, s"""
-MOST_CLIENTS = 8
-"""Most clients of a vehicle at once"""
+LIMITS = Limits(
+    max_clients=8, max_pending=8, handshake=10.0, max_idle=10.0, grace=5.0, pending_grace=3.0
+)
+"""Limits of the peers of a vehicle, which are pending while they send nothing but heartbeats"""
 MOST_DATAGRAM = 1400
 """Most bytes of a datagram; longer ones are cut"""
 MOST_READ = 32
@@ -38,7 +42,8 @@ class MavlinkServer(DatagramServer):
         pacer: Keeps the time; tells how many steps were late.
         ports: Of each vehicle.
         malformed: How many datagrams held what is no frame of MAVLink.
-        refused: How many came from clients for whom there was no room.
+        refused: How many came from peers for which there was no room.
+        connections: Peers of each vehicle.
         received, sent: How many messages.
     """
 
@@ -49,6 +54,8 @@ class MavlinkServer(DatagramServer):
         port: int = PORT,
         speed: float = 1.0,
         client_port: int | None = CLIENT_PORT,
+        limits: Limits = LIMITS,
+        clock: Clock = time.monotonic,
     ) -> None:
         """Open the ports; clients are answered once it runs.
 
@@ -59,6 +66,8 @@ class MavlinkServer(DatagramServer):
             speed: Simulated seconds in one of the clock.
             client_port: Port at the same address to which the first vehicle sends without being
                 asked, the others to those after it; None for nowhere.
+            limits: Limits of the peers of each vehicle.
+            clock: Function that returns the time by which peers are idle, s.
 
         Raises:
             ValueError: A port or the speed cannot be.
@@ -71,9 +80,12 @@ class MavlinkServer(DatagramServer):
         super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
         self.refused = self.received = self.sent = 0
-        self._refusals = Refusals()
-        # When each client was heard last
-        self._clients: list[dict[Address, float]] = [{} for _ in self.ports]
+        self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
+        self.connections: list[Connections[Address]] = [
+            Connections(limits, clock) for _ in self.ports
+        ]
+        # Messages of a datagram that had more than are taken in one go
+        self._waiting: list[deque[tuple[Message, Address]]] = [deque() for _ in self.ports]
         self._always: list[tuple[Address, ...]] = [
             () if client_port is None else ((host, client_port + k),) for k in range(len(fleet))
         ]
@@ -85,16 +97,19 @@ class MavlinkServer(DatagramServer):
 
     def _step(self) -> None:
         """Fly for 10 ms, and send what vehicles tell."""
+        for i, waiting in enumerate(self._waiting):
+            if waiting:
+                self._read(i)
         for i, told in enumerate(self.fleet.step()):
             if told:
                 self._send_all(i, told)
 
     def _send_all(self, i: int, told: list[Told]) -> None:
-        """Send messages of a vehicle to all its clients; those that have gone are forgotten."""
-        now, clients = time.perf_counter(), self._clients[i]
-        for address in [one for one, heard in clients.items() if now - heard > GONE]:
-            del clients[address]
-        wanted = dict.fromkeys((*self._always[i], *clients))
+        """Send messages of a vehicle to all its peers; those that have gone are forgotten."""
+        connections = self.connections[i]
+        for address in connections.overdue():
+            connections.remove(address)
+        wanted = dict.fromkeys((*self._always[i], *connections.all()))
         if not wanted:
             return
         self.sent += len(told)
@@ -105,46 +120,60 @@ class MavlinkServer(DatagramServer):
 
     def _read(self, i: int) -> None:
         """Take the messages that have come for a vehicle, as many as may be in one go."""
-        left = MOST_READ
-        while left > 0:
-            try:
-                datagram, address = self._sockets[i].recvfrom(MOST_DATAGRAM)
-            # Nothing is left; or, on Windows, a client that was sent something has gone.
-            except OSError:
+        waiting = self._waiting[i]
+        for _ in range(MOST_READ):
+            if not waiting and not self._receive(i):
                 return
-            left -= max(self._take(i, datagram, address[:2]), 1)
+            if waiting:
+                self._take(i, *waiting.popleft())
 
-    def _take(
-        self,
-        i: int,
-        datagram: bytes,
-        address: Address,
-    ) -> int:
-        """Take a datagram; tell how many messages it had."""
-        messages = self._wires[i].read(datagram)
-        if not messages or not self._knows(i, address):
-            return 1
-        for message in messages:
-            sender = Sender(message.get_srcSystem(), message.get_srcComponent(), address)
-            told = self.fleet.take(i, message, sender)
-            if reason := refusal_of(told):
-                call = f"{describe(message)} to vehicle {i + 1}"
-                self._refusals.log(address_text(*address), call, reason)
-            frames = [self._wires[i].pack(one) for one in told]
-            for answer in packed(frames, MOST_DATAGRAM):
-                self._send_to(i, answer, address)
-            self.sent += len(told)
-        self.received += len(messages)
-        return len(messages)
-
-    def _knows(self, i: int, address: Address) -> bool:
-        """Take a client in, or note that it is still there; tell whether there is room for it."""
-        clients = self._clients[i]
-        if address not in clients and len(clients) >= MOST_CLIENTS:
-            self.refused += 1
-            # Addresses can be made up: those of a vehicle share one entry of the log
-            reason = f"there are {MOST_CLIENTS} clients already; close one first"
-            self._refusals.log(f"beyond the limit of vehicle {i + 1}", "connection", reason)
+    def _receive(self, i: int) -> bool:
+        """Receive a datagram, whose messages wait; return False if there is none."""
+        try:
+            datagram, address = self._sockets[i].recvfrom(MOST_DATAGRAM)
+        # Nothing is left; or, on Windows, a client that was sent something has gone.
+        except OSError:
             return False
-        clients[address] = time.perf_counter()
+        messages = self._wires[i].read(datagram)
+        self._waiting[i].extend((message, address[:2]) for message in messages)
+        return True
+
+    def _take(self, i: int, message: Message, address: Address) -> None:
+        """Take a message, and send the answers."""
+        if not self._admit(i, message, address):
+            return
+        sender = Sender(message.get_srcSystem(), message.get_srcComponent(), address)
+        told = self.fleet.take(i, message, sender)
+        if reason := refusal_of(told):
+            call = f"{describe(message)} to vehicle {i + 1}"
+            self._refusals.log(join_address(*address), call, reason)
+        self._send_frames(i, told, address)
+        self.received += 1
+
+    def _send_frames(self, i: int, told: list[Told], address: Address) -> None:
+        """Send messages of a vehicle to one address."""
+        frames = [self._wires[i].pack(one) for one in told]
+        for datagram in packed(frames, MOST_DATAGRAM):
+            self._send_to(i, datagram, address)
+        self.sent += len(told)
+
+    def _admit(self, i: int, message: Message, address: Address) -> bool:
+        """Record that a peer was heard; return False if there is no room for it.
+
+        Heartbeats alone take no client's place: they come from any number of ports in a flood.
+        """
+        connections = self.connections[i]
+        try:
+            if message.get_type() != "HEARTBEAT":
+                connections.request(address)
+            elif address in connections:
+                connections.touch(address)
+            else:
+                connections.add(address)
+        except FullError as error:
+            self.refused += 1
+            event = f"refused by vehicle {i + 1}: {error}; close one first"
+            if self._refusals.log_connection(join_address(*address), event):
+                self._send_frames(i, [text("refused: too many clients, try later")], address)
+            return False
         return True

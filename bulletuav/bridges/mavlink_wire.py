@@ -142,14 +142,19 @@ class Wire:
         return frame
 
     def read(self, datagram: bytes) -> list[Message]:
-        """Read the messages of a datagram; what follows something broken is dropped."""
+        """Read the messages of a datagram; what follows something broken is dropped.
+
+        Messages of other dialects are left out: their checksums cannot be checked.
+        """
         found = []
         for frame in _frames(datagram):
             try:
-                found.append(self._packer.decode(bytearray(frame)))
+                message = self._packer.decode(bytearray(frame))
             except self._dialect.MAVError:
                 self.malformed += 1
                 break
+            if not isinstance(message, self._dialect.MAVLink_unknown):
+                found.append(message)
         return found
 
 

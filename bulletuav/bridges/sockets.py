@@ -11,6 +11,8 @@ from bulletuav.envs.pacer import Pacer
 from bulletuav.errors import as_int
 
 Address = tuple[str, int]
+LOG_NAME = "bulletuav.bridges"
+"""Name of the logger of what servers refuse: calls, and connections"""
 
 
 def cannot_listen(

@@ -1,29 +1,39 @@
 """Server of a live page: the page itself, and what happens as server-sent events.
 
-The feed goes one way, from the flight to browsers. Server-sent events do that with Python's own
-HTTP server and browsers' own `EventSource`, which also connects again after an interruption.
+The feed goes one way, from the flight to browsers. Server-sent events do that without a library
+beyond Python's own, and browsers' `EventSource` connects again after an interruption.
+
+One thread serves all browsers, so that many viewers cost a flight little, and none can block it.
 """
 
+import asyncio
+import contextlib
+import http.client
+import io
 import logging
-import queue
 import socket
 import threading
+import time
 from collections.abc import Callable
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from email.message import Message
+from http import HTTPStatus
 from ipaddress import ip_address
-from typing import Any
 
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
+from bulletuav.envs.refusals import Refusals
+from bulletuav.envs.streams import Stream, StreamServer
 from bulletuav.envs.viewer import join_address
 
-MOST_VIEWERS = 64
-MOST_WAITING = 64
-"""Events that a viewer leaves unread until it is let go; its page connects anew"""
+LIMITS = Limits(
+    max_clients=64, max_pending=32, grace=10.0, max_unread=2**23, max_stall=10.0, linger=1.0
+)
+"""Limits of connections: clients are pages that watch. After `linger` the last event is lost."""
+MAX_REQUEST = 2**14
+"""Longest request, bytes"""
+SEND_BUFFER = 2**16
+"""Bytes for a viewer that the system keeps, so that unread ones are noticed soon"""
 SILENCE = 5.0
 """s without an event after which a viewer is written to, to find out whether it is still there"""
-PATIENCE = 10.0
-"""s that a viewer may take for one event"""
-FAREWELL = 1.0
-"""s that viewers have to read the last event"""
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 LOG = logging.getLogger("bulletuav.live")
 
@@ -33,25 +43,33 @@ def event(name: str, data: str = "") -> str:
     return f"event: {name}\ndata: {data}\n\n"
 
 
-class _Viewer:
-    """Somebody who watches.
+class RequestError(ValueError):
+    """A request that is answered by an error.
 
     Attributes:
-        events: Texts to send; None ends the stream.
-        has_begun: Whether it was told what there is.
-        is_let_go: Whether it has left too much unread.
-        gone: Set when its thread has ended.
+        status: HTTP status of the answer.
     """
 
-    def __init__(self) -> None:
-        self.events: queue.Queue[str | None] = queue.Queue(MOST_WAITING)
+    def __init__(self, status: HTTPStatus, text: str) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class _Viewer:
+    """A page that watches.
+
+    Attributes:
+        stream: Its connection.
+        has_begun: Whether it was sent the whole flight so far.
+    """
+
+    def __init__(self, stream: Stream) -> None:
+        self.stream = stream
         self.has_begun = False
-        self.is_let_go = False
-        self.gone = threading.Event()
 
 
 class Feed:
-    """Serves a page and a stream of events, in threads of its own.
+    """Serves a page and a stream of events, in a thread of its own.
 
     Attributes:
         address: host:port that browsers open.
@@ -62,6 +80,8 @@ class Feed:
         host: str,
         port: int,
         make_page: Callable[[], str],
+        limits: Limits = LIMITS,
+        clock: Clock = time.monotonic,
     ) -> None:
         """Open the port.
 
@@ -69,35 +89,46 @@ class Feed:
             host: Address to listen at.
             port: Port; 0 for a free one.
             make_page: Function that gives the page's HTML.
+            limits: Limits of connections.
+            clock: Function that returns the time by which connections are idle, s.
 
         Raises:
             OSError: The port is in use, or there is no such address.
         """
-        self._lock = threading.Lock()
         self._viewers: list[_Viewer] = []
-        self._came = threading.Event()
+        self._came, self._is_ready = threading.Event(), threading.Event()
         self.make_page = make_page
         try:
-            self._server = _Server((host, port), self)
+            family = socket.AF_INET6 if ":" in host else socket.AF_INET
+            self._socket = socket.create_server((host, port), family=family)
         except OSError as error:
             raise OSError(
                 f"cannot serve the live page at {host}, port {port}: {error.strerror or error}; "
                 f"if another live page is there, choose another port"
             ) from error
-        self.address = join_address(host, self._server.server_address[1])
-        # Names by which a browser may ask for a page of this machine
-        self._names = (*LOOPBACK_NAMES, host) if _is_loopback(host) else ()
+        # Accepted connections inherit it
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        self.address = join_address(host, self._socket.getsockname()[1])
+        self._names, self._is_on_loopback = _names_of(host), _is_loopback(host)
+        self._streams = StreamServer(self._talk, limits, Refusals(LOG, clock), clock)
         # A daemon, so that a program that ends is not held up
-        threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
+        self._thread.start()
+        self._is_ready.wait()
         LOG.info("live page at http://%s/", self.address)
 
     @property
     def is_watched(self) -> bool:
-        """Whether somebody watches."""
+        """Whether a page watches."""
         return bool(self._viewers)
 
+    @property
+    def connections(self) -> Connections[Stream]:
+        """The connections that there are."""
+        return self._streams.connections
+
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until somebody watches, and tell whether somebody did in time."""
+        """Wait until a page watches, and return whether one did in time."""
         return self._came.wait(seconds)
 
     def send(self, news: str, make_start: Callable[[], str]) -> None:
@@ -107,141 +138,201 @@ class Feed:
             news: The event.
             make_start: Function that gives the event with which new viewers begin instead.
         """
-        with self._lock:
-            viewers = list(self._viewers)
+        viewers = list(self._viewers)
         start = "" if all(viewer.has_begun for viewer in viewers) else make_start()
+        begun, new = news.encode(), start.encode()
+        texts = [(viewer.stream, begun if viewer.has_begun else new) for viewer in viewers]
         for viewer in viewers:
-            text = news if viewer.has_begun else start
             viewer.has_begun = True
-            try:
-                viewer.events.put_nowait(text)
-            except queue.Full:
-                viewer.is_let_go = True
-                self.leave(viewer)
+
+        def send() -> None:
+            for stream, text in texts:
+                stream.send(text)
+
+        self._do(send)
 
     def begin_anew(self) -> None:
         """Let all viewers begin with the start again."""
-        with self._lock:
-            for viewer in self._viewers:
-                viewer.has_begun = False
-
-    def join(self) -> _Viewer | None:
-        """Take in a viewer; None where there are too many."""
-        viewer = _Viewer()
-        with self._lock:
-            if len(self._viewers) >= MOST_VIEWERS:
-                return None
-            self._viewers.append(viewer)
-        self._came.set()
-        return viewer
-
-    def leave(self, viewer: _Viewer) -> None:
-        """Let a viewer go."""
-        with self._lock:
-            if viewer in self._viewers:
-                self._viewers.remove(viewer)
-
-    def knows(self, name: str) -> bool:
-        """Tell whether a page may ask for this host.
-
-        Names that others make point here are refused on loopback: pages elsewhere could read along.
-        """
-        return not self._names or name in self._names
+        for viewer in list(self._viewers):
+            viewer.has_begun = False
 
     def close(self) -> None:
-        """Tell viewers that it is over, and close the port; a second call does nothing."""
-        with self._lock:
-            viewers, self._viewers = self._viewers, []
-        for viewer in viewers:
-            try:
-                viewer.events.put_nowait(event("over"))
-                viewer.events.put_nowait(None)
-            except queue.Full:
-                continue
-        for viewer in viewers:
-            viewer.gone.wait(FAREWELL)
-        self._server.shutdown()
-        self._server.server_close()
+        """Send viewers that it is over, and close the port; a second call does nothing."""
+        self._do(self._over.set)
+        # Python's garbage collection may call it in the thread itself
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _do(self, does: Callable[[], object]) -> None:
+        """Do something in the thread of the connections, which is never long; wait for it."""
+        done = threading.Event()
+
+        def do() -> None:
+            does()
+            done.set()
+
+        # The loop is closed once the feed is
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(do)
+            # In a process that was forked the thread is not there
+            while self._thread.is_alive() and threading.current_thread() is not self._thread:
+                if done.wait(0.1):
+                    return
+
+    async def _serve(self) -> None:
+        """Serve until the feed is closed."""
+        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
+        await self._streams.start(self._socket, MAX_REQUEST)
+        self._is_ready.set()
+        await self._over.wait()
+        for viewer in self._viewers:
+            viewer.stream.send(event("over").encode())
+        await self._streams.stop()
+
+    async def _talk(self, stream: Stream) -> None:
+        """Answer one request of a browser."""
+        try:
+            path = self._check(stream, await self._read_request(stream))
+            if path == "/feed":
+                await self._send_events(stream)
+            else:
+                page = self.make_page().encode()
+                stream.send(_head(HTTPStatus.OK, "text/html", len(page)) + page)
+        except RequestError as error:
+            text = f"{error}\n".encode()
+            stream.send(_head(error.status, "text/plain", len(text)) + text)
+
+    @staticmethod
+    async def _read_request(stream: Stream) -> tuple[str, Message]:
+        """Read the first lines of a request: return its path and its headers.
+
+        Raises:
+            RequestError: It is none, or none that is answered.
+        """
+        try:
+            line, lines = (await stream.reader.readuntil(b"\r\n\r\n")).split(b"\r\n", 1)
+            method, path, version = line.decode("ascii").split(" ")
+            headers = http.client.parse_headers(io.BytesIO(lines))
+        except asyncio.IncompleteReadError as error:
+            raise ConnectionError("a browser has gone") from error
+        except (asyncio.LimitOverrunError, ValueError, http.client.HTTPException) as error:
+            raise RequestError(HTTPStatus.BAD_REQUEST, "this is no request of HTTP") from error
+        LOG.debug('%s "%s %s %s"', stream.peer, method, path, version)
+        if not version.startswith("HTTP/1."):
+            raise RequestError(HTTPStatus.HTTP_VERSION_NOT_SUPPORTED, "use HTTP/1.1")
+        if method != "GET":
+            raise RequestError(HTTPStatus.METHOD_NOT_ALLOWED, "pages can be read, and that is all")
+        return path, headers
+
+    def _check(self, stream: Stream, request: tuple[str, Message]) -> str:
+        """Return the path of a request that may be answered.
+
+        Raises:
+            RequestError: It is for another host, from a page of another one, or for another path.
+        """
+        path, headers = request
+        host = headers.get("Host", "")
+        if not self.knows(host):
+            self._streams.log.log_connection(stream.peer, "refused: it asked for another host")
+            raise RequestError(
+                HTTPStatus.FORBIDDEN, f"unknown host: open http://{self.address}/ instead"
+            )
+        if not _is_of_this_page(host, headers):
+            self._streams.log.log_connection(stream.peer, "refused: it is a page of another site")
+            raise RequestError(HTTPStatus.FORBIDDEN, "pages of other sites are not served")
+        if path not in ("/", "/feed"):
+            raise RequestError(HTTPStatus.NOT_FOUND, "there is no such page")
+        return path
+
+    def knows(self, host: str) -> bool:
+        """Return True if a page may ask for a host, as in the header "Host".
+
+        Pages elsewhere could read along by a name that they make point here. So names have to be
+        those of this machine. Addresses cannot be made to point here; on loopback they have to be
+        its own all the same.
+        """
+        name = _name_in(host)
+        return name in self._names or (not self._is_on_loopback and _is_address(name))
+
+    async def _send_events(self, stream: Stream) -> None:
+        """Send events until the viewer leaves, or is dropped.
+
+        Raises:
+            RequestError: There are too many viewers.
+        """
+        try:
+            stream.request()
+        except FullError as error:
+            raise RequestError(HTTPStatus.SERVICE_UNAVAILABLE, f"{error}: try later") from error
+        stream.send(_head(HTTPStatus.OK, "text/event-stream"))
+        viewer = _Viewer(stream)
+        self._viewers.append(viewer)
+        self._came.set()
+        try:
+            while True:
+                try:
+                    # Pages send nothing more: this ends when they leave
+                    async with asyncio.timeout(SILENCE):
+                        await stream.reader.read(1)
+                    return
+                except TimeoutError:
+                    stream.send(b": nothing new\n\n")
+        finally:
+            self._viewers.remove(viewer)
+
+
+def _head(status: HTTPStatus, kind: str, length: int | None = None) -> bytes:
+    """Write the head of an answer; its connection ends with it."""
+    lines = [
+        f"HTTP/1.1 {status.value} {status.phrase}",
+        f"Content-Type: {kind}; charset=utf-8",
+        "Cache-Control: no-store",
+        "X-Content-Type-Options: nosniff",
+        "Cross-Origin-Resource-Policy: same-origin",
+        "Content-Security-Policy: frame-ancestors 'self'",
+        "Connection: close",
+    ]
+    lines += [] if length is None else [f"Content-Length: {length}"]
+    return "\r\n".join([*lines, "\r\n"]).encode()
+
+
+def _is_of_this_page(host: str, headers: Message) -> bool:
+    """Return True unless a request comes from a page of another site.
+
+    Browsers send "Origin" with `EventSource`, and "Sec-Fetch-Site" with all requests. Links on
+    other sites may lead here.
+    """
+    origin = headers.get("Origin")
+    if origin is not None and origin.lower() != f"http://{host.lower()}":
+        return False
+    site, mode = headers.get("Sec-Fetch-Site", "none"), headers.get("Sec-Fetch-Mode", "")
+    is_link = mode == "navigate" and headers.get("Sec-Fetch-Dest", "document") == "document"
+    return site in ("same-origin", "none") or is_link
+
+
+def _name_in(host: str) -> str:
+    """Return the name in "name:port", in lower case; an IPv6 address without brackets."""
+    name = host.partition("]")[0] if host.startswith("[") else host.partition(":")[0]
+    return name.strip("[").lower()
+
+
+def _names_of(host: str) -> tuple[str, ...]:
+    """Return the names by which browsers may ask for a page that is served at an address."""
+    if _is_loopback(host):
+        return (*LOOPBACK_NAMES, host.lower())
+    own = socket.gethostname().lower()
+    return (*LOOPBACK_NAMES, host.lower(), own, f"{own}.local", socket.getfqdn().lower())
+
+
+def _is_address(name: str) -> bool:
+    """Return True for an IP address."""
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def _is_loopback(host: str) -> bool:
-    """Tell whether only this machine reaches an address."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-class _Server(ThreadingHTTPServer):
-    """The HTTP server of a feed."""
-
-    daemon_threads = True
-
-    def __init__(self, address: tuple[str, int], feed: Feed) -> None:
-        self.feed = feed
-        if ":" in address[0]:
-            self.address_family = socket.AF_INET6
-        super().__init__(address, _Handler)
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Note what went wrong with a viewer, such as one that left."""
-        LOG.debug("a viewer has left", exc_info=True)
-
-
-class _Handler(BaseHTTPRequestHandler):
-    """Answers one request of a browser."""
-
-    server: _Server
-    timeout = PATIENCE
-
-    def do_GET(self) -> None:
-        """Send the page, or the stream."""
-        host = self.headers.get("Host", "").rsplit(":", 1)[0].strip("[]")
-        if not self.server.feed.knows(host):
-            self.send_error(403, "unknown host")
-        elif self.path == "/":
-            self._send_page()
-        elif self.path == "/feed":
-            self._send_events()
-        else:
-            self.send_error(404)
-
-    def _begin(self, kind: str) -> None:
-        """Write the head of an answer."""
-        self.send_response(200)
-        self.send_header("Content-Type", f"{kind}; charset=utf-8")
-        self.send_header("Cache-Control", "no-store")
-        self.end_headers()
-
-    def _send_page(self) -> None:
-        """Send the page."""
-        page = self.server.feed.make_page().encode()
-        self._begin("text/html")
-        self.wfile.write(page)
-
-    def _send_events(self) -> None:
-        """Send events until the viewer leaves, or is let go."""
-        feed = self.server.feed
-        viewer = feed.join()
-        if viewer is None:
-            self.send_error(503, "too many viewers")
-            return
-        try:
-            self._begin("text/event-stream")
-            while not viewer.is_let_go and (text := self._next(viewer)) is not None:
-                self.wfile.write(text.encode())
-        finally:
-            feed.leave(viewer)
-            viewer.gone.set()
-
-    @staticmethod
-    def _next(viewer: _Viewer) -> str | None:
-        """Take the next text for a viewer; None at the end."""
-        try:
-            return viewer.events.get(timeout=SILENCE)
-        except queue.Empty:
-            return ": nothing new\n\n"
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Note a request."""
-        LOG.debug(format, *args)
+    """Return True if only this machine reaches an address."""
+    return ip_address(host).is_loopback if _is_address(host) else host == "localhost"

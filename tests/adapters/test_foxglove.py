@@ -198,3 +198,29 @@ def test_flying_for_foxglove_waits_for_a_viewer(turns, tmp_path, monkeypatch, ca
     main([*shlex.split(line, comments=True), *short])
     assert "connect Foxglove to ws://127.0.0.1:" in capsys.readouterr().out
     assert [came[0].next()[1] for _ in range(6)] == [k * 100_000_000 for k in range(6)]
+
+
+def test_viewers_can_do_nothing_but_subscribe():
+    """What they may ask for besides is not offered, and changes nothing."""
+    from bulletuav.adapters.foxglove import FoxgloveServer
+
+    server = FoxgloveServer("127.0.0.1", 0)
+    address = server.address
+    with websockets.connect(address, subprotocols=["foxglove.sdk.v1"]) as viewer:
+        told = json.loads(viewer.recv(timeout=PATIENCE))
+        assert told["op"] == "serverInfo"
+        assert told["capabilities"] == []
+        channel = {"id": 1, "topic": "/cmd", "encoding": "json", "schemaName": ""}
+        for message in (
+            {"op": "advertise", "channels": [channel]},
+            {"op": "setParameters", "parameters": [{"name": "speed", "value": 1}]},
+            {"op": "fetchAsset", "uri": "file:///etc/passwd", "requestId": 1},
+        ):
+            viewer.send(json.dumps(message))
+        viewer.send(b"\x01\x01\x00\x00\x00{}")
+        with contextlib.suppress(TimeoutError, closed):
+            while True:
+                answer = viewer.recv(timeout=0.3)
+                assert b"root:" not in (answer if isinstance(answer, bytes) else answer.encode())
+    assert not server.is_watched
+    server.close()

@@ -9,6 +9,7 @@ import threading
 import msgpack
 import numpy as np
 import pytest
+from waiting import PATIENCE
 
 from bulletuav.bridges import airsim_drawing, airsim_pictures
 from bulletuav.bridges.airsim_calls import Calls
@@ -27,8 +28,6 @@ KINDS = (
     {"image_type": 5, "compress": True},
 )
 CAMERAS = ("0", "1", "2", "3", "4")
-LIMIT = 120.0
-"""Seconds after which something hangs"""
 
 
 @pytest.fixture
@@ -125,7 +124,7 @@ class Stub:
 
     def draw(self, poses, exposure, is_list):
         self.drawn.append(poses)
-        assert self.allowed.acquire(timeout=LIMIT)
+        assert self.allowed.acquire(timeout=PATIENCE)
         if self.killed or len(Stub.made) <= Stub.dies:
             raise EOFError
         height = float(poses.position[0, 0, 2])
@@ -151,7 +150,7 @@ def stub(monkeypatch):
 
 async def until(happens):
     """Let others go on until something is true."""
-    async with asyncio.timeout(LIMIT):
+    async with asyncio.timeout(PATIENCE):
         while not happens():
             await asyncio.sleep(0.001)
 
@@ -218,6 +217,27 @@ def test_a_process_that_cannot_start_is_an_error(make, monkeypatch):
     _, calls, pictures = make(1)
     with pytest.raises(DrawingError, match="no room for a process"):
         asyncio.run(pictures.take(wanted(calls)))
+
+
+def test_no_more_pictures_are_drawn_for_a_client_that_has_gone(make, stub):
+    """Those after the one that is being drawn; other clients' are."""
+    _, calls, pictures = make(1)
+
+    async def check():
+        here = [True]
+        gone = asyncio.create_task(pictures.take(wanted(calls, 32), lambda: here[0]))
+        await until(lambda: stub.made and stub.made[0].drawn)
+        waiting = asyncio.create_task(pictures.take(wanted(calls, 32), lambda: here[0]))
+        other = asyncio.create_task(pictures.take(wanted(calls)))
+        await asyncio.sleep(0)
+        here[0] = False
+        for _ in range(2):
+            stub.made[0].allowed.release()
+        assert await gone == await waiting == []
+        assert len(await other) == 2
+        assert len(stub.made[0].drawn) == 2
+
+    asyncio.run(check())
 
 
 def test_closing_ends_outstanding_pictures(make, stub, caplog):

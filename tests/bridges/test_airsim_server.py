@@ -16,14 +16,15 @@ import time
 import msgpack
 import numpy as np
 import pytest
+from waiting import PATIENCE, until
 
 from bulletuav.bridges import airsim, airsim_drawing, airsim_pictures
 from bulletuav.bridges.airsim import AirsimServer, Turns
 from bulletuav.bridges.airsim_world import World
 from bulletuav.cli import main
+from bulletuav.envs.connections import Limits
+from bulletuav.envs.streams import SWEEP_PERIOD
 
-LIMIT = 120.0
-"""Seconds after which something hangs"""
 FREE = (0, {"is_rate": True, "yaw_or_rate": 0.0})
 
 
@@ -31,7 +32,7 @@ class Client:
     """A socket that sends requests."""
 
     def __init__(self, server):
-        self.socket = socket.create_connection(("127.0.0.1", server.port), timeout=20)
+        self.socket = socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE)
         self._unpacker, self._count = msgpack.Unpacker(), 0
 
     def send(self, name, *arguments):
@@ -70,9 +71,12 @@ def serve():
     running = []
 
     def serve(drones=1, speed=20.0, **options):
-        world = World(drones, seed=0, **options)
-        server = AirsimServer(world, port=0, speed=speed)
+        world = World(drones, seed=0)
+        # On a busy machine a client of a test may take long to send its first request
+        options.setdefault("limits", Limits(handshake=PATIENCE))
+        server = AirsimServer(world, port=0, speed=speed, **options)
         thread = threading.Thread(target=server.run)
+        server.is_running = thread.is_alive
         thread.start()
         running.append((server, thread))
         return server
@@ -111,12 +115,82 @@ def test_the_bytes_of_a_call(serve, connect):
     assert client.get("getMinRequiredClientVersion") == 1
 
 
-def test_what_is_no_request_is_not_answered(serve, connect):
-    """A lone number, a list too short, a number that is a text, arguments that are none."""
-    client = connect(serve())
-    for probe in (7, [0, 1, "ping"], [0, "1", "ping", []], [0, 1, "ping", 5], [2, 1, "ping", []]):
-        client.socket.sendall(msgpack.packb(probe))
-    assert client.get("ping") is True
+MOVES = b"".join(
+    msgpack.packb([0, number, *call])
+    for number, call in enumerate(
+        [("enableApiControl", [True, ""]), ("armDisarm", [True, ""]), ("takeoff", [20.0, ""])]
+    )
+)
+"""Requests that make a drone fly"""
+HEADERS = b"Host: 127.0.0.1\r\nOrigin: https://evil.example\r\nContent-Length: 200\r\n"
+CHUNKED = b"Transfer-Encoding: chunked\r\n\r\n%x\r\n" % len(MOVES)
+FORM = b"--b\r\nContent-Disposition: form-data; name=x\r\n\r\n"
+NO_REQUESTS = {
+    "GET": b"GET / HTTP/1.1\r\n" + HEADERS + b"\r\n",
+    "POST": b"POST / HTTP/1.1\r\n" + HEADERS + b"\r\n",
+    "POST a form": b"POST / HTTP/1.1\r\n" + HEADERS + b"\r\n" + FORM,
+    "PUT": b"PUT / HTTP/1.1\r\n" + HEADERS + b"\r\n",
+    "OPTIONS": b"OPTIONS / HTTP/1.1\r\n" + HEADERS + b"\r\n",
+    "POST chunks": b"POST / HTTP/1.1\r\n" + HEADERS + CHUNKED,
+    "HTTP/2": b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    "WebSocket": b"GET / HTTP/1.1\r\nUpgrade: websocket\r\n\r\n\x82\x7e\x00\x80",
+    "TLS": b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+    "TURN": b"\x00\x03\x00\x08\x21\x12\xa4\x42" + bytes(12),
+    "ICE over TCP": b"\x00\x94\x00\x01\x00\x80\x21\x12\xa4\x42",
+    "number": msgpack.packb(7),
+    "nil": msgpack.packb(None),
+    "text": msgpack.packb("ping"),
+    "map": msgpack.packb({0: 1, 1: "ping"}),
+    "short list": msgpack.packb([0, 1, "ping"]),
+    "text as number": msgpack.packb([0, "1", "ping", []]),
+    "truth as number": msgpack.packb([0, True, "ping", []]),
+    "truth as kind": msgpack.packb([False, 1, "ping", []]),
+    "no arguments": msgpack.packb([0, 1, "ping", 5]),
+    "answer": msgpack.packb([1, 1, None, True]),
+    "notification": msgpack.packb([2, "ping", []]),
+    "no msgpack": b"\xc1",
+}
+"""First bytes of what browsers can be made to send, and of other messages that are no requests"""
+
+
+@pytest.fixture(scope="module")
+def still():
+    """A server that waits for a client to fly; tests of no requests share it."""
+    world = World(1, seed=0)
+    server = AirsimServer(world, port=0, speed=20.0)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    yield server
+    server.stop()
+    thread.join()
+    world.close()
+
+
+@pytest.mark.parametrize("in_pieces", [False, True], ids=["whole", "in pieces"])
+@pytest.mark.parametrize("kind", NO_REQUESTS)
+def test_a_connection_ends_with_the_first_message_that_is_no_request(kind, in_pieces, still):
+    """Also where requests follow, so that no page in a browser can fly a drone."""
+    data = NO_REQUESTS[kind] + MOVES
+    with socket.create_connection(("127.0.0.1", still.port), timeout=PATIENCE) as one:
+        answer = b""
+        with contextlib.suppress(ConnectionError):
+            for piece in [data[k : k + 1] for k in range(len(data))] if in_pieces else [data]:
+                one.sendall(piece)
+            while more := one.recv(65536):
+                answer += more
+    assert answer == b""
+    vehicle = still.world.vehicle("")[1]
+    assert not vehicle.is_ours
+    assert not vehicle.is_armed
+
+
+def test_requests_before_one_that_is_none_are_answered(still, connect):
+    client = connect(still)
+    client.socket.sendall(msgpack.packb([0, 1, "ping", []]) + NO_REQUESTS["POST"] + MOVES)
+    assert client.receive() == [1, None, True]
+    with pytest.raises(ConnectionError):
+        client.receive()
+    assert not still.world.vehicle("")[1].is_ours
 
 
 def test_motions_are_answered_when_they_end(serve, connect):
@@ -173,8 +247,7 @@ def test_two_clients_fly_one_drone_and_the_newer_motion_counts(serve, connect):
     ready(first)
     older = first.send("moveByVelocity", 0.0, 0.0, -1.0, 600.0, *FREE, "")
     second.get("ping")
-    while not server.world.vehicle("")[1].flies:
-        time.sleep(0.01)
+    until(lambda: server.world.vehicle("")[1].flies)
     assert second.get("hover", "") is True
     assert first.receive() == [older, None, False]
 
@@ -187,11 +260,12 @@ def test_a_client_that_vanishes_leaves_the_drone_flying(serve, connect):
     client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     client.socket.close()
     other = connect(server)
-    while len(server._clients) > 1:
-        time.sleep(0.01)
-    end = time.perf_counter() + 20
-    while other.get("getMultirotorState", "")["kinematics_estimated"]["position"]["z_val"] > -2.5:
-        assert time.perf_counter() < end
+    until(lambda: len(server.connections) == 1)
+
+    def height():
+        return other.get("getMultirotorState", "")["kinematics_estimated"]["position"]["z_val"]
+
+    until(lambda: height() < -2.5)
 
 
 def survive(server, connect, messages):
@@ -245,14 +319,6 @@ def test_a_request_that_is_too_long_ends_its_connection_alone(serve, connect):
     with pytest.raises(ConnectionError):
         client.ask("ping", "x" * 3_000_000)
     assert other.get("ping") is True
-
-
-def until(happens):
-    """Wait for something; the limit only finds what hangs."""
-    end = time.perf_counter() + LIMIT
-    while not happens():
-        assert time.perf_counter() < end
-        time.sleep(0.001)
 
 
 @contextlib.contextmanager
@@ -370,20 +436,25 @@ class Large:
 
 
 @pytest.fixture
-def sending(serve, connect, monkeypatch):
-    """A server, and a client whose answer of 32 MB is under way, as it reads nothing yet."""
+def large_pictures(monkeypatch):
+    """Pictures are a million bytes each: sockets hold few of them."""
     monkeypatch.setattr(airsim_pictures, "DrawingProcess", Large)
+
+
+@pytest.fixture
+def sending(serve, connect, large_pictures):
+    """A server, and a client whose answer of 32 MB is under way, as it reads nothing yet."""
     server = serve()
     client = connect(server)
     ready(client)
     motion = client.send("moveByVelocity", 0.0, 0.0, -0.1, 600.0, *FREE, "")
     pictures = client.send("simGetImages", [ONE] * 32, "")
-    (peer,) = server._clients
+    (stream,) = server.connections.all()
     sizes = []
 
     def is_stuck():
-        sizes.append(peer._writer.transport.get_write_buffer_size())
-        return peer._held is not None and sizes[-1] > 0 and len(set(sizes[-50:])) == 1
+        sizes.append(stream.unread)
+        return sizes[-1] > 0 and len(sizes) > 50 and len(set(sizes[-50:])) == 1
 
     until(is_stuck)
     return server, client, motion, pictures
@@ -402,7 +473,91 @@ def test_a_motion_that_ends_does_not_cut_into_pictures(sending, connect):
 def test_a_server_stops_though_a_client_reads_no_pictures(sending):
     server, *_ = sending
     server.stop()
-    until(lambda: not server._clients)
+    until(lambda: not server.is_running())
+
+
+def test_more_than_a_client_may_leave_unread_is_sent_to_one_that_reads(
+    serve, connect, large_pictures, caplog
+):
+    """32 pictures of a million bytes, to a client that is busy but reads: it is not dropped."""
+    server = serve(limits=Limits(max_unread=2 * 10**6))
+    client = connect(server)
+    for _ in range(2):
+        assert client.get("simGetImages", [ONE] * 32, "") == [bytes(10**6)] * 32
+    assert not caplog.records
+
+
+def test_a_client_that_waits_for_pictures_is_not_idle(serve, connect, monkeypatch):
+    """It keeps its place, however long they take; one that waits for nothing makes room."""
+    may_draw, now = threading.Event(), [0.0]
+
+    class Slow(Large):
+        def draw(self, poses, exposure, is_list):
+            assert may_draw.wait(PATIENCE)
+            return msgpack.packb(b"drawn")
+
+    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Slow)
+    limits = Limits(max_clients=2, grace=60.0, max_idle=1000.0)
+    server = serve(limits=limits, clock=lambda: now[0])
+    client, idle = connect(server), connect(server)
+    assert client.get("ping") is True
+    number = client.send("simGetImages", [ONE] * 2, "")
+    until(lambda: [one.busy for one in server.connections._entries.values()].count(1) == 1)
+    now[0] = 100.0
+    assert idle.get("ping") is True
+    now[0] = 1050.0
+    other = connect(server)
+    assert other.get("ping") is True
+    with pytest.raises(ConnectionError):
+        idle.receive()
+    may_draw.set()
+    assert client.receive() == [number, None, [b"drawn"] * 2]
+    assert client.get("ping") is True
+
+
+@pytest.mark.parametrize("is_sending", [False, True], ids=["while drawn", "while sent"])
+def test_a_client_dropped_before_its_pictures_came_leaves_nothing(
+    is_sending, serve, connect, monkeypatch, caplog
+):
+    may_draw, drawn = threading.Event(), []
+
+    class Slow(Large):
+        def draw(self, poses, exposure, is_list):
+            drawn.append(None)
+            assert is_sending or may_draw.wait(PATIENCE)
+            return msgpack.packb(bytes(10**6))
+
+    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Slow)
+    now = [0.0]
+    server = serve(clock=lambda: now[0])
+    client, other = connect(server), connect(server)
+    ready(client)
+    client.send("moveByVelocity", 0.0, 0.0, -0.1, 600.0, *FREE, "")
+    client.send("simGetImages", [ONE] * 32, "")
+    stream = server.connections.clients()[0]
+    if is_sending:
+        until(lambda: stream.unread > 0)
+
+        def is_dropped():
+            now[0] += 1.0
+            return not stream.is_open
+
+        assert other.get("ping") is True
+        until(is_dropped)
+    else:
+        until(lambda: drawn)
+        assert other.get("ping") is True
+        reset = struct.pack("ii", 1, 0)
+        client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset)
+        client.socket.close()
+        until(lambda: not stream.is_open)
+        may_draw.set()
+    until(lambda: len(server.connections) == 1)
+    assert is_sending or len(drawn) == 1
+    assert len(server._streams._talks) == 1
+    assert other.get("cancelLastTask", "") is None  # the end of its motion is no answer to it
+    assert other.get("simGetImages", [ONE], "") == [bytes(10**6)]
+    assert not failures(caplog)
 
 
 SERVE_ONE = """
@@ -426,7 +581,7 @@ def test_the_process_that_draws_ends_with_a_server_that_is_killed():
     with subprocess.Popen(command, **pipes) as server:
         assert server.stdout.readline().strip() == b"drawn"
         server.kill()
-        server.communicate(timeout=LIMIT)
+        server.communicate(timeout=PATIENCE)
 
 
 def test_refused_motions_are_logged_with_the_remedy(serve, connect, caplog):
@@ -521,18 +676,70 @@ def test_time_that_is_continued_is_flown_in_turns(monkeypatch):
     world.close()
 
 
-def test_there_is_an_end_of_clients(serve, connect, monkeypatch):
-    monkeypatch.setattr(airsim, "MOST_CLIENTS", 2)
-    server = serve()
-    kept = [connect(server), connect(server)]
-    assert [one.get("ping") for one in kept] == [True, True]
+def test_silent_connections_lock_nobody_out(serve, connect):
+    """Many more than there are places; the client that flies is not disconnected for them."""
+    server = serve(limits=Limits(max_clients=2, max_pending=8))
+    client = connect(server)
+    ready(client)
+    silent = [connect(server) for _ in range(30)]
+    assert client.get("ping") is True
+    assert connect(server).get("ping") is True
+    closed = sum(one.socket.recv(1) == b"" for one in silent[:20])
+    assert closed == 20
+    assert client.get("ping") is True
+
+
+def test_connections_without_a_request_are_closed_in_time(serve, connect):
+    now = [0.0]
+    server = serve(limits=Limits(handshake=10.0), clock=lambda: now[0])
+    client, silent, partial = connect(server), connect(server), connect(server)
+    assert client.get("ping") is True
+    partial.socket.sendall(b"\x94\x00")
+    until(lambda: len(server.connections) == 3)
+    now[0] = 9.0
+    partial.socket.sendall(b"\x01")
+    time.sleep(2 * SWEEP_PERIOD)
+    assert len(server.connections) == 3
+    now[0] = 11.0
+    for one in (silent, partial):
+        with pytest.raises(ConnectionError):
+            one.receive()
+    now[0] = 1e6  # a client may be idle as long as nobody needs its place
+    time.sleep(2 * SWEEP_PERIOD)
+    assert client.get("ping") is True
+
+
+def test_a_client_too_many_is_told_so(serve, connect, caplog):
+    now = [0.0]
+    server = serve(limits=Limits(max_clients=2, grace=60.0), clock=lambda: now[0])
+    first, second = connect(server), connect(server)
+    assert [one.get("ping") for one in (first, second)] == [True, True]
+    third = connect(server)
+    error, result = third.ask("ping")
+    assert (
+        error == "this server is full: 2 others are connected, which is the limit; try again later"
+    )
+    assert result is None
     with pytest.raises(ConnectionError):
-        connect(server).get("ping")
+        third.get("ping")
+    assert sum("connection refused" in record.message for record in caplog.records) == 1
+    # The one that is idle longest makes room, unless it waits for an answer
+    ready(first)
+    first.send("moveByVelocity", 0.0, 0.0, -1.0, 1e6, *FREE, "")
+    first.send("ping")
+    first.receive()
+    now[0] = 50.0
+    second.get("ping")
+    now[0] = 120.0
+    fourth = connect(server)
+    assert fourth.get("ping") is True
+    with pytest.raises(ConnectionError):
+        second.receive()
+    assert first.get("ping") is True
 
 
-def test_who_reads_nothing_is_let_go(serve, connect, monkeypatch):
-    monkeypatch.setattr(airsim, "MOST_WAITING", 1000)
-    server = serve()
+def test_a_client_that_reads_nothing_is_dropped(serve, connect, caplog):
+    server = serve(limits=Limits(max_unread=1000))
     client = connect(server)
 
     states = msgpack.packb([0, 1, "getMultirotorState", [""]]) * 100
@@ -544,6 +751,46 @@ def test_who_reads_nothing_is_let_go(serve, connect, monkeypatch):
     with pytest.raises(ConnectionError):
         send()
     assert connect(server).get("ping") is True
+    assert "bytes unread" in caplog.text
+
+
+def test_a_client_that_stops_reading_is_dropped_in_time(serve, connect, large_pictures, caplog):
+    now = [0.0]
+    server = serve(limits=Limits(max_stall=30.0), clock=lambda: now[0])
+    client = connect(server)
+    client.send("simGetImages", [ONE] * 32, "")
+    until(lambda: [one.unread > 0 for one in server.connections.all()] == [True])
+
+    def later():
+        now[0] += 31.0
+        time.sleep(SWEEP_PERIOD)
+        return len(server.connections) == 0
+
+    until(later)
+    assert "read nothing for 30 s" in caplog.text
+
+
+@pytest.mark.parametrize("goes", [False, True])
+def test_a_client_that_reads_nothing_holds_up_neither_the_end_nor_memory(
+    goes, serve, connect, large_pictures
+):
+    """It may have closed its own side, too."""
+    server = serve(limits=Limits(linger=0.1, max_stall=1.0 if goes else 1e6))
+    client = connect(server)
+    client.send("simGetImages", [ONE] * 32, "")
+    until(lambda: [one.unread > 0 for one in server.connections.all()] == [True])
+    if goes:
+        client.socket.shutdown(socket.SHUT_WR)
+        until(lambda: len(server.connections) == 0)
+    server.stop()
+    until(lambda: not server.is_running())
+
+
+def test_a_client_that_closes_its_own_side_reads_its_answers(serve, connect, large_pictures):
+    client = connect(serve())
+    client.send("simGetImages", [ONE] * 32, "")
+    client.socket.shutdown(socket.SHUT_WR)
+    assert client.receive()[2] == [bytes(10**6)] * 32
 
 
 def test_a_port_in_use_is_told(serve):

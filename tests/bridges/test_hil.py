@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pytest
 from bridges.mavlink_client import common, random_frame
+from waiting import PATIENCE, until
 
 from bulletuav import load_airframe
 from bulletuav.bridges import hil
@@ -77,7 +78,7 @@ class Connection:
     """An autopilot's end of the wire, as a client of TCP."""
 
     def __init__(self, port):
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=10.0)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
         self.packer, self.rest = common.MAVLink(None, 1, 1), b""
         self.wire = Wire(2)
         self.send("heartbeat", 2, 12, 0, 0, 0, 3)
@@ -123,9 +124,9 @@ def serve():
     """Makes servers, and closes them."""
     made = []
 
-    def serve(drones=1, speed=100.0, **options):
+    def serve(drones=1, speed=100.0, clock=time.monotonic, **options):
         bodies = HilBodies(drones, **options)
-        made.append(HilServer(bodies, port=0, speed=speed, patience=5.0))
+        made.append(HilServer(bodies, port=0, speed=speed, patience=5.0, clock=clock))
         return made[-1]
 
     yield serve
@@ -264,10 +265,132 @@ def test_one_that_goes_or_is_silent_or_sends_no_mavlink_is_let_go(start, serve, 
         fly(port)
 
     start(many_things)
-    end = time.perf_counter() + 20
-    while server.bodies.airspace.swarm.position[0, 2] < 1.5:
-        assert time.perf_counter() < end
+
+    def is_up():
         server.run(0.1)
+        return server.bodies.airspace.swarm.position[0, 2] >= 1.5
+
+    until(is_up)
+
+
+@pytest.fixture
+def step():
+    """Turns a server in this thread, until something has happened."""
+
+    def step(server, happens):
+        def turn():
+            if happens():
+                return True
+            server._patience = 0.0
+            server._turn()
+            return False
+
+        until(turn, every=0.0)
+
+    return step
+
+
+def ended(one):
+    """Return True if the server has closed a connection."""
+    one.setblocking(False)
+    try:
+        while one.recv(4096):
+            pass
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        pass
+    return True
+
+
+def flies_after(server, step, port=None):
+    """Connect an autopilot, and return True once it is the body's."""
+    connection = Connection(port or server.ports[0])
+    step(server, lambda: server._links[0] is not None)
+    is_ours = server._links[0].peer.endswith(f":{connection.socket.getsockname()[1]}")
+    return is_ours, connection
+
+
+def test_a_page_or_a_silent_connection_takes_no_body(serve, step):
+    """More silent ones than there are places for; then an autopilot comes."""
+    server = serve()
+    controls = common.MAVLink_hil_actuator_controls_message(10**9, [1.0] * 16, 128, 1)
+    body = bytes(controls.pack(common.MAVLink(None, 1, 1)))
+    page = socket.create_connection(("127.0.0.1", server.ports[0]))
+    page.sendall(b"POST / HTTP/1.1\r\nOrigin: https://evil.example\r\n\r\n" + body)
+    step(server, lambda: ended(page))
+    assert server.bodies._orders == [None]
+    silent = [socket.create_connection(("127.0.0.1", server.ports[0])) for _ in range(20)]
+    step(server, lambda: sum(map(ended, silent)) >= 16)
+    is_ours, connection = flies_after(server, step)
+    assert is_ours
+    for one in (page, *silent, connection.socket):
+        one.close()
+
+
+def test_an_autopilot_that_reads_but_never_answers_is_dropped_in_time(serve, step, caplog):
+    """Heartbeats alone do not keep it; the next one gets the body."""
+    now = [0.0]
+    server = serve(clock=lambda: now[0])
+    is_ours, mute = flies_after(server, step)
+    assert is_ours
+    step(server, lambda: server._links[0].begun is not None)
+    now[0] = hil.START - 1
+    mute.send("heartbeat", 2, 12, 0, 0, 0, 3)
+    for _ in range(5):
+        server._turn()
+    assert server._links[0] is not None
+    now[0] = hil.START + 1
+    step(server, lambda: ended(mute.socket))
+    assert "has not answered any measurement" in caplog.text
+    is_ours, other = flies_after(server, step)
+    assert is_ours
+    for one in (mute, other):
+        one.socket.close()
+
+
+def test_an_autopilot_waits_for_the_others_as_long_as_it_takes(serve, step):
+    """It is sent nothing meanwhile, so that it cannot answer."""
+    now = [0.0]
+    server = serve(2, clock=lambda: now[0])
+    is_ours, connection = flies_after(server, step)
+    now[0] = 1e4
+    for _ in range(3):
+        server._turn()
+    assert is_ours
+    assert not ended(connection.socket)
+    # Unless another one comes for its body, and it has been silent for a minute
+    other = Connection(server.ports[0])
+    step(server, lambda: ended(connection.socket))
+    for one in (connection, other):
+        one.socket.close()
+
+
+def test_a_second_autopilot_of_a_body_is_told_why_it_is_refused(start, serve):
+    server, heard = serve(), []
+
+    def second():
+        connection = Connection(server.ports[0])
+        with contextlib.suppress(ConnectionError):
+            while True:
+                heard.extend(connection.receive())
+        connection.socket.close()
+
+    start(fly, server.ports[0])
+    server.run(0.1)
+    start(second)
+
+    def is_heard():
+        server.run(0.05)
+        return bool(heard)
+
+    until(is_heard)
+    assert [one.get_type() for one in heard] == ["STATUSTEXT"]
+    assert heard[0].text == "body 0 is flown by another autopilot"
+    before = server.bodies.airspace.time
+    server.run(0.1)
+    assert server.bodies.airspace.time > before
+    server.close()
 
 
 def test_an_autopilot_that_does_not_answer_yet_is_sent_more_and_nothing_flies(start, serve):

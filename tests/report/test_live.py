@@ -1,5 +1,6 @@
 """Live pages: the feed of flights to any number of browsers, without one."""
 
+import contextlib
 import http.client
 import json
 import logging
@@ -14,9 +15,10 @@ from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.cli import main
+from bulletuav.envs.connections import Limits
 from bulletuav.envs.viewer import join_address, parse_address
 from bulletuav.report import feed as feeds
-from bulletuav.report.feed import MOST_WAITING, Feed, event
+from bulletuav.report.feed import Feed, event
 
 FREE = "127.0.0.1:0"
 SHORT = {"num_drones": 3, "dynamics": "point_mass", "horizon": 20}
@@ -147,9 +149,9 @@ def test_a_flight_is_the_same_with_viewers_and_without(env):
     plain.close()
 
 
-def test_who_does_not_read_is_let_go(monkeypatch):
+def test_a_viewer_that_does_not_read_is_dropped(caplog):
     """It never makes the flight wait, and others see everything."""
-    feed = Feed("127.0.0.1", 0, lambda: "")
+    feed = Feed("127.0.0.1", 0, lambda: "", Limits(max_unread=4_000_000))
     asleep, awake = Watcher(feed.address), Watcher(feed.address)
     until(lambda: len(feed._viewers) == 2)
     news = event("rows", "x" * 500_000)
@@ -158,12 +160,152 @@ def test_who_does_not_read_is_let_go(monkeypatch):
         feed.send(news, lambda: event("start", "x"))
         sent += 1
         assert awake.next()[0] == ("start" if sent == 1 else "rows")
-    assert MOST_WAITING < sent < 3 * MOST_WAITING
+    assert 8 <= sent < 50
     assert feed.is_watched
+    assert "bytes unread" in caplog.text
     asleep.leave()
     feed.close()
     feed.close()
     assert awake.next()[0] == "over"
+
+
+def test_viewers_that_read_nothing_cost_no_threads_and_no_more_memory_than_is_allowed():
+    """70 of them; those who read get everything, and a late one gets in when others stall."""
+    now = [0.0]
+    limits = Limits(max_clients=64, max_unread=100_000, max_stall=10.0, grace=10.0)
+    feed = Feed("127.0.0.1", 0, lambda: "", limits, lambda: now[0])
+    before = threading.active_count()
+    asleep = [http.client.HTTPConnection(feed.address, timeout=PATIENCE) for _ in range(70)]
+    for connection in asleep:
+        connection.connect()
+        # The system keeps less for it
+        connection.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.request("GET", "/feed")
+    until(lambda: len(feed._viewers) == 64)
+    assert threading.active_count() == before
+    news = event("rows", "x" * 50_000)
+    for _ in range(40):
+        feed.send(news, lambda: news)
+        assert sum(one.unread for one in feed.connections.all()) <= 64 * 150_000
+    until(lambda: not feed.is_watched)
+    watcher = Watcher(feed.address)
+    assert watcher.answer.status == 200
+    feed.close()
+    for connection in asleep:
+        connection.close()
+    watcher.leave()
+
+
+def test_a_stalled_viewer_is_dropped_in_time():
+    now = [0.0]
+    feed = Feed("127.0.0.1", 0, lambda: "", Limits(max_stall=10.0), lambda: now[0])
+    asleep, awake = Watcher(feed.address), Watcher(feed.address)
+    until(lambda: len(feed._viewers) == 2)
+    feed.send(event("rows", "x" * 10_000_000), lambda: event("start", "x" * 10_000_000))
+    assert awake.next()[0] == "start"
+
+    def later():
+        now[0] += 6.0
+        time.sleep(0.5)
+        feed.send(event("rows"), lambda: event("start"))
+        assert awake.next()[0] == "rows"
+        return len(feed._viewers) == 1
+
+    until(later)
+    asleep.leave()
+    feed.close()
+    awake.leave()
+
+
+@pytest.fixture
+def feed():
+    feed = Feed("127.0.0.1", 0, lambda: "the page", Limits(handshake=0.5, linger=0.2))
+    yield feed
+    feed.close()
+
+
+def ask(feed, data):
+    """Send bytes; return all that is answered until the connection ends."""
+    host, port = parse_address(feed.address)
+    with socket.create_connection((host, port), timeout=PATIENCE) as one:
+        one.sendall(data)
+        found = b""
+        with contextlib.suppress(ConnectionError):
+            while more := one.recv(65536):
+                found += more
+        return found
+
+
+@pytest.mark.parametrize(
+    ("data", "status"),
+    [
+        (b"", b""),
+        (b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n", b""),
+        (b"\x16\x03\x01\x02\x00" * 10, b""),
+        (b"GET /" + b"x" * 100_000, b"400"),
+        (b"GET / HTTP/1.1\r\n" + b"A: b\r\n" * 1000 + b"\r\n", b"400"),
+        (b"\xff\xfe\r\n\r\n", b"400"),
+        (b"GET /\r\n\r\n", b"400"),
+        (b"GET / HTTP/9\r\nHost: 127.0.0.1\r\n\r\n", b"505"),
+        (b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b"405"),
+        (b"GET /feed HTTP/1.1\r\nHost: evil.example\r\n\r\n", b"403"),
+        (b"GET /feed HTTP/1.1\r\n\r\n", b"403"),
+        (b"GET /feed HTTP/1.1\r\nHost: 10.1.2.3\r\n\r\n", b"403"),
+        (b"GET / HTTP/1.1\r\nHost: LOCALHOST:99\r\n\r\n", b"200"),
+        (b"GET / HTTP/1.1\r\nHost: [::1]\r\n\r\n", b"200"),
+    ],
+)
+def test_requests_that_cannot_be_are_answered_by_an_error_or_ended(feed, data, status):
+    answer = ask(feed, data)
+    assert answer.split(b" ")[1:2] == ([status] if status else [])
+    assert not feed.is_watched
+
+
+PAGE = {"Host": "127.0.0.1:80"}
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Origin": "https://evil.example"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": "http://127.0.0.1:81"}, 403),
+        ({"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}, 403),
+        ({"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "cors"}, 403),
+        (
+            {
+                "Sec-Fetch-Site": "cross-site",
+                "Sec-Fetch-Mode": "navigate",
+                "Sec-Fetch-Dest": "iframe",
+            },
+            403,
+        ),
+        (
+            {
+                "Sec-Fetch-Site": "cross-site",
+                "Sec-Fetch-Mode": "navigate",
+                "Sec-Fetch-Dest": "document",
+            },
+            200,
+        ),
+        ({"Origin": "http://127.0.0.1:80", "Sec-Fetch-Site": "same-origin"}, 200),
+    ],
+)
+def test_pages_of_other_sites_cannot_watch(feed, headers, status):
+    """A flight that is watched keeps real time, so that a page could slow a training."""
+    watcher = Watcher(feed.address, "/feed", **PAGE, **headers)
+    assert watcher.answer.status == status
+    watcher.leave()
+
+
+def test_other_machines_ask_by_address_or_by_this_machines_name(monkeypatch):
+    """Served to all, a name that others made point here is refused all the same."""
+    monkeypatch.setattr(socket, "gethostname", lambda: "lab7")
+    feed = Feed("0.0.0.0", 0, lambda: "the page")
+    known = ("192.0.2.1:80", "[2001:db8::1]:80", "lab7:80", "lab7.local", "localhost")
+    assert all(feed.knows(host) for host in known)
+    assert not any(feed.knows(host) for host in ("evil.example:80", "lab7.evil.example", ""))
+    feed.close()
 
 
 def test_a_long_flight_begins_anew_before_pages_are_full(env, monkeypatch):
@@ -186,10 +328,27 @@ def test_the_page_connects_to_its_server_alone(env):
     assert Watcher(env.viewer.feed.address, "/", Host="localhost:1").answer.status == 200
 
 
-def test_there_are_bounds_to_how_many_watch(env, monkeypatch):
-    monkeypatch.setattr(feeds, "MOST_VIEWERS", 1)
-    watch(env)
-    assert Watcher(env.viewer.feed.address).answer.status == 503
+def test_there_are_bounds_to_how_many_watch():
+    feed = Feed("127.0.0.1", 0, lambda: "the page", Limits(max_clients=1))
+    watcher = Watcher(feed.address)
+    assert watcher.answer.status == 200
+    other = Watcher(feed.address)
+    assert other.answer.status == 503
+    assert "1 others are connected, which is the limit: try later" in other.answer.read().decode()
+    assert Watcher(feed.address, "/").answer.read() == b"the page"
+    feed.close()
+    watcher.leave()
+
+
+def test_silent_connections_lock_no_viewer_out():
+    feed = Feed("127.0.0.1", 0, lambda: "the page", Limits(max_pending=4))
+    silent = [socket.create_connection(parse_address(feed.address)) for _ in range(20)]
+    watcher = Watcher(feed.address)
+    feed.send("", lambda: event("start"))
+    assert watcher.next()[0] == "start"
+    feed.close()
+    for one in (*silent, watcher.connection):
+        one.close()
 
 
 def test_a_silent_feed_finds_out_who_has_left(env, monkeypatch):

@@ -1,0 +1,230 @@
+"""Connections of servers on asyncio: bounded queues, and the policy of `connections.py`."""
+
+import asyncio
+import contextlib
+import socket
+import time
+from collections.abc import Awaitable, Callable
+
+from bulletuav.envs.connections import Clock, Connections, FullError, Limits
+from bulletuav.envs.refusals import Refusals
+from bulletuav.envs.viewer import join_address
+
+SWEEP_PERIOD = 0.25
+"""Time between two looks for connections that are overdue or stalled, s"""
+
+
+class Stream:
+    """One connection, with a bounded queue of bytes to send.
+
+    Attributes:
+        reader: Reads what the peer sends.
+        peer: Address of the peer.
+    """
+
+    def __init__(
+        self,
+        server: "StreamServer",
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+    ) -> None:
+        """Take over a connection that was accepted."""
+        self.reader, self._writer, self._server = reader, writer, server
+        self._transport = writer.transport
+        # A peer that has reset the connection already has no name
+        name = writer.get_extra_info("peername") or ("unknown", 0)
+        self.peer = join_address(*name[:2])
+        self._sent = self._delivered = 0
+        self._moved = server.clock()
+        one = writer.get_extra_info("socket")
+        # Finds peers that vanished without a word, such as a machine that was switched off
+        with contextlib.suppress(OSError):
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether bytes can still be sent."""
+        return not self._transport.is_closing()
+
+    @property
+    def unread(self) -> int:
+        """Number of bytes that wait to be sent."""
+        return self._transport.get_write_buffer_size()
+
+    def send(self, data: bytes) -> None:
+        """Queue bytes; the connection is dropped if the peer leaves too many unread.
+
+        One message may be longer than the limit, if no other is queued.
+        """
+        if not self.is_open:
+            return
+        if self.unread and self.unread + len(data) > self._server.limits.max_unread:
+            self.drop(f"dropped: it left {self.unread} bytes unread")
+            return
+        if not self.unread:
+            self._moved = self._server.clock()
+        self._sent += len(data)
+        self._writer.write(data)
+
+    async def drain(self) -> None:
+        """Wait until the peer has read most of what was sent.
+
+        Raises:
+            ConnectionError: The connection was lost.
+        """
+        await self._writer.drain()
+
+    def request(self) -> None:
+        """Record a valid request.
+
+        Raises:
+            FullError: The server has no place for one more client.
+        """
+        try:
+            evicted = self._server.connections.request(self)
+        except FullError as error:
+            self._server.log.log_connection(self.peer, f"refused: {error}")
+            raise
+        if evicted is not None:
+            evicted.drop("evicted: it was idle longest, and another client needed room")
+
+    def look(self) -> None:
+        """Look whether the peer has read something since the last look."""
+        delivered = self._sent - self.unread
+        if delivered > self._delivered or not self.unread:
+            self._moved = self._server.clock()
+        if delivered > self._delivered:
+            self._server.connections.touch(self)
+        self._delivered = delivered
+
+    @property
+    def stalled(self) -> float:
+        """Time for which the peer has had unread bytes without reading any, s."""
+        return self._server.clock() - self._moved if self.unread else 0.0
+
+    def close(self) -> None:
+        """Close the connection once the peer has read what was sent."""
+        self._writer.close()
+
+    def drop(self, event: str) -> None:
+        """Close the connection immediately, and log why.
+
+        Args:
+            event: What happened, and why, such as "dropped: it sent no request in time".
+        """
+        if self.is_open:
+            self._server.log.log_connection(self.peer, event)
+        self.abort()
+
+    def abort(self) -> None:
+        """Close the connection immediately."""
+        self._transport.abort()
+
+    async def end(self) -> None:
+        """Close the connection; a peer that stops reading what was sent loses it."""
+        self.close()
+        moved, unread = self._server.clock(), self.unread
+        try:
+            closed = asyncio.ensure_future(self._writer.wait_closed())
+            while not (await asyncio.wait([closed], timeout=SWEEP_PERIOD))[0]:
+                if self.unread < unread:
+                    moved, unread = self._server.clock(), self.unread
+                elif self._server.clock() - moved > self._server.limits.linger:
+                    return
+        finally:
+            self.abort()
+            with contextlib.suppress(OSError):
+                await closed
+
+
+class StreamServer:
+    """Accepts connections, and talks to each in a task of its own.
+
+    Attributes:
+        limits: Limits of connections.
+        connections: The connections that there are.
+        clock: Function that returns the time, s.
+        log: Log of peers that were refused or dropped.
+    """
+
+    def __init__(
+        self,
+        talk: Callable[[Stream], Awaitable[None]],
+        limits: Limits,
+        log: Refusals,
+        clock: Clock = time.monotonic,
+    ) -> None:
+        """Make a server that listens nowhere yet.
+
+        Args:
+            talk: Coroutine function that serves a connection; it is closed afterwards.
+            limits: Limits of connections.
+            log: Log of peers that were refused or dropped.
+            clock: Function that returns the time, s.
+        """
+        self._talk, self.limits, self.log, self.clock = talk, limits, log, clock
+        self.connections: Connections[Stream] = Connections(limits, clock)
+        self._talks: dict[asyncio.Task[None], Stream] = {}
+        self._server: asyncio.Server | None = None
+        self._sweeper: asyncio.Task[None] | None = None
+
+    async def start(self, listening: socket.socket, max_line: int = 2**16) -> None:
+        """Accept connections of a socket that listens.
+
+        Args:
+            listening: The socket.
+            max_line: Longest line that a stream's reader reads, bytes.
+        """
+        self._server = await asyncio.start_server(self._meet, sock=listening, limit=max_line)
+        self._sweeper = asyncio.create_task(self._sweep_often())
+
+    async def stop(self) -> None:
+        """Close the port and all connections; returns when all have ended."""
+        if self._server is not None:
+            self._server.close()
+        if self._sweeper is not None:
+            self._sweeper.cancel()
+        talks = dict(self._talks)
+        for stream in talks.values():
+            stream.close()
+        if talks:
+            await asyncio.wait(talks, timeout=self.limits.linger)
+        # Peers that still have not read what was sent lose it
+        for task, stream in talks.items():
+            stream.abort()
+            task.cancel()
+        await asyncio.gather(*talks, return_exceptions=True)
+
+    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a connection until it ends."""
+        task = asyncio.current_task()
+        assert task is not None  # as this is a coroutine
+        stream = Stream(self, reader, writer)
+        self._talks[task] = stream
+        try:
+            with contextlib.suppress(ConnectionError):
+                evicted = self.connections.add(stream)
+                if evicted is not None:
+                    evicted.drop("evicted: it sent no request, and others needed room")
+                await self._talk(stream)
+        finally:
+            # A connection keeps its place until it has ended: it still holds memory
+            await stream.end()
+            self.connections.remove(stream)
+            self.log.forget(stream.peer)
+            del self._talks[task]
+
+    async def _sweep_often(self) -> None:
+        """Look for connections to drop, again and again."""
+        while True:
+            await asyncio.sleep(SWEEP_PERIOD)
+            self.sweep()
+
+    def sweep(self) -> None:
+        """Drop connections that are overdue, or read nothing of what they were sent."""
+        for stream in self.connections.all():
+            stream.look()
+            if stream.stalled > self.limits.max_stall:
+                stream.drop(f"dropped: it read nothing for {self.limits.max_stall:g} s")
+        for stream in self.connections.overdue():
+            stream.drop("dropped: it sent no request in time")

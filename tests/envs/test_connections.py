@@ -1,0 +1,130 @@
+"""The policy of servers' connections, by a clock of the test's own."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bulletuav.envs.connections import Connections, FullError, Limits
+
+
+class Clock:
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def test_a_new_connection_evicts_the_pending_one_that_is_idle_longest(clock):
+    kept = Connections(Limits(max_pending=2), clock)
+    for key in "abcd":
+        clock.now += 1
+        evicted = kept.add(key)
+        assert evicted == {"c": "a", "d": "b"}.get(key)
+    assert kept.all() == ["c", "d"]
+    assert kept.clients() == []
+
+
+def test_no_number_of_pending_connections_evicts_a_client(clock):
+    kept = Connections(Limits(max_clients=1, max_pending=3), clock)
+    kept.add("client")
+    assert kept.request("client") is None
+    clock.now = 1e6
+    for k in range(1000):
+        kept.add(k)
+    assert kept.is_client("client")
+    assert len(kept) == 4
+    assert kept.overdue() == []
+
+
+def test_a_new_client_evicts_the_one_that_is_idle_longest_if_it_is_idle_at_all(clock):
+    kept = Connections(Limits(max_clients=3, grace=60.0), clock)
+    for key in "abc":
+        kept.request(key)
+        clock.now += 1
+    kept.add("d")
+    with pytest.raises(FullError, match="3 others are connected"):
+        kept.request("d")
+    assert not kept.is_client("d")
+    kept.wait("a")  # it waits for a motion to end: not idle, however long that takes
+    clock.now += 1e6
+    kept.request("c")
+    assert kept.request("d") == "b"
+    assert kept.clients() == ["a", "c", "d"]
+    with pytest.raises(FullError):
+        kept.request("e")
+    kept.wait("a", -1)
+    clock.now += 30
+    with pytest.raises(FullError):
+        kept.request("e")
+    clock.now += 30
+    kept.touch("a")
+    assert kept.request("e") == "c"
+
+
+def test_pending_connections_have_a_time_for_their_first_request_and_clients_one_for_each(clock):
+    kept = Connections(Limits(handshake=10.0, max_idle=100.0), clock)
+    kept.add("pending")
+    kept.request("client")
+    kept.request("waiting")
+    kept.wait("waiting")
+    clock.now = 10.0
+    assert kept.overdue() == []
+    clock.now = 10.1
+    assert kept.overdue() == ["pending"]
+    kept.remove("pending")
+    kept.remove("pending")
+    kept.wait("pending", -1)
+    kept.touch("pending")
+    clock.now = 101.0
+    assert kept.overdue() == ["client"]
+    assert Limits().max_idle == math.inf
+
+
+def test_a_pending_peer_that_is_heard_again_has_a_grace_time(clock):
+    kept = Connections(Limits(max_pending=1, pending_grace=3.0), clock)
+    kept.add("a")
+    clock.now = 2.9
+    with pytest.raises(FullError):
+        kept.add("b")
+    kept.touch("a")
+    clock.now = 5.8
+    with pytest.raises(FullError):
+        kept.add("b")
+    clock.now = 6.0
+    assert kept.add("b") == "a"
+
+
+def test_any_order_of_events_keeps_the_limits(clock):
+    """Clients never exceed their places, nor pending ones theirs; none is in both."""
+    limits = Limits(max_clients=5, max_pending=3, grace=2.0, pending_grace=1.0)
+    kept, rng = Connections(limits, clock), np.random.default_rng(0)
+    for _ in range(5000):
+        clock.now += rng.random()
+        key, before = int(rng.integers(20)), set(kept.clients())
+        match rng.integers(5):
+            case 0 if key not in kept:
+                try:
+                    kept.add(key)
+                except FullError:
+                    assert len(kept) - len(before) == 3
+                assert set(kept.clients()) == before
+            case 1 | 2:
+                try:
+                    evicted = kept.request(key)
+                    assert evicted is None or (evicted in before and evicted not in kept)
+                except FullError:
+                    assert len(before) == 5
+                    assert set(kept.clients()) == before
+            case 3:
+                kept.remove(key)
+            case 4:
+                kept.touch(key)
+        assert len(kept.clients()) <= 5
+        assert len(kept) - len(kept.clients()) <= 3
