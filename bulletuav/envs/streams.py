@@ -181,6 +181,13 @@ class StreamServer:
     async def stop(self) -> None:
         """Close the port and all connections; returns when all have ended."""
         if self._server is not None:
+            # asyncio leaks a connection if its server is closed while it accepts one: no more are
+            # accepted, and those that were just before are taken over in the loop's next rounds
+            with contextlib.suppress(NotImplementedError):
+                for one in self._server.sockets:
+                    asyncio.get_running_loop().remove_reader(one.fileno())
+            for _ in range(3):
+                await asyncio.sleep(0)
             self._server.close()
         if self._sweeper is not None:
             self._sweeper.cancel()
@@ -195,12 +202,15 @@ class StreamServer:
             task.cancel()
         await asyncio.gather(*talks, return_exceptions=True)
 
-    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a connection until it ends."""
-        task = asyncio.current_task()
-        assert task is not None  # as this is a coroutine
+    def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Take over a connection; `stop` closes it, even if its task has not begun yet."""
         stream = Stream(self, reader, writer)
+        task = asyncio.get_running_loop().create_task(self._serve(stream))
         self._talks[task] = stream
+        task.add_done_callback(self._talks.pop)
+
+    async def _serve(self, stream: Stream) -> None:
+        """Serve a connection until it ends."""
         try:
             with contextlib.suppress(ConnectionError):
                 evicted = self.connections.add(stream)
@@ -212,7 +222,6 @@ class StreamServer:
             await stream.end()
             self.connections.remove(stream)
             self.log.forget(stream.peer)
-            del self._talks[task]
 
     async def _sweep_often(self) -> None:
         """Look for connections to drop, again and again."""

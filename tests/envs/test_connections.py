@@ -1,11 +1,19 @@
 """The policy of servers' connections, by a clock of the test's own."""
 
+import asyncio
+import contextlib
+import gc
+import logging
 import math
+import socket
 
 import numpy as np
 import pytest
+from waiting import PATIENCE
 
 from bulletuav.envs.connections import Connections, FullError, Limits
+from bulletuav.envs.refusals import Refusals
+from bulletuav.envs.streams import StreamServer
 
 
 class Clock:
@@ -128,3 +136,27 @@ def test_any_order_of_events_keeps_the_limits(clock):
                 kept.touch(key)
         assert len(kept.clients()) <= 5
         assert len(kept) - len(kept.clients()) <= 3
+
+
+@pytest.mark.parametrize("rounds", range(8))
+def test_a_connection_that_comes_as_the_server_stops_is_closed(rounds):
+    """Whatever round of the loop its acceptance has got to: an open one would be a warning."""
+
+    async def talk(stream):
+        await stream.reader.read()
+
+    async def check():
+        log = Refusals(logging.getLogger("bulletuav.test"))
+        server = StreamServer(talk, Limits(linger=0.1), log)
+        listening = socket.create_server(("127.0.0.1", 0))
+        await server.start(listening)
+        with socket.create_connection(listening.getsockname(), timeout=PATIENCE) as client:
+            for _ in range(rounds):
+                await asyncio.sleep(0)
+            await server.stop()
+            with contextlib.suppress(ConnectionError):
+                assert client.recv(1) == b""
+        assert len(server.connections) == 0
+
+    asyncio.run(check())
+    gc.collect()
