@@ -60,6 +60,8 @@ FACTORS = {
     "us": 1e-6,
 }
 """Units that can be named in place of a factor"""
+MOST_HINT = 600
+"""Most characters of the columns that a message offers for one that is missing"""
 SOURCE = re.compile(r"(?P<column>[^*]+?)(\*(?P<factor>[^*+]+?))?(?P<offset>[+-]\d[\d.e-]*)?")
 
 
@@ -268,4 +270,4 @@ def _hint(name: str, header: list[str]) -> str:
     like = [column for column in header if column.lower().endswith(known)]
     if like:
         return f"perhaps {' or '.join(map(repr, like[:3]))}"
-    return nearest(name, header)
+    return nearest(name, header)[:MOST_HINT]

@@ -166,6 +166,11 @@ class Network:
         # Widths must fit, or the file is of something else
         for layers in (self._layers, of_users, *of_others.values()):
             _require_chain(layers)
+        if not self._layers:
+            raise ValueError("it has no layers")
+        given = self._layers[-1][1].shape
+        if self._bounds is not None and any(bound.shape != given for bound in self._bounds):
+            raise ValueError(f"{LOW} and {HIGH} need the shape {given}")
         self._users = UserFeatures(of_users) if of_users else None
         is_swarm = kind == "swarm"
         self._swarm = SwarmFeatures(find_layout(labels), of_others, scale) if is_swarm else None

@@ -10,7 +10,7 @@ from bulletuav.analysis.evaluation import EPISODES, RUN, Evaluation, evaluate
 from bulletuav.analysis.pieces import PIECES, piece_folders
 from bulletuav.analysis.results_folder import read_rows
 from bulletuav.analysis.seals import read_call
-from bulletuav.errors import as_int, naming, read_file, reason_of
+from bulletuav.errors import as_int, naming, read_file, reason_of, shown
 from bulletuav.files import replace_file
 from bulletuav.parsing import read_json
 from bulletuav.report.charts import plot_evaluation, plot_leaderboard
@@ -110,6 +110,8 @@ def merge(out: Path, trust: bool = False) -> list[Path]:
         told = read_json(cases)
         folders = [out / "runs" / str(name) for name in told["runs"]]
         against = told["against"]
+        if not isinstance(told["runs"], list) or not folders:
+            raise ValueError(f"its runs are {shown(told['runs'])}")
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{cases} is damaged ({reason_of(error)}): fly a piece again") from None
     results = []

@@ -259,7 +259,8 @@ def number_rows(rows: Any) -> list[Row]:
         for name, value in row.items():
             if not isinstance(value, int | float):
                 raise TypeError(f"{name} of a row is {shown(value)}")
-        int(row["steps"])
+        if not math.isfinite(row["steps"]):
+            raise TypeError(f"steps of a row is {row['steps']}")
     return rows
 
 
