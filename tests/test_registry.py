@@ -2,7 +2,10 @@
 
 import importlib
 import sys
+import threading
+import types
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -359,3 +362,62 @@ def test_an_entry_point_whose_name_is_no_word_is_left_out(offer):
     offer("sensor", **{"rye-bread": lambda: Bread})
     with pytest.warns(UserWarning, match="'rye-bread' .* is left out: .* a word is needed"):
         assert "rye-bread" not in names("sensor")
+
+
+# Threads
+
+
+@pytest.fixture
+def stop(module, monkeypatch):
+    """Where the module of a kind stops while it is imported: it sets `began`, waits for `go_on`."""
+    events = types.ModuleType("stop")
+    events.began, events.go_on = threading.Event(), threading.Event()
+    monkeypatch.setitem(sys.modules, "stop", events)
+    monkeypatch.setitem(registry.PACKAGES, "sensor", "shop")
+    monkeypatch.setattr(registry, "_loaded", set(registry._loaded) - {"sensor"})
+    yield events
+    events.go_on.set()
+
+
+STOP = "import stop\nstop.began.set()\nassert stop.go_on.wait(60)\n"
+BREAD = "from bulletuav.registry import names, register\nclass Bread: ...\n"
+
+
+def test_names_wait_for_what_another_thread_is_importing(module, stop):
+    module("shop", f"{STOP}{BREAD}register('sensor', 'rye')(Bread)\n")
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(names, "sensor")
+        assert stop.began.wait(60)
+        second = pool.submit(names, "sensor")
+        with pytest.raises(TimeoutError):  # one that does not wait is done by then
+            second.result(0.2)
+        stop.go_on.set()
+        assert "rye" in first.result(60)
+        assert "rye" in second.result(60)
+
+
+def test_a_module_may_ask_for_names_while_another_thread_waits_for_it(module, stop):
+    # This thread holds the lock of the module's import when it asks, and the other one wants it
+    module("shop", f"{STOP}{BREAD}register('sensor', 'rye')(Bread)\nseen = names('sensor')\n")
+    with ThreadPoolExecutor(2) as pool:
+        imported = pool.submit(importlib.import_module, "shop")
+        assert stop.began.wait(60)
+        asked = pool.submit(names, "sensor")
+        stop.go_on.set()
+        assert "rye" in asked.result(60)
+        assert "rye" in imported.result(60).seen
+
+
+def test_a_module_may_ask_for_names_of_its_own_kind(module, stop):
+    stop.go_on.set()
+    module("shop", f"{STOP}{BREAD}before = names('sensor')\nregister('sensor', 'rye')(Bread)\n")
+    assert "rye" in names("sensor")
+    assert "rye" not in sys.modules["shop"].before
+
+
+def test_a_kind_whose_import_failed_is_imported_again(module, stop):
+    stop.go_on.set()
+    module("shop", "import no_such_flour\n")
+    for _ in range(2):
+        with pytest.raises(ImportError, match="no_such_flour"):
+            names("sensor")

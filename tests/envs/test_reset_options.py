@@ -138,8 +138,8 @@ def test_stable_baselines3_sets_no_attribute_without_effect():
             env.set_attr(name, 3)
     env.set_attr("note", "mine")
     assert env.get_attr("note") == ["mine"]
+    env.set_options({"wind": 1.0})
     with pytest.raises(ValueError, match="unknown option of a reset 'wind'"):
-        env.set_options({"wind": 1.0})
         env.reset()
     env.close()
 
