@@ -150,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         _run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt as interrupt:
         # Commands that keep something raise it again, with a text that says what
-        sys.stderr.write(f"{str(interrupt) or interrupts.TEXT}\n")
+        print(str(interrupt) or interrupts.TEXT, file=sys.stderr)
         sys.exit(interrupts.STATUS)
 
 
@@ -177,8 +177,10 @@ def _run(words: Sequence[str]) -> None:
     try:
         with interrupts.raising():
             _module(arguments.command).run(arguments)
-            # A closed pipe is to be noticed here, not when Python ends.
-            sys.stdout.flush()
+            # A closed pipe is to be noticed here, not when Python ends. Without an open standard
+            # output there is no stream.
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except BrokenPipeError:
         # The reader has seen enough, as in `bulletuav tasks mec | head`. What Python flushes
         # at its end goes nowhere, so that it does not complain again.

@@ -98,7 +98,9 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        if str(path) in str(error) or str(path.parent) in str(error):
+        # The folder of a name alone is ".", which is in most messages
+        folder = str(path.parent) if path.parent.name else str(path)
+        if str(path) in str(error) or folder in str(error):
             raise
         raise ValueError(f"{path}: {error}") from None
 

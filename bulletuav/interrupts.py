@@ -73,8 +73,9 @@ def _leave() -> None:
     status is.
     """
     if _was_raised:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        # A stream is None where the process was started without it
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            stream.flush()
         os._exit(STATUS)
 
 

@@ -9,6 +9,7 @@ import re
 import time
 from decimal import Decimal
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import known_uncertainties
-from bulletuav.errors import finite, numbers_of, shown
+from bulletuav.errors import finite, naming, numbers_of, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import exponential
 from bulletuav.network.mobility import find_mobility
@@ -844,3 +845,15 @@ def test_obstacles_name_what_they_cannot_be(kind, size, message):
 def test_obstacles_name_other_options_that_cannot_be(kind, options, message):
     with pytest.raises(ValueError, match=message):
         Obstacle(kind, **options)
+
+
+def test_a_file_in_the_current_folder_is_named(tmp_path, monkeypatch):
+    """Its folder is ".", which is part of most messages, such as of 11.5 m."""
+    monkeypatch.chdir(tmp_path)
+    with (
+        pytest.raises(ValueError, match=r"^town\.obj: a side of 11\.5 m"),
+        naming(Path("town.obj")),
+    ):
+        raise ValueError("a side of 11.5 m is too small")
+    with pytest.raises(ValueError, match="^maps/town is"), naming(Path("maps", "town.obj")):
+        raise ValueError("maps/town is too small")

@@ -12,6 +12,8 @@ input ends.
 import contextlib
 import os
 import sys
+import threading
+import time
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -54,7 +56,26 @@ def limit_memory(most: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
+def end_with_parent(period: float = 1.0) -> None:
+    """End this process when its parent has ended, also in the middle of a mesh.
+
+    A parent that is killed cannot end it, and CoACD may go on forever.
+
+    Args:
+        period: Time between two checks, s.
+    """
+    parent = os.getppid()
+
+    def check() -> None:
+        while os.getppid() == parent:
+            time.sleep(period)
+        os._exit(1)
+
+    threading.Thread(target=check, daemon=True).start()
+
+
 if __name__ == "__main__":
+    end_with_parent()
     # What CoACD prints goes where errors go, as standard output carries the pieces
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

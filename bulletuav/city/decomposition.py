@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from bulletuav.city.assembly import check_extent
 from bulletuav.city.decomposer import REMEDY, Decomposer
 from bulletuav.city.import_report import Notebook, Split
 from bulletuav.city.mesh import Mesh, components, outside, outward, prism_pieces, volume
@@ -40,7 +41,8 @@ def split(
 
     Raises:
         ImportError: CoACD is needed, and not installed.
-        ValueError: What is to be filled or left out is refused, or CoACD does not split a mesh.
+        ValueError: What is to be filled or left out is refused, a mesh is larger than a world, or
+            CoACD does not split it.
     """
     parts = components(mesh)
     hulls = [_hull_volume(part.points) for part in parts]
@@ -72,6 +74,7 @@ def _split_component(
         notes.add("hull", where, "its mesh is not closed")
         yield mesh.points
         return
+    check_extent(notes.path, mesh.points[:, :2].min(axis=0), mesh.points[:, :2].max(axis=0), None)
     filled = volume(closed)
     if filled >= (1 - FILLED) * hull:
         yield mesh.points

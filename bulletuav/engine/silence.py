@@ -26,6 +26,17 @@ def _c_library() -> ctypes.CDLL:
     return ctypes.CDLL(None)
 
 
+def _copy(descriptor: int) -> int:
+    """Duplicate a descriptor, to a number that is none of a standard stream, open or closed."""
+    copy = os.dup(descriptor)
+    if copy > 2:
+        return copy
+    try:
+        return _copy(descriptor)
+    finally:
+        os.close(copy)
+
+
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
     """Swallow what Bullet's C code writes to standard output and error: a library does not print.
@@ -43,7 +54,7 @@ def silenced() -> Iterator[None]:
         saved = {}
         for descriptor in (1, 2):
             with contextlib.suppress(OSError):  # a daemon may have closed it
-                saved[descriptor] = os.dup(descriptor)
+                saved[descriptor] = _copy(descriptor)
         nowhere = os.open(os.devnull, os.O_WRONLY)
         for descriptor in saved:
             os.dup2(nowhere, descriptor)

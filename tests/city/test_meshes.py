@@ -292,6 +292,30 @@ def test_the_process_limits_its_memory():
     assert int(done.stdout) == 3 * 2**30
 
 
+def test_the_process_ends_with_a_parent_that_is_killed():
+    """CoACD may never return, and then nothing else would end it."""
+    child = (
+        "import time; from bulletuav.city import coacd_child as child;"
+        "child.end_with_parent(0.01); print('ready', flush=True); time.sleep(600)"
+    )
+    # The child has the standard error of both, which ends with the last of them
+    parent = (
+        "import os, subprocess, sys;"
+        f"child = subprocess.Popen([sys.executable, '-c', {child!r}], stdout=subprocess.PIPE);"
+        "child.stdout.readline(); os.kill(os.getpid(), 9)"
+    )
+    done = subprocess.run([sys.executable, "-c", parent], stderr=subprocess.PIPE, timeout=120)
+    assert done.returncode == -9
+
+
+def test_a_mesh_larger_than_a_world_never_reaches_coacd(obj, monkeypatch):
+    """Of huge meshes CoACD makes pieces for minutes, which no world could hold."""
+    monkeypatch.setattr(decomposer.Decomposer, "__call__", lambda *_: pytest.fail("it did"))
+    points, faces = podium()
+    with pytest.raises(ValueError, match=r"town\.obj has buildings.* less than 4096 m is needed"):
+        from_obj(obj(written(("tower", 1e6 * np.asarray(points), faces))))
+
+
 def test_where_a_mesh_crosses_itself():
     assert find_crossing(CUBE) is None
     assert find_crossing(outward(make_mesh(*podium()))) is None

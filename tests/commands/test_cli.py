@@ -709,3 +709,20 @@ def test_a_full_disk_ends_in_one_line_that_names_the_file(
     ]
     assert not [path for path in files if path.name.startswith(".part-")]
     assert all(path.stat().st_size <= room for path in files)
+
+
+@pytest.mark.parametrize("words", [["tasks"], ["tasks", "nosuch"]], ids=["result", "error"])
+@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1, 2)], ids=str)
+def test_a_closed_stream_costs_nothing_of_the_others(words, closed, tmp_path):
+    """Daemons and schedulers start programs so."""
+    code = (
+        f"import os, sys; [os.close(k) for k in {closed}];"
+        f"os.execv(sys.executable, [sys.executable, '-m', 'bulletuav', *{words}])"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=120
+    )
+    assert run.returncode == (2 if "nosuch" in words else 0)
+    assert ("crossing" in run.stdout) == (1 not in closed and "nosuch" not in words)
+    assert ("unknown task" in run.stderr) == (2 not in closed and "nosuch" in words)
+    assert "Traceback" not in run.stderr
