@@ -31,7 +31,7 @@ def test_the_table_is_that_of_the_task(task):
     options |= {"action": "velocity", "dynamics": "single_integrator"}
     aviary = bulletuav.Aviary(task, num_drones=2, **options)
     recording = fly_episode(aviary, find_policy("random")(aviary), seed=0)
-    table = _table(recording, aviary)
+    table = _table(recording, aviary, 0)
     headings = [column.header for column in table.columns]
     assert headings == ["drone", *HEADINGS[task], "time (s)"]
     assert table.row_count == 2

@@ -1,6 +1,7 @@
 """The formats: how a small valid file of each is made, and what reads it."""
 
 import json
+import pickle
 import shutil
 from functools import cache
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from bulletuav.analysis.results_folder import ResultsFolder
 from bulletuav.analysis.seals import hash_files, sealed
 from bulletuav.city.imports import from_geojson, from_obj
 from bulletuav.engine.drones import require_loadable
-from bulletuav.envs.snapshot import Snapshot
+from bulletuav.envs.snapshot import Snapshot, checksum_of
 from bulletuav.geometry.mesh_file import read_obj
 from bulletuav.identification.checks import checked
 from bulletuav.identification.logs import read_log
@@ -364,15 +365,17 @@ def make_snapshot(folder):
     aviary.reset(seeds=3)
     snapshot = aviary.save_state()
     (folder / "state.bin").write_bytes(np.ascontiguousarray(snapshot.data).tobytes())
-    (folder / "form").write_text(snapshot.form)
+    (folder / "form.pickle").write_bytes(pickle.dumps(snapshot.form))
 
 
 def read_snapshot(folder):
     aviary = flown()
     aviary.reset(seeds=3)
-    content = np.frombuffer((folder / "state.bin").read_bytes(), np.uint8)
+    content = np.frombuffer((folder / "state.bin").read_bytes(), np.uint8)[None]
+    form = pickle.loads((folder / "form.pickle").read_bytes())
     try:
-        aviary.load_state(Snapshot(content[None], (folder / "form").read_text()))
+        # As written by hand: the checksum is that of the damaged bytes
+        aviary.load_state(Snapshot(content, form, checksum_of(content, form)))
     except ValueError as error:
         raise ValueError(f"{folder}: {error}") from None  # bytes have no name
     for _ in range(2):
