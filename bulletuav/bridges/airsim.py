@@ -15,7 +15,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Awaitable, Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bulletuav.bridges.airsim_calls import CONTINUES, PICTURES, Album, Calls
 from bulletuav.bridges.airsim_motions import MOTIONS
@@ -28,14 +28,14 @@ from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.streams import Stream, StreamServer
 from bulletuav.errors import as_int, missing, shown
 
-if TYPE_CHECKING:
-    import msgpack
-
 PORT = 41451
 """Port that clients connect to, unless they are told another"""
 LIMITS = Limits()
 MOST_REQUEST = 2**20
 """Greatest size of a request, bytes"""
+MAX_ITEMS = 2**13
+"""Greatest length of a list or map in a request. msgpack reserves memory for the length that a list
+or map claims to have, at each of up to 1024 levels."""
 ANSWER_HEAD, NO_ERROR = b"\x94\x01", b"\xc0"
 """Packed, the first two of an answer's four values, and the third where there is no error"""
 LONGEST_TURN = 0.005
@@ -210,15 +210,10 @@ class _Client:
 
     async def listen(self) -> None:
         """Answer requests until the client goes, or sends what is no request."""
-        unpacker: msgpack.Unpacker = self._msgpack.Unpacker(
-            max_buffer_size=MOST_REQUEST,
-            strict_map_key=False,
-            unicode_errors="replace",
-            ext_hook=_refuse_type,
-        )
+        reader = _MessageReader(self._msgpack)
         goes_on = True
         while goes_on and (data := await self._stream.reader.read(65536)):
-            messages, goes_on = self._messages(unpacker, data)
+            messages, goes_on = reader.read(data)
             await self._server._turns.take(self._answers(messages))
             if not self._stream.is_open:
                 return
@@ -250,17 +245,6 @@ class _Client:
             self._stream.close()
             return False
         return True
-
-    def _messages(self, unpacker: "msgpack.Unpacker", data: bytes) -> tuple[list[Any], bool]:
-        """Read all messages that are whole; tell also whether what follows can be read."""
-        messages: list[Any] = []
-        try:
-            unpacker.feed(data)
-            messages.extend(unpacker)
-        # TypeError is for maps whose keys are lists.
-        except (ValueError, TypeError, self._msgpack.UnpackException):
-            return messages, False
-        return messages, True
 
     def _take(self, message: Any) -> Awaitable[None] | None:
         """Answer a request.
@@ -345,6 +329,47 @@ class _Client:
             self._stream.send(data)
         else:
             self._held.append(data)
+
+
+class _MessageReader:
+    """Reads messages from a stream, and bounds the memory of one that is not whole."""
+
+    def __init__(self, msgpack: Any) -> None:
+        """Start at the beginning of a stream.
+
+        Args:
+            msgpack: The package.
+        """
+        self._unpacker = msgpack.Unpacker(
+            max_buffer_size=MOST_REQUEST,
+            max_array_len=MAX_ITEMS,
+            max_map_len=MAX_ITEMS,
+            strict_map_key=False,
+            unicode_errors="replace",
+            ext_hook=_refuse_type,
+        )
+        self._errors = (ValueError, TypeError, msgpack.UnpackException)
+        # Bytes that have come, and those of whole messages among them
+        self._received = self._read = 0
+
+    def read(self, data: bytes) -> tuple[list[Any], bool]:
+        """Return the messages that are whole by now, and whether what follows can be read.
+
+        Args:
+            data: The next bytes of the stream.
+        """
+        messages: list[Any] = []
+        self._received += len(data)
+        try:
+            self._unpacker.feed(data)
+            for message in self._unpacker:
+                messages.append(message)
+                self._read = self._unpacker.tell()
+        # TypeError is for maps whose keys are lists.
+        except self._errors:
+            return messages, False
+        # The unpacker's own bound leaves out what it has made objects of already
+        return messages, self._received - self._read <= MOST_REQUEST
 
 
 def _is_request(message: Any) -> bool:

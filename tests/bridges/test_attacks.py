@@ -19,7 +19,7 @@ from bridges.mavlink_client import NAN, Station, common, messages
 from waiting import PATIENCE
 
 import bulletuav
-from bulletuav.bridges.airsim import MOST_REQUEST, AirsimServer
+from bulletuav.bridges.airsim import MOST_REQUEST, AirsimServer, _MessageReader
 from bulletuav.bridges.airsim_calls import Calls
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.crazyflie import MOST_READ, SERVICES, CrazyflieServer
@@ -213,6 +213,8 @@ PING = request(b"\x90")
         b"\x91\xc9\xff\xff\xff\xff\x05",
         b"\x91\xdb\xff\xff\xff\xff" + b"x" * 2 * MOST_REQUEST,
         b"\x91\xc6\x00\x20\x00\x00" + bytes(2**21),
+        b"\x91" + b"\xdd\x00\x10\x00\x00" * 900,  # lists that claim a million items
+        b"\x91" + b"\xdf\x00\x08\x00\x00" * 900,
     ],
     ids=str,
 )
@@ -220,6 +222,26 @@ def test_bytes_that_make_no_plain_values_end_their_connection_alone(body, speak,
     assert speak(PING + request(body) + PING) in ([], [[1, 1, None, True]])
     assert speak(PING) == [[1, 1, None, True]]
     assert not [one for one in caplog.records if one.name == "asyncio"]
+
+
+@pytest.mark.parametrize("item", [b"\x90", b"\x80", b"\xa0", b"\x01"], ids=str)
+def test_a_request_that_never_ends_is_bounded(item, speak, caplog):
+    """In pieces that are read at once: what has become objects counts too."""
+    piece = b"\xdc\x10\x00" + item * 4096
+    assert speak(PING + request(b"\xdc\x10\x00") + piece * 1000) in ([], [[1, 1, None, True]])
+    assert speak(PING) == [[1, 1, None, True]]
+    assert any("no msgpack, or too many" in one.message for one in caplog.records)
+
+
+def test_requests_are_bounded_one_by_one():
+    """Many long ones in a row are no long one, however they are cut."""
+    body = b"\x91\xc6" + (MOST_REQUEST // 2).to_bytes(4) + bytes(MOST_REQUEST // 2)
+    stream, reader, found = request(body) * 5, _MessageReader(msgpack), 0
+    for k in range(0, len(stream), 60_000):
+        messages, goes_on = reader.read(stream[k : k + 60_000])
+        assert goes_on
+        found += len(messages)
+    assert found == 5
 
 
 @pytest.mark.parametrize(
