@@ -344,6 +344,7 @@ def test_silent_connections_lock_no_viewer_out():
     feed = Feed("127.0.0.1", 0, lambda: "the page", Limits(max_pending=4))
     silent = [socket.create_connection(parse_address(feed.address)) for _ in range(20)]
     watcher = Watcher(feed.address)
+    until(lambda: feed.is_watched)
     feed.send("", lambda: event("start"))
     assert watcher.next()[0] == "start"
     feed.close()
