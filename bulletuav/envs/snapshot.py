@@ -151,6 +151,11 @@ class Snapshot:
         self.require_whole()
         chosen = [worlds] if isinstance(worlds, int | np.integer) else worlds
         data = self.data[chosen]
+        if data.ndim != 2 or isinstance(worlds, bool):
+            raise IndexError(
+                f"worlds of a snapshot are {shown(worlds)}: a whole number, a slice, or a list of "
+                f"whole numbers is needed"
+            )
         if self.is_own:
             return own_snapshot(data, self.form)
         return Snapshot(data, self.form, checksum_of(data, self.form))

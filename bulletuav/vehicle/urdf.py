@@ -56,18 +56,22 @@ class UrdfFile:
     def _require_meshes(self) -> None:
         """Check all meshes that the file names, also visual ones.
 
-        The engine reads them in C++ without checks, from the folder of the file or one above it.
+        The engine reads them in C++ without checks, from the folder of the file or one above it,
+        or from the current folder. It would wait forever for a pipe or a device.
 
         Raises:
-            ValueError: One is damaged.
+            ValueError: One is damaged, or no file.
         """
         for mesh in self.root.iter("mesh"):
             name = mesh.get("filename", "")
             local = name.removeprefix("package://").removeprefix("model://")
-            for path in (folder / local for folder in self.path.resolve().parents):
+            for folder in (Path(), *self.path.resolve().parents):
+                path = folder / local
                 try:
                     if path.is_file():
                         _require_mesh(path)
+                    elif path.exists() and not path.is_dir():
+                        raise ValueError(f"{path} is no regular file: give one of a mesh")
                 except (OSError, ValueError) as error:
                     raise self.refusal("mesh filename", name, str(error)) from None
 
@@ -125,8 +129,9 @@ class UrdfFile:
         """
         text = element.get(attribute)
         label = f"{element.tag} {attribute}"
-        # Python takes 1_000 for a number; the engine, which reads the file as well, does not.
-        readable = "missing" if text is None or "_" in text else text
+        # Python takes 1_000 and digits of other scripts for numbers; the engine, which reads the
+        # file as well, does not.
+        readable = "missing" if text is None or "_" in text or not text.isascii() else text
         try:
             value = float(readable)
         except ValueError:

@@ -845,3 +845,14 @@ def test_snapshots_that_do_not_fit_are_refused():
     aviary.rng[1] = np.random.Generator(np.random.MT19937(0))
     with pytest.raises(ValueError, match="MT19937.*default_rng is needed"):
         aviary.save_state()
+
+
+@pytest.mark.parametrize(
+    "worlds", [True, np.True_, None, np.array(0), np.zeros((1, 1), int)], ids=repr
+)
+def test_worlds_of_a_snapshot_are_whole_numbers(worlds):
+    """What numpy makes other axes of is no snapshot."""
+    aviary = bulletuav.Aviary("hover", 1, num_drones=1, dynamics="point_mass")
+    aviary.reset(seeds=0)
+    with pytest.raises(IndexError, match="a whole number"):
+        aviary.save_state()[worlds]

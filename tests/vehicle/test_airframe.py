@@ -1,4 +1,5 @@
 import math
+import os
 import sys
 import types
 from dataclasses import replace
@@ -11,6 +12,7 @@ from bulletuav import Airframe, available_airframes, load_airframe, registry
 from bulletuav.geometry.shapes import HULL, Shape
 from bulletuav.vehicle.parameters import EFFECTS, parameter_rows
 from bulletuav.vehicle.scaling import scaled_constants
+from bulletuav.vehicle.urdf import UrdfFile
 
 # Computed by hand from published constants: hover speed (rad/s), most thrust (N), thrust to weight,
 # drag at hover (N s/m).
@@ -389,3 +391,19 @@ def test_a_size_of_zero_names_the_constant_that_leaves_the_effect_out(size, shar
     with pytest.raises(ValueError, match=f"is 0: .* for none, set {share} to 0"):
         load_airframe(replace(cf2x, **{size: 0.0}))
     assert parameter_rows([load_airframe(replace(cf2x, **{share: 0.0}))])[share] == 0.0
+
+
+def test_a_mesh_that_is_a_pipe_is_refused_before_anything_waits_for_it(tmp_path):
+    os.mkfifo(tmp_path / "pipe.obj")
+    path = tmp_path / "drone.urdf"
+    path.write_text('<robot><visual><mesh filename="pipe.obj"/></visual></robot>')
+    with pytest.raises(ValueError, match=r"<mesh filename> is pipe\.obj: .* no regular file"):
+        UrdfFile(path)
+
+
+def test_digits_that_the_engine_does_not_read_are_refused(tmp_path):
+    path = tmp_path / "drone.urdf"
+    path.write_text('<robot><mass value="\u0661"/></robot>', encoding="utf-8")
+    file = UrdfFile(path)
+    with pytest.raises(ValueError, match="a number is needed"):
+        file.number(file.element("mass"), "value")
