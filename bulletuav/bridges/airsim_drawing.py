@@ -45,10 +45,11 @@ class DrawingProcess:
         Raises:
             OSError: There is no room for a process.
         """
-        # As this process finds the package, the other one does, whatever has changed sys.path.
-        paths = os.pathsep.join(filter(None, sys.path))
+        # As this process finds the package, the other one does, whatever has changed sys.path. "-P"
+        # keeps it from looking in the working folder first, where anything may lie.
+        paths = os.pathsep.join(one or os.getcwd() for one in sys.path)
         self._process = subprocess.Popen(
-            [sys.executable, "-c", START],
+            [sys.executable, "-P", "-c", START],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": paths},

@@ -80,6 +80,8 @@ class Pictures:
                 self._require_open()
                 if self._process is None:
                     await run(self._thread, self._start)
+                    # It may have been closed meanwhile
+                    self._require_open()
                 if poses is None:
                     poses = self._world.airspace.scene_poses()
                     exposures = expose(self._world, album.drone, album.requests)
@@ -129,8 +131,10 @@ class Pictures:
         """End the process; pictures that were asked for raise `DrawingError`."""
         with self._closing:
             self._refusal = "no more pictures: the server is closing"
-            if self._process is not None:
-                self._process.kill()
+            # The thread may note at the same time that it has ended
+            process = self._process
+            if process is not None:
+                process.kill()
         self._thread.shutdown()
         if self._process is not None:
             self._process.close()

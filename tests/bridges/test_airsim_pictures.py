@@ -253,3 +253,26 @@ def test_closing_ends_outstanding_pictures(make, stub, caplog):
 
     asyncio.run(check())
     assert not caplog.records
+
+
+def test_closing_while_the_process_starts_ends_the_request(make, stub, monkeypatch):
+    _, calls, pictures = make(1)
+
+    async def check():
+        loop = asyncio.get_running_loop()
+        monkeypatch.setattr(
+            stub, "prepare", lambda self, setup: loop.call_soon_threadsafe(pictures.close)
+        )
+        with pytest.raises(DrawingError, match="the server is closing"):
+            await pictures.take(wanted(calls))
+
+    asyncio.run(check())
+
+
+def test_the_process_that_draws_imports_nothing_from_the_working_folder(tmp_path, monkeypatch):
+    (tmp_path / "planted.py").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(airsim_drawing.sys, "path", [one for one in airsim_drawing.sys.path if one])
+    look = "import importlib.util, sys; sys.exit(importlib.util.find_spec('planted') is not None)"
+    monkeypatch.setattr(airsim_drawing, "START", look)
+    assert airsim_drawing.DrawingProcess().close() == 0
