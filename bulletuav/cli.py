@@ -150,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         _run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt as interrupt:
         # Commands that keep something raise it again, with a text that says what
-        print(str(interrupt) or interrupts.TEXT, file=sys.stderr)
+        sys.stderr.write(f"{str(interrupt) or interrupts.TEXT}\n")
         sys.exit(interrupts.STATUS)
 
 

@@ -50,7 +50,7 @@ def test_training_ends_with_the_score_that_evaluation_finds(run, tmp_path, capsy
     (trained,) = scores(capsys.readouterr().out)
     main(["evaluate", str(run), "--out", str(tmp_path / "folder")])
     printed = capsys.readouterr().out
-    assert f"seeds 0 to 1, options of {run / 'run.yaml'}: " in printed
+    assert f"seeds 0 to 1, action velocity, options of {run / 'run.yaml'}: " in printed
     assert scores(printed) == [trained]
     policy = ["--policy", str(run), "--episodes", "2", "--out", str(tmp_path / "task")]
     main(["evaluate", "hover", *OPTIONS, *policy])
@@ -68,7 +68,7 @@ def test_options_that_are_given_go_before_those_of_the_run(run, tmp_path, capsys
     printed = capsys.readouterr().out
     assert f", other options of {run / 'run.yaml'}: " in printed
     (score,) = scores(printed)
-    assert "hover, difficulty extreme, dynamics single_integrator, 1 episode, seed 7: " in score
+    assert "hover, difficulty extreme, dynamics single_integrator, 1 episode, seed 7, " in score
 
 
 def test_a_run_and_a_policy_are_one_too_many(run, capsys):

@@ -184,7 +184,7 @@ def test_a_world_that_everybody_left_is_still_drawn():
         name = "nowhere"
         has_goals = False
         ends = (bulletuav.tasks.ends.leaves_arena,)
-        max_distance = 5.0
+        max_distance: float = 5.0
 
     options = {"action": "velocity", "max_distance": 2.0, "render_mode": "rgb_array"}
     aviary = bulletuav.Aviary(Nowhere, 2, start=((0.0, 0.0, 2.0),), **options)

@@ -515,7 +515,7 @@ def test_what_a_run_of_a_campaign_raises_is_raised(tmp_path):
         ("task: crossing\ncurriculum: {up: 2.0}", "0 <= down < up <= 1"),
         ("task: crossing\noptions: {dynamic: bullet}", "did you mean 'dynamics'"),
         ("task: crossing\noptions: {num_worlds: 3}", "unknown option"),
-        ("task: crossing\noptions: {5: 3}", "unknown option"),
+        ("task: crossing\noptions: {5: 3}", "the name 5 is no text"),
         ("task: crossing\nstages: [{dynamics: bulet}]", "did you mean 'bullet'"),
         ("task: crossing\nevaluation: {policy: orca}", "unknown option"),
         ("task: [", "is not valid YAML"),
