@@ -55,7 +55,7 @@ def test_training_ends_with_the_score_that_evaluation_finds(run, tmp_path, capsy
     policy = ["--policy", str(run), "--episodes", "2", "--out", str(tmp_path / "task")]
     main(["evaluate", "hover", *OPTIONS, *policy])
     assert scores(capsys.readouterr().out) == [trained]
-    assert "hover, difficulty easy, dynamics point_mass, 2 episodes, seeds 0 to 1: " in trained
+    assert "hover, difficulty easy, dynamics point_mass, 2 episodes, seeds 0 to 1, " in trained
     mean = re.search(r"return (-?[\d.]+) \[", trained)[1]
     row = (run / "learning.md").read_text().splitlines()[2]
     assert "| easy | point_mass | 2 episodes, seeds 0 to 1 | " in row
