@@ -264,9 +264,11 @@ class Feed:
             stream.request()
         except FullError as error:
             raise RequestError(HTTPStatus.SERVICE_UNAVAILABLE, f"{error}: try later") from error
-        stream.send(_head(HTTPStatus.OK, "text/event-stream"))
+        # Events come after the head, as they are sent in this thread, too: a page that has the head
+        # misses none
         viewer = _Viewer(stream)
         self._viewers.append(viewer)
+        stream.send(_head(HTTPStatus.OK, "text/event-stream"))
         self._came.set()
         try:
             while True:

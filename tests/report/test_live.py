@@ -340,6 +340,18 @@ def test_there_are_bounds_to_how_many_watch():
     watcher.leave()
 
 
+def test_a_page_that_has_the_head_of_the_feed_watches():
+    """It misses no event that is sent from then on."""
+    feed = Feed("127.0.0.1", 0, lambda: "the page")
+    watchers = []
+    for count in range(1, 31):
+        watchers.append(Watcher(feed.address))
+        assert len(feed._viewers) == count
+    feed.close()
+    for watcher in watchers:
+        watcher.leave()
+
+
 def test_silent_connections_lock_no_viewer_out():
     feed = Feed("127.0.0.1", 0, lambda: "the page", Limits(max_pending=4))
     silent = [socket.create_connection(parse_address(feed.address)) for _ in range(20)]
