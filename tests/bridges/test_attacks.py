@@ -19,7 +19,7 @@ from bridges.mavlink_client import NAN, Station, common, messages
 from waiting import PATIENCE
 
 import bulletuav
-from bulletuav.bridges.airsim import MOST_REQUEST, AirsimServer, _MessageReader
+from bulletuav.bridges.airsim import MAX_ITEMS, MOST_REQUEST, AirsimServer, _MessageReader
 from bulletuav.bridges.airsim_calls import Calls
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.crazyflie import MOST_READ, SERVICES, CrazyflieServer
@@ -231,6 +231,13 @@ def test_a_request_that_never_ends_is_bounded(item, speak, caplog):
     assert speak(PING + request(b"\xdc\x10\x00") + piece * 1000) in ([], [[1, 1, None, True]])
     assert speak(PING) == [[1, 1, None, True]]
     assert any("no msgpack, or too many" in one.message for one in caplog.records)
+
+
+@pytest.mark.parametrize("head", [b"\xdd", b"\xdf"], ids=["list", "map"])
+def test_lists_and_maps_may_claim_so_many_items_and_no_more(head):
+    """Memory is reserved for what they claim, before any item has come."""
+    for count, may_go_on in ((MAX_ITEMS, True), (MAX_ITEMS + 1, False)):
+        assert _MessageReader(msgpack).read(head + count.to_bytes(4)) == ([], may_go_on)
 
 
 def test_requests_are_bounded_one_by_one():
