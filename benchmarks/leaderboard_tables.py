@@ -169,15 +169,15 @@ def _summary(entries: Mapping[str, Sequence[Entry]], scores: Mapping[str, str]) 
     return "\n".join(lines) + "\n"
 
 
-def _conditions(told: Mapping[str, Any]) -> str:
+def _conditions(about: Mapping[str, Any]) -> str:
     """Write the task, difficulty, dynamics, episodes and seeds of the evaluation of a row."""
-    call = read_call(told["call"], trust=False)
+    call = read_call(about["call"], trust=False)
     options = resolve(find_task(call["task"]), call["options"]).options
     conditions = Conditions(
         task=call["task"],
         difficulty=options.difficulty,
         dynamics=options.dynamics_name,
-        episodes=told["episodes"],
+        episodes=about["episodes"],
         seed=call["seed"],
     )
     return str(conditions)

@@ -50,7 +50,7 @@ class Turns:
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
-        """Begin with nobody's turn.
+        """Begin while no client has its turn.
 
         Args:
             clock: Returns the time, s.
@@ -264,7 +264,7 @@ class _Client:
             if name in PICTURES:
                 return self._draw(number, self._calls.album(name, arguments))
             result = self._calls.call(name, arguments)
-        # What clients send wrong is told to them; a flight that diverged ends the server.
+        # Wrong calls are errors for their client; a flight that diverged ends the server.
         except ValueError as error:
             call = name if isinstance(name, str) else shown(name)
             self._server._refusals.log(self._stream.peer, call, str(error))

@@ -8,20 +8,17 @@ import os
 import struct
 import subprocess
 import sys
-import threading
-import time
 from multiprocessing.connection import Connection
 from typing import Any, BinaryIO
 
 from bulletuav.bridges.airsim_images import Exposure, response
+from bulletuav.city.coacd_child import end_with_parent
 from bulletuav.engine.scene_copy import SceneCopy, ScenePoses
 
 LENGTH = struct.Struct(">Q")
 """Number of bytes of the answer that follows"""
 PATIENCE = 5.0
 """Seconds that the process has to end by itself"""
-GLANCE = 2.0
-"""Seconds after which the process checks again that its server lives"""
 START = """
 import os, signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -129,7 +126,8 @@ def main() -> None:
     # What libraries print must not get between the answers.
     answers, nowhere = os.fdopen(os.dup(1), "wb"), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    # When the server has ended, though a fork of it may keep the pipes open
+    end_with_parent()
     try:
         jobs = Connection(os.dup(0), writable=False)
         copy = SceneCopy(*jobs.recv())
@@ -147,10 +145,3 @@ def _answer(pipe: BinaryIO, data: bytes) -> None:
     """Send an answer."""
     pipe.write(LENGTH.pack(len(data)) + data)
     pipe.flush()
-
-
-def _end_with(parent: int) -> None:
-    """End this process when its parent has ended, though a fork of that keeps the pipes open."""
-    while os.getppid() == parent:
-        time.sleep(GLANCE)
-    os._exit(0)

@@ -57,9 +57,9 @@ def limit_memory(most: int) -> None:
 
 
 def end_with_parent(period: float = 1.0) -> None:
-    """End this process when its parent has ended, also in the middle of a mesh.
+    """End this process when its parent has ended, whatever it is doing.
 
-    A parent that is killed cannot end it, and CoACD may go on forever.
+    A parent that is killed cannot end it, and a call of native code may take forever.
 
     Args:
         period: Time between two checks, s.

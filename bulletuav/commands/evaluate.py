@@ -224,14 +224,14 @@ def print_score(result: Evaluation, origin: str = "") -> None:
     about = result.about
     reads = ", which reads the true state" if about["reads_swarm"] else ""
     found = result.estimates()
-    told = ", ".join(
+    scores = ", ".join(
         f"{name} {found[name].mean:.4g} [{_interval(found[name])}]"
         for name in SCORES
         if found[name].episodes
     )
     action = about["options"]["action"]
     print(
-        f"score of {about['policy']}{reads}: {result.conditions}, action {action}{origin}: {told}"
+        f"score of {about['policy']}{reads}: {result.conditions}, action {action}{origin}: {scores}"
     )
 
 

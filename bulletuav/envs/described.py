@@ -38,7 +38,7 @@ LONGEST = 60
 
 
 def described(options: EnvOptions, config: Any) -> dict[str, Any]:
-    """Tell all options of an environment, as a json file can hold them.
+    """Return all options of an environment, as a JSON file can hold them.
 
     Args:
         options: The common ones.
@@ -120,13 +120,9 @@ def faces_of(layouts: Sequence[Solids]) -> list[list[np.ndarray]]:
 
 def _shown(value: Any, name: Any = None) -> str:
     """Write a value, or where that is long, its name and a hash of it."""
-    if (
-        isinstance(value, list)
-        and value
-        and all(text_of(one) == text_of(value[0]) for one in value)
-    ):
-        value = value[0]  # the same for all drones
-    text = text_of(value)
+    texts = {text_of(one) for one in value} if isinstance(value, list) else set()
+    # The same for all drones
+    text = texts.pop() if len(texts) == 1 else text_of(value)
     if len(text) <= LONGEST:
         return text
     named = "" if name is None else repr(name)
