@@ -5,6 +5,7 @@ Topics and messages are those of MCAP files. What nobody has subscribed to is no
 
 import re
 import threading
+import time
 from typing import Any
 
 from bulletuav.adapters.flights import Flight
@@ -22,6 +23,11 @@ NAME = "bulletuav"
 """Name of the server"""
 FIRST = (("/time", "std_msgs/msg/Float64"), ("/tf", "tf2_msgs/msg/TFMessage"))
 """Topics that every flight has: there before it begins"""
+LINGER = 1.0
+"""Time that viewers have to be sent the end of a flight, s: Foxglove's library drops what is queued
+when its server stops, and does not report what is"""
+LOOK_PERIOD = 0.02
+"""Time between two looks whether viewers are still there, s"""
 
 
 class FoxgloveServer:
@@ -45,6 +51,7 @@ class FoxgloveServer:
         self._context = Context()
         self._channels: dict[str, Channel] = {}
         self._came = threading.Event()
+        self._is_closed = False
         try:
             self._server = start_server(
                 name=NAME, host=host, port=port, server_listener=self, context=self._context
@@ -106,5 +113,12 @@ class FoxgloveServer:
         return self._channels[name]
 
     def close(self) -> None:
-        """Let viewers go, and close the port; a second call does nothing."""
+        """Close the port, once viewers have left or had time to get the end of the flight.
+
+        A second call does nothing.
+        """
+        end = time.monotonic() + LINGER
+        while not self._is_closed and self.is_watched and time.monotonic() < end:
+            time.sleep(LOOK_PERIOD)
+        self._is_closed = True
         self._server.stop()
