@@ -38,6 +38,7 @@ class Refusals:
         # Hashes, as texts of clients could be long
         self._kinds: dict[str, set[int]] = {}
         self._start, self._lines = -math.inf, Counter[str]()
+        self._server_start = -math.inf
 
     def log(self, client: str, call: str, reason: str) -> bool:
         """Log that a call was refused, unless one of its kind was logged for this client before.
@@ -65,6 +66,16 @@ class Refusals:
         """
         line = f"connection {printable(event)}"
         return self._log(client, "connections", line, line)
+
+    def log_server(self, event: str) -> None:
+        """Log what keeps the server from accepting clients, at most once in a period.
+
+        Args:
+            event: What happened, with the remedy.
+        """
+        if self._clock() - self._server_start > PERIOD:
+            self._server_start = self._clock()
+            self._logger.warning("server: %s", printable(event))
 
     def forget(self, client: str) -> None:
         """Forget a client that has gone."""

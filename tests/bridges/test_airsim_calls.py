@@ -501,7 +501,7 @@ def test_calls_that_cannot_be_are_told(client, name, arguments, said):
         ("moveToZ", [math.nan, 1.0, 9.0, RATE, -1, 1, ""], "z is nan"),
         ("moveToZ", [-1.0, 0.0, 9.0, RATE, -1, 1, ""], "velocity is 0 m/s"),
         ("moveByVelocity", [1.0, 0.0, 0.0, 1.0, 7, RATE, ""], "drivetrain is 7"),
-        ("moveByVelocity", [1.0, 0.0, 0.0, 1.0, 0, 5, ""], "yaw_mode 5"),
+        ("moveByVelocity", [1.0, 0.0, 0.0, 1.0, 0, 5, ""], "yaw_mode is 5"),
         ("moveOnPath", [[], 1.0, 9.0, *FREE, -1, 1, ""], "path is empty"),
         ("moveOnPath", [[1], 1.0, 9.0, *FREE, -1, 1, ""], "point is 1"),
     ],

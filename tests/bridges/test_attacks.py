@@ -11,6 +11,7 @@ import math
 import socket
 import struct
 import time
+import tracemalloc
 
 import msgpack
 import numpy as np
@@ -23,16 +24,19 @@ from bulletuav.bridges.airsim import MAX_ITEMS, MOST_REQUEST, AirsimServer, _Mes
 from bulletuav.bridges.airsim_calls import Calls
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.crazyflie import MOST_READ, SERVICES, CrazyflieServer
+from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import MalformedError, Packet
 from bulletuav.bridges.hil import LIMITS as HIL_LIMITS
 from bulletuav.bridges.hil import HilServer
 from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink import LIMITS, MOST_DATAGRAM, MavlinkServer
 from bulletuav.bridges.mavlink_commands import COMMANDS
+from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.bridges.mavlink_missions import MOST_ITEMS
 from bulletuav.bridges.mavlink_wire import Command, Wire
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.report.feed import Feed
 
 ODD = (0.0, -1.0, 1.0, 1e-45, 3e38, -3e38, math.inf, -math.inf, math.nan)
@@ -153,6 +157,25 @@ def test_no_numbers_send_a_crazyflie_out_of_this_world(make_fleet):
     assert unharmed(fleet.airspace)
 
 
+def test_what_servers_cannot_fly_is_refused_before_their_port_is_open(capsys):
+    """Otherwise the first step, or a client's first command, would end the server."""
+    for make in (World, Fleet, MavlinkFleet, HilBodies):
+        for name in DYNAMICS:
+            if name in ("rigid_body", "bullet"):
+                make(1, dynamics=name, seed=0).close()
+                continue
+            with pytest.raises(ValueError, match=f"dynamics is '{name}', .*'rigid_body' or"):
+                make(1, dynamics=name, seed=0)
+        if make is not HilBodies:  # whose autopilots command rotors alone
+            with pytest.raises(ValueError, match="need gravity"):
+                make(1, gravity=0.0, seed=0)
+            with pytest.raises(ValueError, match="controller 'pid' takes no"):
+                make(1, "cf2x", controller="pid", effects=("drag",), seed=0)
+    with pytest.raises(SystemExit):
+        main(["serve", "airsim", "--port", "0", "--dynamics", "point_mass", "--seconds", "0.1"])
+    assert "which has no motors" in capsys.readouterr().err
+
+
 # AirSim: "requests of up to 1 MiB", "msgpack makes numbers, texts, bytes, lists, maps and times
 # alone; calls are those of a table, and check what they are given"
 
@@ -233,22 +256,63 @@ def test_a_request_that_never_ends_is_bounded(item, speak, caplog):
     assert any("no msgpack, or too many" in one.message for one in caplog.records)
 
 
-@pytest.mark.parametrize("head", [b"\xdd", b"\xdf"], ids=["list", "map"])
-def test_lists_and_maps_may_claim_so_many_items_and_no_more(head):
-    """Memory is reserved for what they claim, before any item has come."""
-    for count, may_go_on in ((MAX_ITEMS, True), (MAX_ITEMS + 1, False)):
-        assert _MessageReader(msgpack).read(head + count.to_bytes(4)) == ([], may_go_on)
+def read_all(reader, data, size=60_000):
+    """Read bytes in pieces; return the messages."""
+    pieces = [data[k : k + size] for k in range(0, len(data), size)]
+    return [one for piece in pieces for one in reader.read(piece)]
+
+
+@pytest.mark.parametrize("kind", ["list", "map"])
+def test_lists_and_maps_have_so_many_items_together_and_no_more(kind):
+    """However they are nested."""
+    for count, is_read in ((MAX_ITEMS - 5, True), (MAX_ITEMS - 4, False)):
+        items = [0] * count if kind == "list" else {k: 0 for k in range(count)}
+        reader = _MessageReader(msgpack)
+        messages = read_all(reader, msgpack.packb([0, 1, "ping", [items]]))
+        assert messages == ([[0, 1, "ping", [items]]] if is_read else [])
+        assert reader.is_broken is not is_read
+    # One more than all together
+    half = [0] * (MAX_ITEMS // 2)
+    reader = _MessageReader(msgpack)
+    assert read_all(reader, msgpack.packb([0, 1, "ping", [half, half]])) == []
+    assert reader.is_broken
+
+
+FULL = b"\xdc\x20\x00"
+"""Head of a list of 8192"""
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        FULL + (FULL + b"\x90" * 8192) * 127,
+        FULL + (FULL + b"\x80" * 8192) * 127,
+        FULL * 1000,
+        b"\x91\xdd\x00\x0f\x00\x00" + b"\x90" * 0xF0000,
+        b"\x91" + b"\xdf\x00\x08\x00\x00" * 900,
+    ],
+    ids=["empty lists", "empty maps", "claims", "a whole list", "claims of maps"],
+)
+def test_requests_take_little_more_memory_than_their_bytes(body):
+    """Before they are whole, and when they are read; a list of an empty list takes 64 times."""
+    data = request(body)[: MOST_REQUEST - 1]
+    reader = _MessageReader(msgpack)
+    tracemalloc.start()
+    try:
+        assert read_all(reader, data) == []
+        kept, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 3 * MOST_REQUEST
+    assert most < 6 * MOST_REQUEST
 
 
 def test_requests_are_bounded_one_by_one():
     """Many long ones in a row are no long one, however they are cut."""
     body = b"\x91\xc6" + (MOST_REQUEST // 2).to_bytes(4) + bytes(MOST_REQUEST // 2)
-    stream, reader, found = request(body) * 5, _MessageReader(msgpack), 0
-    for k in range(0, len(stream), 60_000):
-        messages, goes_on = reader.read(stream[k : k + 60_000])
-        assert goes_on
-        found += len(messages)
-    assert found == 5
+    reader = _MessageReader(msgpack)
+    assert len(read_all(reader, request(body) * 5)) == 5
+    assert not reader.is_broken
 
 
 @pytest.mark.parametrize(
