@@ -28,13 +28,13 @@ Clock = Callable[[], float]
 EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 """Errors of a system that has no room for one more connection"""
 ACCEPT_RETRY = 1.0
-"""Time for which a server then accepts none, s: its socket stays ready, and it would try for ever"""
+"""Time for which a server then accepts none, s: or it would try again and again"""
 
 
 def cannot_accept(error: OSError) -> str:
     """Describe why no more connections are accepted for now, with the remedy."""
     return (
-        f"no connection can be accepted ({error.strerror}): it tries again each {ACCEPT_RETRY:g} s; "
+        f"no connection can be accepted ({error.strerror}): it tries again in {ACCEPT_RETRY:g} s; "
         f"close other connections, or raise the limit of open files (ulimit -n)"
     )
 
@@ -202,7 +202,9 @@ class Connections(Generic[Key]):
         if len(kept) < most:
             return None
         free = [
-            key for key in kept if self.idle(key) >= self._patience(self._entries[key], grace, grace)
+            key
+            for key in kept
+            if self.idle(key) >= self._patience(self._entries[key], grace, grace)
         ]
         if not free:
             raise FullError(f"{len(kept)} others are connected, which is the limit")

@@ -6,10 +6,12 @@ answers), `test_hil.py`, `test_mavlink_server.py` (many ports), and `report/test
 
 import argparse
 import contextlib
+import errno
 import itertools
 import math
 import socket
 import struct
+import threading
 import time
 import tracemalloc
 
@@ -17,7 +19,7 @@ import msgpack
 import numpy as np
 import pytest
 from bridges.mavlink_client import NAN, Station, common, messages
-from waiting import PATIENCE
+from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.bridges.airsim import MAX_ITEMS, MOST_REQUEST, AirsimServer, _MessageReader
@@ -37,6 +39,7 @@ from bulletuav.bridges.mavlink_wire import Command, Wire
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
 from bulletuav.dynamics import DYNAMICS
+from bulletuav.envs.connections import ACCEPT_RETRY
 from bulletuav.report.feed import Feed
 
 ODD = (0.0, -1.0, 1.0, 1e-45, 3e38, -3e38, math.inf, -math.inf, math.nan)
@@ -176,6 +179,61 @@ def test_what_servers_cannot_fly_is_refused_before_their_port_is_open(capsys):
     assert "which has no motors" in capsys.readouterr().err
 
 
+@pytest.fixture
+def exhausted(monkeypatch):
+    """Makes the system refuse connections, as it does without room for files, until it is cleared;
+    and counts how often it was asked."""
+    accept, is_exhausted, asked = socket.socket.accept, threading.Event(), []
+
+    def refuse(self):
+        asked.append(None)
+        if is_exhausted.is_set():
+            raise OSError(errno.EMFILE, "Too many open files")
+        return accept(self)
+
+    monkeypatch.setattr(socket.socket, "accept", refuse)
+    is_exhausted.asked = asked
+    is_exhausted.set()
+    return is_exhausted
+
+
+def test_servers_on_asyncio_wait_for_room_for_connections(exhausted, world, speak, caplog):
+    """All of them have one accept loop: AirSim's calls, and live pages."""
+    answers = []
+    thread = threading.Thread(target=lambda: answers.extend(speak(PING)))
+    thread.start()
+    until(lambda: exhausted.asked)
+    exhausted.clear()
+    thread.join()
+    assert answers == [[1, 1, None, True]]
+    (line,) = [one.getMessage() for one in caplog.records]
+    assert line.startswith("server: no connection can be accepted (Too many open files): it tries")
+    assert "ulimit -n" in line
+
+
+def test_bodies_wait_for_room_for_connections(exhausted, caplog):
+    """The socket stays ready: asking it again and again would take all of a processor."""
+    now, bodies = [0.0], HilBodies(1)
+    server = HilServer(bodies, port=0, clock=lambda: now[0])
+    with socket.create_connection(("127.0.0.1", server.ports[0]), timeout=PATIENCE):
+        until(lambda: server._listen(0.01) or exhausted.asked)
+        for _ in range(50):
+            server._listen(0.0)
+        assert len(exhausted.asked) == 1
+        for count in (2, 3, 4):
+            now[0] += 2 * ACCEPT_RETRY
+            server._accept_again()
+            until(lambda: server._listen(0.01) or len(exhausted.asked) == count)  # noqa: B023
+        assert len(server._connections[0]) == 0
+        exhausted.clear()
+        now[0] += 2 * ACCEPT_RETRY
+        until(lambda: server._turn() or len(server._connections[0]) == 1)
+    (line,) = [one.getMessage() for one in caplog.records]
+    assert "no connection can be accepted (Too many open files)" in line
+    server.close()
+    bodies.close()
+
+
 # AirSim: "requests of up to 1 MiB", "msgpack makes numbers, texts, bytes, lists, maps and times
 # alone; calls are those of a table, and check what they are given"
 
@@ -183,7 +241,6 @@ def test_what_servers_cannot_fly_is_refused_before_their_port_is_open(capsys):
 @pytest.fixture
 def speak(world, monkeypatch):
     """Send bytes to a server that answers but does not fly; return its answers."""
-    import threading
 
     async def stand(self):
         import asyncio
@@ -266,7 +323,7 @@ def read_all(reader, data, size=60_000):
 def test_lists_and_maps_have_so_many_items_together_and_no_more(kind):
     """However they are nested."""
     for count, is_read in ((MAX_ITEMS - 5, True), (MAX_ITEMS - 4, False)):
-        items = [0] * count if kind == "list" else {k: 0 for k in range(count)}
+        items = [0] * count if kind == "list" else dict.fromkeys(range(count), 0)
         reader = _MessageReader(msgpack)
         messages = read_all(reader, msgpack.packb([0, 1, "ping", [items]]))
         assert messages == ([[0, 1, "ping", [items]]] if is_read else [])
