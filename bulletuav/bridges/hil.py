@@ -22,6 +22,7 @@ from bulletuav.bridges.sockets import LOG_NAME, listening
 from bulletuav.envs.connections import (
     ACCEPT_RETRY,
     EXHAUSTED,
+    SPARED,
     Clock,
     Connections,
     FullError,
@@ -241,6 +242,9 @@ class HilServer:
                 self._log.log_server(cannot_accept(error))
                 self._selector.unregister(self._listening[i])
                 self._deaf[i] = self._clock() + ACCEPT_RETRY
+                for k, connections in enumerate(self._connections):
+                    for link in connections.spare():
+                        self._drop(k, link, SPARED)
             return
         try:
             link = Link(one, join_address(*address[:2]))

@@ -31,6 +31,10 @@ ACCEPT_RETRY = 1.0
 """Time for which a server then accepts none, s: or it would try again and again"""
 
 
+SPARED = "evicted: it sent nothing, and there was no room for one more connection"
+"""Event of a pending connection that was closed for that"""
+
+
 def cannot_accept(error: OSError) -> str:
     """Describe why no more connections are accepted for now, with the remedy."""
     return (
@@ -187,6 +191,20 @@ class Connections(Generic[Key]):
         """Return the time that a client or a pending connection has; one that waits has more, s."""
         patience = client if entry.is_client else pending
         return max(patience, self.limits.max_wait) if entry.busy else patience
+
+    def spare(self) -> list[Key]:
+        """Remove and return pending connections to close where the system has no room for more.
+
+        Those are the ones that have been idle for `ACCEPT_RETRY`.
+        """
+        spared = [
+            key
+            for key, entry in self._entries.items()
+            if not entry.is_client and self.idle(key) >= ACCEPT_RETRY
+        ]
+        for key in spared:
+            self.remove(key)
+        return spared
 
     def remove(self, key: Key) -> None:
         """Remove a connection, if it is there."""

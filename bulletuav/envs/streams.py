@@ -9,6 +9,7 @@ from typing import Any
 
 from bulletuav.envs.connections import (
     EXHAUSTED,
+    SPARED,
     Clock,
     Connections,
     FullError,
@@ -200,6 +201,8 @@ class StreamServer:
             is_ours = of is not None and of.fileno() == listening.fileno()
             if is_ours and isinstance(error, OSError) and error.errno in EXHAUSTED:
                 self.log.log_server(cannot_accept(error))
+                for stream in self.connections.spare():
+                    stream.drop(SPARED)
             elif before is not None:
                 before(loop, context)
             else:

@@ -39,7 +39,7 @@ from bulletuav.bridges.mavlink_wire import Command, Wire
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
 from bulletuav.dynamics import DYNAMICS
-from bulletuav.envs.connections import ACCEPT_RETRY
+from bulletuav.envs.connections import ACCEPT_RETRY, SPARED
 from bulletuav.report.feed import Feed
 
 ODD = (0.0, -1.0, 1.0, 1e-45, 3e38, -3e38, math.inf, -math.inf, math.nan)
@@ -211,6 +211,18 @@ def test_servers_on_asyncio_wait_for_room_for_connections(exhausted, world, spea
     assert "ulimit -n" in line
 
 
+def test_silent_connections_make_room_where_the_system_has_none(exhausted, world, speak, caplog):
+    exhausted.clear()
+    with socket.create_connection(("127.0.0.1", speak.port), timeout=PATIENCE) as silent:
+        until(lambda: len(speak.server.connections) == 1)
+        exhausted.set()
+        speak.now[0] += 2 * ACCEPT_RETRY
+        with socket.create_connection(("127.0.0.1", speak.port), timeout=PATIENCE):
+            assert silent.recv(1) == b""
+        exhausted.clear()
+    assert SPARED in caplog.text
+
+
 def test_bodies_wait_for_room_for_connections(exhausted, caplog):
     """The socket stays ready: asking it again and again would take all of a processor."""
     now, bodies = [0.0], HilBodies(1)
@@ -225,11 +237,17 @@ def test_bodies_wait_for_room_for_connections(exhausted, caplog):
             server._accept_again()
             until(lambda: server._listen(0.01) or len(exhausted.asked) == count)  # noqa: B023
         assert len(server._connections[0]) == 0
+        assert SPARED not in caplog.text
         exhausted.clear()
         now[0] += 2 * ACCEPT_RETRY
         until(lambda: server._turn() or len(server._connections[0]) == 1)
-    (line,) = [one.getMessage() for one in caplog.records]
-    assert "no connection can be accepted (Too many open files)" in line
+        # A connection that is silent makes room for another one
+        exhausted.set()
+        now[0] += 2 * ACCEPT_RETRY
+        with socket.create_connection(("127.0.0.1", server.ports[0]), timeout=PATIENCE):
+            until(lambda: server._listen(0.01) or len(server._connections[0]) == 0)
+    assert SPARED in caplog.messages[1]
+    assert "no connection can be accepted (Too many open files)" in caplog.messages[0]
     server.close()
     bodies.close()
 
@@ -249,7 +267,8 @@ def speak(world, monkeypatch):
             await asyncio.sleep(0.01)
 
     monkeypatch.setattr(AirsimServer, "_fly", stand)
-    server = AirsimServer(world, port=0)
+    now = [0.0]
+    server = AirsimServer(world, port=0, clock=lambda: now[0])
     thread = threading.Thread(target=server.run)
     thread.start()
 
@@ -266,6 +285,7 @@ def speak(world, monkeypatch):
                 pass
         return answers
 
+    speak.port, speak.server, speak.now = server.port, server, now
     yield speak
     server.stop()
     thread.join()

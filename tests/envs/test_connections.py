@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from waiting import PATIENCE
 
-from bulletuav.envs.connections import Connections, FullError, Limits
+from bulletuav.envs.connections import ACCEPT_RETRY, Connections, FullError, Limits
 from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.streams import StreamServer
 
@@ -111,6 +111,16 @@ def test_pending_connections_have_a_time_for_their_first_request_and_clients_one
     clock.now = 601.0
     assert kept.overdue() == ["client", "waiting"]
     assert Limits().max_idle == math.inf
+
+
+def test_silent_connections_are_spared_where_the_system_has_no_room(clock):
+    kept = Connections(Limits(), clock)
+    kept.request("client")
+    kept.add("silent")
+    clock.now = ACCEPT_RETRY
+    kept.add("new")
+    assert kept.spare() == ["silent"]
+    assert kept.all() == ["client", "new"]
 
 
 def test_a_pending_peer_that_is_heard_again_has_a_grace_time(clock):
