@@ -22,6 +22,7 @@ from bridges.mavlink_client import NAN, Station, common, messages
 from waiting import PATIENCE, until
 
 import bulletuav
+from bulletuav.bridges import sockets
 from bulletuav.bridges.airsim import MAX_ITEMS, MOST_REQUEST, AirsimServer, _MessageReader
 from bulletuav.bridges.airsim_calls import Calls
 from bulletuav.bridges.airsim_world import World
@@ -36,6 +37,7 @@ from bulletuav.bridges.mavlink_commands import COMMANDS
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.bridges.mavlink_missions import MOST_ITEMS
 from bulletuav.bridges.mavlink_wire import Command, Wire
+from bulletuav.bridges.sockets import LATE_SHARE
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
 from bulletuav.dynamics import DYNAMICS
@@ -135,6 +137,44 @@ def test_few_packets_are_taken_in_one_go(make_fleet, monkeypatch):
         server._read(0)
         taken.append(len(counts) - before)
     assert max(taken) == MOST_READ == 16
+    server.close()
+
+
+@pytest.mark.parametrize("kind", [CrazyflieServer, MavlinkServer])
+def test_a_flood_to_all_drones_takes_a_fraction_of_a_late_step(
+    kind, make_fleet, make_vehicles, monkeypatch
+):
+    """However long packets take; drones take turns."""
+    make = make_fleet if kind is CrazyflieServer else make_vehicles
+    server, now, reads = kind(make(20), port=0), [0.0], []
+
+    def read(i):
+        now[0] += 0.001
+        reads.append(i)
+
+    for port in server.ports:
+        udp(port, b"\xff")
+    until(lambda: len(server._selector.select(0.0)) == 20)
+    monkeypatch.setattr(sockets.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(server, "_read", read)
+    for _ in range(20):
+        before = now[0]
+        server._answer_for(0.0)
+        assert now[0] - before <= LATE_SHARE * server.pacer.period + 0.001
+    assert reads == [*range(20)] * 3
+    before = now[0]
+    server._answer_for(0.008)  # one that is in time answers until the end, and no longer
+    assert now[0] - before == pytest.approx(0.008, abs=0.0011)
+    monkeypatch.undo()
+    server.close()
+
+
+def test_messages_that_were_received_are_taken_without_new_ones(make_vehicles):
+    """One datagram may hold more messages than are taken in one go."""
+    server = MavlinkServer(make_vehicles(1), port=0, client_port=None)
+    frame = bytes(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(common.MAVLink(None, 9)))
+    udp(server.ports[0], frame * 60)
+    until(lambda: server._answer_for(0.001) or server.received == 60)
     server.close()
 
 
