@@ -3,6 +3,7 @@
 Topics and messages are those of MCAP files. What nobody has subscribed to is not made.
 """
 
+import logging
 import re
 import threading
 import time
@@ -10,6 +11,7 @@ from typing import Any
 
 from bulletuav.adapters.flights import Flight
 from bulletuav.adapters.ros import stamps_of, topics_of
+from bulletuav.envs.refusals import LineLimit
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import missing
 
@@ -19,6 +21,10 @@ try:
 except ImportError:
     raise missing("showing flights in Foxglove", "foxglove") from None
 
+LOGGERS = ("server", "connected_client", "connected_client.poller")
+"""Below `foxglove.websocket`: where Foxglove's library logs each odd message of a client"""
+for _name in LOGGERS:
+    logging.getLogger(f"foxglove.websocket.{_name}").addFilter(LineLimit())
 NAME = "bulletuav"
 """Name of the server"""
 FIRST = (("/time", "std_msgs/msg/Float64"), ("/tf", "tf2_msgs/msg/TFMessage"))

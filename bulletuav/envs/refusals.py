@@ -38,7 +38,6 @@ class Refusals:
         # Hashes, as texts of clients could be long
         self._kinds: dict[str, set[int]] = {}
         self._start, self._lines = -math.inf, Counter[str]()
-        self._server_start = -math.inf
 
     def log(self, client: str, call: str, reason: str) -> bool:
         """Log that a call was refused, unless one of its kind was logged for this client before.
@@ -73,8 +72,8 @@ class Refusals:
         Args:
             event: What happened, with the remedy.
         """
-        if self._clock() - self._server_start > PERIOD:
-            self._server_start = self._clock()
+        if self._has_room("server", 1):
+            self._lines["server"] += 1
             self._logger.warning("server: %s", printable(event))
 
     def forget(self, client: str) -> None:
@@ -101,13 +100,36 @@ class Refusals:
         self._logger.warning("client %s: %s", client, line)
         return True
 
-    def _has_room(self, topic: str) -> bool:
+    def _has_room(self, topic: str, most: int = MAX_LINES) -> bool:
         """Return True if one more line may be logged in this period."""
         # In a new period lines are counted from zero
         if self._clock() - self._start > PERIOD:
             self._start = self._clock()
             self._lines.clear()
-        return self._lines[topic] < MAX_LINES
+        return self._lines[topic] < most
+
+
+class LineLimit(logging.Filter):
+    """Limits the lines that a library logs about what clients send, as `Refusals` limits ours."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin without lines.
+
+        Args:
+            clock: Function that returns the time, s.
+        """
+        super().__init__()
+        self._clock, self._start, self._count = clock, -math.inf, 0
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Escape a record's characters; return False for one too many in this period."""
+        if self._clock() - self._start > PERIOD:
+            self._start, self._count = self._clock(), 0
+        self._count += 1
+        record.msg, record.args = printable(record.getMessage()), ()
+        if self._count == MAX_LINES:
+            record.msg += f"; more lines are not logged for {PERIOD:.0f} s"
+        return self._count <= MAX_LINES
 
 
 def printable(text: str) -> str:

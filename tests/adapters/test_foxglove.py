@@ -17,6 +17,7 @@ from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.cli import main
+from bulletuav.envs.refusals import MAX_LINES
 
 websockets = pytest.importorskip("websockets.sync.client", reason="needs websockets")
 foxglove = pytest.importorskip(
@@ -246,6 +247,20 @@ def test_flying_for_foxglove_waits_for_a_viewer(turns, tmp_path, monkeypatch, ca
     assert "connect Foxglove to ws://127.0.0.1:" in capsys.readouterr().out
     came[0].join()
     assert stamps == [k * 100_000_000 for k in range(6)]
+
+
+def test_a_flood_of_odd_messages_does_not_fill_the_log(caplog):
+    server = foxglove.FoxgloveServer("127.0.0.1", 0)
+    client = Client(server.address)
+    client.advertised("/tf")
+    wrong = {"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 77}]}
+    for _ in range(5 * MAX_LINES):
+        client.socket.send(json.dumps(wrong))
+    client.subscribe("/time")
+    until(lambda: server.is_watched)
+    assert 0 < sum("77" in record.getMessage() for record in caplog.records) <= MAX_LINES
+    client.stack.close()
+    server.close()
 
 
 def test_viewers_can_do_nothing_but_subscribe():
