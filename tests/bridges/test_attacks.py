@@ -114,6 +114,20 @@ def test_the_commands_serve_this_machine_alone_unless_they_are_told():
         main(["serve", "airsim", "--port", "0", "--host", "203.0.113.1", "--seconds", "0.1"])
 
 
+@pytest.mark.parametrize(
+    ("host", "ports", "said"),
+    [
+        ("127.0.0.1", [4560], "127.0.0.1:4560"),
+        ("::1", [4560, 4561], "[::1]:4560, [::1]:4561"),
+        ("127.0.0.1", [4560, 4561, 4562], "127.0.0.1:4560 to 127.0.0.1:4562"),
+        ("127.0.0.1", [40, 99, 7], "127.0.0.1:40, 127.0.0.1:99, 127.0.0.1:7"),
+    ],
+)
+def test_the_commands_list_addresses_that_programs_can_open(host, ports, said):
+    """Free ports, which the system chooses, are not consecutive."""
+    assert command._places(host, ports) == said
+
+
 # Crazyflie: "datagrams of up to 31 bytes", "at most 16 of a drone in one go", "numbers are checked
 # and cut to a range"
 
