@@ -33,6 +33,9 @@ PORT = 41451
 LIMITS = Limits()
 MOST_REQUEST = 2**20
 """Greatest size of a request, bytes"""
+SCAN_BUFFER = 2**16
+"""Bytes that are reserved for each connection to find where messages end; msgpack would reserve as
+many as a request may have, and the heap would grow with each new connection"""
 MAX_ITEMS = 2**13
 """Most items that all lists and maps of a request have together: a path of 1000 points has 4,000"""
 ANSWER_HEAD, NO_ERROR = b"\x94\x01", b"\xc0"
@@ -350,7 +353,7 @@ class _MessageReader:
         """
         self._msgpack = msgpack
         # Finds where messages end, and makes no objects
-        self._scanner = msgpack.Unpacker(max_buffer_size=MOST_REQUEST)
+        self._scanner = msgpack.Unpacker(max_buffer_size=MOST_REQUEST, read_size=SCAN_BUFFER)
         self._errors = (ValueError, TypeError, msgpack.UnpackException)
         # Bytes of the message that is not whole, and of all messages before it
         self._rest, self._read = bytearray(), 0
