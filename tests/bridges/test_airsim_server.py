@@ -410,7 +410,7 @@ def test_a_process_that_hangs_is_killed_and_replaced(serve, connect, monkeypatch
     monkeypatch.undo()
     assert len(other.get("simGetImages", [ONE], "")) == 1
     assert worker_of(server) != hung
-    assert [one.busy for one in server.connections._entries.values()] == [0, 0]
+    until(lambda: [one.busy for one in server.connections._entries.values()] == [0, 0])
     assert "hung" in caplog.text
 
 
