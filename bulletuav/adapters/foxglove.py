@@ -3,12 +3,15 @@
 Topics and messages are those of MCAP files. What nobody has subscribed to is not made.
 """
 
+import logging
 import re
 import threading
+import time
 from typing import Any
 
 from bulletuav.adapters.flights import Flight
 from bulletuav.adapters.ros import stamps_of, topics_of
+from bulletuav.envs.refusals import LineLimit
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import missing
 
@@ -18,10 +21,19 @@ try:
 except ImportError:
     raise missing("showing flights in Foxglove", "foxglove") from None
 
+LOGGERS = ("server", "connected_client", "connected_client.poller")
+"""Below `foxglove.websocket`: where Foxglove's library logs each odd message of a client"""
+for _name in LOGGERS:
+    logging.getLogger(f"foxglove.websocket.{_name}").addFilter(LineLimit())
 NAME = "bulletuav"
 """Name of the server"""
 FIRST = (("/time", "std_msgs/msg/Float64"), ("/tf", "tf2_msgs/msg/TFMessage"))
 """Topics that every flight has: there before it begins"""
+LINGER = 1.0
+"""Time that viewers have to be sent the end of a flight, s: Foxglove's library drops what is queued
+when its server stops, and does not report what is"""
+LOOK_PERIOD = 0.02
+"""Time between two looks whether viewers are still there, s"""
 
 
 class FoxgloveServer:
@@ -45,6 +57,7 @@ class FoxgloveServer:
         self._context = Context()
         self._channels: dict[str, Channel] = {}
         self._came = threading.Event()
+        self._is_closed = False
         try:
             self._server = start_server(
                 name=NAME, host=host, port=port, server_listener=self, context=self._context
@@ -106,5 +119,12 @@ class FoxgloveServer:
         return self._channels[name]
 
     def close(self) -> None:
-        """Let viewers go, and close the port; a second call does nothing."""
+        """Close the port, once viewers have left or had time to get the end of the flight.
+
+        A second call does nothing.
+        """
+        end = time.monotonic() + LINGER
+        while not self._is_closed and self.is_watched and time.monotonic() < end:
+            time.sleep(LOOK_PERIOD)
+        self._is_closed = True
         self._server.stop()

@@ -33,9 +33,11 @@ PORT = 41451
 LIMITS = Limits()
 MOST_REQUEST = 2**20
 """Greatest size of a request, bytes"""
+SCAN_BUFFER = 2**16
+"""Bytes that are reserved for each connection to find where messages end; msgpack would reserve as
+many as a request may have, and the heap would grow with each new connection"""
 MAX_ITEMS = 2**13
-"""Greatest length of a list or map in a request. msgpack reserves memory for the length that a list
-or map claims to have, at each of up to 1024 levels."""
+"""Most items that all lists and maps of a request have together: a path of 1000 points has 4,000"""
 ANSWER_HEAD, NO_ERROR = b"\x94\x01", b"\xc0"
 """Packed, the first two of an answer's four values, and the third where there is no error"""
 LONGEST_TURN = 0.005
@@ -185,12 +187,18 @@ class AirsimServer:
         """Answer a client until it goes."""
         await _Client(self, stream).listen()
 
-    async def advance(self, steps: int) -> None:
-        """Fly a number of steps at once, or until the server stops; others have their turns."""
+    async def advance(self, steps: int, is_wanted: Callable[[], bool] = lambda: True) -> None:
+        """Fly a number of steps at once, or until the server stops; others have their turns.
+
+        Args:
+            steps: How many.
+            is_wanted: Function that returns whether the client is still there; the rest of its
+                steps is not flown if it is not.
+        """
 
         def fly() -> Iterator[None]:
             for _ in range(steps):
-                if self._stopped:
+                if self._stopped or not is_wanted():
                     return
                 self.world.step()
                 yield None
@@ -211,16 +219,15 @@ class _Client:
     async def listen(self) -> None:
         """Answer requests until the client goes, or sends what is no request."""
         reader = _MessageReader(self._msgpack)
-        goes_on = True
-        while goes_on and (data := await self._stream.reader.read(65536)):
-            messages, goes_on = reader.read(data)
-            await self._server._turns.take(self._answers(messages))
+        while data := await self._stream.reader.read(65536):
+            await self._server._turns.take(self._answers(reader.read(data)))
             if not self._stream.is_open:
                 return
-        if not goes_on:
-            self._stream.drop("dropped: it sent bytes that are no msgpack, or too many")
+            if reader.is_broken:
+                self._stream.drop("dropped: it sent bytes that are no msgpack, or too many")
+                return
 
-    def _answers(self, messages: list[Any]) -> Iterator[Awaitable[None] | None]:
+    def _answers(self, messages: Iterator[Any]) -> Iterator[Awaitable[None] | None]:
         """Answer messages in order, until the client goes; yields what takes longer than a turn."""
         for message in messages:
             if not self._stream.is_open:
@@ -276,7 +283,7 @@ class _Client:
     async def _continue(self, number: int, steps: int) -> None:
         """Answer a call when its steps are flown."""
         with self._busy():
-            await self._server.advance(steps)
+            await self._server.advance(steps, lambda: self._stream.is_open)
             self._answer(number, None, None)
 
     async def _draw(self, number: int, album: Album) -> None:
@@ -309,7 +316,7 @@ class _Client:
 
     @contextlib.contextmanager
     def _busy(self) -> Iterator[None]:
-        """Record that the client waits, until the end of the block: meanwhile it is not idle."""
+        """Record that the client waits, until the end of the block."""
         connections = self._server.connections
         connections.wait(self._stream)
         try:
@@ -332,7 +339,11 @@ class _Client:
 
 
 class _MessageReader:
-    """Reads messages from a stream, and bounds the memory of one that is not whole."""
+    """Reads messages from a stream; one that is not whole takes the memory of its bytes alone.
+
+    Lists and maps take up to 72 times the memory of their bytes, so that no objects are made of a
+    message until its turn has come.
+    """
 
     def __init__(self, msgpack: Any) -> None:
         """Start at the beginning of a stream.
@@ -340,36 +351,62 @@ class _MessageReader:
         Args:
             msgpack: The package.
         """
-        self._unpacker = msgpack.Unpacker(
-            max_buffer_size=MOST_REQUEST,
+        self._msgpack = msgpack
+        # Finds where messages end, and makes no objects
+        self._scanner = msgpack.Unpacker(max_buffer_size=MOST_REQUEST, read_size=SCAN_BUFFER)
+        self._errors = (ValueError, TypeError, msgpack.UnpackException)
+        # Bytes of the message that is not whole, and of all messages before it
+        self._rest, self._read = bytearray(), 0
+        self.is_broken = False
+
+    def read(self, data: bytes) -> Iterator[Any]:
+        """Unpack the messages that are whole by now, one by one.
+
+        If what follows cannot be read, or is too long, `is_broken` is True afterwards.
+
+        Args:
+            data: The next bytes of the stream.
+        """
+        self._rest += data
+        try:
+            self._scanner.feed(data)
+            while True:
+                self._scanner.skip()
+                size = self._scanner.tell() - self._read
+                message, self._read = bytes(self._rest[:size]), self._read + size
+                del self._rest[:size]
+                yield self._unpack(message)
+        except self._msgpack.OutOfData:
+            self.is_broken = len(self._rest) > MOST_REQUEST
+        # TypeError is for maps whose keys are lists
+        except self._errors:
+            self.is_broken = True
+
+    def _unpack(self, message: bytes) -> Any:
+        """Unpack a whole message.
+
+        Raises:
+            ValueError, TypeError, UnpackException: It holds what no call needs, or too much.
+        """
+        count = 0
+
+        def count_items(items: Any) -> Any:
+            nonlocal count
+            count += len(items)
+            if count > MAX_ITEMS:
+                raise ValueError(f"more than {MAX_ITEMS} items in lists and maps")
+            return items
+
+        return self._msgpack.unpackb(
+            message,
             max_array_len=MAX_ITEMS,
             max_map_len=MAX_ITEMS,
             strict_map_key=False,
             unicode_errors="replace",
             ext_hook=_refuse_type,
+            list_hook=count_items,
+            object_hook=count_items,
         )
-        self._errors = (ValueError, TypeError, msgpack.UnpackException)
-        # Bytes that have come, and those of whole messages among them
-        self._received = self._read = 0
-
-    def read(self, data: bytes) -> tuple[list[Any], bool]:
-        """Return the messages that are whole by now, and whether what follows can be read.
-
-        Args:
-            data: The next bytes of the stream.
-        """
-        messages: list[Any] = []
-        self._received += len(data)
-        try:
-            self._unpacker.feed(data)
-            for message in self._unpacker:
-                messages.append(message)
-                self._read = self._unpacker.tell()
-        # TypeError is for maps whose keys are lists.
-        except self._errors:
-            return messages, False
-        # The unpacker's own bound leaves out what it has made objects of already
-        return messages, self._received - self._read <= MOST_REQUEST
 
 
 def _is_request(message: Any) -> bool:

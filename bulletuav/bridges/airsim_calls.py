@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from bulletuav.bridges import airsim_states as states
 from bulletuav.bridges.airsim_images import Request, expose, mount, response
 from bulletuav.bridges.airsim_motions import MOTIONS
-from bulletuav.bridges.airsim_values import duration, pose_in, pose_of, vector_in
+from bulletuav.bridges.airsim_values import duration, flag, pose_in, pose_of, vector_in, words
 from bulletuav.bridges.airsim_world import Collision, Vehicle, World
 from bulletuav.bridges.motions import Answer
 from bulletuav.earth import ned_to_enu
@@ -74,7 +74,7 @@ class Calls:
             "getHomeGeoPoint": self._home,
             # What it met
             "simGetCollisionInfo": self._collision,
-            "simPrintLogMessage": lambda message, parameter="", severity=0: None,
+            "simPrintLogMessage": self._print,
             # States, and readings of sensors
             "getMultirotorState": self._of(states.multirotor),
             "simGetGroundTruthKinematics": self._of(states.kinematics),
@@ -177,13 +177,20 @@ class Calls:
         """Make a call that reads a sensor of a vehicle; there is one of each kind."""
 
         def call(sensor_name: str = "", vehicle_name: str = "") -> Any:
+            words("sensor_name", sensor_name)
             return read(self.world, *self.world.vehicle(vehicle_name))
 
         return call
 
     def _pause(self, is_paused: bool) -> None:
         """Let time stand still, or go on."""
-        self.world.paused = bool(is_paused)
+        self.world.paused = flag("is_paused", is_paused)
+
+    def _print(self, message: str, parameter: str = "", severity: int = 0) -> None:
+        """Take a message for a screen, which is not there."""
+        words("message", message)
+        words("message_param", parameter)
+        as_int("severity", severity, 0, 3)
 
     def _set_wind(self, wind: Any) -> None:
         """Change the steady wind, north, east, down."""
@@ -192,16 +199,17 @@ class Calls:
     def _enable(self, is_enabled: bool, vehicle_name: str = "") -> None:
         """Ask for control of a vehicle, or give it back; then it stays where it is."""
         i, vehicle = self.world.vehicle(vehicle_name)
-        vehicle.is_ours = bool(is_enabled)
+        vehicle.is_ours = flag("is_enabled", is_enabled)
         if not is_enabled:
             vehicle.stay(self.world.state(i))
 
     def _arm(self, arm: bool, vehicle_name: str = "") -> bool:
         """Let motors turn, or stop them."""
         _, vehicle = self.world.vehicle(vehicle_name)
+        flag("arm", arm)
         if not vehicle.is_ours:
             raise _needs_control(vehicle)
-        vehicle.is_armed = bool(arm)
+        vehicle.is_armed = arm
         if not arm:
             vehicle.stop()
         return True
@@ -219,6 +227,7 @@ class Calls:
     ) -> None:
         """Put a vehicle somewhere, at rest."""
         i, _ = self.world.vehicle(vehicle_name)
+        flag("ignore_collision", ignore_collision)
         self.world.place(i, *pose_in(pose))
 
     def _pose(self, vehicle_name: str = "") -> dict[str, Any]:
@@ -261,7 +270,16 @@ class Calls:
         vehicle_name: str = "",
         more: Any = None,
     ) -> Album:
-        """Read a call for one PNG; `more` is another thing for each client, and not there."""
+        """Read a call for one PNG.
+
+        AirSim's clients send in `more` whether the camera belongs to no vehicle, those of
+        Cosys-AirSim the name of an annotation; both are not there.
+        """
+        if not (more is None or more is False or more == ""):
+            raise ValueError(
+                f"external or annotation_name is {shown(more)}: cameras of vehicles alone are "
+                f"there, without annotations; leave it out"
+            )
         request = Request({"camera_name": camera, "image_type": kind, "compress": True})
         return Album(self.world.vehicle(vehicle_name)[0], [request], False)
 
@@ -272,6 +290,10 @@ class Calls:
         external: Any = False,
     ) -> Album:
         """Read a call for pictures; cameras that belong to no vehicle are not there."""
+        if flag("external", external):
+            raise ValueError(
+                "external is True: cameras that belong to no vehicle are not there; leave it out"
+            )
         wanted = [Request(one) for one in as_sequence("requests", requests, most=MOST_IMAGES)]
         return Album(self.world.vehicle(vehicle_name)[0], wanted, True)
 

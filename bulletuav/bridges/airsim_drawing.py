@@ -8,6 +8,7 @@ import os
 import struct
 import subprocess
 import sys
+import threading
 from multiprocessing.connection import Connection
 from typing import Any, BinaryIO
 
@@ -19,6 +20,8 @@ LENGTH = struct.Struct(">Q")
 """Number of bytes of the answer that follows"""
 PATIENCE = 5.0
 """Seconds that the process has to end by itself"""
+LONGEST_START, LONGEST_PICTURE = 600.0, 60.0
+"""Seconds that the process has to start, and to draw a picture; then it counts as hung"""
 START = """
 import os, signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -33,7 +36,8 @@ main()
 class DrawingProcess:
     """A process that draws pictures of a copy of the world. Its methods block.
 
-    Calls raise EOFError or OSError when the process has ended.
+    Calls raise EOFError or OSError when the process has ended, and TimeoutError when it was killed
+    because it hung.
     """
 
     def __init__(self) -> None:
@@ -67,7 +71,7 @@ class DrawingProcess:
         Args:
             setup: Arguments of `SceneCopy`.
         """
-        self._ask(setup)
+        self._ask(setup, LONGEST_START)
 
     def draw(self, poses: ScenePoses, exposure: Exposure, is_list: bool) -> bytes:
         """Draw a picture.
@@ -82,14 +86,36 @@ class DrawingProcess:
         """
         new = poses._replace(added=poses.added[self._num_added :])
         self._num_added = len(poses.added)
-        return self._ask((new, exposure, is_list))
+        return self._ask((new, exposure, is_list), LONGEST_PICTURE)
 
-    def _ask(self, job: tuple[Any, ...]) -> bytes:
-        """Send a job, and wait for its answer."""
+    def _ask(self, job: tuple[Any, ...], limit: float) -> bytes:
+        """Send a job, and wait for its answer; a process that takes longer than a limit is killed.
+
+        Raises:
+            EOFError, OSError: The process has ended.
+            TimeoutError: It took too long.
+        """
         assert self._process.stdout is not None
-        self._jobs.send(job)
-        (length,) = LENGTH.unpack(_read(self._process.stdout, LENGTH.size))
-        return _read(self._process.stdout, length)
+        # Pipes have no time limits on all systems: they end with the process
+        is_hung = threading.Event()
+
+        def end() -> None:
+            is_hung.set()
+            self.kill()
+
+        timer = threading.Timer(limit, end)
+        timer.daemon = True
+        timer.start()
+        try:
+            self._jobs.send(job)
+            (length,) = LENGTH.unpack(_read(self._process.stdout, LENGTH.size))
+            return _read(self._process.stdout, length)
+        except (EOFError, OSError):
+            if is_hung.is_set():
+                raise TimeoutError(f"it hung for {limit:g} s and was killed") from None
+            raise
+        finally:
+            timer.cancel()
 
     def kill(self) -> None:
         """End the process; may be called from any thread, and more than once."""

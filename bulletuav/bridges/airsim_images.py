@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from bulletuav.bridges.airsim_values import pose_of
+from bulletuav.bridges.airsim_values import flag, pose_of, words
 from bulletuav.bridges.airsim_world import World
 from bulletuav.errors import as_int, shown, unknown
 from bulletuav.geometry.rotation import Quat4, from_euler, product, to_world
@@ -84,10 +84,10 @@ class Request:
         """
         if not isinstance(given, Mapping):
             raise ValueError(f"image request is {shown(given)}: a map is needed")
-        self.camera = str(given.get("camera_name"))
+        self.camera = words("camera_name", given.get("camera_name"))
         self.kind = as_int("image_type", given.get("image_type"), 0, 11)
-        self.as_float = bool(given.get("pixels_as_float"))
-        self.compress = bool(given.get("compress"))
+        self.as_float = flag("pixels_as_float", given.get("pixels_as_float", False))
+        self.compress = flag("compress", given.get("compress", False))
         if self.kind not in (SCENE, PLANAR, PERSPECTIVE, GREY, SEGMENTATION):
             raise ValueError(
                 f"image_type is {self.kind}: there are 0 (scene), 1, 2, 3 (depth) and 5 "

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_values import MOST, duration, number, vector_in, yaw_in
+from bulletuav.bridges.airsim_values import MOST, duration, flag, number, vector_in, yaw_in
 from bulletuav.bridges.airsim_world import Vehicle, World
 from bulletuav.bridges.motions import Heading, Hold, Land, Motion, Path, Stay, Turn
 from bulletuav.bridges.setpoints import Order, Setpoint, corner_speeds
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.errors import as_sequence, shown
+from bulletuav.errors import as_int, as_sequence, shown
 
 TAKE_OFF_HEIGHT = 3.0
 """m, as in AirSim"""
@@ -29,13 +29,13 @@ MotionOf = Callable[..., Motion]
 
 def _heading(drivetrain: Any, yaw_mode: Any) -> Heading:
     """Read where to look: 1 is forward only; else a yaw, or its rate, clockwise in degrees."""
-    if not isinstance(yaw_mode, Mapping) or drivetrain not in (0, 1):
+    as_int("drivetrain", drivetrain, 0, 1)
+    if not isinstance(yaw_mode, Mapping):
         raise ValueError(
-            f"drivetrain is {shown(drivetrain)} and yaw_mode {shown(yaw_mode)}: 0 or 1, and a map "
-            f"of is_rate and yaw_or_rate, are needed"
+            f"yaw_mode is {shown(yaw_mode)}: a map of is_rate and yaw_or_rate is needed"
         )
     degrees = number("yaw_or_rate", yaw_mode.get("yaw_or_rate"))
-    if yaw_mode.get("is_rate"):
+    if flag("is_rate", yaw_mode.get("is_rate", False)):
         return Heading("rate", -math.radians(degrees), drivetrain == 1)
     return Heading("angle", yaw_in(degrees), drivetrain == 1)
 
@@ -59,8 +59,12 @@ def _path(
     speed: Any,
     heading: Heading,
     limit: Any,
+    lookahead: Any = -1,
+    adaptive: Any = 1,
 ) -> Motion:
-    """Make a motion along points."""
+    """Make a motion along points; how AirSim looks ahead along its own does not matter here."""
+    number("lookahead", lookahead)
+    number("adaptive_lookahead", adaptive)
     fast = number("velocity", speed)
     if fast <= 0:
         raise ValueError(f"velocity is {fast:g} m/s: more than 0 is needed")
@@ -117,7 +121,8 @@ def move_to_position(
 ) -> Motion:  # fmt: skip
     """Fly straight to a place."""
     points = [_place(world, vehicle, x, y, z)]
-    return _path(world, i, points, speed, _heading(drivetrain, yaw_mode), limit)
+    heading = _heading(drivetrain, yaw_mode)
+    return _path(world, i, points, speed, heading, limit, lookahead, adaptive)
 
 
 def move_on_path(
@@ -129,7 +134,8 @@ def move_on_path(
     if not points:
         raise ValueError("path is empty: at least one point is needed")
     places = [_place(world, vehicle, *vector_in("point", one).tolist()) for one in points]
-    return _path(world, i, places, speed, _heading(drivetrain, yaw_mode), limit)
+    heading = _heading(drivetrain, yaw_mode)
+    return _path(world, i, places, speed, heading, limit, lookahead, adaptive)
 
 
 def move_to_z(
@@ -139,7 +145,7 @@ def move_to_z(
     """Rise or sink to a height."""
     goal = np.array(world.state(i)[0])
     goal[2] = _place(world, vehicle, 0.0, 0.0, z)[2]
-    return _path(world, i, [goal], speed, _heading(0, yaw_mode), limit)
+    return _path(world, i, [goal], speed, _heading(0, yaw_mode), limit, lookahead, adaptive)
 
 
 def _velocity(

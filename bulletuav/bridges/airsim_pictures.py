@@ -118,7 +118,9 @@ class Pictures:
     def _ended(self, error: Exception) -> DrawingError:
         """Note that the process has ended, and return the error for the request."""
         process, self._process = self._process, None
-        reason = str(error) if process is None else f"exit code {process.close()}"
+        code = None if process is None else process.close()
+        is_named = code is None or isinstance(error, TimeoutError)
+        reason = str(error) if is_named else f"exit code {code}"
         self._require_open()
         self._num_deaths += 1
         message = AGAIN.format(reason)

@@ -37,6 +37,28 @@ def duration(name: str, value: Any) -> float:
     return min(finite(name, value, 0.0), LONGEST)
 
 
+def flag(name: str, value: Any) -> bool:
+    """Check a truth value of a call.
+
+    Raises:
+        ValueError: It is none; numbers and texts are not taken for one.
+    """
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} is {shown(value)}: true or false is needed")
+    return value
+
+
+def words(name: str, value: Any) -> str:
+    """Check a text of a call.
+
+    Raises:
+        ValueError: It is none.
+    """
+    if not isinstance(value, str):
+        raise ValueError(f"{name} is {shown(value)}: a text is needed")
+    return value
+
+
 def vector(array: Any) -> dict[str, float]:
     """Write (3,) as a map."""
     return {f"{axis}_val": float(one) for axis, one in zip("xyz", array, strict=True)}

@@ -8,9 +8,16 @@ import numpy as np
 
 from bulletuav.bridges.airsim_values import attitude_of
 from bulletuav.bridges.motions import Answer, Motion, Off, Stay
-from bulletuav.bridges.setpoints import NORTH, Guide, Order, Setpoint, State, give
+from bulletuav.bridges.setpoints import (
+    NORTH,
+    Guide,
+    Order,
+    Setpoint,
+    State,
+    give,
+    make_airspace,
+)
 from bulletuav.earth import Origin
-from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import as_int, as_sequence, points_of, shown, unknown
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.lidar import Lidar
@@ -194,7 +201,7 @@ class World:
         known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
         if lidar:
             known |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR}
-        self.airspace = Airspace(self._starts, frame, **known)
+        self.airspace = make_airspace(self._starts, frame, **known)
         self.origin = Origin(*as_sequence("home", home, 3))
         # Each vehicle starts on its feet and has a guide of its own
         self.vehicles = {
@@ -334,7 +341,8 @@ class World:
             wanted[2] = vehicle.start[2]
         attitude = attitude_of(turn) if np.isfinite(turn).all() else swarm.quaternion[i].copy()
         speed = "hover" if vehicle.flies else 0.0
-        self.airspace.place(i, wanted, attitude, rotor_speed=speed)
+        # As lists, so that errors show plain numbers
+        self.airspace.place(i, wanted.tolist(), attitude.tolist(), rotor_speed=speed)
         self._forget(i)
         vehicle.moved(self.state(i))
 

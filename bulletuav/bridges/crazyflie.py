@@ -83,7 +83,7 @@ class CrazyflieServer(DatagramServer):
         self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
         self._peers: list[Peer | None] = [None] * len(fleet)
         self._waiting: dict[int, tuple[Address, Packet]] = {}
-        self.uris = [f"udp://{host}:{one}" for one in self.ports]
+        self.uris = [f"udp://{join_address(host, one)}" for one in self.ports]
 
     def _step(self) -> None:
         """Fly for 10 ms, and send logs."""

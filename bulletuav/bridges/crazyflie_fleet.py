@@ -8,10 +8,9 @@ from bulletuav.bridges.crazyflie_services import TICK
 from bulletuav.bridges.crazyflie_tables import LOGS
 from bulletuav.bridges.crazyflie_vehicle import Vehicle
 from bulletuav.bridges.crtp import Packet
-from bulletuav.bridges.setpoints import euler, give, states_of
+from bulletuav.bridges.setpoints import euler, give, make_airspace, states_of
 from bulletuav.bridges.starts import starts
 from bulletuav.earth import pressure
-from bulletuav.envs.airspace import Airspace
 from bulletuav.functions import cos, sin
 from bulletuav.vehicle.airframes import load_airframe
 
@@ -57,7 +56,7 @@ class Fleet:
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {DECISION_HZ} in the firmware: leave it out")
         known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
-        self.airspace = Airspace(places, frame, **known)
+        self.airspace = make_airspace(places, frame, **known)
         self.vehicles = [
             Vehicle(frame, functools.partial(self._stand_up, i)) for i in range(len(places))
         ]

@@ -19,7 +19,16 @@ from typing import Any
 from bulletuav.bridges.hil_bodies import STEP_HZ, HilBodies
 from bulletuav.bridges.mavlink_wire import Command, Message, Told, Wire, text, whole_frames
 from bulletuav.bridges.sockets import LOG_NAME, listening
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits
+from bulletuav.envs.connections import (
+    ACCEPT_RETRY,
+    EXHAUSTED,
+    SPARED,
+    Clock,
+    Connections,
+    FullError,
+    Limits,
+    cannot_accept,
+)
 from bulletuav.envs.pacer import Pacer
 from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.viewer import join_address
@@ -140,6 +149,8 @@ class HilServer:
             Connections(limits, clock) for _ in range(len(bodies))
         ]
         self._listening: list[socket.socket] = []
+        # Bodies whose port accepts no connections, and until when, by the clock, s
+        self._deaf: dict[int, float] = {}
         self._flies = False
         # A port for each body; if one is taken, those before are closed again
         try:
@@ -170,6 +181,7 @@ class HilServer:
     def _turn(self) -> None:
         """Measure, wait for the answers, and fly a step once all autopilots have answered."""
         self._drop_overdue()
+        self._accept_again()
         # Before the first step all autopilots have to be there
         if not self._flies and None in self._links:
             self._listen(LONGEST_WAIT)
@@ -223,13 +235,33 @@ class HilServer:
 
     def _meet(self, i: int) -> None:
         """Accept a connection; it is an autopilot's once it has sent a message."""
-        with contextlib.suppress(OSError):
+        try:
             one, address = self._listening[i].accept()
+        except OSError as error:
+            if error.errno in EXHAUSTED:
+                self._log.log_server(cannot_accept(error))
+                self._selector.unregister(self._listening[i])
+                self._deaf[i] = self._clock() + ACCEPT_RETRY
+                for k, connections in enumerate(self._connections):
+                    for link in connections.spare():
+                        self._drop(k, link, SPARED)
+            return
+        try:
             link = Link(one, join_address(*address[:2]))
             self._selector.register(one, selectors.EVENT_READ, (i, link))
-            evicted = self._connections[i].add(link)
-            if evicted is not None:
-                self._drop(i, evicted, "evicted: it sent nothing, and others needed room")
+        # Some systems allow no options of a connection that has ended already
+        except OSError:
+            one.close()
+            return
+        evicted = self._connections[i].add(link)
+        if evicted is not None:
+            self._drop(i, evicted, "evicted: it sent nothing, and others needed room")
+
+    def _accept_again(self) -> None:
+        """Listen again at ports for which the system had no room, once their time has come."""
+        for i in [i for i, end in self._deaf.items() if self._clock() >= end]:
+            del self._deaf[i]
+            self._selector.register(self._listening[i], selectors.EVENT_READ, (i, None))
 
     def _hear(self, i: int, link: Link) -> None:
         """Read the messages of a connection, and take them if it is an autopilot's."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.bridges.mavlink_fleet import HOME, SPACING
 from bulletuav.bridges.mavlink_wire import Message, Told
-from bulletuav.bridges.setpoints import NORTH, Order, corner_speeds, give
+from bulletuav.bridges.setpoints import NORTH, Order, corner_speeds, give, make_airspace
 from bulletuav.bridges.starts import starts
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.earth import (
@@ -21,7 +21,6 @@ from bulletuav.earth import (
     pressure,
     temperature,
 )
-from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import as_sequence, finite
 from bulletuav.geometry.rotation import to_body
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
@@ -99,7 +98,7 @@ class HilBodies:
         # The field of the Earth at home, in gauss as MAVLink wants it
         self._field = magnetic_field(*as_sequence("home", home, 3)) / GAUSS
         known = {"physics_hz": 2 * STEP_HZ, "decision_hz": STEP_HZ, "seed": seed, **options}
-        self.airspace = Airspace(self._starts, frame, **known)
+        self.airspace = make_airspace(self._starts, frame, (SetpointLevel.ROTOR,), **known)
         self.tick = 0
         self._rng = np.random.default_rng(seed)
         self._orders: list[Order | None] = [None] * len(self._starts)

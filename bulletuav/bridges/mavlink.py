@@ -97,12 +97,13 @@ class MavlinkServer(DatagramServer):
 
     def _step(self) -> None:
         """Fly for 10 ms, and send what vehicles tell."""
-        for i, waiting in enumerate(self._waiting):
-            if waiting:
-                self._read(i)
         for i, told in enumerate(self.fleet.step()):
             if told:
                 self._send_all(i, told)
+
+    def _received(self) -> list[int]:
+        """Return the vehicles that have messages which are received already, but not taken."""
+        return [i for i, waiting in enumerate(self._waiting) if waiting]
 
     def _send_all(self, i: int, told: list[Told]) -> None:
         """Send messages of a vehicle to all its peers; those that have gone are forgotten."""

@@ -11,10 +11,9 @@ from bulletuav.bridges.mavlink_services import Services
 from bulletuav.bridges.mavlink_telemetry import STEP_HZ
 from bulletuav.bridges.mavlink_vehicle import Vehicle
 from bulletuav.bridges.mavlink_wire import Message, Sender, Told
-from bulletuav.bridges.setpoints import NORTH, give, states_of
+from bulletuav.bridges.setpoints import NORTH, give, make_airspace, states_of
 from bulletuav.bridges.starts import starts
 from bulletuav.earth import Origin, attitude_to_ned
-from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import as_int, as_sequence
 from bulletuav.vehicle.airframes import load_airframe
 
@@ -70,7 +69,7 @@ class MavlinkFleet:
             raise ValueError(f"decision_hz is {STEP_HZ} for clients of MAVLink: leave it out")
         self.origin = Origin(*as_sequence("home", home, 3))
         known = {"physics_hz": PHYSICS_HZ, "decision_hz": STEP_HZ, **options}
-        self.airspace = Airspace(places, frame, **known)
+        self.airspace = make_airspace(places, frame, **known)
         self.services = [
             Services(Vehicle(k + 1, frame, Site.at(self.origin, place), partial(self._locate, k)))
             for k, place in enumerate(places)

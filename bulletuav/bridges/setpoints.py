@@ -5,7 +5,7 @@ A setpoint may mix what `SetpointLevel` keeps apart, such as a velocity across a
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
@@ -22,6 +22,40 @@ MOST_LEAD = 1.0
 
 State = tuple[list[float], list[float], list[float], list[float]]
 """Position, quaternion, velocity, rates of a drone; see `Swarm`"""
+
+
+def make_airspace(
+    starts: Any,
+    airframe: Airframe,
+    levels: Sequence[SetpointLevel] = tuple(SetpointLevel),
+    **options: Any,
+) -> Airspace:
+    """Make the airspace of a server, in which drones have motors and hear the commands it gives.
+
+    Otherwise the flight would end with its first step, or with a client's first command.
+
+    Args:
+        starts: (N, 3) where drones start, m.
+        airframe: Their airframe.
+        levels: Setpoint levels that the server commands.
+        **options: More options of `Airspace`.
+
+    Raises:
+        ValueError: An option cannot be, or the dynamics does not take the commands.
+    """
+    airspace = Airspace(starts, airframe, **options)
+    try:
+        if airspace.consumes != SetpointLevel.ROTOR:
+            raise ValueError(
+                f"dynamics is {shown(options.get('dynamics'))}, which has no motors: servers for "
+                f"programs of others need 'rigid_body' or 'bullet'"
+            )
+        for level in levels:
+            airspace.require_level(level)
+    except ValueError:
+        airspace.close()
+        raise
+    return airspace
 
 
 def states_of(swarm: Swarm) -> list[State]:

@@ -15,6 +15,10 @@ LOG_NAME = "bulletuav.bridges"
 """Name of the logger of what servers refuse: calls, and connections"""
 
 
+LATE_SHARE = 0.25
+"""Fraction of a step's time in which a server that is late reads: no flood stops the flight"""
+
+
 def cannot_listen(
     host: str,
     port: int,
@@ -86,6 +90,8 @@ class DatagramServer(ABC):
         self.pacer = Pacer(period, speed, _sleep=self._answer_for)
         self._selector = selectors.DefaultSelector()
         self._sockets: list[socket.socket] = []
+        # Drone whose packets are read first
+        self._next = 0
         try:
             for i in range(count):
                 self._open(host, port + i if port else 0)
@@ -126,13 +132,28 @@ class DatagramServer(ABC):
                 self._answer_for(0.0)
 
     def _answer_for(self, seconds: float) -> None:
-        """Answer packets for a time, s."""
-        end = time.perf_counter() + seconds
+        """Answer packets for a time, s, or for a fraction of a step if there is less.
+
+        Drones take turns: those whose packets were not read in time are the first ones next time.
+        """
+        start = time.perf_counter()
+        end = start + seconds
+        limit = max(end, start + LATE_SHARE * self.pacer.period / self.pacer.speed)
         while True:
-            for key, _ in self._selector.select(max(end - time.perf_counter(), 0.0)):
-                self._read(key.data)
+            received = self._received()
+            left = 0.0 if received else max(end - time.perf_counter(), 0.0)
+            ready = {key.data for key, _ in self._selector.select(left)}.union(received)
+            for i in sorted(ready, key=lambda i: (i - self._next) % len(self._sockets)):
+                self._read(i)
+                self._next = i + 1
+                if time.perf_counter() >= limit:
+                    return
             if time.perf_counter() >= end:
                 return
+
+    def _received(self) -> list[int]:
+        """Return the drones that have packets which are received already, but not taken."""
+        return []
 
     @abstractmethod
     def _step(self) -> None:

@@ -10,6 +10,7 @@ from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.commands.progress import show_progress
+from bulletuav.envs.viewer import join_address
 from bulletuav.errors import choose
 
 ABOUT = {
@@ -51,7 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed", type=float, default=1.0, help="simulated seconds a second (default: 1)"
     )
     # The world and its clock
-    parser.add_argument("--dynamics", default="bullet", help="default: bullet")
+    parser.add_argument(
+        "--dynamics",
+        default="bullet",
+        help="bullet or rigid_body, which have motors (default: bullet)",
+    )
     parser.add_argument(
         "--wind",
         type=float,
@@ -117,13 +122,21 @@ def _at(arguments: argparse.Namespace, usual: int) -> tuple[str, int, float]:
     return arguments.host, port, arguments.speed
 
 
+def _places(host: str, ports: list[int], scheme: str = "") -> str:
+    """List where a server listens: the first and the last address if ports are consecutive."""
+    places = [f"{scheme}{join_address(host, port)}" for port in ports]
+    if len(ports) > 2 and ports == list(range(ports[0], ports[0] + len(ports))):
+        return f"{places[0]} to {places[-1]}"
+    return ", ".join(places)
+
+
 def _serve_crazyflie(arguments: argparse.Namespace) -> None:
     """Serve virtual Crazyflies."""
     fleet = Fleet(arguments.drones, arguments.airframe or "cf2x", **_options(arguments))
     _serve(
         fleet,
         lambda: crazyflie.CrazyflieServer(fleet, *_at(arguments, crazyflie.PORT)),
-        lambda server: f"{len(fleet)} drones at {server.uris[0]} to {server.uris[-1]}",
+        lambda server: f"{len(fleet)} drones at {_places(arguments.host, server.ports, 'udp://')}",
         arguments.seconds,
     )
 
@@ -136,7 +149,7 @@ def _serve_airsim(arguments: argparse.Namespace) -> None:
     _serve(
         world,
         lambda: airsim.AirsimServer(world, *_at(arguments, airsim.PORT)),
-        lambda server: f"{', '.join(world.vehicles)} at {server.host}:{server.port}",
+        lambda server: f"{', '.join(world.vehicles)} at {join_address(server.host, server.port)}",
         arguments.seconds,
     )
 
@@ -149,7 +162,7 @@ def _serve_mavlink(arguments: argparse.Namespace) -> None:
         fleet,
         lambda: mavlink.MavlinkServer(fleet, *_at(arguments, mavlink.PORT), clients),
         lambda server: (
-            f"{len(fleet)} vehicles at {arguments.host}:{server.ports[0]} to {server.ports[-1]}; "
+            f"{len(fleet)} vehicles at {_places(arguments.host, server.ports)}; "
             f"they send to ports {clients} to {clients + len(fleet) - 1}"
         ),
         arguments.seconds,
@@ -164,8 +177,7 @@ def _serve_hil(arguments: argparse.Namespace) -> None:
         bodies,
         lambda: hil.HilServer(bodies, *_at(arguments, hil.PORT)),
         lambda server: (
-            f"{len(bodies)} bodies wait for autopilots at {arguments.host}:{server.ports[0]} "
-            f"to {server.ports[-1]}"
+            f"{len(bodies)} bodies wait for autopilots at {_places(arguments.host, server.ports)}"
         ),
         arguments.seconds,
     )

@@ -150,6 +150,17 @@ class Airspace(AirspaceParts):
         """
         self.command(drones, SetpointLevel.ROTOR, np.zeros(self.hover_speed.shape[1]))
 
+    def require_level(self, level: SetpointLevel | str) -> None:
+        """Check that drones can be commanded a setpoint level.
+
+        Args:
+            level: The level, or its name.
+
+        Raises:
+            ValueError: There is no such level, or it cannot drive the dynamics.
+        """
+        level_of(level, self.consumes, self._options)
+
     @exclusive
     def apply(
         self,

@@ -6,12 +6,15 @@ places of their own, so that peers which send nothing cannot take a client's pla
 - A new connection evicts the pending one that has been idle longest if all pending places are
   taken. A pending connection without a valid request is closed after `handshake` seconds.
 - A first valid request needs a client's place. If all are taken, the client that has been idle
-  longest is evicted, if that is longer than `grace` seconds. Otherwise the new client is refused.
+  longest is evicted, if that is longer than `grace` seconds. Clients that wait for an answer are
+  evicted after all others, and have `max_wait` seconds instead. If no client may be evicted, the
+  new one is refused.
 
 `Connections` keeps the books and has no sockets; `streams.py` applies it to asyncio's. What is
 refused, dropped or evicted is logged by `refusals.py`.
 """
 
+import errno
 import math
 import time
 from collections.abc import Callable, Hashable
@@ -20,6 +23,24 @@ from typing import Generic, TypeVar
 
 Key = TypeVar("Key", bound=Hashable)
 Clock = Callable[[], float]
+
+
+EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+"""Errors of a system that has no room for one more connection"""
+ACCEPT_RETRY = 1.0
+"""Time for which a server then accepts none, s: or it would try again and again"""
+
+
+SPARED = "evicted: it sent nothing, and there was no room for one more connection"
+"""Event of a pending connection that was closed for that"""
+
+
+def cannot_accept(error: OSError) -> str:
+    """Describe why no more connections are accepted for now, with the remedy."""
+    return (
+        f"no connection can be accepted ({error.strerror}): it tries again in {ACCEPT_RETRY:g} s; "
+        f"close other connections, or raise the limit of open files (ulimit -n)"
+    )
 
 
 class FullError(ConnectionError):
@@ -35,6 +56,7 @@ class Limits:
         max_pending: Connections without a valid request at the same time.
         handshake: Time until the first valid request, s.
         grace: Time after its last request in which a client is not evicted for another, s.
+        max_wait: The same for a client that waits for an answer, s.
         pending_grace: The same for pending connections, s.
         max_idle: Time after its last request after which a client is dropped, s.
         max_unread: Bytes that a client may leave unread.
@@ -46,6 +68,7 @@ class Limits:
     max_pending: int = 64
     handshake: float = 10.0
     grace: float = 60.0
+    max_wait: float = 600.0
     pending_grace: float = 0.0
     max_idle: float = math.inf
     max_unread: int = 2**24
@@ -60,7 +83,7 @@ class _Entry:
     Attributes:
         active: Time of its last valid request, or of its start, s.
         is_client: Whether it has sent a valid request.
-        busy: Requests that it waits for; a client that waits is not idle.
+        busy: Requests that it waits for.
     """
 
     active: float
@@ -161,9 +184,27 @@ class Connections(Generic[Key]):
         return [
             key
             for key, entry in self._entries.items()
-            if now - entry.active > (limits.max_idle if entry.is_client else limits.handshake)
-            and not entry.busy
+            if now - entry.active > self._patience(entry, limits.max_idle, limits.handshake)
         ]
+
+    def _patience(self, entry: _Entry, client: float, pending: float) -> float:
+        """Return the time that a client or a pending connection has; one that waits has more, s."""
+        patience = client if entry.is_client else pending
+        return max(patience, self.limits.max_wait) if entry.busy else patience
+
+    def spare(self) -> list[Key]:
+        """Remove and return pending connections to close where the system has no room for more.
+
+        Those are the ones that have been idle for `ACCEPT_RETRY`.
+        """
+        spared = [
+            key
+            for key, entry in self._entries.items()
+            if not entry.is_client and self.idle(key) >= ACCEPT_RETRY
+        ]
+        for key in spared:
+            self.remove(key)
+        return spared
 
     def remove(self, key: Key) -> None:
         """Remove a connection, if it is there."""
@@ -178,9 +219,13 @@ class Connections(Generic[Key]):
         kept = [key for key, entry in self._entries.items() if entry.is_client == is_client]
         if len(kept) < most:
             return None
-        free = [key for key in kept if not self._entries[key].busy and self.idle(key) >= grace]
+        free = [
+            key
+            for key in kept
+            if self.idle(key) >= self._patience(self._entries[key], grace, grace)
+        ]
         if not free:
             raise FullError(f"{len(kept)} others are connected, which is the limit")
-        evicted = max(free, key=self.idle)
+        evicted = min(free, key=lambda key: (self._entries[key].busy > 0, -self.idle(key)))
         self.remove(evicted)
         return evicted

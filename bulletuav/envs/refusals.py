@@ -66,6 +66,16 @@ class Refusals:
         line = f"connection {printable(event)}"
         return self._log(client, "connections", line, line)
 
+    def log_server(self, event: str) -> None:
+        """Log what keeps the server from accepting clients, at most once in a period.
+
+        Args:
+            event: What happened, with the remedy.
+        """
+        if self._has_room("server", 1):
+            self._lines["server"] += 1
+            self._logger.warning("server: %s", printable(event))
+
     def forget(self, client: str) -> None:
         """Forget a client that has gone."""
         self._kinds.pop(client, None)
@@ -90,13 +100,36 @@ class Refusals:
         self._logger.warning("client %s: %s", client, line)
         return True
 
-    def _has_room(self, topic: str) -> bool:
+    def _has_room(self, topic: str, most: int = MAX_LINES) -> bool:
         """Return True if one more line may be logged in this period."""
         # In a new period lines are counted from zero
         if self._clock() - self._start > PERIOD:
             self._start = self._clock()
             self._lines.clear()
-        return self._lines[topic] < MAX_LINES
+        return self._lines[topic] < most
+
+
+class LineLimit(logging.Filter):
+    """Limits the lines that a library logs about what clients send, as `Refusals` limits ours."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin without lines.
+
+        Args:
+            clock: Function that returns the time, s.
+        """
+        super().__init__()
+        self._clock, self._start, self._count = clock, -math.inf, 0
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Escape a record's characters; return False for one too many in this period."""
+        if self._clock() - self._start > PERIOD:
+            self._start, self._count = self._clock(), 0
+        self._count += 1
+        record.msg, record.args = printable(record.getMessage()), ()
+        if self._count == MAX_LINES:
+            record.msg += f"; more lines are not logged for {PERIOD:.0f} s"
+        return self._count <= MAX_LINES
 
 
 def printable(text: str) -> str:

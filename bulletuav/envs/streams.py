@@ -5,8 +5,17 @@ import contextlib
 import socket
 import time
 from collections.abc import Awaitable, Callable
+from typing import Any
 
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits
+from bulletuav.envs.connections import (
+    EXHAUSTED,
+    SPARED,
+    Clock,
+    Connections,
+    FullError,
+    Limits,
+    cannot_accept,
+)
 from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.viewer import join_address
 
@@ -175,8 +184,31 @@ class StreamServer:
             listening: The socket.
             max_line: Longest line that a stream's reader reads, bytes.
         """
+        self._handle_errors_of(listening)
         self._server = await asyncio.start_server(self._meet, sock=listening, limit=max_line)
         self._sweeper = asyncio.create_task(self._sweep_often())
+
+    def _handle_errors_of(self, listening: socket.socket) -> None:
+        """Log connections that the system has no room for as one line, without a traceback.
+
+        asyncio itself tries again after a second. Other errors go where they went before.
+        """
+        loop = asyncio.get_running_loop()
+        before = loop.get_exception_handler()
+
+        def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+            error, of = context.get("exception"), context.get("socket")
+            is_ours = of is not None and of.fileno() == listening.fileno()
+            if is_ours and isinstance(error, OSError) and error.errno in EXHAUSTED:
+                self.log.log_server(cannot_accept(error))
+                for stream in self.connections.spare():
+                    stream.drop(SPARED)
+            elif before is not None:
+                before(loop, context)
+            else:
+                loop.default_exception_handler(context)
+
+        loop.set_exception_handler(handle)
 
     async def stop(self) -> None:
         """Close the port and all connections; returns when all have ended."""

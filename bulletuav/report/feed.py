@@ -11,6 +11,7 @@ import contextlib
 import http.client
 import io
 import logging
+import re
 import socket
 import threading
 import time
@@ -34,6 +35,10 @@ SEND_BUFFER = 2**16
 """Bytes for a viewer that the system keeps, so that unread ones are noticed soon"""
 SILENCE = 5.0
 """s without an event after which a viewer is written to, to find out whether it is still there"""
+SINGLE = ("Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest")
+"""Headers that are checked: one that is there twice could mean another thing to a proxy"""
+HOST = re.compile(r"(\[[^\[\]@]*\]|[^:\[\]@]*)(:\d*)?", re.ASCII)
+"""Form of the header `Host`: name and port"""
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 LOG = logging.getLogger("bulletuav.live")
 
@@ -217,6 +222,8 @@ class Feed:
             raise ConnectionError("a browser has gone") from error
         except (asyncio.LimitOverrunError, ValueError, http.client.HTTPException) as error:
             raise RequestError(HTTPStatus.BAD_REQUEST, "this is no request of HTTP") from error
+        if repeated := [name for name in SINGLE if len(headers.get_all(name, [])) > 1]:
+            raise RequestError(HTTPStatus.BAD_REQUEST, f"the header {repeated[0]} is there twice")
         LOG.debug('%s "%s %s %s"', stream.peer, method, path, version)
         if not version.startswith("HTTP/1."):
             raise RequestError(HTTPStatus.HTTP_VERSION_NOT_SUPPORTED, "use HTTP/1.1")
@@ -313,9 +320,12 @@ def _is_of_this_page(host: str, headers: Message) -> bool:
 
 
 def _name_in(host: str) -> str:
-    """Return the name in "name:port", in lower case; an IPv6 address without brackets."""
-    name = host.partition("]")[0] if host.startswith("[") else host.partition(":")[0]
-    return name.strip("[").lower()
+    """Return the name in "name:port", in lower case; an IPv6 address without brackets.
+
+    It is empty if the text is not of that form.
+    """
+    found = HOST.fullmatch(host)
+    return found[1].strip("[]").lower() if found else ""
 
 
 def _names_of(host: str) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ import shlex
 import socket
 import struct
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,12 @@ from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.cli import main
+from bulletuav.envs.refusals import MAX_LINES
 
-pytest.importorskip("foxglove", reason="needs the extra foxglove")
 websockets = pytest.importorskip("websockets.sync.client", reason="needs websockets")
+foxglove = pytest.importorskip(
+    "bulletuav.adapters.foxglove", reason="needs the extra foxglove", exc_type=ImportError
+)
 closed = pytest.importorskip("websockets.exceptions").ConnectionClosed
 
 FREE = "127.0.0.1:0"
@@ -181,14 +185,58 @@ def test_what_cannot_be_is_one_line(capsys, tmp_path, monkeypatch):
     assert "needs the extra 'foxglove': pip install" in line
 
 
+def read_and_leave(client, stamps, count):
+    """Read the stamps of messages in a thread, which then closes the connection."""
+
+    def read():
+        with contextlib.suppress(closed):
+            stamps.extend(client.next()[1] for _ in range(count))
+        client.stack.close()
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    return thread
+
+
+def test_closing_sends_viewers_all_that_is_queued(monkeypatch):
+    """Foxglove's library itself drops it."""
+    monkeypatch.setattr(foxglove, "LINGER", PATIENCE)
+    server, stamps = foxglove.FoxgloveServer("127.0.0.1", 0), []
+    client = Client(server.address)
+    client.subscribe("/time")
+    until(lambda: server.is_watched)
+    kind = "std_msgs/msg/Float64"
+    data = bytes(server._store.serialize_cdr(server._store.types[kind](data=1.0), kind))
+    for k in range(500):
+        server._channels["/time"].log(data, log_time=k)
+    thread = read_and_leave(client, stamps, 500)
+    server.close()
+    thread.join()
+    assert stamps == list(range(500))
+    server.close()
+
+
+def test_a_viewer_that_stays_holds_up_the_end_for_a_time_alone(monkeypatch):
+    monkeypatch.setattr(foxglove, "LINGER", 0.1)
+    server = foxglove.FoxgloveServer("127.0.0.1", 0)
+    client = Client(server.address)
+    client.subscribe("/time")
+    until(lambda: server.is_watched)
+    server.close()
+    with pytest.raises(closed):
+        client.next()
+
+
 def test_flying_for_foxglove_waits_for_a_viewer(turns, tmp_path, monkeypatch, capsys):
-    came = []
+    came, stamps = [], []
 
     def come(self, seconds=None):
-        came.append(Client(self.address))
-        came[0].subscribe("/time")
+        client = Client(self.address)
+        client.subscribe("/time")
         until(lambda: self.is_watched)
+        came.append(read_and_leave(client, stamps, 6))
 
+    monkeypatch.setattr(foxglove, "LINGER", PATIENCE)
     monkeypatch.setattr("bulletuav.adapters.foxglove.FoxgloveServer.wait", come)
     page = Path(__file__).parents[2] / "docs" / "export.md"
     (line,) = re.findall(r"bulletuav (fly .*--foxglove.*)", page.read_text())
@@ -197,7 +245,22 @@ def test_flying_for_foxglove_waits_for_a_viewer(turns, tmp_path, monkeypatch, ca
     short = ["--drones", "2", "--dynamics", "point_mass", "--horizon", "5", "--animation", "none"]
     main([*shlex.split(line, comments=True), *short])
     assert "connect Foxglove to ws://127.0.0.1:" in capsys.readouterr().out
-    assert [came[0].next()[1] for _ in range(6)] == [k * 100_000_000 for k in range(6)]
+    came[0].join()
+    assert stamps == [k * 100_000_000 for k in range(6)]
+
+
+def test_a_flood_of_odd_messages_does_not_fill_the_log(caplog):
+    server = foxglove.FoxgloveServer("127.0.0.1", 0)
+    client = Client(server.address)
+    client.advertised("/tf")
+    wrong = {"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 77}]}
+    for _ in range(5 * MAX_LINES):
+        client.socket.send(json.dumps(wrong))
+    client.subscribe("/time")
+    until(lambda: server.is_watched)
+    assert 0 < sum("77" in record.getMessage() for record in caplog.records) <= MAX_LINES
+    client.stack.close()
+    server.close()
 
 
 def test_viewers_can_do_nothing_but_subscribe():

@@ -2,13 +2,14 @@
 
 import io
 import math
+import re
 
 import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from bulletuav.bridges.airsim_calls import Calls
+from bulletuav.bridges.airsim_calls import CONTINUES, PICTURES, Calls
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_values import attitude_of, pose_in, pose_of, yaw_in, yaw_out
 from bulletuav.bridges.airsim_world import World
@@ -501,7 +502,7 @@ def test_calls_that_cannot_be_are_told(client, name, arguments, said):
         ("moveToZ", [math.nan, 1.0, 9.0, RATE, -1, 1, ""], "z is nan"),
         ("moveToZ", [-1.0, 0.0, 9.0, RATE, -1, 1, ""], "velocity is 0 m/s"),
         ("moveByVelocity", [1.0, 0.0, 0.0, 1.0, 7, RATE, ""], "drivetrain is 7"),
-        ("moveByVelocity", [1.0, 0.0, 0.0, 1.0, 0, 5, ""], "yaw_mode 5"),
+        ("moveByVelocity", [1.0, 0.0, 0.0, 1.0, 0, 5, ""], "yaw_mode is 5"),
         ("moveOnPath", [[], 1.0, 9.0, *FREE, -1, 1, ""], "path is empty"),
         ("moveOnPath", [[1], 1.0, 9.0, *FREE, -1, 1, ""], "point is 1"),
     ],
@@ -512,6 +513,183 @@ def test_motions_that_cannot_be_leave_the_drone_as_it_was(client, name, argument
         client.begin(name, *arguments)
     client.fly(0.5)
     assert client.place() == pytest.approx([0, 0, -5], abs=0.02)
+
+
+BOOL, TEXT, NUMBER, TIME, WHOLE, VECTORS, POSE, PATH = range(8)
+YAW_MODE, REQUESTS, CAMERA, VEHICLE = range(8, 12)
+"""Kinds of arguments"""
+GOOD = {
+    BOOL: True,
+    TEXT: "",
+    NUMBER: 1.0,
+    TIME: 1.0,
+    WHOLE: 1,
+    VECTORS: vector(1.0, 0.0, 0.0),
+    POSE: pose((0, 0, -5)),
+    PATH: [vector(1.0, 0.0, -5.0)],
+    YAW_MODE: RATE,
+    REQUESTS: [{"camera_name": "0", "image_type": 0, "pixels_as_float": False, "compress": True}],
+    CAMERA: "0",
+    VEHICLE: "",
+}
+MOVE, LOOK = (NUMBER, TIME, WHOLE, YAW_MODE, NUMBER, NUMBER, VEHICLE), (TIME, WHOLE, YAW_MODE)
+ARGUMENTS = {
+    "ping": (),
+    "getServerVersion": (),
+    "getMinRequiredClientVersion": (),
+    "reset": (),
+    "simPause": (BOOL,),
+    "simIsPaused": (),
+    "listVehicles": (),
+    "getSettingsString": (),
+    "simSetWind": (VECTORS,),
+    "enableApiControl": (BOOL, VEHICLE),
+    "isApiControlEnabled": (VEHICLE,),
+    "armDisarm": (BOOL, VEHICLE),
+    "cancelLastTask": (VEHICLE,),
+    "simSetVehiclePose": (POSE, BOOL, VEHICLE),
+    "simGetVehiclePose": (VEHICLE,),
+    "getHomeGeoPoint": (VEHICLE,),
+    "simGetCollisionInfo": (VEHICLE,),
+    "simPrintLogMessage": (TEXT, TEXT, WHOLE),
+    "getMultirotorState": (VEHICLE,),
+    "simGetGroundTruthKinematics": (VEHICLE,),
+    "simGetGroundTruthEnvironment": (VEHICLE,),
+    "getRotorStates": (VEHICLE,),
+    "getImuData": (TEXT, VEHICLE),
+    "getBarometerData": (TEXT, VEHICLE),
+    "getMagnetometerData": (TEXT, VEHICLE),
+    "getGpsData": (TEXT, VEHICLE),
+    "getLidarData": (TEXT, VEHICLE),
+    "simContinueForTime": (TIME,),
+    "simContinueForFrames": (WHOLE,),
+    "simGetImage": (CAMERA, WHOLE, VEHICLE),
+    "simGetImages": (REQUESTS, VEHICLE),
+    "takeoff": (TIME, VEHICLE),
+    "land": (TIME, VEHICLE),
+    "goHome": (TIME, VEHICLE),
+    "hover": (VEHICLE,),
+    "moveToPosition": (NUMBER, NUMBER, NUMBER, *MOVE),
+    "moveOnPath": (PATH, *MOVE),
+    "moveToZ": (NUMBER, NUMBER, TIME, YAW_MODE, NUMBER, NUMBER, VEHICLE),
+    "rotateToYaw": (NUMBER, TIME, NUMBER, VEHICLE),
+    "rotateByYawRate": (NUMBER, TIME, VEHICLE),
+    "moveByMotorPWMs": (NUMBER,) * 4 + (TIME, VEHICLE),
+    **{
+        f"moveByVelocity{rest}": (NUMBER,) * 3 + (*LOOK, VEHICLE)
+        for rest in ("", "Z", "BodyFrame", "ZBodyFrame")
+    },
+    **{
+        f"moveBy{rest}": (NUMBER,) * 4 + (TIME, VEHICLE)
+        for rest in (
+            "RollPitchYawZ",
+            "RollPitchYawThrottle",
+            "RollPitchYawrateZ",
+            "RollPitchYawrateThrottle",
+            "AngleRatesZ",
+            "AngleRatesThrottle",
+        )
+    },
+}
+"""Kinds of the arguments of all calls"""
+NESTED = [[[[[[[["x"]]]]]]]]
+ODD = (
+    None,
+    True,
+    2.5,
+    -1,
+    10**30,
+    1e300,
+    math.nan,
+    math.inf,
+    "x",
+    b"x",
+    [],
+    {},
+    NESTED,
+    {"x": NESTED},
+)
+
+
+def fits(kind, value):
+    """Return True if a value of `ODD` can be an argument of a kind."""
+    if kind == BOOL:
+        return value is True
+    if kind == TEXT:
+        return isinstance(value, str)
+    is_number = isinstance(value, int | float) and value is not True and math.isfinite(value)
+    if kind in (NUMBER, TIME):  # long times are cut
+        return is_number and (value >= 0 if kind == TIME else abs(value) < 1e5)
+    return kind == REQUESTS and value == []
+
+
+def parts_of(kind):
+    """Yield values of a kind of which one part is odd, with the part's own kind."""
+    good = GOOD[kind]
+    if kind == VECTORS:
+        for key in good:
+            yield from ((good | {key: odd}, NUMBER, odd) for odd in ODD)
+    elif kind == PATH:
+        yield from (([part], *rest) for part, *rest in parts_of(VECTORS))
+    elif kind == POSE:
+        # What is NaN stays as it is
+        for part, wanted, odd in parts_of(VECTORS):
+            if odd == odd:
+                yield good | {"position": part}, wanted, odd
+        yield from ((good | {key: odd}, POSE, odd) for key in good for odd in ODD)
+    elif kind == YAW_MODE:
+        yield from ((good | {"is_rate": odd}, BOOL, odd) for odd in ODD)
+        yield from ((good | {"yaw_or_rate": odd}, NUMBER, odd) for odd in ODD)
+    elif kind == REQUESTS:
+        kinds = (CAMERA, WHOLE, BOOL, BOOL)
+        for (key, _), wanted in zip(good[0].items(), kinds, strict=True):
+            yield from (([good[0] | {key: odd}], wanted, odd) for odd in ODD)
+
+
+def odd_arguments(kinds):
+    """Yield arguments of which one is odd, and whether they are good all the same."""
+    good = [GOOD[kind] for kind in kinds]
+    for k, kind in enumerate(kinds):
+        for value, wanted, odd in [*((odd, kind, odd) for odd in ODD), *parts_of(kind)]:
+            yield [*good[:k], value, *good[k + 1 :]], fits(wanted, odd)
+    yield [*good, 5], False
+    if kinds:
+        yield good[:-1], None  # some may be left out
+
+
+def try_call(calls, name, arguments):
+    """Make a call without network or pictures; return the message of its error, or None."""
+    try:
+        if name in MOTIONS:
+            calls.move(name, arguments, lambda done: None)
+        elif name in PICTURES:
+            calls.album(name, arguments)
+        elif name in CONTINUES:
+            calls.steps(name, arguments)
+        else:
+            calls.call(name, arguments)
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+def test_all_calls_check_all_their_arguments(make_client):
+    """Odd ones are one clear error, or values that were meant; never anything else."""
+    client = make_client(lidar=True)
+    client.at((0, 0, -5))
+    assert sorted(ARGUMENTS) == client.calls.names()
+    for name, kinds in ARGUMENTS.items():
+        client.ready()
+        assert try_call(client.calls, name, [GOOD[kind] for kind in kinds]) is None
+        for arguments, is_good in odd_arguments(kinds):
+            client.ready()
+            told = try_call(client.calls, name, arguments)
+            if is_good is not None:
+                # Bounds of their own may be narrower
+                assert is_good or told is not None, (name, arguments)
+            assert told is None or (told.isprintable() and len(told) < 1000)
+            assert told is None or not re.search(r"array\(|Error|<.* object", told), told
+        client.calls.call("simPause", [False])
 
 
 def test_who_has_no_control_does_not_move(client):

@@ -395,6 +395,51 @@ def test_the_flight_and_others_do_not_wait_for_pictures(serve, connect):
     assert [client.receive()[0] for _ in numbers] == numbers
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="stops a process by a signal")
+def test_a_process_that_hangs_is_killed_and_replaced(serve, connect, monkeypatch, caplog):
+    server = serve()
+    client, other = connect(server), connect(server)
+    assert len(client.get("simGetImages", [ONE], "")) == 1
+    hung = worker_of(server)
+    os.kill(hung, signal.SIGSTOP)
+    monkeypatch.setattr(airsim_drawing, "LONGEST_PICTURE", 0.2)
+    error, result = client.ask("simGetImages", [ONE] * 2, "")
+    assert "it hung for 0.2 s and was killed" in error
+    assert "the next request starts it again" in error
+    assert result is None
+    monkeypatch.undo()
+    assert len(other.get("simGetImages", [ONE], "")) == 1
+    assert worker_of(server) != hung
+    until(lambda: [one.busy for one in server.connections._entries.values()] == [0, 0])
+    assert "hung" in caplog.text
+
+
+def test_a_start_that_hangs_is_an_error(serve, connect, monkeypatch):
+    monkeypatch.setattr(airsim_drawing, "START", "import time; time.sleep(1e6)")
+    monkeypatch.setattr(airsim_drawing, "LONGEST_START", 0.2)
+    client = connect(serve())
+    assert "it hung for 0.2 s and was killed" in client.ask("simGetImages", [ONE], "")[0]
+    assert client.get("ping") is True
+
+
+def test_clients_that_wait_hold_their_places_for_a_time_alone(serve, connect):
+    """Each flies the world for long; one of them makes room, and its flight ends with it."""
+    now = [0.0]
+    server = serve(limits=Limits(max_clients=3, max_wait=600.0), clock=lambda: now[0])
+    waiting = [connect(server) for _ in range(3)]
+    for client in waiting:
+        client.send("simContinueForFrames", 60_000)
+    until(lambda: [one.busy for one in server.connections._entries.values()] == [1] * 3)
+    now[0] = 599.0
+    late = connect(server)
+    assert "this server is full" in late.ask("ping")[0]
+    now[0] = 601.0
+    assert connect(server).get("ping") is True
+    with pytest.raises(ConnectionError):
+        waiting[0].receive()
+    until(lambda: len(server._streams._talks) == 3)
+
+
 def test_the_start_of_the_process_stops_nobody(serve, connect, monkeypatch):
     """Neither does a start that never ends, and the server ends nevertheless."""
     monkeypatch.setattr(airsim_drawing, "START", "import time; time.sleep(1e6)")

@@ -6,33 +6,42 @@ answers), `test_hil.py`, `test_mavlink_server.py` (many ports), and `report/test
 
 import argparse
 import contextlib
+import errno
 import itertools
 import math
 import socket
 import struct
+import threading
 import time
+import tracemalloc
 
 import msgpack
 import numpy as np
 import pytest
 from bridges.mavlink_client import NAN, Station, common, messages
-from waiting import PATIENCE
+from waiting import PATIENCE, until
 
 import bulletuav
+from bulletuav.bridges import sockets
 from bulletuav.bridges.airsim import MAX_ITEMS, MOST_REQUEST, AirsimServer, _MessageReader
 from bulletuav.bridges.airsim_calls import Calls
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.crazyflie import MOST_READ, SERVICES, CrazyflieServer
+from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import MalformedError, Packet
 from bulletuav.bridges.hil import LIMITS as HIL_LIMITS
 from bulletuav.bridges.hil import HilServer
 from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink import LIMITS, MOST_DATAGRAM, MavlinkServer
 from bulletuav.bridges.mavlink_commands import COMMANDS
+from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.bridges.mavlink_missions import MOST_ITEMS
 from bulletuav.bridges.mavlink_wire import Command, Wire
+from bulletuav.bridges.sockets import LATE_SHARE
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
+from bulletuav.dynamics import DYNAMICS
+from bulletuav.envs.connections import ACCEPT_RETRY, SPARED
 from bulletuav.report.feed import Feed
 
 ODD = (0.0, -1.0, 1.0, 1e-45, 3e38, -3e38, math.inf, -math.inf, math.nan)
@@ -105,6 +114,20 @@ def test_the_commands_serve_this_machine_alone_unless_they_are_told():
         main(["serve", "airsim", "--port", "0", "--host", "203.0.113.1", "--seconds", "0.1"])
 
 
+@pytest.mark.parametrize(
+    ("host", "ports", "said"),
+    [
+        ("127.0.0.1", [4560], "127.0.0.1:4560"),
+        ("::1", [4560, 4561], "[::1]:4560, [::1]:4561"),
+        ("127.0.0.1", [4560, 4561, 4562], "127.0.0.1:4560 to 127.0.0.1:4562"),
+        ("127.0.0.1", [40, 99, 7], "127.0.0.1:40, 127.0.0.1:99, 127.0.0.1:7"),
+    ],
+)
+def test_the_commands_list_addresses_that_programs_can_open(host, ports, said):
+    """Free ports, which the system chooses, are not consecutive."""
+    assert command._places(host, ports) == said
+
+
 # Crazyflie: "datagrams of up to 31 bytes", "at most 16 of a drone in one go", "numbers are checked
 # and cut to a range"
 
@@ -131,6 +154,44 @@ def test_few_packets_are_taken_in_one_go(make_fleet, monkeypatch):
     server.close()
 
 
+@pytest.mark.parametrize("kind", [CrazyflieServer, MavlinkServer])
+def test_a_flood_to_all_drones_takes_a_fraction_of_a_late_step(
+    kind, make_fleet, make_vehicles, monkeypatch
+):
+    """However long packets take; drones take turns."""
+    make = make_fleet if kind is CrazyflieServer else make_vehicles
+    server, now, reads = kind(make(20), port=0), [0.0], []
+
+    def read(i):
+        now[0] += 0.001
+        reads.append(i)
+
+    for port in server.ports:
+        udp(port, b"\xff")
+    until(lambda: len(server._selector.select(0.0)) == 20)
+    monkeypatch.setattr(sockets.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(server, "_read", read)
+    for _ in range(20):
+        before = now[0]
+        server._answer_for(0.0)
+        assert now[0] - before <= LATE_SHARE * server.pacer.period + 0.001
+    assert reads == [*range(20)] * 3
+    before = now[0]
+    server._answer_for(0.008)  # one that is in time answers until the end, and no longer
+    assert now[0] - before == pytest.approx(0.008, abs=0.0011)
+    monkeypatch.undo()
+    server.close()
+
+
+def test_messages_that_were_received_are_taken_without_new_ones(make_vehicles):
+    """One datagram may hold more messages than are taken in one go."""
+    server = MavlinkServer(make_vehicles(1), port=0, client_port=None)
+    frame = bytes(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(common.MAVLink(None, 9)))
+    udp(server.ports[0], frame * 60)
+    until(lambda: server._answer_for(0.001) or server.received == 60)
+    server.close()
+
+
 def test_no_numbers_send_a_crazyflie_out_of_this_world(make_fleet):
     fleet, rng = make_fleet(1), np.random.default_rng(0)
     for k in range(3000):
@@ -153,6 +214,98 @@ def test_no_numbers_send_a_crazyflie_out_of_this_world(make_fleet):
     assert unharmed(fleet.airspace)
 
 
+def test_what_servers_cannot_fly_is_refused_before_their_port_is_open(capsys):
+    """Otherwise the first step, or a client's first command, would end the server."""
+    for make in (World, Fleet, MavlinkFleet, HilBodies):
+        for name in DYNAMICS:
+            if name in ("rigid_body", "bullet"):
+                make(1, dynamics=name, seed=0).close()
+                continue
+            with pytest.raises(ValueError, match=f"dynamics is '{name}', .*'rigid_body' or"):
+                make(1, dynamics=name, seed=0)
+        if make is not HilBodies:  # whose autopilots command rotors alone
+            with pytest.raises(ValueError, match="need gravity"):
+                make(1, gravity=0.0, seed=0)
+            with pytest.raises(ValueError, match="controller 'pid' takes no"):
+                make(1, "cf2x", controller="pid", effects=("drag",), seed=0)
+    with pytest.raises(SystemExit):
+        main(["serve", "airsim", "--port", "0", "--dynamics", "point_mass", "--seconds", "0.1"])
+    assert "which has no motors" in capsys.readouterr().err
+
+
+@pytest.fixture
+def exhausted(monkeypatch):
+    """Makes the system refuse connections, as it does without room for files, until it is cleared;
+    and counts how often it was asked."""
+    accept, is_exhausted, asked = socket.socket.accept, threading.Event(), []
+
+    def refuse(self):
+        asked.append(None)
+        if is_exhausted.is_set():
+            raise OSError(errno.EMFILE, "Too many open files")
+        return accept(self)
+
+    monkeypatch.setattr(socket.socket, "accept", refuse)
+    is_exhausted.asked = asked
+    is_exhausted.set()
+    return is_exhausted
+
+
+def test_servers_on_asyncio_wait_for_room_for_connections(exhausted, world, speak, caplog):
+    """All of them have one accept loop: AirSim's calls, and live pages."""
+    answers = []
+    thread = threading.Thread(target=lambda: answers.extend(speak(PING)))
+    thread.start()
+    until(lambda: exhausted.asked)
+    exhausted.clear()
+    thread.join()
+    assert answers == [[1, 1, None, True]]
+    (line,) = [one.getMessage() for one in caplog.records]
+    assert line.startswith("server: no connection can be accepted (Too many open files): it tries")
+    assert "ulimit -n" in line
+
+
+def test_silent_connections_make_room_where_the_system_has_none(exhausted, world, speak, caplog):
+    exhausted.clear()
+    with socket.create_connection(("127.0.0.1", speak.port), timeout=PATIENCE) as silent:
+        until(lambda: len(speak.server.connections) == 1)
+        exhausted.set()
+        speak.now[0] += 2 * ACCEPT_RETRY
+        with socket.create_connection(("127.0.0.1", speak.port), timeout=PATIENCE):
+            assert silent.recv(1) == b""
+        exhausted.clear()
+    assert SPARED in caplog.text
+
+
+def test_bodies_wait_for_room_for_connections(exhausted, caplog):
+    """The socket stays ready: asking it again and again would take all of a processor."""
+    now, bodies = [0.0], HilBodies(1)
+    server = HilServer(bodies, port=0, clock=lambda: now[0])
+    with socket.create_connection(("127.0.0.1", server.ports[0]), timeout=PATIENCE):
+        until(lambda: server._listen(0.01) or exhausted.asked)
+        for _ in range(50):
+            server._listen(0.0)
+        assert len(exhausted.asked) == 1
+        for count in (2, 3, 4):
+            now[0] += 2 * ACCEPT_RETRY
+            server._accept_again()
+            until(lambda: server._listen(0.01) or len(exhausted.asked) == count)  # noqa: B023
+        assert len(server._connections[0]) == 0
+        assert SPARED not in caplog.text
+        exhausted.clear()
+        now[0] += 2 * ACCEPT_RETRY
+        until(lambda: server._turn() or len(server._connections[0]) == 1)
+        # A connection that is silent makes room for another one
+        exhausted.set()
+        now[0] += 2 * ACCEPT_RETRY
+        with socket.create_connection(("127.0.0.1", server.ports[0]), timeout=PATIENCE):
+            until(lambda: server._listen(0.01) or len(server._connections[0]) == 0)
+    assert SPARED in caplog.messages[1]
+    assert "no connection can be accepted (Too many open files)" in caplog.messages[0]
+    server.close()
+    bodies.close()
+
+
 # AirSim: "requests of up to 1 MiB", "msgpack makes numbers, texts, bytes, lists, maps and times
 # alone; calls are those of a table, and check what they are given"
 
@@ -160,7 +313,6 @@ def test_no_numbers_send_a_crazyflie_out_of_this_world(make_fleet):
 @pytest.fixture
 def speak(world, monkeypatch):
     """Send bytes to a server that answers but does not fly; return its answers."""
-    import threading
 
     async def stand(self):
         import asyncio
@@ -169,7 +321,8 @@ def speak(world, monkeypatch):
             await asyncio.sleep(0.01)
 
     monkeypatch.setattr(AirsimServer, "_fly", stand)
-    server = AirsimServer(world, port=0)
+    now = [0.0]
+    server = AirsimServer(world, port=0, clock=lambda: now[0])
     thread = threading.Thread(target=server.run)
     thread.start()
 
@@ -186,6 +339,7 @@ def speak(world, monkeypatch):
                 pass
         return answers
 
+    speak.port, speak.server, speak.now = server.port, server, now
     yield speak
     server.stop()
     thread.join()
@@ -233,22 +387,63 @@ def test_a_request_that_never_ends_is_bounded(item, speak, caplog):
     assert any("no msgpack, or too many" in one.message for one in caplog.records)
 
 
-@pytest.mark.parametrize("head", [b"\xdd", b"\xdf"], ids=["list", "map"])
-def test_lists_and_maps_may_claim_so_many_items_and_no_more(head):
-    """Memory is reserved for what they claim, before any item has come."""
-    for count, may_go_on in ((MAX_ITEMS, True), (MAX_ITEMS + 1, False)):
-        assert _MessageReader(msgpack).read(head + count.to_bytes(4)) == ([], may_go_on)
+def read_all(reader, data, size=60_000):
+    """Read bytes in pieces; return the messages."""
+    pieces = [data[k : k + size] for k in range(0, len(data), size)]
+    return [one for piece in pieces for one in reader.read(piece)]
+
+
+@pytest.mark.parametrize("kind", ["list", "map"])
+def test_lists_and_maps_have_so_many_items_together_and_no_more(kind):
+    """However they are nested."""
+    for count, is_read in ((MAX_ITEMS - 5, True), (MAX_ITEMS - 4, False)):
+        items = [0] * count if kind == "list" else dict.fromkeys(range(count), 0)
+        reader = _MessageReader(msgpack)
+        messages = read_all(reader, msgpack.packb([0, 1, "ping", [items]]))
+        assert messages == ([[0, 1, "ping", [items]]] if is_read else [])
+        assert reader.is_broken is not is_read
+    # One more than all together
+    half = [0] * (MAX_ITEMS // 2)
+    reader = _MessageReader(msgpack)
+    assert read_all(reader, msgpack.packb([0, 1, "ping", [half, half]])) == []
+    assert reader.is_broken
+
+
+FULL = b"\xdc\x20\x00"
+"""Head of a list of 8192"""
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        FULL + (FULL + b"\x90" * 8192) * 127,
+        FULL + (FULL + b"\x80" * 8192) * 127,
+        FULL * 1000,
+        b"\x91\xdd\x00\x0f\x00\x00" + b"\x90" * 0xF0000,
+        b"\x91" + b"\xdf\x00\x08\x00\x00" * 900,
+    ],
+    ids=["empty lists", "empty maps", "claims", "a whole list", "claims of maps"],
+)
+def test_requests_take_little_more_memory_than_their_bytes(body):
+    """Before they are whole, and when they are read; a list of an empty list takes 64 times."""
+    data = request(body)[: MOST_REQUEST - 1]
+    reader = _MessageReader(msgpack)
+    tracemalloc.start()
+    try:
+        assert read_all(reader, data) == []
+        kept, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 3 * MOST_REQUEST
+    assert most < 6 * MOST_REQUEST
 
 
 def test_requests_are_bounded_one_by_one():
     """Many long ones in a row are no long one, however they are cut."""
     body = b"\x91\xc6" + (MOST_REQUEST // 2).to_bytes(4) + bytes(MOST_REQUEST // 2)
-    stream, reader, found = request(body) * 5, _MessageReader(msgpack), 0
-    for k in range(0, len(stream), 60_000):
-        messages, goes_on = reader.read(stream[k : k + 60_000])
-        assert goes_on
-        found += len(messages)
-    assert found == 5
+    reader = _MessageReader(msgpack)
+    assert len(read_all(reader, request(body) * 5)) == 5
+    assert not reader.is_broken
 
 
 @pytest.mark.parametrize(

@@ -483,4 +483,5 @@ def test_the_command_waits_for_an_autopilot_and_flies(capsys, monkeypatch):
     main(["serve", "hil", "--port", "0", "--drones", "2", "--seconds", "0.5"])
     ((server, seconds),) = made
     assert (len(server.ports), seconds) == (2, 0.5)
-    assert f"at 127.0.0.1:{server.ports[0]} to {server.ports[1]}" in capsys.readouterr().out
+    first, second = (f"127.0.0.1:{port}" for port in server.ports)
+    assert f"wait for autopilots at {first}, {second}\n" in capsys.readouterr().out

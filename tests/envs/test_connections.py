@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from waiting import PATIENCE
 
-from bulletuav.envs.connections import Connections, FullError, Limits
+from bulletuav.envs.connections import ACCEPT_RETRY, Connections, FullError, Limits
 from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.streams import StreamServer
 
@@ -60,8 +60,8 @@ def test_a_new_client_evicts_the_one_that_is_idle_longest_if_it_is_idle_at_all(c
     with pytest.raises(FullError, match="3 others are connected"):
         kept.request("d")
     assert not kept.is_client("d")
-    kept.wait("a")  # it waits for a motion to end: not idle, however long that takes
-    clock.now += 1e6
+    kept.wait("a")  # it waits for a motion to end
+    clock.now += 500
     kept.request("c")
     assert kept.request("d") == "b"
     assert kept.clients() == ["a", "c", "d"]
@@ -74,6 +74,22 @@ def test_a_new_client_evicts_the_one_that_is_idle_longest_if_it_is_idle_at_all(c
     clock.now += 30
     kept.touch("a")
     assert kept.request("e") == "c"
+
+
+def test_clients_that_wait_make_room_after_all_others_but_not_never(clock):
+    kept = Connections(Limits(max_clients=2, grace=60.0, max_wait=600.0), clock)
+    for key in "ab":
+        kept.request(key)
+        kept.wait(key)
+        clock.now += 1
+    clock.now = 599.0
+    with pytest.raises(FullError):
+        kept.request("c")
+    clock.now = 600.5
+    assert kept.request("c") == "a"
+    clock.now = 1300.0
+    assert kept.request("d") == "c"  # which waits for nothing, though "b" is idle longer
+    assert kept.clients() == ["b", "d"]
 
 
 def test_pending_connections_have_a_time_for_their_first_request_and_clients_one_for_each(clock):
@@ -92,7 +108,19 @@ def test_pending_connections_have_a_time_for_their_first_request_and_clients_one
     kept.touch("pending")
     clock.now = 101.0
     assert kept.overdue() == ["client"]
+    clock.now = 601.0
+    assert kept.overdue() == ["client", "waiting"]
     assert Limits().max_idle == math.inf
+
+
+def test_silent_connections_are_spared_where_the_system_has_no_room(clock):
+    kept = Connections(Limits(), clock)
+    kept.request("client")
+    kept.add("silent")
+    clock.now = ACCEPT_RETRY
+    kept.add("new")
+    assert kept.spare() == ["silent"]
+    assert kept.all() == ["client", "new"]
 
 
 def test_a_pending_peer_that_is_heard_again_has_a_grace_time(clock):

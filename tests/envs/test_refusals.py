@@ -5,7 +5,15 @@ import logging
 import pytest
 
 from bulletuav.envs import refusals as module
-from bulletuav.envs.refusals import MAX_KINDS, MAX_LINES, MAX_TEXT, PERIOD, Refusals, printable
+from bulletuav.envs.refusals import (
+    MAX_KINDS,
+    MAX_LINES,
+    MAX_TEXT,
+    PERIOD,
+    LineLimit,
+    Refusals,
+    printable,
+)
 
 
 class Clock:
@@ -105,3 +113,29 @@ def test_a_text_cannot_make_lines_of_its_own(refusals, caplog, hostile):
     assert line.isprintable()
     assert printable("plain: ü, 中") == "plain: ü, 中"
     assert printable(hostile).encode("ascii").decode("unicode_escape") == hostile
+
+
+def test_lines_of_libraries_are_limited_and_escaped_too(clock, caplog):
+    logger = logging.getLogger("bulletuav.test.library")
+    limit = LineLimit(clock)
+    logger.addFilter(limit)
+    try:
+        for k in range(3 * MAX_LINES):
+            logger.error("odd message %s of %d", "\x1b[31m", k)
+        assert lines(caplog)[0] == "odd message \\x1b[31m of 0"
+        assert len(lines(caplog)) == MAX_LINES
+        assert lines(caplog)[-1].endswith("; more lines are not logged for 60 s")
+        clock.now += PERIOD + 1
+        logger.error("later")
+        assert lines(caplog)[-1] == "later"
+    finally:
+        logger.removeFilter(limit)
+
+
+def test_what_keeps_servers_from_accepting_is_logged_once_in_a_period(refusals, clock, caplog):
+    for _ in range(5):
+        refusals.log_server("no connection can be accepted")
+    assert lines(caplog) == ["server: no connection can be accepted"]
+    clock.now += PERIOD + 1
+    refusals.log_server("no connection can be accepted")
+    assert len(lines(caplog)) == 2
