@@ -227,13 +227,13 @@ def require_file(
 
 
 def read_file(path: Path) -> str:
-    """Read a text file in UTF-8.
+    """Read a text file in UTF-8; a byte order mark, as Windows' editors write it, is left out.
 
     Raises:
         ValueError: It is no text in UTF-8, or cannot be read; the message names the file.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(
             f"{path} is no text in UTF-8 ({error.reason} at byte {error.start}): save it as UTF-8"

@@ -448,7 +448,7 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
     other = made()
     other.load_state(saved)
     same(flown(other, 60), first)
-    with pytest.raises(ValueError, match="has form 'other': one as save_state of this version gives"):
+    with pytest.raises(ValueError, match="has form 'other': one as save_state"):
         other.load_state(Snapshot(saved.data, "other"))
     airspace.close()
     with pytest.raises(RuntimeError, match="closed"):
@@ -643,7 +643,7 @@ def test_snapshots_of_classes_that_were_put_together_by_hand_are_refused():
         (FaceSnapshot("aec_env", None, saved.beside), "has flight None instead of a Snapshot"),
         (FaceSnapshot("aec_env", saved.flight, [1]), "has beside .* instead of a Mapping"),
         (FaceSnapshot("aec_env", saved.flight, {}), "lacks .*'agents'"),
-        (FaceSnapshot("aec_env", saved.flight, {**saved.beside, "step": 1}), "'step'., or has them in excess"),
+        (FaceSnapshot("aec_env", saved.flight, {**saved.beside, "step": 1}), "'step'., or has"),
     ):
         with pytest.raises(ValueError, match=told):
             env.load_state(forged)
