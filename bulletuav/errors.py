@@ -226,14 +226,19 @@ def require_file(
     raise FileNotFoundError(f"no {what} file {found}: {remedy}")
 
 
-def read_file(path: Path) -> str:
+def read_file(path: Path, newline: str | None = None) -> str:
     """Read a text file in UTF-8; a byte order mark, as Windows' editors write it, is left out.
+
+    Args:
+        path: The file.
+        newline: As in `open`.
 
     Raises:
         ValueError: It is no text in UTF-8, or cannot be read; the message names the file.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig", newline=newline) as file:
+            return file.read()
     except UnicodeDecodeError as error:
         raise ValueError(
             f"{path} is no text in UTF-8 ({error.reason} at byte {error.start}): save it as UTF-8"

@@ -6,6 +6,7 @@ whole numbers, floats, booleans and None, nested at most `MAX_DEPTH` deep.
 """
 
 import json
+import math
 import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
@@ -64,6 +65,30 @@ def read_xml(path: Path) -> ElementTree.Element:
         str(path), "XML", lambda: _shallow(ElementTree.parse(path).getroot())
     )
     return root
+
+
+def plain_digits(text: str) -> str:
+    """Return the text of a number, for `int` or `float` to read.
+
+    Raises:
+        ValueError: Python takes it for a number and other programs do not: it has underscores, or
+            digits of other scripts.
+    """
+    if "_" in text or not text.isascii():
+        raise ValueError(f"{shown(text)} is no number in digits from 0 to 9")
+    return text
+
+
+def parse_number(text: str) -> float:
+    """Read a finite number of a file that other programs read, too.
+
+    Raises:
+        ValueError: It is no such number.
+    """
+    value = float(plain_digits(text))
+    if not math.isfinite(value):
+        raise ValueError(f"{shown(text)} is no finite number")
+    return value
 
 
 def parse_json(text: str | bytes, where: str) -> Any:

@@ -234,7 +234,9 @@ def test_json_names_come_once_in_each_object(read, tmp_path):
     path.write_text('[{"a": 1}, {"a": {"b": 1, "c": 2}}]')
     assert read(path) == [{"a": 1}, {"a": {"b": 1, "c": 2}}]
     path.write_text('[{"a": 1}, {"a": {"b": 1, "c": 2, "b": 1}}]')
-    with pytest.raises(ValueError, match=f"^{path} is not valid JSON: .*'b' is there twice: delete"):
+    with pytest.raises(
+        ValueError, match=f"^{path} is not valid JSON: .*'b' is there twice: delete"
+    ):
         read(path)
 
 
