@@ -11,6 +11,7 @@ import itertools
 import os
 import signal
 import sys
+import textwrap
 from collections.abc import Iterable, Sequence
 from types import ModuleType
 from typing import Any, NoReturn
@@ -49,6 +50,15 @@ EPILOG = """first example:
 `bulletuav COMMAND --help` explains a command."""
 
 
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Formatter that wraps texts of one line; those of several lines are laid out already."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        if "\n" in text:
+            return super()._fill_text(text, width, indent)
+        return textwrap.fill(text, width, initial_indent=indent, subsequent_indent=indent)
+
+
 class _Parser(argparse.ArgumentParser):
     """Parser whose errors are one line on standard error and exit code 2."""
 
@@ -77,7 +87,7 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
         prog="bulletuav",
         description=DESCRIPTION,
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=_Formatter,
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"bulletuav {__version__}")
@@ -93,7 +103,7 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
         commands[name] = adder.add_parser(
             name,
             **command.ABOUT,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=_Formatter,
             allow_abbrev=False,
         )
         command.add_arguments(commands[name])

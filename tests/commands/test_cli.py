@@ -471,6 +471,16 @@ def test_bad_input_ends_in_one_line_and_exit_code_2(arguments, said, capsys, tmp
     assert said in lines[0]
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_descriptions_in_the_help_are_wrapped(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    # Examples are commands to copy, each on one line
+    before_examples = capsys.readouterr().out.partition("\nexample")[0]
+    assert max(map(len, before_examples.splitlines())) <= 80
+
+
 def test_without_a_command_the_help_is_printed(capsys):
     main([])
     out, err = capsys.readouterr()
