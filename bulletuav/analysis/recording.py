@@ -28,6 +28,7 @@ from bulletuav.errors import reason_of, require_file, shown
 from bulletuav.files import replace_file, whole_file
 from bulletuav.geometry.closest_approach import distances
 from bulletuav.policies.base import Policy
+from bulletuav.policies.mismatch import naming_task
 from bulletuav.version import __version__
 
 __all__ = ["Outcome", "Recording", "fly_episode", "load", "outcomes", "save"]
@@ -93,10 +94,12 @@ def fly_episode(
         The recording, up to the end of the last drone.
     """
     observations = aviary.reset(seeds=seed)
-    policy.reset(np.ones(aviary.num_worlds, dtype=bool))
+    with naming_task(policy, aviary):
+        policy.reset(np.ones(aviary.num_worlds, dtype=bool))
     recorder = Recorder(aviary)
     while aviary.alive[0].any():
-        actions = policy.act(observations, aviary.swarm)
+        with naming_task(policy, aviary):
+            actions = policy.act(observations, aviary.swarm)
         step = aviary.step(actions)
         observations = step.observations
         recorder.note(actions, step.rewards, step.info)
