@@ -650,13 +650,17 @@ def test_how_far_it_is_is_a_bar_on_a_terminal():
     program += "with show_progress('flying', 3, 'episodes') as report:\n"
     program += "    with COMPILATION.count(): pass\n"
     program += "    import time; time.sleep(0.3)\n"  # more than a frame
-    program += "    [report(done) for done in range(4)]"
-    subprocess.run(
+    program += "    [report(done) for done in range(4)]\n"
+    # Workers are forked meanwhile, and threads could hold locks that a fork would wait for
+    program += "    import threading; print(threading.active_count())"
+    done = subprocess.run(
         [sys.executable, "-c", program],
         check=True,
         stderr=theirs,
+        stdout=subprocess.PIPE,
         env={**os.environ, "TERM": "xterm"},
     )
+    assert int(done.stdout) == 1
     os.close(theirs)
     said = os.read(mine, 65536).decode()
     assert "compiling" in said
