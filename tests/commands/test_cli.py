@@ -652,7 +652,7 @@ def test_how_far_it_is_is_a_bar_on_a_terminal():
     program += "    import time; time.sleep(0.3)\n"  # more than a frame
     program += "    [report(done) for done in range(4)]\n"
     # Workers are forked meanwhile, and threads could hold locks that a fork would wait for
-    program += "    import threading; print(threading.active_count())"
+    program += "    import os, threading; os.write(1, b'%d' % threading.active_count())"
     done = subprocess.run(
         [sys.executable, "-c", program],
         check=True,
