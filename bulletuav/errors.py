@@ -78,6 +78,11 @@ def shown(value: object) -> str:
     return text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
+def printable(text: str) -> str:
+    """Return a text that can be drawn and written: names of files may have other bytes in them."""
+    return text.encode(errors="backslashreplace").decode()
+
+
 def reason_of(error: Exception) -> str:
     """Describe an error on one line, cut where it is long: its type and what it says."""
     text = " ".join(str(error).split())

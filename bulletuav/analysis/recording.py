@@ -185,7 +185,7 @@ def _write_table(recording: Recording, path: Path) -> None:
         ],
         axis=-1,
     )
-    with whole_file(path) as part, part.open("w", newline="") as file:
+    with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(HEADER)
         for t, time in enumerate(recording.time):

@@ -353,7 +353,7 @@ def _finish(
             for (config, _), folder in zip(runs, folders, strict=True)
         ]
     replace_file(table, learning_table(runs, scores))
-    print(table.read_text())
+    print(table.read_text(encoding="utf-8"))
     for config, rows in runs:
         named = f"{config.task}, {config.algo}, action {config.action}, seed {config.seed}"
         print(f"{named}: {wall_time(rows)}")
