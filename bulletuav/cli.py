@@ -7,6 +7,7 @@ Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merg
 import argparse
 import difflib
 import importlib
+import io
 import itertools
 import os
 import signal
@@ -166,6 +167,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def _run(words: Sequence[str]) -> None:
     """Find the command, run it, and turn errors of bad input into one line; see `main`."""
+    # Names of files may have bytes that a strict stream refuses, when all work is done
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
     if "" not in sys.path:  # the current folder, last of all, for names such as mine:Policy
         sys.path.append("")
     if "_ARGCOMPLETE" in os.environ:

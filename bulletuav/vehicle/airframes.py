@@ -118,8 +118,8 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
     path = path.resolve()
     if printable(str(path)) != str(path):
         raise ValueError(
-            f"airframe {shown(str(path))} has bytes in its path that are no UTF-8, which the engine "
-            f"cannot take: rename the file or its folder"
+            f"airframe {shown(str(path))} has bytes in its path that are no UTF-8: rename the file "
+            f"or its folder"
         )
     return _read_shipped(path) if path.parent == URDF_FOLDER else _read_airframe(path)
 
