@@ -357,7 +357,7 @@ def require_face(snapshot: Any, of: str, names: Collection[str] | None = None) -
         raise ValueError(
             f"the snapshot is of {snapshot.of}, and this is of {of}: load it in its own class"
         )
-    differ = set() if names is None else set(names) ^ set(snapshot.beside)
+    differ: set[str] = set() if names is None else set(names) ^ set(snapshot.beside)
     if differ:
         raise ValueError(
             f"the snapshot of {of} lacks {shown(sorted(differ, key=repr))}, or has them in excess: "
