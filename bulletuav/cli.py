@@ -7,10 +7,12 @@ Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merg
 import argparse
 import difflib
 import importlib
+import io
 import itertools
 import os
 import signal
 import sys
+import textwrap
 from collections.abc import Iterable, Sequence
 from types import ModuleType
 from typing import Any, NoReturn
@@ -49,6 +51,15 @@ EPILOG = """first example:
 `bulletuav COMMAND --help` explains a command."""
 
 
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Formatter that wraps texts of one line; those of several lines are laid out already."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        if "\n" in text:
+            return super()._fill_text(text, width, indent)
+        return textwrap.fill(text, width, initial_indent=indent, subsequent_indent=indent)
+
+
 class _Parser(argparse.ArgumentParser):
     """Parser whose errors are one line on standard error and exit code 2."""
 
@@ -77,7 +88,7 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
         prog="bulletuav",
         description=DESCRIPTION,
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=_Formatter,
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"bulletuav {__version__}")
@@ -93,7 +104,7 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
         commands[name] = adder.add_parser(
             name,
             **command.ABOUT,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=_Formatter,
             allow_abbrev=False,
         )
         command.add_arguments(commands[name])
@@ -156,6 +167,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def _run(words: Sequence[str]) -> None:
     """Find the command, run it, and turn errors of bad input into one line; see `main`."""
+    # Names of files may have bytes that a strict stream refuses, when all work is done
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
     if "" not in sys.path:  # the current folder, last of all, for names such as mine:Policy
         sys.path.append("")
     if "_ARGCOMPLETE" in os.environ:

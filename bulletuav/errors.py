@@ -78,6 +78,11 @@ def shown(value: object) -> str:
     return text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
+def printable(text: str) -> str:
+    """Return a text that can be drawn and written: names of files may have other bytes in them."""
+    return text.encode(errors="backslashreplace").decode()
+
+
 def reason_of(error: Exception) -> str:
     """Describe an error on one line, cut where it is long: its type and what it says."""
     text = " ".join(str(error).split())
@@ -226,14 +231,19 @@ def require_file(
     raise FileNotFoundError(f"no {what} file {found}: {remedy}")
 
 
-def read_file(path: Path) -> str:
-    """Read a text file in UTF-8.
+def read_file(path: Path, newline: str | None = None) -> str:
+    """Read a text file in UTF-8; a byte order mark, as Windows' editors write it, is left out.
+
+    Args:
+        path: The file.
+        newline: As in `open`.
 
     Raises:
         ValueError: It is no text in UTF-8, or cannot be read; the message names the file.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8-sig", newline=newline) as file:
+            return file.read()
     except UnicodeDecodeError as error:
         raise ValueError(
             f"{path} is no text in UTF-8 ({error.reason} at byte {error.start}): save it as UTF-8"

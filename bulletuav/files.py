@@ -5,6 +5,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from bulletuav.errors import printable
+
 
 @contextlib.contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
@@ -40,4 +42,4 @@ def replace_file(path: str | Path, text: str) -> None:
         OSError: It cannot be written; the message names the file.
     """
     with whole_file(path) as part:
-        part.write_text(text)
+        part.write_text(printable(text), encoding="utf-8")

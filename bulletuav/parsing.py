@@ -1,14 +1,16 @@
 """Readers of JSON, YAML, TOML and XML files, which anybody may have written.
 
 Whatever the parser of a format raises becomes one ValueError of one line that names the file. What
-a reader returns is plain: mappings whose names are texts, lists, texts, finite-sized whole numbers,
-floats, booleans and None, nested at most `MAX_DEPTH` deep.
+a reader returns is plain: mappings whose names are texts that come once, lists, texts, finite-sized
+whole numbers, floats, booleans and None, nested at most `MAX_DEPTH` deep.
 """
 
 import json
+import math
 import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import Any
@@ -36,7 +38,7 @@ def read_json(path: Path, kind: str = "JSON") -> Any:
     Raises:
         ValueError: The file is no such text, or its value is not plain.
     """
-    return _read(path, kind, json.loads)
+    return _read(path, kind, _load_json)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -65,6 +67,30 @@ def read_xml(path: Path) -> ElementTree.Element:
     return root
 
 
+def plain_digits(text: str) -> str:
+    """Return the text of a number, for `int` or `float` to read.
+
+    Raises:
+        ValueError: Python takes it for a number and other programs do not: it has underscores, or
+            digits of other scripts.
+    """
+    if "_" in text or not text.isascii():
+        raise ValueError(f"{shown(text)} is no number in digits from 0 to 9")
+    return text
+
+
+def parse_number(text: str) -> float:
+    """Read a finite number of a file that other programs read, too.
+
+    Raises:
+        ValueError: It is no such number.
+    """
+    value = float(plain_digits(text))
+    if not math.isfinite(value):
+        raise ValueError(f"{shown(text)} is no finite number")
+    return value
+
+
 def parse_json(text: str | bytes, where: str) -> Any:
     """Read JSON that is part of a file of another format.
 
@@ -78,7 +104,27 @@ def parse_json(text: str | bytes, where: str) -> Any:
     Raises:
         ValueError: The text is no JSON, or its value is not plain.
     """
-    return _parse(where, "JSON", lambda: require_plain(json.loads(text)))
+    return _parse(where, "JSON", lambda: require_plain(_load_json(text)))
+
+
+def _load_json(text: str | bytes) -> Any:
+    """Parse JSON; refuse names that come twice, of which Python would ignore the first."""
+    return json.loads(text, object_pairs_hook=_mapping)
+
+
+def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Make a mapping of names and values. Raises ValueError where a name is there twice."""
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
+        _require_once([name for name, _ in pairs])
+    return mapping
+
+
+def _require_once(names: list[Any]) -> None:
+    """Raise ValueError for a name that comes twice in a mapping."""
+    counts = Counter(names)
+    if twice := [name for name, count in counts.items() if count > 1]:
+        raise ValueError(f"{shown(twice[0])} is there twice: delete one")
 
 
 def _read(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
@@ -165,9 +211,7 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # which comes without typ
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
         """Refuse names that come twice, of which YAML would ignore the first."""
-        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise yaml.YAMLError(f"{shown(twice[0])} is there twice: delete one")
+        _require_once([key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)])
         mapping: dict[Hashable, Any] = super().construct_mapping(node, deep)
         return mapping
 

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.analysis.recording import fly_episode
+from bulletuav.analysis.transitions import Collection
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics
@@ -161,6 +163,31 @@ class OwnMistake(Still):
 def test_a_policy_of_another_task_is_named_with_what_it_needs(policy, said):
     with pytest.raises(ValueError, match=f"{policy.name}' needs {said}.*: task 'hover' observes "):
         bulletuav.check_policy(policy, "hover", **FLY)
+
+
+class OfConfig(Still):
+    name = "of_config"
+
+    def __init__(self, aviary):
+        super().__init__(aviary)
+        aviary.task.config.track  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("policy", "said"),
+    [(OfBlocks, "'uwb'"), (OfTask, "attribute 'track'"), (OfConfig, "attribute 'track'")],
+)
+def test_flights_of_a_policy_of_another_task_name_what_it_needs(policy, said, tmp_path):
+    """Wherever it flies: in evaluations, datasets and recordings."""
+    told = f"{policy.name}' needs {said}.*: task 'hover' observes .*; fly the policy in the task"
+    with pytest.raises(ValueError, match=told):
+        bulletuav.evaluate("hover", policy, episodes=1, **FLY)
+    with pytest.raises(ValueError, match=told):
+        list(Collection("hover", policy, 1, 0, FLY).fly([range(1)]))
+    aviary = bulletuav.Aviary("hover", 1, **FLY)
+    with pytest.raises(ValueError, match=told):
+        fly_episode(aviary, find_policy(policy)(aviary), 0)
+    aviary.close()
 
 
 def test_other_mistakes_of_a_policy_are_raised_as_they_are():

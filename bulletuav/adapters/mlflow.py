@@ -52,7 +52,7 @@ class MlflowWriter(KVWriter):
         """Open the run of the file again; None where there is none."""
         if not file.exists():
             return None
-        run = file.read_text().strip()
+        run = file.read_text(encoding="utf-8").strip()
         self._client.update_run(run, status="RUNNING")
         return run
 

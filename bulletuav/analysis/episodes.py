@@ -18,6 +18,7 @@ from bulletuav.envs.worker import portable
 from bulletuav.interrupts import kept_from_children
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.policies.base import Policy
+from bulletuav.policies.mismatch import naming_task
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
@@ -87,7 +88,8 @@ class Flights(ABC, Generic[Result]):
         """
         worlds = np.arange(BATCH) < len(batch)
         observations = aviary.reset(worlds, [self.seed + batch.start + k for k in range(BATCH)])
-        policy.reset(worlds)
+        with naming_task(policy, aviary):
+            policy.reset(worlds)
         return observations, worlds
 
     @abstractmethod
@@ -122,7 +124,9 @@ class Run(Flights[list[Row]]):
         # Worlds whose episode has ended stand still until all have.
         while aviary.alive[worlds].any():
             flown = aviary.alive & worlds[:, None]
-            step = aviary.step(policy.act(observations, aviary.swarm))
+            with naming_task(policy, aviary):
+                action = policy.act(observations, aviary.swarm)
+            step = aviary.step(action)
             meter.record(step, flown)
             observations = step.observations
         return [

@@ -28,6 +28,7 @@ from bulletuav.errors import reason_of, require_file, shown
 from bulletuav.files import replace_file, whole_file
 from bulletuav.geometry.closest_approach import distances
 from bulletuav.policies.base import Policy
+from bulletuav.policies.mismatch import naming_task
 from bulletuav.version import __version__
 
 __all__ = ["Outcome", "Recording", "fly_episode", "load", "outcomes", "save"]
@@ -93,10 +94,12 @@ def fly_episode(
         The recording, up to the end of the last drone.
     """
     observations = aviary.reset(seeds=seed)
-    policy.reset(np.ones(aviary.num_worlds, dtype=bool))
+    with naming_task(policy, aviary):
+        policy.reset(np.ones(aviary.num_worlds, dtype=bool))
     recorder = Recorder(aviary)
     while aviary.alive[0].any():
-        actions = policy.act(observations, aviary.swarm)
+        with naming_task(policy, aviary):
+            actions = policy.act(observations, aviary.swarm)
         step = aviary.step(actions)
         observations = step.observations
         recorder.note(actions, step.rewards, step.info)
@@ -182,7 +185,7 @@ def _write_table(recording: Recording, path: Path) -> None:
         ],
         axis=-1,
     )
-    with whole_file(path) as part, part.open("w", newline="") as file:
+    with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(HEADER)
         for t, time in enumerate(recording.time):

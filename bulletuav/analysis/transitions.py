@@ -9,6 +9,7 @@ from bulletuav.analysis.episodes import Flights
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import shown
 from bulletuav.policies.base import Policy
+from bulletuav.policies.mismatch import naming_task
 
 DATASET = "dataset.json"
 """File that tells what a dataset is"""
@@ -61,7 +62,8 @@ class Collection(Flights[Transitions]):
         # Worlds end one by one; those that are over are left out of the rows
         while aviary.alive[worlds].any():
             flown.append(aviary.alive & worlds[:, None])
-            action = policy.act(observations, aviary.swarm)
+            with naming_task(policy, aviary):
+                action = policy.act(observations, aviary.swarm)
             step = aviary.step(action)
             observations = step.observations
             actions.append(np.array(action, dtype=np.float32))

@@ -22,6 +22,8 @@ CONCAVITY = 0.05
 """Threshold of CoACD, its default: a fraction of the mesh's size"""
 MAX_SECONDS = 600.0
 """Time that one mesh may take"""
+MAX_SECONDS_CROSSING = 60.0
+"""The same of a mesh that crosses itself, of which CoACD may never make pieces"""
 MIN_MEMORY = 2 * GIB
 """Bytes that the process may always take; on larger machines half of the memory"""
 REMEDY = (
@@ -70,14 +72,11 @@ class Decomposer:
         # CoACD works on a mesh that is about the origin
         middle = mesh.points.mean(axis=0)
         process = self._started()
-        is_late = threading.Event()
-
-        def end_late() -> None:
-            is_late.set()
-            process.kill()
-
-        timer = threading.Timer(MAX_SECONDS, end_late)
-        timer.start()
+        is_done = threading.Event()
+        limits: list[float] = []  # the one that it has passed
+        arguments = (process, mesh, is_done, limits)
+        watch = threading.Thread(target=_end_late, args=arguments, daemon=True)
+        watch.start()
         code = 0
         found: list[np.ndarray] = []
         try:
@@ -86,9 +85,10 @@ class Decomposer:
         except (OSError, EOFError):  # it has closed its end
             code = process.wait()
         finally:
-            timer.cancel()
+            is_done.set()
         if not found:
-            reason = f"took longer than {MAX_SECONDS:g} s" if is_late.is_set() else self._why(code)
+            watch.join()
+            reason = f"took longer than {limits[0]:g} s" if limits else self._why(code)
             self._end()
             raise ValueError(
                 f"{where}: CoACD, which splits meshes that are not convex, {reason}"
@@ -138,6 +138,33 @@ class Decomposer:
         if self._log is not None:
             self._log.close()
         self._process = self._log = None
+
+
+def _end_late(
+    process: "subprocess.Popen[bytes]",
+    mesh: Mesh,
+    is_done: threading.Event,
+    limits: list[float],
+) -> None:
+    """Kill the process when a mesh takes too long, sooner if it crosses itself.
+
+    Args:
+        process: The process.
+        mesh: What it splits.
+        is_done: Set when it has ended, or has answered.
+        limits: The time that it has taken, s, is added if it is killed.
+    """
+    # Most meshes take less than the shorter limit: nothing is searched in them
+    limit = min(MAX_SECONDS_CROSSING, MAX_SECONDS)
+    if is_done.wait(limit):
+        return
+    if find_crossing(mesh) is None:
+        if is_done.wait(MAX_SECONDS - limit):
+            return
+        limit = MAX_SECONDS
+    if not is_done.is_set():
+        limits.append(limit)
+        process.kill()
 
 
 def _send(process: "subprocess.Popen[bytes]", mesh: Mesh) -> None:

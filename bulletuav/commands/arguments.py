@@ -86,8 +86,9 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
         "--trust",
         action="store_true",
         help=(
-            "read models that stable-baselines3 saved (ppo:model.zip). Such a file can run any "
-            "code on this machine: use it only for files whose maker you know"
+            "read models that stable-baselines3 saved (ppo:model.zip), and import modules that a "
+            "run.yaml names. Such a file can run any code on this machine: use it only for files "
+            "whose maker you know"
         ),
     )
 

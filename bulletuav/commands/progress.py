@@ -13,6 +13,8 @@ from bulletuav.dispatcher import Compilation
 
 LINE_PERIOD = 10.0
 """Least time between two lines, s"""
+DRAWING_PERIOD = 0.1
+"""Least time between two drawings of a bar, s"""
 USUAL_FUNCTIONS = 270
 """Functions that the first flight of `crossing` compiles: 246 as point_mass, 300 by bullet"""
 Show = Callable[[float, str], None]
@@ -91,8 +93,19 @@ def _bar(
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}", markup=False),
     )
-    with Progress(*columns, console=console, get_time=_working_time) as progress:
+    # Drawn here, not by a thread of Rich: workers may be forked meanwhile, and would wait forever
+    # for a lock of the terminal that the thread holds
+    with Progress(
+        *columns, console=console, get_time=_working_time, auto_refresh=False
+    ) as progress:
         bars: dict[str, TaskID] = {}
+        next_drawing = 0.0
+
+        def draw() -> None:
+            nonlocal next_drawing
+            if time.monotonic() >= next_drawing:
+                progress.refresh()
+                next_drawing = time.monotonic() + DRAWING_PERIOD
 
         def show_compilation(compilation: Compilation) -> None:
             if "compiling" not in bars:
@@ -101,6 +114,7 @@ def _bar(
                 )
             number, amount = compilation.num_functions, _compiled(compilation)
             progress.update(bars["compiling"], completed=number, amount=amount)
+            draw()
 
         def show(done: float, note: str) -> None:
             # What goes on now is no compilation any more, or not yet again
@@ -111,6 +125,7 @@ def _bar(
                 bars[activity] = progress.add_task(activity, total=total, amount="", note="")
             amount = f"{done:,.0f} of {total:,.0f} {unit}"
             progress.update(bars[activity], completed=done, amount=amount, note=note)
+            draw()
 
         dispatcher.COMPILATION.watch = show_compilation
         yield show

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.commands.arguments import (
     add_options,
+    add_trust,
     given_options,
     out_folder,
     parse_pairs,
@@ -128,6 +129,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="setting of the algorithm, such as gamma=0.98; can be repeated",
     )
+    add_trust(parser)
     add_options(parser)
 
 
@@ -225,7 +227,8 @@ def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
     """
     if arguments.config is not None:
         is_folder = arguments.config.is_dir()
-        return RunConfig.read(arguments.config / CONFIG if is_folder else arguments.config)
+        file = arguments.config / CONFIG if is_folder else arguments.config
+        return RunConfig.read(file, arguments.trust)
     assert task is not None
     if find_task(task).name not in shipped_tasks():
         return RunConfig(task)
@@ -344,12 +347,13 @@ def _finish(
                 config.episodes,
                 workers=arguments.workers,
                 progress=advance,
+                trust=True,  # modules that these settings name are imported already
                 **config.evaluated,
             )
             for (config, _), folder in zip(runs, folders, strict=True)
         ]
     replace_file(table, learning_table(runs, scores))
-    print(table.read_text())
+    print(table.read_text(encoding="utf-8"))
     for config, rows in runs:
         named = f"{config.task}, {config.algo}, action {config.action}, seed {config.seed}"
         print(f"{named}: {wall_time(rows)}")

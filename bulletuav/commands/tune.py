@@ -118,7 +118,7 @@ def _study(arguments: argparse.Namespace) -> Study:
     }
     space: Space = {}
     if arguments.study is not None:
-        known = Study.read(arguments.study)
+        known = Study.read(arguments.study, arguments.trust)
         base, space = known.run, known.space
         settings = {name: getattr(known, name) for name in GIVEN} | settings
     else:

@@ -282,7 +282,7 @@ def _make_compound(
         objects.append((f"piece_{p}", corners, faces))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "pieces.obj")
-        path.write_text("\n".join(obj_lines(objects)) + "\n")
+        path.write_text("\n".join(obj_lines(objects)) + "\n", encoding="utf-8")
         with silenced():
             compound: ShapeNumber = bullet.createCollisionShape(
                 bullet.GEOM_MESH,

@@ -24,6 +24,8 @@ from bulletuav.tasks import TaskSource
 
 MOST_STAGES = 100
 MOST_WINDOW = 1_000_000  # episodes
+BESIDE = ("flown", "curriculum", "successes", "generator")
+"""What a snapshot keeps beside the world"""
 DIFFICULTIES = tuple({"difficulty": name} for name in ("easy", "medium", "hard", "extreme"))
 """Stages that every task has"""
 
@@ -291,7 +293,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
     def load_state(self, snapshot: FaceSnapshot) -> ByAgent:
         """Go on from a state that was saved, at its stage; see `ParallelAviary.load_state`."""
         self._require_open()
-        require_face(snapshot, "curriculum_env")
+        require_face(snapshot, "curriculum_env", BESIDE)
         beside = snapshot.beside
         # A curriculum with fewer stages has no world for it
         last = max(beside["flown"], beside["curriculum"]["stage"])

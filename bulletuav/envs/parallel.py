@@ -367,7 +367,7 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
     @exclusive
     def load_state(self, snapshot: FaceSnapshot) -> None:
         """Go on from a state that was saved; see `Aviary.load_state`."""
-        require_face(snapshot, "aec_env")
+        require_face(snapshot, "aec_env", TURN)
         self._parallel.load_state(snapshot.flight)
         for name, value in copy.deepcopy(dict(snapshot.beside)).items():
             setattr(self.env, name, value)

@@ -3,7 +3,7 @@
 import hashlib
 import math
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -43,6 +43,8 @@ MAX_COORDINATE = 1e7
 """Distance of a drone from its world's origin, m; flights that diverge end before"""
 FIRST_FIELDS = ("data", "form", "checksum")
 """What a pickled snapshot consists of"""
+FORM_FIELDS = ("of", "parts", "arrays")
+"""The same of its form"""
 FACE_FIELDS = ("of", "flight", "beside", "checksum")
 """The same of one of an environment class"""
 ANOTHER_VERSION = "the snapshot is of another version of bulletuav: save it again with this one"
@@ -138,12 +140,14 @@ class Snapshot:
 
     def __post_init__(self) -> None:
         """Copy the bytes, so that what is checked stays as it is."""
-        if isinstance(self.data, np.ndarray):
+        # Arrays of objects have no bytes; `require_whole` refuses them
+        if isinstance(self.data, np.ndarray) and not self.data.dtype.hasobject:
             copied = np.frombuffer(self.data.tobytes(), self.data.dtype)
             object.__setattr__(self, "data", copied.reshape(self.data.shape))
 
     def __len__(self) -> int:
         """Count its worlds."""
+        self._require_kinds()
         return len(self.data)
 
     def __getitem__(self, worlds: int | slice | list[int] | np.ndarray) -> "Snapshot":
@@ -162,6 +166,7 @@ class Snapshot:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled, with a checksum."""
+        self._require_kinds()
         checksum = checksum_of(self.data, self.form) if self.is_own else self.checksum
         return dict(zip(FIRST_FIELDS, (self.data, self.form, checksum), strict=True))
 
@@ -182,19 +187,57 @@ class Snapshot:
         """Raise ValueError for a snapshot that is damaged, or that was put together by hand."""
         if "_own" in vars(self) or "_whole" in vars(self):
             return
-        data, form = self.data, self.form
-        known = isinstance(form, Form) and isinstance(data, np.ndarray)
-        if not known or data.dtype != np.uint8 or data.ndim != 2:
-            raise ValueError(
-                f"snapshot is {shown(self)}: (S, B) uint8 with a form, as save_state of this "
-                f"version gives, is needed; save it again"
-            )
-        if self.checksum != checksum_of(data, form):
+        self._require_kinds()
+        if self.checksum != checksum_of(self.data, self.form):
             raise ValueError(
                 "the snapshot is damaged: its checksum is not that of its bytes; take another "
                 "copy, or save it again"
             )
         object.__setattr__(self, "_whole", True)
+
+    def _require_kinds(self) -> None:
+        """Raise ValueError where an attribute is missing, or is of another type."""
+        if self.is_own:
+            return
+        # Objects that were put together by hand may have no attributes at all
+        data, form, checksum = map(vars(self).get, FIRST_FIELDS)
+        if not isinstance(data, np.ndarray) or data.dtype != np.uint8 or data.ndim != 2:
+            is_array = isinstance(data, np.ndarray)
+            found = f"{data.shape} {data.dtype}" if is_array else shown(data)
+            wrong = f"data {found} instead of (S, B) uint8"
+        elif not _is_form(form):
+            wrong = f"form {shown(form)}"
+        elif not isinstance(checksum, bytes | None):
+            wrong = f"checksum {shown(checksum)} instead of bytes"
+        else:
+            return
+        raise ValueError(
+            f"the snapshot has {wrong}: one as save_state of this version gives is needed; "
+            f"save it again"
+        )
+
+
+def _is_form(form: Any) -> bool:
+    """Return True for a `Form` whose attributes have the types that they need."""
+    if not isinstance(form, Form):
+        return False
+    of, parts, arrays = map(vars(form).get, FORM_FIELDS)
+    return (
+        isinstance(of, str)
+        and isinstance(parts, Mapping)
+        and all(isinstance(text, str) for pair in parts.items() for text in pair)
+        and isinstance(arrays, tuple)
+        and all(map(_is_array_form, arrays))
+    )
+
+
+def _is_array_form(array: Any) -> bool:
+    """Return True for name, type and shape of an array."""
+    return (
+        isinstance(array, tuple)
+        and tuple(map(type, array)) == (str, str, tuple)
+        and all(isinstance(size, int) for size in array[2])
+    )
 
 
 def own_snapshot(data: np.ndarray, form: Form) -> Snapshot:
@@ -236,6 +279,7 @@ class FaceSnapshot:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled, with a checksum."""
+        self.require_kinds()
         own = {"of": self.of, "flight": self.flight, "beside": dict(self.beside)}
         return {**own, "checksum": self._checksum(own["beside"])}
 
@@ -254,6 +298,16 @@ class FaceSnapshot:
             )
         for name in FACE_FIELDS[:-1]:
             object.__setattr__(self, name, state[name])
+
+    def require_kinds(self) -> None:
+        """Raise ValueError where an attribute is missing, or is of another type."""
+        kinds = dict(zip(FACE_FIELDS, (str, Snapshot, Mapping), strict=False))
+        for name, kind in kinds.items():
+            if not isinstance(value := vars(self).get(name), kind):
+                raise ValueError(
+                    f"the snapshot has {name} {shown(value)} instead of a {kind.__name__}: one as "
+                    f"save_state of this version gives is needed; save it again"
+                )
 
     @staticmethod
     def _checksum(beside: Any) -> bytes:
@@ -286,12 +340,28 @@ def require_snapshot(
             )
 
 
-def require_face(snapshot: Any, of: str) -> None:
-    """Refuse what is no snapshot of a class of environments. Raises ValueError."""
+def require_face(snapshot: Any, of: str, names: Collection[str] | None = None) -> None:
+    """Refuse what is no snapshot of a class of environments.
+
+    Args:
+        snapshot: What was given.
+        of: What makes environments of the class.
+        names: What `beside` consists of; anything when left out.
+
+    Raises:
+        ValueError: It is something else, is damaged, or is of another class.
+    """
     require_snapshot(snapshot, FaceSnapshot)
+    snapshot.require_kinds()
     if snapshot.of != of:
         raise ValueError(
             f"the snapshot is of {snapshot.of}, and this is of {of}: load it in its own class"
+        )
+    differ: set[str] = set() if names is None else set(names) ^ set(snapshot.beside)
+    if differ:
+        raise ValueError(
+            f"the snapshot of {of} lacks {shown(sorted(differ, key=repr))}, or has them in excess: "
+            f"save it again with this version"
         )
 
 

@@ -1,14 +1,16 @@
 """Reading of Wavefront OBJ files: the corners of each of their objects."""
 
-import math
+import re
 from pathlib import Path
 
 import numpy as np
 
 from bulletuav.errors import read_file, require_file, shown
+from bulletuav.parsing import parse_number, plain_digits
 
 MOST_LINES = 1_000_000
 """Most lines of a file"""
+WORD = re.compile("[^ \t]+")
 
 
 def read_obj(path: str | Path) -> list[np.ndarray]:
@@ -29,14 +31,15 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
     """
     # A limit, as files may be of anybody
     path = require_file("mesh", path, "pass the path of a Wavefront OBJ file")
-    lines = read_file(path).splitlines()
+    # Lines and words end where the engine takes them to end: it must count the same corners
+    lines = read_file(path, newline="").split("\n")
     if len(lines) > MOST_LINES:
         raise ValueError(f"{path}: {len(lines)} lines, at most {MOST_LINES} are read: simplify it")
     corners: list[tuple[float, ...]] = []
     objects: list[set[int]] = [set()]
     for number, line in enumerate(lines, start=1):
         # Empty lines and comments have words that mean nothing here
-        word, *values = line.split() or [""]
+        word, *values = WORD.findall(line.rstrip("\r")) or [""]
         try:
             if word == "o":
                 objects.append(set())
@@ -60,9 +63,7 @@ def _point(values: list[str]) -> tuple[float, ...]:
     Raises:
         ValueError: They are not finite numbers.
     """
-    x, y, z = map(float, values[:3])
-    if not math.isfinite(x + y + z):
-        raise ValueError
+    x, y, z = map(parse_number, values[:3])
     return x, y, z
 
 
@@ -72,7 +73,7 @@ def _corner(text: str, count: int) -> int:
     Raises:
         ValueError: There is no such corner.
     """
-    index = int(text.split("/")[0])
+    index = int(plain_digits(text.split("/")[0]))
     place = index - 1 if index > 0 else count + index
     if not 0 <= place < count:
         raise ValueError

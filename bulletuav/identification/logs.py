@@ -20,13 +20,15 @@ May be left out:
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from bulletuav.errors import nearest, require_file
+from bulletuav.errors import nearest, require_file, shown
+from bulletuav.parsing import plain_digits
 from bulletuav.vehicle.airframe import MAX_ROTORS, STANDARD_GRAVITY
 from bulletuav.vehicle.rotors import RPM
 
@@ -179,24 +181,61 @@ def read_log(
     found = require_file("log", path, "pass the path of a CSV file")
     try:
         with found.open(newline="", encoding="utf-8-sig") as file:
-            header = [name.strip() for name in next(csv.reader(file), [])]
+            reader = csv.reader(file)
+            header = [name.strip() for name in next(reader, [])]
+            _require_header(found, header)
+            wanted = _wanted(found, header, sources, num_rotors)
+            places = {source.column: header.index(source.column) for source in wanted.values()}
+            table = _read_table(found, reader, len(header), places)
     except UnicodeDecodeError:
         raise ValueError(f"{found} is no text in UTF-8: export the log as CSV") from None
-    _require_header(found, header)
-    wanted = _wanted(found, header, sources, num_rotors)
-    places = [header.index(source.column) for source in wanted.values()]
-    try:
-        table = np.genfromtxt(
-            found, delimiter=",", skip_header=1, usecols=places, encoding="utf-8-sig", ndmin=2
-        )
-    except ValueError as error:
-        first = " ".join(str(error).split())[:200]
-        raise ValueError(f"{found}: rows have other numbers of columns: {first}") from None
+    except csv.Error as error:
+        raise ValueError(f"{found} is no CSV: {error}; is a quotation mark missing?") from None
     columns = {
-        name: source.factor * table[:, k] + source.offset
-        for k, (name, source) in enumerate(wanted.items())
+        name: source.factor * table[source.column] + source.offset
+        for name, source in wanted.items()
     }
     return Log(found, columns, {})
+
+
+def _read_table(
+    path: Path, reader: Iterable[list[str]], width: int, places: Mapping[str, int]
+) -> dict[str, np.ndarray]:
+    """Read columns of a CSV file.
+
+    Args:
+        path: The file, for messages.
+        reader: Gives the cells of each row below the header.
+        width: Cells that each row has; more of them are empty.
+        places: Where the columns are in a row, by name.
+
+    Returns:
+        Numbers (n,) by name, NaN where a cell is empty.
+
+    Raises:
+        ValueError: A row has fewer or more cells, a cell is no number, or there are no rows.
+    """
+    rows = []
+    for number, row in enumerate(reader, start=2):
+        if not any(map(str.strip, row)) or row[0].startswith("#"):
+            continue
+        if len(row) < width or any(map(str.strip, row[width:])):
+            raise ValueError(
+                f"{path}: rows have other numbers of columns: row {number} has {len(row)}, and the "
+                f"header {width}"
+            )
+        for name, place in places.items():
+            try:
+                rows.append(float(plain_digits(row[place]) if row[place].strip() else "nan"))
+            except ValueError:
+                raise ValueError(
+                    f"{path}: {name} is {shown(row[place])} in row {number}: a number is needed, "
+                    f"such as 0.5, or nothing where it is missing"
+                ) from None
+    if not rows:
+        raise ValueError(f"{path} has no rows below its header: export the log again")
+    table = np.array(rows).reshape(-1, len(places))
+    return {name: table[:, k] for k, name in enumerate(places)}
 
 
 def _require_header(path: Path, header: list[str]) -> None:
@@ -209,7 +248,12 @@ def _require_header(path: Path, header: list[str]) -> None:
             f"{path} has no header: its first line begins with {header[0]}; name the columns "
             f"there, such as t,x,y,z,qx,qy,qz,qw,w1,w2,w3,w4"
         )
-    twice = [name for name in header if header.count(name) > 1]
+    if len(header) == 1 and (other := re.search("[;\t]", header[0])):
+        raise ValueError(
+            f"{path} has {other[0]!r} between its columns: export the log with commas between "
+            f"columns, and points in numbers"
+        )
+    twice = [name for name, count in Counter(header).items() if count > 1]
     if twice:
         raise ValueError(f"{path}: the column {twice[0]!r} is there twice: rename one of them")
 

@@ -1,7 +1,5 @@
 """A check for authors of policies: fly one briefly and look for mistakes."""
 
-import contextlib
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,6 +7,7 @@ import numpy as np
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import shown
 from bulletuav.policies.find import find_policy
+from bulletuav.policies.mismatch import naming_task
 from bulletuav.tasks import TaskSource
 
 DECISIONS = 30
@@ -73,9 +72,8 @@ def _flown(
     aviary = Aviary(task, NUM_WORLDS, **{"seed": SEED, **options})
     try:
         observations = aviary.reset()
-        observed = list(aviary.observer.split(observations))
         # A reset of all worlds, as trainers and evaluations do it
-        with _explained(spec.name, aviary, observed):
+        with naming_task(spec.name, aviary):
             pilot = spec(aviary)
             pilot.reset(np.ones(NUM_WORLDS, dtype=bool))
         shape = (*aviary.alive.shape, aviary.action.low.shape[-1])
@@ -91,7 +89,7 @@ def _flown(
                 observations = aviary.load_state(snapshot)
             # Other policies of the swarm see the same arrays
             before = [array.copy() for array in aviary.swarm]
-            with _explained(spec.name, aviary, observed):
+            with naming_task(spec.name, aviary):
                 actions = pilot.act(observations, aviary.swarm)
             _check(spec.name, actions, shape)
             if not all(map(np.array_equal, before, aviary.swarm)):
@@ -103,32 +101,6 @@ def _flown(
     finally:
         aviary.close()
     return rows
-
-
-@contextlib.contextmanager
-def _explained(name: str, aviary: Aviary, observed: list[str]) -> Iterator[None]:
-    """Raise ValueError, which names the task, where a policy looks for what the task lacks."""
-    try:
-        yield
-    except KeyError as error:
-        lacks = f"{shown(error.args[0])}, which is not there" if error.args else "a missing name"
-        raise _of_another_task(name, lacks, aviary, observed) from error
-    except AttributeError as error:
-        # Others are mistakes of the policy's own
-        if error.obj is not aviary.task and error.obj is not aviary.task.config:
-            raise
-        lacks = f"attribute {error.name!r} of the task, which it does not have"
-        raise _of_another_task(name, lacks, aviary, observed) from error
-
-
-def _of_another_task(name: str, lacks: str, aviary: Aviary, observed: list[str]) -> ValueError:
-    """Make the error for a policy that needs what a task does not have."""
-    keeps = f", and keeps {', '.join(aviary.scene.memory)} in memory" if aviary.scene.memory else ""
-    return ValueError(
-        f"policy {name!r} needs {lacks}: task {aviary.task.name!r} observes "
-        f"{', '.join(observed)}{keeps}; check the policy in the task that it is for, by "
-        f"task=..., or with options such as observation and sensors"
-    )
 
 
 def _check(

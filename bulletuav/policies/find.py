@@ -12,6 +12,7 @@ from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import action_for, resolve
 from bulletuav.errors import choose, shown, unknown
 from bulletuav.policies.base import Policy, check_action
+from bulletuav.policies.mismatch import naming_task
 from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunConfig, shipped
 from bulletuav.policies.trained import TRUST, SharedPolicy, Trained, actions_given
 from bulletuav.policies.versus import (
@@ -62,10 +63,12 @@ class PolicySpec(NamedTuple):
         """Make the policy that flies an aviary.
 
         Raises:
-            ValueError: The aviary's action is not one that the policy can give.
+            ValueError: The aviary's action is not one that the policy can give, or the task lacks
+                what it needs.
         """
         check_action(self.name, self.actions, aviary.options.action)
-        return self.make(aviary)
+        with naming_task(self.name, aviary):
+            return self.make(aviary)
 
     def complete(self, task: TaskSource, options: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the options of an environment by what the policy needs to fly in it.

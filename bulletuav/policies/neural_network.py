@@ -111,6 +111,10 @@ def read_weights(path: Path) -> dict[str, np.ndarray]:
     except Exception as error:
         raise ValueError(f"{path} is no safetensors file: {reason_of(error)}") from None
     for name, array in weights.items():
+        if array.dtype.kind != "f":
+            raise ValueError(
+                f"{path}: {name} is of {array.dtype}, and floats are needed; train the policy again"
+            )
         if not np.isfinite(array).all():
             raise ValueError(
                 f"{path}: {name} holds a number that is not finite; train the policy again"
@@ -171,6 +175,8 @@ class Network:
         given = self._layers[-1][1].shape
         if self._bounds is not None and any(bound.shape != given for bound in self._bounds):
             raise ValueError(f"{LOW} and {HIGH} need the shape {given}")
+        if self._bounds is not None and (self._bounds[0] >= self._bounds[1]).any():
+            raise ValueError(f"{LOW} must be below {HIGH}")
         self._users = UserFeatures(of_users) if of_users else None
         is_swarm = kind == "swarm"
         self._swarm = SwarmFeatures(find_layout(labels), of_others, scale) if is_swarm else None

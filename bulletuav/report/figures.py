@@ -9,8 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 
 from bulletuav.analysis.recording import Recording
+from bulletuav.errors import printable
 from bulletuav.files import whole_file
 
 MOST_NUMBERS = 24
@@ -46,6 +48,9 @@ def save_figure(figure: Figure, path: Path) -> None:
     Raises:
         OSError: It cannot be written.
     """
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_text(printable(text.get_text()))
     with whole_file(path) as part:
         figure.savefig(part, dpi=110)
 

@@ -172,7 +172,7 @@ def write_csv(results: Sequence[Evaluation], path: Path) -> None:
     Raises:
         OSError: It cannot be written.
     """
-    with whole_file(path) as part, part.open("w", newline="") as file:
+    with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([*CASE, "metric", *Estimate._fields, "seed"])
         for result in results:

@@ -142,19 +142,19 @@ def page(title: str, payload: str = "") -> str:
     # All scripts go into the page, which then needs no other file
     scripts = {}
     for script in sorted(WEB.glob("*.js")):
-        code = BESIDE.sub(r'\1"', script.read_text())
+        code = BESIDE.sub(r'\1"', script.read_text(encoding="utf-8"))
         data = base64.b64encode(code.encode()).decode()
         scripts[script.name] = f"data:text/javascript;base64,{data}"
     # A page with numbers in it connects to nothing
     parts = {
         "title": html.escape(title),
-        "style": (WEB / "style.css").read_text(),
+        "style": (WEB / "style.css").read_text(encoding="utf-8"),
         "scripts": json.dumps({"imports": scripts}),
-        "license": (WEB / "three.LICENSE").read_text(),
+        "license": (WEB / "three.LICENSE").read_text(encoding="utf-8"),
         "payload": payload,
         "connect": "" if payload else "connect-src 'self';",
     }
-    template = (WEB / "page.html").read_text()
+    template = (WEB / "page.html").read_text(encoding="utf-8")
     return re.sub(r"<!--put (\w+)-->", lambda found: parts[found[1]], template)
 
 

@@ -166,7 +166,7 @@ class Verifier(NamedTuple):
         with tempfile.TemporaryDirectory() as place:
             table = Path(place) / "leaderboard.csv"
             write_csv(results, table)
-            texts = {"leaderboard.csv": table.read_text()}
+            texts = {"leaderboard.csv": table.read_text(encoding="utf-8")}
         texts["leaderboard.md"] = markdown(results, about["against"])
         for name, text in texts.items():
             told = hash_bytes([read_file(folder / name).encode()])

@@ -279,6 +279,8 @@ class _Chapters(BaseCallback):
             folder,
             config.episodes,
             EVALUATION_SEED,
+            # The modules that its settings name are those of this run: they are imported already
+            trust=True,
             **config.evaluated,
         )
         found = evaluation.estimates()

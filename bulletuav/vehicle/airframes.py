@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.errors import require_file, shown, unknown
+from bulletuav.errors import printable, require_file, shown, unknown
 from bulletuav.geometry.obstacle import FRICTION, MOST_FRICTION
 from bulletuav.registry import find, register
 from bulletuav.vehicle.airframe import (
@@ -116,6 +116,11 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
         "airframe", source, f"pass the path of a URDF or one of {available_airframes()}"
     )
     path = path.resolve()
+    if printable(str(path)) != str(path):
+        raise ValueError(
+            f"airframe {shown(str(path))} has bytes in its path that are no UTF-8: rename the file "
+            f"or its folder"
+        )
     return _read_shipped(path) if path.parent == URDF_FOLDER else _read_airframe(path)
 
 

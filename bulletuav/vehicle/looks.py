@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.geometry.shapes import Shape
+from bulletuav.parsing import parse_number
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.urdf import UrdfFile
 
@@ -34,7 +35,7 @@ def parts_of(airframe: Airframe) -> list[Part]:
     """Read the visual shapes of an airframe.
 
     Args:
-        airframe: Its file may name meshes in forms that are not read, such as .dae.
+        airframe: Its file may name meshes in forms that are not read, such as .stl.
 
     Returns:
         Those that are read; the collision shape where there are none.
@@ -59,7 +60,7 @@ def parts_of(airframe: Airframe) -> list[Part]:
 def _colour(text: str) -> Colour:
     """Read a colour, four numbers."""
     try:
-        red, green, blue, alpha = map(float, text.split())
+        red, green, blue, alpha = map(parse_number, text.split())
     except ValueError:
         return PLAIN
     return red, green, blue, alpha

@@ -3,19 +3,22 @@
 Every refusal names the file, the tag and the value.
 """
 
+import contextlib
 import math
+import os
+import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
 
-from bulletuav.errors import shown
+from bulletuav.errors import read_file, shown
 from bulletuav.geometry.convex import holds_origin, inscribed_radius
 from bulletuav.geometry.mesh_file import read_obj
 from bulletuav.geometry.obstacle import hull_of
 from bulletuav.geometry.rotation import from_euler
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
-from bulletuav.parsing import read_xml
+from bulletuav.parsing import parse_number, read_xml
 
 SMALLEST = 1e-20
 """Least size of a number but 0: squares of such numbers, and products of a few, are no 0."""
@@ -27,6 +30,12 @@ THINNEST = 1e-4
 """Least side of a collision shape, m: the engine's margins are as large as thinner ones."""
 LONGEST = 200
 """Most characters of a value that a message shows."""
+LONGEST_PATH = 800
+"""Most bytes of the path of a file that a mesh names: from about 1,000 on the engine crashes."""
+PICTURES = ("map_Ka", "map_Kd", "map_Ks", "map_Ns")
+"""Words of a file of materials after which the name of a picture comes."""
+ZERO = r"[+-]?(?:0+\.?0*|\.0+)(?:[eE][+-]?[0-9]+)?"
+"""Pattern of a number that is 0."""
 
 
 class UrdfFile:
@@ -54,26 +63,44 @@ class UrdfFile:
         self._require_meshes()
 
     def _require_meshes(self) -> None:
-        """Check all meshes that the file names, also visual ones.
+        """Check all meshes and textures that the file names.
 
         The engine reads them in C++ without checks, from the folder of the file or one above it,
         or from the current folder. It would wait forever for a pipe or a device.
 
         Raises:
-            ValueError: One is damaged, or no file.
+            ValueError: A mesh is missing, of another form, or damaged; or a texture is no file.
         """
         for mesh in self.root.iter("mesh"):
             name = mesh.get("filename", "")
-            local = name.removeprefix("package://").removeprefix("model://")
-            for folder in (Path(), *self.path.resolve().parents):
-                path = folder / local
-                try:
-                    if path.is_file():
-                        _require_mesh(path)
-                    elif path.exists() and not path.is_dir():
-                        raise ValueError(f"{path} is no regular file: give one of a mesh")
-                except (OSError, ValueError) as error:
-                    raise self.refusal("mesh filename", name, str(error)) from None
+            try:
+                files = self._found(name)
+                for path in files:
+                    _require_mesh(path)
+            except (OSError, ValueError) as error:
+                raise self.refusal("mesh filename", name, str(error)) from None
+            if not files:
+                reason = (
+                    "the name of a Wavefront OBJ file (.obj) or binary STL file (.stl) beside the "
+                    "URDF is needed, and there is no such file"
+                )
+                raise self.refusal("mesh filename", name or "missing", reason)
+        for texture in self.root.iter("texture"):
+            name = texture.get("filename", "")
+            try:
+                self._found(name)
+            except (OSError, ValueError) as error:
+                raise self.refusal("texture filename", name, str(error)) from None
+
+    def _found(self, name: str) -> list[Path]:
+        """Find the files that the engine may read by a name.
+
+        Raises:
+            ValueError: One is no regular file.
+        """
+        local = name.removeprefix("package://").removeprefix("model://")
+        paths = [folder / local for folder in (Path(), *self.path.resolve().parents)]
+        return [path for path in paths if _is_file(path)]
 
     def refusal(
         self,
@@ -129,15 +156,12 @@ class UrdfFile:
         """
         text = element.get(attribute)
         label = f"{element.tag} {attribute}"
-        # Python takes 1_000 and digits of other scripts for numbers; the engine, which reads the
-        # file as well, does not.
-        readable = "missing" if text is None or "_" in text or not text.isascii() else text
         try:
-            value = float(readable)
+            value = parse_number("missing" if text is None else text)
         except ValueError:
             written = text if text is not None else "missing"
             raise self.refusal(label, written, "a number is needed") from None
-        if not math.isfinite(value) or value < low or (strict and value == low):
+        if value < low or (strict and value == low):
             bound = f"{'above' if strict else 'at least'} {low:g}"
             raise self.refusal(label, text, f"it must be finite and {bound}")
         if value != 0 and not SMALLEST <= abs(value) <= most:
@@ -250,12 +274,10 @@ class UrdfFile:
     ) -> tuple[float, float, float]:
         """Read three finite numbers from an attribute."""
         text = element.get(attribute, default)
-        try:
-            x, y, z = map(float, text.split())
-        except ValueError:
-            x, y, z = (math.inf,) * 3
-        if max(abs(x), abs(y), abs(z)) <= LARGEST:
-            return x, y, z
+        with contextlib.suppress(ValueError):
+            x, y, z = map(parse_number, text.split())
+            if max(abs(x), abs(y), abs(z)) <= LARGEST:
+                return x, y, z
         reason = f"three numbers up to {LARGEST:g} are needed"
         raise self.refusal(f"{element.tag} {attribute}", text or "missing", reason)
 
@@ -282,7 +304,7 @@ class UrdfFile:
     def _box(self, shape: ElementTree.Element) -> Shape:
         """Read a box from its three edges."""
         try:
-            size = [float(part) for part in shape.get("size", "").split()]
+            size = [parse_number(part) for part in shape.get("size", "").split()]
         except ValueError:
             size = []
         if len(size) == 3 and all(THINNEST <= side <= self.widest for side in size):
@@ -303,8 +325,20 @@ class UrdfFile:
         origin = parent.find("origin")
         for key in ("xyz", "rpy"):
             text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
-            if [part.strip("+-0.e") for part in text.split()] != ["", "", ""]:
+            # Other texts are of no number, or of another one than 0
+            if not re.fullmatch(rf"\s*{ZERO}\s+{ZERO}\s+{ZERO}\s*", text, re.ASCII):
                 raise self.refusal(f"{parent.tag} origin {key}", text, reason)
+
+
+def _is_file(path: Path) -> bool:
+    """Return True for a regular file, False for a folder or nothing.
+
+    Raises:
+        ValueError: It is a pipe, a device or the like.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ValueError(f"{path} is no regular file: give one of a mesh or picture")
+    return path.is_file()
 
 
 def _require_mesh(path: Path) -> None:
@@ -312,8 +346,7 @@ def _require_mesh(path: Path) -> None:
     match path.suffix.lower():
         case ".obj":
             read_obj(path)
-        case ".dae":
-            read_xml(path)
+            _require_materials(path)
         case ".stl":
             content = path.read_bytes()
             count = int.from_bytes(content[80:84], "little")
@@ -322,3 +355,40 @@ def _require_mesh(path: Path) -> None:
                     f"{path}: {len(content)} bytes, and a binary STL file of {count} triangles has "
                     f"{84 + 50 * count}: export it again"
                 )
+        case _:
+            raise ValueError(
+                f"{path} is of a form that cannot be checked before the engine reads it: convert "
+                f"it to a Wavefront OBJ file (.obj), as modelling programs can"
+            )
+
+
+def _require_materials(mesh: Path) -> None:
+    """Check the files of materials that an OBJ file names, and the pictures that those name.
+
+    Raises:
+        ValueError: One is no regular file, or has a path that is too long for the engine.
+    """
+    for material in _named(mesh, ("mtllib",)):
+        if _is_file(material):
+            for picture in _named(material, PICTURES):
+                _is_file(picture)
+
+
+def _named(path: Path, words: tuple[str, ...]) -> list[Path]:
+    """List the files that lines of a file name after one of some words.
+
+    Raises:
+        ValueError: A path is longer than `LONGEST_PATH`.
+    """
+    lines = (line.strip() for line in read_file(path, newline="").split("\n"))
+    files = []
+    for line in lines:
+        word, _, name = line.replace("\t", " ").partition(" ")
+        if word in words:
+            files.append(path.parent / name.strip())
+            if len(os.fsencode(files[-1])) > LONGEST_PATH:
+                raise ValueError(
+                    f"{path}: {word} {shown(name)} makes a path of more than {LONGEST_PATH} bytes, "
+                    f"which the engine cannot take: shorten it"
+                )
+    return files

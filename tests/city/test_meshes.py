@@ -261,6 +261,19 @@ def test_however_the_decomposition_ends_it_is_one_error(way, obj, tmp_path, monk
         from_obj(obj(written(("tower", *podium()))))
 
 
+@pytest.mark.parametrize("crosses", [False, True])
+def test_a_mesh_that_crosses_itself_has_less_time(crosses, obj, tmp_path, monkeypatch):
+    """The other limit is never reached in the test, or is the one that counts."""
+    (tmp_path / "child.py").write_text("import time; time.sleep(1000)")
+    monkeypatch.setattr(decomposer, "CHILD", tmp_path / "child.py")
+    monkeypatch.setattr(decomposer, "MAX_SECONDS_CROSSING", 0.1)
+    monkeypatch.setattr(decomposer, "MAX_SECONDS", 600 if crosses else 0.3)
+    text = f"o tower\n{OPEN_BOX}" if crosses else written(("tower", *podium()))
+    said = "0.1 s; its faces cross each other, such as at .8.88889" if crosses else "0.3 s: repair"
+    with pytest.raises(ValueError, match=rf"town\.obj, object tower: CoACD.* longer than {said}"):
+        from_obj(obj(text))
+
+
 def test_objects_share_one_process_and_it_ends_with_them(monkeypatch):
     started = []
 

@@ -471,6 +471,16 @@ def test_bad_input_ends_in_one_line_and_exit_code_2(arguments, said, capsys, tmp
     assert said in lines[0]
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_descriptions_in_the_help_are_wrapped(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    # Examples are commands to copy, each on one line
+    before_examples = capsys.readouterr().out.partition("\nexample")[0]
+    assert max(map(len, before_examples.splitlines())) <= 80
+
+
 def test_without_a_command_the_help_is_printed(capsys):
     main([])
     out, err = capsys.readouterr()
@@ -640,13 +650,17 @@ def test_how_far_it_is_is_a_bar_on_a_terminal():
     program += "with show_progress('flying', 3, 'episodes') as report:\n"
     program += "    with COMPILATION.count(): pass\n"
     program += "    import time; time.sleep(0.3)\n"  # more than a frame
-    program += "    [report(done) for done in range(4)]"
-    subprocess.run(
+    program += "    [report(done) for done in range(4)]\n"
+    # Workers are forked meanwhile, and threads could hold locks that a fork would wait for
+    program += "    import os, threading; os.write(1, b'%d' % threading.active_count())"
+    done = subprocess.run(
         [sys.executable, "-c", program],
         check=True,
         stderr=theirs,
+        stdout=subprocess.PIPE,
         env={**os.environ, "TERM": "xterm"},
     )
+    assert int(done.stdout) == 1
     os.close(theirs)
     said = os.read(mine, 65536).decode()
     assert "compiling" in said

@@ -160,6 +160,31 @@ def test_what_is_given_goes_before_the_settings_of_the_package():
     assert (other.model, other.seed, other.options) == ({}, 5, usual.options)
 
 
+def test_a_run_that_shows_a_block_of_a_module_is_evaluated_and_goes_on(
+    tmp_path, capsys, monkeypatch
+):
+    """The module is the user's own: nothing asks for trust before a file comes from elsewhere."""
+    (tmp_path / "blocks_of_mine.py").write_text(
+        "from bulletuav.sensors import Label\n"
+        "from bulletuav.tasks import block\n"
+        "@block([Label('height', 'm', -100.0, 100.0)])\n"
+        "def height(known_position):\n"
+        "    return known_position[2]\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    shown = ["--set", "observation=goal,velocity,blocks_of_mine:height"]
+    for _ in range(2):
+        main(["train", "obstacles", *TINY, *shown, "--out", "run"])
+        assert "score of run" in capsys.readouterr().out
+    again = ["train", "--config", "run/run.yaml", "--out", "again"]
+    with pytest.raises(SystemExit):
+        main(again)
+    assert "'blocks_of_mine:height', whose module would be imp" in capsys.readouterr().err
+    main([*again, "--trust"])
+    assert "score of again" in capsys.readouterr().out
+
+
 def test_beside_other_actions_a_trained_policy_keeps_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     both = ["--tasks", "crossing", "--policies", "straight,untrained", "--episodes", "2"]

@@ -1,7 +1,12 @@
 """Tables of commands lose nothing, however narrow the terminal is."""
 
 import importlib
+import os
+import shutil
+import subprocess
+import sys
 from collections import Counter
+from pathlib import Path
 
 import flown
 import pytest
@@ -12,6 +17,7 @@ from rich.table import Table
 from bulletuav.cli import COMMANDS, main
 from bulletuav.commands import output
 from bulletuav.commands.output import print_table
+from bulletuav.policies.run import shipped
 from bulletuav.vehicle.airframes import load_airframe
 
 FRAME = str.maketrans(dict.fromkeys("│┃┏━┳┓┡╇┩└─┴┘┌┬┐├┼┤:;", " "))
@@ -119,3 +125,29 @@ def test_only_one_file_prints_tables():
     own = {"output.py", "progress.py"}
     texts = {path.name: path.read_text() for path in folder.glob("*.py")}
     assert {name for name, text in texts.items() if "rich.console import C" in text} == own
+
+
+def test_files_are_utf_8_in_every_locale(tmp_path):
+    """Also where Python would take another encoding for files, as on Windows."""
+    command = ["fly", "hover", "--dynamics", "point_mass", "--horizon", "2", "--animation", "none"]
+    subprocess.run(
+        [sys.executable, "-X", "utf8=0", "-m", "bulletuav", *command, "--html", "--out", "flight"],
+        env={**os.environ, "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"},
+        cwd=tmp_path,
+        check=True,
+    )
+    assert "</html>" in (tmp_path / "flight" / "replay.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names of files")
+def test_names_of_files_may_be_no_utf_8(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    own = os.fsdecode(b"own\xff")
+    shutil.copytree(shipped("crossing"), own)
+    command = ["evaluate", "crossing", "--policy", own, "--horizon", "2", "--episodes", "1"]
+    main([*command, "--dynamics", "point_mass", "--drones", "2", "--out", os.fsdecode(b"out\xff")])
+    assert Path(os.fsdecode(b"out\xff"), "summary.png").stat().st_size
+    capsys.readouterr()
+    shutil.copy(load_airframe("cf2x").urdf, f"{own}.urdf")
+    with pytest.raises(ValueError, match="bytes in its path that are no UTF-8"):
+        load_airframe(f"{own}.urdf")

@@ -15,7 +15,7 @@ from bulletuav.envs.described import WITHOUT_EFFECT, parts_of, text_of
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.gymnasium import CentralAviary, CentralVectorAviary
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, checksum_of
+from bulletuav.envs.snapshot import FaceSnapshot, Form, Snapshot, checksum_of
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
@@ -448,7 +448,7 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
     other = made()
     other.load_state(saved)
     same(flown(other, 60), first)
-    with pytest.raises(ValueError, match="with a form, as save_state of this version gives"):
+    with pytest.raises(ValueError, match="has form 'other': one as save_state"):
         other.load_state(Snapshot(saved.data, "other"))
     airspace.close()
     with pytest.raises(RuntimeError, match="closed"):
@@ -591,6 +591,7 @@ def test_damaged_snapshots_are_refused_and_nothing_changes():
         Snapshot(damaged, form),
         Snapshot(saved.data[:, :-1], form, copied.checksum),
         Snapshot(saved.data.astype(float), form, copied.checksum),
+        Snapshot(saved.data.astype(object), form, copied.checksum),
         Snapshot(saved.data[0], form, copied.checksum),
         Snapshot(None, form, copied.checksum),
         Snapshot(saved.data, dataclasses.replace(form, parts={}), copied.checksum),
@@ -607,6 +608,45 @@ def test_damaged_snapshots_are_refused_and_nothing_changes():
         aviary.load_state(Snapshot(short, form, checksum_of(short, form)))
     assert aviary.state_hash() == hashed
     aviary.close()
+
+
+BY_HAND = {
+    "no attributes": lambda data, form: Snapshot.__new__(Snapshot),
+    "no attributes of the form": lambda data, form: Snapshot(data, Form.__new__(Form)),
+    "nothing in the form": lambda data, form: Snapshot(data, Form("x", None, None)),
+    "numbers as parts": lambda data, form: Snapshot(data, Form("x", {1: 2, "a": 3}, ())),
+    "a text for arrays": lambda data, form: Snapshot(data, Form("x", {}, "abc")),
+    "names of arrays alone": lambda data, form: Snapshot(data, Form("x", {}, ("a", "b"))),
+    "a list in an array": lambda data, form: Snapshot(data, Form("x", {}, (("a", "f8", [1]),))),
+    "objects": lambda data, form: Snapshot(data.astype(object), form),
+    "a text for the checksum": lambda data, form: Snapshot(data, form, "abc"),
+}
+
+
+@pytest.mark.parametrize("make", BY_HAND.values(), ids=BY_HAND)
+def test_snapshots_that_were_put_together_by_hand_are_refused_with_what_is_wrong(make):
+    aviary = bulletuav.Aviary("hover", 1, num_drones=1, dynamics="point_mass")
+    aviary.reset(seeds=0)
+    saved = aviary.save_state()
+    forged = make(saved.data, saved.form)
+    for use in (aviary.load_state, len, pickle.dumps, lambda snapshot: snapshot[0]):
+        with pytest.raises(ValueError, match="^the snapshot has (data|form|checksum) .*save it"):
+            use(forged)
+
+
+def test_snapshots_of_classes_that_were_put_together_by_hand_are_refused():
+    env = bulletuav.aec_env("hover", num_drones=2, dynamics="point_mass")
+    env.reset(seed=0)
+    saved = env.save_state()
+    for forged, told in (
+        (FaceSnapshot.__new__(FaceSnapshot), "has of None instead of a str"),
+        (FaceSnapshot("aec_env", None, saved.beside), "has flight None instead of a Snapshot"),
+        (FaceSnapshot("aec_env", saved.flight, [1]), "has beside .* instead of a Mapping"),
+        (FaceSnapshot("aec_env", saved.flight, {}), "lacks .*'agents'"),
+        (FaceSnapshot("aec_env", saved.flight, {**saved.beside, "step": 1}), "'step'., or has"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            env.load_state(forged)
 
 
 def test_snapshots_of_former_versions_are_refused():

@@ -218,3 +218,40 @@ def test_the_command_refuses(words, message, tmp_path, monkeypatch, capsys):
         main(["identify", "log.csv", *words, "--airframe", "cf2x"])
     assert error.value.code == 2
     assert message in capsys.readouterr().err
+
+
+HEADER = ",".join(flown.COLUMNS)
+ROW = ",".join(["1"] * len(flown.COLUMNS))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEADER, "has no rows below its header"),
+        (f"{HEADER}\n\n# nothing\n,,\n", "has no rows below its header"),
+        (f"{HEADER.replace(',', ';')}\n1;2\n", "has ';' between its columns"),
+        (f"{HEADER}\n{ROW}\n1{ROW},7\n", r"row 3 has 16, and the header 15"),
+        (f"{HEADER}\n{ROW[:-2]}\n", r"row 2 has 14, and the header 15"),
+        (f"{HEADER}\n{ROW[:-1]}abc\n", "w4 is 'abc' in row 2: a number is needed"),
+        (f'{HEADER}\n{ROW[:-1]}"0,5"\n', "w4 is '0,5' in row 2: a number is needed"),
+        (f"{HEADER}\n{ROW[:-1]}1_0\n", "w4 is '1_0' in row 2: a number is needed"),
+        (f"{HEADER}\n{ROW[:-1]}\u0661\n", "w4 is '\u0661' in row 2: a number is needed"),
+        (f'{HEADER}\n{ROW[:-1]}"1\n' + "2" * 200_000, "is no CSV: .*is a quotation mark missing"),
+        ("a" * 200_000, "is no CSV"),
+        (",".join(f"c{k}" for k in range(20_000)), "lacks the columns"),
+    ],
+)
+def test_files_that_are_no_such_csv_are_refused(text, message, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=f"log.csv.* {message}"):
+        read_log(path, {}, 4)
+
+
+def test_quotes_comments_and_empty_cells_are_read(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(f'"t",{HEADER[2:]},\n"1",{ROW[2:]},,\n# said\n\n2,,{ROW[4:]},\n')
+    log = read_log(path, {"z": Source("y", 1e-3), "x": Source("x"), "y": Source("y")}, 4)
+    assert log.time.tolist() == [1, 2]
+    np.testing.assert_equal(log.columns["x"], [1, np.nan])
+    assert log.columns["z"].tolist() == [1e-3, 1e-3]

@@ -6,7 +6,7 @@ import json
 import pytest
 import yaml
 
-from bulletuav.parsing import MAX_DEPTH, read_json, read_toml, read_xml, read_yaml
+from bulletuav.parsing import MAX_DEPTH, parse_json, read_json, read_toml, read_xml, read_yaml
 from bulletuav.policies.run import RunConfig
 from bulletuav.training.study import Study
 
@@ -224,6 +224,30 @@ def test_what_is_not_plain_is_named(text, said, tmp_path):
     path.write_text(text)
     with pytest.raises(ValueError, match=f"^{path} is not valid YAML: .*{said}"):
         read_yaml(path)
+
+
+@pytest.mark.parametrize(
+    "read", [read_json, lambda path: parse_json(path.read_bytes(), str(path))], ids=["file", "part"]
+)
+def test_json_names_come_once_in_each_object(read, tmp_path):
+    path = tmp_path / "own.json"
+    path.write_text('[{"a": 1}, {"a": {"b": 1, "c": 2}}]')
+    assert read(path) == [{"a": 1}, {"a": {"b": 1, "c": 2}}]
+    path.write_text('[{"a": 1}, {"a": {"b": 1, "c": 2, "b": 1}}]')
+    with pytest.raises(
+        ValueError, match=f"^{path} is not valid JSON: .*'b' is there twice: delete"
+    ):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("read", "text"), [(read_json, '{"a": 1}'), (read_toml, "a = 1"), (read_yaml, "a: 1")]
+)
+def test_files_may_have_a_byte_order_mark(read, text, tmp_path):
+    """Editors of Windows write one."""
+    path = tmp_path / "own"
+    path.write_text(text, encoding="utf-8-sig")
+    assert read(path) == {"a": 1}
 
 
 @pytest.mark.parametrize(

@@ -178,6 +178,9 @@ def test_users_count_whatever_their_order():
             lambda w: {name: array for name, array in w.items() if not name.startswith("action.")},
             "to 3 choices",
         ),
+        (lambda w: {**w, "log_std": np.zeros(3, int)}, "log_std is of int64, and floats are"),
+        (lambda w: {**w, "log_std": np.zeros(3, bool)}, "log_std is of bool, and floats are"),
+        (lambda w: {**w, "action.high": w["action.low"]}, "action.low must be below action.high"),
         (lambda w: {}, "lacks action_net.weight"),
     ],
 )

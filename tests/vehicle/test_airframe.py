@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bulletuav import Airframe, available_airframes, load_airframe, registry
+from bulletuav.engine.drones import require_loadable
 from bulletuav.geometry.shapes import HULL, Shape
 from bulletuav.vehicle.parameters import EFFECTS, parameter_rows
 from bulletuav.vehicle.scaling import scaled_constants
@@ -401,9 +402,111 @@ def test_a_mesh_that_is_a_pipe_is_refused_before_anything_waits_for_it(tmp_path)
         UrdfFile(path)
 
 
+BOX = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
+MORE = 1000
+"""Corners that only Python would see"""
+MATERIALS = "mtllib own.mtl\nusemtl red\n" + BOX
+
+
+@pytest.fixture
+def visual(urdf, tmp_path):
+    """Writes a cf2x with a visual mesh, and files beside it: visual(name, files)."""
+
+    def write(name, files):
+        for file, content in files.items():
+            (tmp_path / file).write_bytes(content.encode())
+        mesh = f'<mesh filename="{name}" scale="0.01 0.01 0.01"/>'
+        return urdf("cf2x", ('<box size="0.034 0.03 0.018"/>', mesh))
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("name", "files", "said"),
+    [
+        ("gone.obj", {}, "gone.obj: .*no such file"),
+        ("", {}, "missing: .*no such file"),
+        ("body.dae", {"body.dae": "<COLLADA/>"}, "body.dae: .*: convert it to a Wavefront OBJ"),
+        ("body.cdf", {"body.cdf": "x"}, "body.cdf: .*: convert it to a Wavefront OBJ"),
+        ("body.obj", {"body.obj": BOX + "f 1 2 1_0\n"}, "'f 1 2 1_0': it cannot be read"),
+        ("body.obj", {"body.obj": BOX + "f 1 2 \u0663\n"}, "line 9 is .*: it cannot be read"),
+        ("body.obj", {"body.obj": BOX + "v 1 2 1_0\n"}, "'v 1 2 1_0': it cannot be read"),
+        # What only Python takes for corners, and then a face of such a one
+        *(
+            (
+                "body.obj",
+                {"body.obj": BOX + f"{word} 0 0 0\n" * MORE + "f 1 2 900\n"},
+                "'f 1 2 900'",
+            )
+            for word in ("#\rv", "#\x0cv", "#\u2028v", "v\x0c", "v\xa0")
+        ),
+        (
+            "body.obj",
+            {"body.obj": MATERIALS, "own.mtl": f"newmtl red\nmap_Kd {'t' * 2000}.png\n"},
+            "map_Kd .* makes a path of more than 800 bytes",
+        ),
+        ("body.obj", {"body.obj": f"mtllib {'t' * 2000}\n{BOX}"}, "mtllib .* more than 800 bytes"),
+    ],
+)
+def test_visual_meshes_that_the_engine_cannot_read_safely_are_refused(visual, name, files, said):
+    with pytest.raises(ValueError, match=rf"own\.urdf: <mesh filename> is .*{said}"):
+        load_airframe(visual(name, files))
+
+
+def test_pictures_and_materials_of_visual_meshes_are_not_refused(visual):
+    materials = {"own.mtl": "newmtl red\nKd 1 0 0\nmap_Kd own.png\n", "own.png": "no picture"}
+    require_loadable([load_airframe(visual("body.obj", {"body.obj": MATERIALS, **materials}))])
+
+
+@pytest.mark.parametrize("pipe", ["own.mtl", "own.png", "texture.png"])
+def test_nothing_waits_for_a_pipe_that_a_mesh_or_urdf_names(visual, pipe, tmp_path):
+    files = {"body.obj": MATERIALS, "own.mtl": "newmtl red\nmap_Kd own.png\n"}
+    path = visual("body.obj", files)
+    path.write_text(
+        path.read_text().replace("<color ", '<texture filename="texture.png"/><color ', 1)
+    )
+    (tmp_path / pipe).unlink(missing_ok=True)
+    os.mkfifo(tmp_path / pipe)
+    with pytest.raises(ValueError, match=f"{pipe} is no regular file"):
+        load_airframe(path)
+
+
 def test_digits_that_the_engine_does_not_read_are_refused(tmp_path):
     path = tmp_path / "drone.urdf"
     path.write_text('<robot><mass value="\u0661"/></robot>', encoding="utf-8")
     file = UrdfFile(path)
     with pytest.raises(ValueError, match="a number is needed"):
         file.number(file.element("mass"), "value")
+
+
+@pytest.mark.parametrize("odd", ["1_0", "\u0661", "nan", "inf", "1e999", "x", ""])
+@pytest.mark.parametrize("place", range(3))
+def test_odd_numbers_of_three_are_refused(odd, place, tmp_path):
+    three = ["1", "1", "1"]
+    three[place] = odd
+    text = " ".join(three)
+    path = tmp_path / "body.urdf"
+    path.write_text(
+        f'<robot><a><origin xyz="{text}"/><geometry><box size="{text}"/></geometry></a></robot>',
+        encoding="utf-8",
+    )
+    file = UrdfFile(path)
+    element = file.element("a")
+    with pytest.raises(ValueError, match="<origin xyz> is .*: three numbers"):
+        file.origin(element)
+    with pytest.raises(ValueError, match="<box size> is .*: three positive numbers"):
+        file.shape(element)
+
+
+@pytest.mark.parametrize(
+    ("zero", "is_zero"),
+    [("-0.0e5", True), (".0", True), ("e", False), ("--", False), ("\u0660", False)],
+)
+def test_an_origin_of_zeros_is_made_of_numbers(zero, is_zero, urdf):
+    path = urdf("cf2x", ("<collision>", f'<collision><origin xyz="0 0 {zero}"/>'))
+    path.write_text(path.read_text(), encoding="utf-8")
+    if is_zero:
+        load_airframe(path)
+        return
+    with pytest.raises(ValueError, match="<collision origin xyz> is"):
+        load_airframe(path)

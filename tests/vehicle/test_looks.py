@@ -26,8 +26,9 @@ def test_every_airframe_has_looks_near_its_body(name):
         assert all(0 <= share <= 1 for share in part.colour)
 
 
-def test_what_is_not_read_is_left_out(urdf):
-    mesh = '<mesh filename="body.dae"/>'
+def test_what_is_not_read_is_left_out(urdf, tmp_path):
+    mesh = '<mesh filename="body.stl"/>'
+    (tmp_path / "body.stl").write_bytes(bytes(84))
     changes = (
         ('<box size="0.034 0.03 0.018"/>', mesh),
         ("0.95 0.45 0.1 1", "orange"),
