@@ -202,8 +202,9 @@ class Snapshot:
         # Objects that were put together by hand may have no attributes at all
         data, form, checksum = map(vars(self).get, FIRST_FIELDS)
         if not isinstance(data, np.ndarray) or data.dtype != np.uint8 or data.ndim != 2:
-            is_array = isinstance(data, np.ndarray)
-            found = f"{data.shape} {data.dtype}" if is_array else shown(data)
+            found = shown(data)
+            if isinstance(data, np.ndarray):
+                found = f"{data.shape} {data.dtype}"
             wrong = f"data {found} instead of (S, B) uint8"
         elif not _is_form(form):
             wrong = f"form {shown(form)}"

@@ -50,13 +50,17 @@ def write_urdf(result: Identification, folder: Path) -> Path:
     _set_numbers(root, result.airframe)
     # What stands before the robot, the file's own comments, is no part of the tree
     head = text[: text.index(f"<{root.tag}")]
-    robot = ElementTree.tostring(root, encoding="unicode")
     path = folder / f"{result.before.name}.urdf"
     for mesh in root.iter("mesh"):
         name = mesh.get("filename", "")
         if name and (source.parent / name).is_file() and source.parent != folder:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source.parent / name, folder / name)
+            # One from elsewhere goes into the folder, too: nothing outside of it is written
+            inside = (folder / name).resolve().is_relative_to(folder.resolve())
+            copy = folder / (name if inside else Path(name).name)
+            mesh.set("filename", copy.relative_to(folder).as_posix())
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source.parent / name, copy)
+    robot = ElementTree.tostring(root, encoding="unicode")
     replace_file(path, f"{head}<!-- {_origin(result)} -->\n{robot}\n")
     return path
 

@@ -143,6 +143,30 @@ def test_the_urdf_loads_and_flies(result, tmp_path):
     np.testing.assert_allclose(space.swarm.position[0], (0.5, 0, 1), atol=0.02)
 
 
+def test_meshes_from_elsewhere_go_into_the_folder(narrow, tmp_path):
+    """And what lies beside it stays as it is."""
+    source, folder = tmp_path / "frames" / "own", tmp_path / "out"
+    source.mkdir(parents=True)
+    folder.mkdir()
+    text = narrow.before.urdf.read_text()
+    visual = "<visual><geometry><mesh filename={}/></geometry></visual></link>"
+    for name in ("../up.obj", "inside/in.obj"):
+        mesh = source / name
+        mesh.parent.mkdir(exist_ok=True)
+        mesh.write_text(f"# {name}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        text = text.replace("</link>", visual.format(f'"{name}"'), 1)
+    (source / "cf2x.urdf").write_text(text)
+    (tmp_path / "up.obj").write_text("theirs")
+    before = dataclasses.replace(narrow.before, urdf=source / "cf2x.urdf")
+    path = write_urdf(dataclasses.replace(narrow, before=before), folder)
+    assert (tmp_path / "up.obj").read_text() == "theirs"
+    assert {one.relative_to(folder).as_posix() for one in folder.rglob("*.obj")} == {
+        "up.obj",
+        "inside/in.obj",
+    }
+    load_airframe(path)
+
+
 def test_the_report_tells_all(result, tmp_path):
     markdown, table = write_report(result, tmp_path)
     text = markdown.read_text()
