@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bulletuav.gather import gathered, lane_numbers, pack_numbers, scatter
-from bulletuav.kernel import kernel
-from bulletuav.lanes import WIDTH, where
+from bulletuav.compiled.gather import gathered, lane_numbers, pack_numbers, scatter
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.lanes import WIDTH, where
 
 
 @kernel

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from bulletuav.functions import exp, moderate_exp, two_to
-from bulletuav.gather import gathered
-from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, is_any, lanes_of, lanes_row, where
+from bulletuav.compiled.functions import exp, moderate_exp, two_to
+from bulletuav.compiled.gather import gathered
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import WIDTH, is_any, lanes_of, lanes_row, where
 from bulletuav.vehicle.parameters import PARAMETERS
 
 EDGES = (0.0, -0.0, 1.0, -1.0, math.inf, -math.inf, math.nan, 5e-324, -2e-308, 1e308, 1 / 3)

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
 from bulletuav.contact.motion import is_spent, put_vector, quaternion_of, vector
 from bulletuav.geometry.rotation import dot, minus, to_body, to_world
-from bulletuav.kernel import func
 
 ROWS = 16
 """Points of contact that are remembered of a drone"""

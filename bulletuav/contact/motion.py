@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
 from bulletuav.contact.spin import momentum, rotation_between, spin_of, spun, turned
 from bulletuav.geometry.rotation import (
     Quat4,
@@ -25,7 +26,6 @@ from bulletuav.geometry.rotation import (
     vec3,
 )
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import free_rates
 

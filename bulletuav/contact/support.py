@@ -9,13 +9,13 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.contact.motion import pose_at, put_vector, vector
 from bulletuav.contact.points import Workspace, World, coefficients
-from bulletuav.functions import cos, sin
 from bulletuav.geometry.contact_points import contact_points
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, point, quat4, vec3
-from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 SHARE = 0.5

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from bulletuav.functions import tan
+from bulletuav.compiled.functions import tan
 from bulletuav.vehicle.airframe import MAX_ROTORS, Airframe
 
 GAINS = np.dtype(

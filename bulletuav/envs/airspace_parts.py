@@ -5,6 +5,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import overlaps, see
 from bulletuav.contact.touch import TOUCH
 from bulletuav.control.setpoint import SetpointLevel
@@ -34,7 +35,6 @@ from bulletuav.geometry.rotation import axes, from_euler, product, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import Picture, Shot, projection_matrix, view_matrix
-from bulletuav.program import Program
 from bulletuav.sensors.base import Moment
 from bulletuav.sensors.suite import SensorSuite
 from bulletuav.vehicle.swarm import CITY, GROUND, Swarm

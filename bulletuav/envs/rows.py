@@ -9,8 +9,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from bulletuav.kernel import kernel
-from bulletuav.program import Program
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.program import Program
 
 
 def add_rows(

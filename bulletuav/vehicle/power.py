@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
+from bulletuav.compiled.lanes import is_any, where
 from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3Like, vec3
-from bulletuav.kernel import allocating, func, kernel
-from bulletuav.lanes import is_any, where
 from bulletuav.vehicle.airframe import DENSITY, STANDARD_GRAVITY, Airframe
 
 # Airframes do not tell the following numbers. They get those of Zeng, Xu and Zhang (our choice).

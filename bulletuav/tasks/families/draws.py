@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from bulletuav.kernel import func
+from bulletuav.compiled.kernel import func
 
 Source = tuple[int, int]
 """Addresses of the function that draws, and of the generator's state"""

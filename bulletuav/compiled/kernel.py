@@ -2,7 +2,7 @@
 
 `kernel` compiles loops over arrays, `allocating` those that make arrays, `func` the functions of
 one drone that they call, and `elementwise` functions of numbers that broadcast over arrays. How
-they are stored and linked is told in `bulletuav.dispatcher`.
+they are stored and linked is told in `bulletuav.compiled.dispatcher`.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ from numba.core import cgutils
 from numba.core.registry import cpu_target
 from numba.core.typing.templates import AttributeTemplate
 
-from bulletuav.dispatcher import Cache, Dispatcher
+from bulletuav.compiled.dispatcher import Cache, Dispatcher
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a function that is compiled; the decorators keep its signature."""
@@ -49,7 +49,7 @@ def cache_folder() -> Path:
     user = os.getuid() if hasattr(os, "getuid") else ""
     spare = Path(tempfile.gettempdir(), f"bulletuav-{user}")
     candidates = [Path(chosen), spare]
-    installation = hashlib.sha256(os.fsencode(Path(__file__).parent)).hexdigest()[:16]
+    installation = hashlib.sha256(os.fsencode(Path(__file__).parents[1])).hexdigest()[:16]
     for base in candidates:
         folder = base / "bulletuav-kernels" / installation
         with contextlib.suppress(OSError):

@@ -16,8 +16,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from bulletuav.kernel import elementwise, func
-from bulletuav.lanes import LANES, WIDTH
+from bulletuav.compiled.kernel import elementwise, func
+from bulletuav.compiled.lanes import LANES, WIDTH
 
 PI = math.pi
 LN2 = 0.6931471805599453

@@ -9,7 +9,7 @@ functions of different object files call each other. Functions that become part 
 Numba also writes a wrapper that takes apart what Python gives, which for tuples of arrays is longer
 than the function itself. Here only what Python calls gets one.
 
-And numba stamps what it stores with the function's own file alone; see `bulletuav.stamps`.
+And numba stamps what it stores with the function's own file alone; see `bulletuav.compiled.stamps`.
 """
 
 import contextlib
@@ -36,8 +36,8 @@ from numba.core.registry import CPUDispatcher
 from numba.core.runtime import _nrt_python
 from numba.core.serialize import dumps
 
-from bulletuav.compiling import PartCompiler, any_number, seldom_collected
-from bulletuav.stamps import stamp_of
+from bulletuav.compiled.compiling import PartCompiler, any_number, seldom_collected
+from bulletuav.compiled.stamps import stamp_of
 
 fcntl: ModuleType | None
 try:
@@ -377,7 +377,7 @@ class Dispatcher(_Stored):
 
     Attributes:
         door: What compiled callers find under its name if it is compiled later than they are; see
-            `bulletuav.deferred`.
+            `bulletuav.compiled.deferred`.
     """
 
     door: Any = None

@@ -30,7 +30,7 @@ from numba.core.typing.templates import (
 from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
-from bulletuav.stamps import stamp_of
+from bulletuav.compiled.stamps import stamp_of
 
 # numba's codegen knows the features that the environment took away, too
 WIDTH = 8 if "+avx512f" in cpu_target.target_context.codegen().magic_tuple()[2] else 4

@@ -16,10 +16,10 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
-from bulletuav.compiling import invoke
-from bulletuav.dispatcher import Dispatcher
-from bulletuav.forms import form_of, type_of
-from bulletuav.kernel import kernel
+from bulletuav.compiled.compiling import invoke
+from bulletuav.compiled.dispatcher import Dispatcher
+from bulletuav.compiled.forms import form_of, type_of
+from bulletuav.compiled.kernel import kernel
 
 Turn = Callable[[], None]
 """What Python does when its turn comes"""
@@ -60,7 +60,7 @@ class Program:
     def call(
         self, kernel: Callable[..., Any], *arguments: Any, otherwise: Turn | None = None
     ) -> None:
-        """Add a call of a function compiled by `bulletuav.kernel`.
+        """Add a call of a function compiled by `bulletuav.compiled.kernel`.
 
         Args:
             kernel: The function; it returns nothing, or a bool.

@@ -9,8 +9,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-from bulletuav.kernel import func, kernel
-from bulletuav.lanes import BITS, LANES, MASK, VECTOR, WIDTH, lanes_of
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import BITS, LANES, MASK, VECTOR, WIDTH, lanes_of
 
 
 @intrinsic  # type: ignore[untyped-decorator]
