@@ -29,6 +29,7 @@ from types import CodeType, ModuleType
 from typing import Any, ClassVar, NamedTuple
 
 import llvmlite.binding as llvm
+import numpy as np
 from numba.core import sigutils, types
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
@@ -37,6 +38,7 @@ from numba.core.runtime import _nrt_python
 from numba.core.serialize import dumps
 
 from bulletuav.compiled.compiling import PartCompiler, any_number, seldom_collected
+from bulletuav.compiled.plain import SWITCH, as_compiled, plain_function
 from bulletuav.compiled.stamps import stamp_of
 
 fcntl: ModuleType | None
@@ -404,6 +406,11 @@ class Dispatcher(_Stored):
                 self._inner = self._make_inner()
             return self._inner
 
+    @functools.cached_property
+    def plain(self) -> Callable[..., Any]:
+        """The function as plain Python; see `bulletuav.compiled.plain`."""
+        return plain_function(self.py_func)
+
     def _make_inner(self) -> _Stored:
         """Make the function for callers that are compiled."""
         options = {**self.targetoptions, "no_cpython_wrapper": True}
@@ -438,6 +445,35 @@ class Dispatcher(_Stored):
         """Keep both on disk."""
         self._folder = folder
         self._cache = Cache(self.py_func, folder)
+
+
+def _switched(dispatcher: Dispatcher, *arguments: Any, **named: Any) -> Any:
+    """Call a function as Python does where kernels may run as plain Python."""
+    if not SWITCH.is_on:
+        return CPUDispatcher.__call__(dispatcher, *arguments, **named)
+    named = {name: as_compiled(value) for name, value in named.items()}
+    return dispatcher.plain(*as_compiled(arguments), **named)
+
+
+@contextlib.contextmanager
+def plain_kernels() -> Iterator[None]:
+    """Run kernels that this thread calls in the `with` block as plain Python.
+
+    Where `NUMBA_DISABLE_JIT=1` is set they always do.
+    """
+    # Only now, as a call from Python takes three times as long then
+    if "__call__" not in vars(Dispatcher):
+        Dispatcher.__call__ = _switched
+    before, SWITCH.is_on = SWITCH.is_on, True
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    finally:
+        SWITCH.is_on = before
+
+
+if SWITCH.is_on:
+    Dispatcher.__call__ = _switched
 
 
 def dispatcher_of(module: str, name: str) -> Dispatcher | None:

@@ -6,6 +6,7 @@ Whoever a pair is, it is told by the numbers of its shapes, see `Scenery`.
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func
+from bulletuav.compiled.plain import record_type
 from bulletuav.contact.motion import put_vector, vector
 from bulletuav.contact.touch import TOUCH
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
@@ -18,7 +19,7 @@ SLACK = 2e-3
 """Metres beyond its way within which a drone's pairs are collected"""
 ORIGIN = (0.0, 0.0, 0.0)
 
-PAIR = np.dtype(
+PAIR = record_type(
     [
         ("a", "i8"),
         ("b", "i8"),

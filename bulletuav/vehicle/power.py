@@ -13,6 +13,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.compiled.lanes import is_any, where
+from bulletuav.compiled.plain import record_type
 from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3Like, vec3
 from bulletuav.vehicle.airframe import DENSITY, STANDARD_GRAVITY, Airframe
@@ -58,7 +59,7 @@ class RotaryWing(NamedTuple):
     electronics: float = 0.0
 
 
-ROTARY_WING = np.dtype([(name, "f8") for name in RotaryWing._fields])
+ROTARY_WING = record_type([(name, "f8") for name in RotaryWing._fields])
 """Type of rows for `propulsion`: np.array of a list of `RotaryWing` with this dtype is (N,)."""
 
 
