@@ -14,8 +14,15 @@ from bulletuav.compiled.lanes import BITS, LANES, MASK, VECTOR, WIDTH, lanes_of
 from bulletuav.compiled.plain import LaneNumbers, in_python
 
 
+def _require_c_order(function: str, array: np.ndarray) -> None:
+    """Raise TypeError for an array in another order, as compilation does."""
+    if not array.flags.c_contiguous:
+        raise TypeError(f"{function}: an array in C order is needed")
+
+
 def _gather(array: np.ndarray, first: int, number: int) -> Any:
     """Do in Python what `gathered` does."""
+    _require_c_order("gathered", array)
     rows = array.reshape(array.shape[0] * array.shape[1], -1)
     drones = np.minimum(np.arange(first, first + WIDTH), len(rows) - 1)
     return rows[drones, number].view(LaneNumbers)
@@ -23,6 +30,7 @@ def _gather(array: np.ndarray, first: int, number: int) -> Any:
 
 def _scatter(array: np.ndarray, first: int, count: int, value: np.ndarray) -> None:
     """Do in Python what `scatter` does."""
+    _require_c_order("scatter", array)
     numbers = np.broadcast_to(value, WIDTH)[:count]
     array.reshape(-1)[first : first + count] = numbers.astype(array.dtype)
 

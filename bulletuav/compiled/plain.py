@@ -194,13 +194,16 @@ _BUILTINS = {"max": _greater, "min": _lesser, "float": np.float64, _product.__na
 
 
 def _raising_nothing(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap a function of `math`: NaN for arguments outside of its domain, and NumPy's numbers."""
+    """Wrap a function of `math`: inf or NaN where it raises, and NumPy's numbers."""
 
     def wrapped(*numbers: Any) -> Any:
         try:
             return as_compiled(function(*numbers))
-        except (ValueError, OverflowError):
-            return np.float64(math.nan)
+        except OverflowError:
+            return np.float64(math.inf)
+        except ValueError:
+            is_pole = function in (math.log, math.log2, math.log10) and numbers[0] == 0.0
+            return np.float64(-math.inf if is_pole else math.nan)
 
     return wrapped
 

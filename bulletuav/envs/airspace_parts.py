@@ -23,7 +23,7 @@ from bulletuav.envs.airspace_inputs import (
     state_numbers,
 )
 from bulletuav.envs.airspace_setpoints import usual_widths
-from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.environment import Environment, exclusive, in_plain_python
 from bulletuav.envs.marks import drone_marks
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine, sensor_setup
 from bulletuav.envs.randomization import Uncertainty
@@ -76,7 +76,7 @@ class AirspaceParts(Environment):
             **options: dynamics, seed, effects, wind, wind_profile, turbulence, gravity, max_speed,
                 controller, contacts, friction, restitution, randomization, rays, camera_size,
                 camera_hz, num_beams, max_range, lidar_elevations, lidar_frame, render_mode,
-                render_size; see `EnvOptions`.
+                render_size, debug; see `EnvOptions`.
 
         Raises:
             ValueError: An option cannot be, or drones overlap each other or what stands.
@@ -110,6 +110,8 @@ class AirspaceParts(Environment):
         self.place(None, position, rotor_speed=rotor_speed)
         self._sensors.reset(0, self._swarm, self.rng)
         self._measure()
+        if known.debug:
+            in_plain_python(self, ("step", "place", "command"))
 
     def _make_arrays(self, shape: tuple[int, int], obstacles: int) -> None:
         """Make the arrays that steps read and write, and what shows them."""
