@@ -17,7 +17,7 @@ import pytest
 from forking import forking
 
 import bulletuav
-from bulletuav.compiled import compiling, dispatcher, kernel, stamps
+from bulletuav.compiled import compiling, dispatcher, kernel, plain, stamps
 
 TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
 """A function of the C library, at an address of this process"""
@@ -50,7 +50,7 @@ def package(tmp_path, run_in):
     """A package of our modules that compile, a helper in one file, its caller in another."""
     folder = tmp_path / "small"
     (folder / "compiled").mkdir(parents=True)
-    for module in (kernel, dispatcher, compiling, stamps):
+    for module in (kernel, dispatcher, compiling, plain, stamps):
         file = Path(module.__file__)
         code = file.read_text().replace("from bulletuav.", "from small.")
         (folder / "compiled" / file.name).write_text(code)
