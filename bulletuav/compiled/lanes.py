@@ -256,7 +256,7 @@ class _PlainArray:
     def _row(self, index: Any) -> Any:
         return index[0] * self._columns + index[1] if isinstance(index, tuple) else index
 
-    def __getitem__(self, index: Any) -> LaneNumbers:
+    def __getitem__(self, index: Any) -> Any:
         return self._numbers[self._row(index)].copy().view(LaneNumbers)
 
     def __setitem__(self, index: Any, value: Any) -> None:
@@ -268,10 +268,11 @@ class _PlainRow:
 
     def __init__(self, rows: np.ndarray, packed: np.ndarray, block: int) -> None:
         """Take the numbers (numbers, `WIDTH`) of one block."""
-        self._type, self._numbers = rows.dtype, packed[block]
+        assert rows.dtype.fields is not None
+        self._fields, self._numbers = rows.dtype.fields, packed[block]
 
     def __getattr__(self, name: str) -> Any:
-        kind, offset = self._type.fields[name][:2]
+        kind, offset = self._fields[name][:2]
         numbers = self._numbers[offset // 8 :]
         if kind.shape:
             return _PlainArray(numbers, math.prod(kind.shape[1:]))
