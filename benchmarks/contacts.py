@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 import bulletuav
-from bulletuav.deferred import compile_deferred
+from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.tasks import find_task
 from bulletuav.vehicle.airframes import available_airframes

@@ -26,7 +26,7 @@ import sys
 from matplotlib import pyplot
 
 import bulletuav
-from bulletuav.program import run_calls
+from bulletuav.compiled.program import run_calls
 
 RATES = (240, 48, 30, 10)
 """Decisions a second of simulated time, at 240 substeps a second"""

@@ -44,7 +44,7 @@ def little_to_collect():
 def compiles_in_silence():
     """Tests that read the log would meet it or not, by what was compiled before them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bulletuav.dispatcher.MANY", 10**9)
+        patch.setattr("bulletuav.compiled.dispatcher.MANY", 10**9)
         yield
 
 

@@ -6,8 +6,8 @@ import numba
 import pytest
 from numba.core.registry import cpu_target
 
-from bulletuav import kernel
-from bulletuav.compiling import OBJECTS, any_number, seldom_collected
+from bulletuav.compiled import kernel
+from bulletuav.compiled.compiling import OBJECTS, any_number, seldom_collected
 
 
 def rooted(x):

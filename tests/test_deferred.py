@@ -11,9 +11,9 @@ import pytest
 from forking import forking
 from numba import types
 
-from bulletuav import deferred as module
-from bulletuav.deferred import Door, compile_deferred, deferred
-from bulletuav.kernel import func, kernel
+from bulletuav.compiled import deferred as module
+from bulletuav.compiled.deferred import Door, compile_deferred, deferred
+from bulletuav.compiled.kernel import func, kernel
 
 
 @deferred(types.float64)
@@ -101,8 +101,8 @@ def test_what_they_raise_goes_on_up():
 
 def test_stored_callers_find_them_and_need_nothing_of_them_before(tmp_path):
     (tmp_path / "seldom.py").write_text(
-        "from numba import types\nfrom bulletuav.deferred import deferred\n"
-        "from bulletuav.kernel import func, kernel\n"
+        "from numba import types\nfrom bulletuav.compiled.deferred import deferred\n"
+        "from bulletuav.compiled.kernel import func, kernel\n"
         "@deferred(types.int64)\n@kernel\ndef far(x):\n    return x + 1\n"
         "@func\ndef middle(x):\n    return far(x) if x > 2 else 0\n"
         "@kernel\ndef near(x):\n    return middle(x)\n"

@@ -12,7 +12,7 @@ import bulletuav
 FORK = """
 import os, sys, threading
 from numba.core.compiler_lock import global_compiler_lock
-import bulletuav.dispatcher
+import bulletuav.compiled.dispatcher
 
 held = threading.Event()
 

@@ -6,8 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from bulletuav import functions
-from bulletuav.kernel import kernel
+from bulletuav.compiled import functions
+from bulletuav.compiled.kernel import kernel
 
 mpmath.mp.prec = 200
 RNG = np.random.default_rng(0)

@@ -1,11 +1,20 @@
 """Arrays of drones to lanes and back."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
-from bulletuav.gather import gathered, lane_numbers, pack_numbers, scatter
-from bulletuav.kernel import kernel
-from bulletuav.lanes import WIDTH, where
+from bulletuav.compiled.dispatcher import plain_kernels
+from bulletuav.compiled.gather import gathered, lane_numbers, pack_numbers, scatter
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.lanes import WIDTH, where
+
+
+@pytest.fixture(params=["compiled", "plain"], autouse=True)
+def mode(request):
+    with plain_kernels() if request.param == "plain" else contextlib.nullcontext():
+        yield
 
 
 @kernel

@@ -17,7 +17,7 @@ import pytest
 from forking import forking
 
 import bulletuav
-from bulletuav import compiling, dispatcher, kernel, stamps
+from bulletuav.compiled import compiling, dispatcher, kernel, plain, stamps
 
 TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
 """A function of the C library, at an address of this process"""
@@ -49,22 +49,23 @@ def run_in():
 def package(tmp_path, run_in):
     """A package of our modules that compile, a helper in one file, its caller in another."""
     folder = tmp_path / "small"
-    folder.mkdir()
-    for module in (kernel, dispatcher, compiling, stamps):
+    (folder / "compiled").mkdir(parents=True)
+    for module in (kernel, dispatcher, compiling, plain, stamps):
         file = Path(module.__file__)
         code = file.read_text().replace("from bulletuav.", "from small.")
-        (folder / file.name).write_text(code)
+        (folder / "compiled" / file.name).write_text(code)
     (folder / "__init__.py").write_text("")
+    (folder / "compiled" / "__init__.py").write_text("")
     (folder / "unrelated.py").write_text("x = 1\n")
     (folder / "helper.py").write_text(
-        "from small.kernel import kernel\n@kernel\ndef helper(x):\n    return x + 1\n"
+        "from small.compiled.kernel import kernel\n@kernel\ndef helper(x):\n    return x + 1\n"
     )
     (folder / "middle.py").write_text(
-        "from small.helper import helper\nfrom small.kernel import func\n"
+        "from small.helper import helper\nfrom small.compiled.kernel import func\n"
         "@func\ndef middle(x):\n    return helper(x)\n"
     )
     (folder / "caller.py").write_text(
-        "from small.middle import middle\nfrom small.kernel import kernel\n"
+        "from small.middle import middle\nfrom small.compiled.kernel import kernel\n"
         "@kernel\ndef caller(x):\n    return middle(x) * 10\n"
     )
 
@@ -113,7 +114,7 @@ def test_other_processes_are_not_waited_for_in_vain(package, tmp_path, part, pat
     command = [sys.executable, folder / "held.py", lock]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as holder:
         assert holder.stdout.readline() == b"locked\n"
-        assert run(f"import small.dispatcher as d; d.PATIENCE = {patience}; ") == (30, 0)
+        assert run(f"import small.compiled.dispatcher as d; d.PATIENCE = {patience}; ") == (30, 0)
         assert holder.poll() is None  # the lock is held still
         holder.kill()
 
@@ -206,7 +207,7 @@ def test_stored_code_finds_functions_of_numbas(package):
     """It ends the process otherwise."""
     folder, run = package
     (folder / "helper.py").write_text(
-        "import numpy as np\nfrom small.kernel import allocating\n@allocating\n"
+        "import numpy as np\nfrom small.compiled.kernel import allocating\n@allocating\n"
         "def helper(x):\n    made = np.ones(3)\n"
         "    return x + int(made[1]) * (hash('text') == hash('text'))\n"
     )
@@ -234,7 +235,7 @@ def test_functions_of_arrays_are_made_of_stored_code(package):
     """In a process that has compiled nothing yet."""
     folder, run = package
     (folder / "helper.py").write_text(
-        "import numpy as np\nfrom small.kernel import elementwise\n@elementwise\n"
+        "import numpy as np\nfrom small.compiled.kernel import elementwise\n@elementwise\n"
         "def sum_of(x, y):\n    return x + y\n"
         "def helper(x):\n    return int(sum_of(np.arange(2), x)[1])\n"
     )
@@ -275,7 +276,8 @@ def test_plain_numba_would_have_run_stale_code(package):
     for path in (folder / "helper.py", folder / "caller.py"):
         path.write_text(
             path.read_text().replace(
-                "from small.kernel import kernel", "import numba\nkernel = numba.njit(cache=True)"
+                "from small.compiled.kernel import kernel",
+                "import numba\nkernel = numba.njit(cache=True)",
             )
         )
     assert run() == (20, 0)

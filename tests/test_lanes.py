@@ -1,19 +1,27 @@
 """Numbers of several drones as one, against floats one by one."""
 
+import contextlib
 import itertools
 import math
 
 import numpy as np
 import pytest
 
-from bulletuav.functions import exp, moderate_exp, two_to
-from bulletuav.gather import gathered
-from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, is_any, lanes_of, lanes_row, where
+from bulletuav.compiled.dispatcher import plain_kernels
+from bulletuav.compiled.functions import exp, moderate_exp, two_to
+from bulletuav.compiled.gather import gathered
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import WIDTH, is_any, lanes_of, lanes_row, where
 from bulletuav.vehicle.parameters import PARAMETERS
 
 EDGES = (0.0, -0.0, 1.0, -1.0, math.inf, -math.inf, math.nan, 5e-324, -2e-308, 1e308, 1 / 3)
 NUMBERS = 21
+
+
+@pytest.fixture(params=["compiled", "plain"], autouse=True)
+def mode(request):
+    with plain_kernels() if request.param == "plain" else contextlib.nullcontext():
+        yield
 
 
 @func

@@ -8,11 +8,11 @@ import numba
 import numpy as np
 import pytest
 
-import bulletuav.program
+import bulletuav.compiled.program
+from bulletuav.compiled.forms import form_of, type_of
+from bulletuav.compiled.kernel import allocating, kernel
+from bulletuav.compiled.program import Program, by_world
 from bulletuav.envs.aviary import Aviary
-from bulletuav.forms import form_of, type_of
-from bulletuav.kernel import allocating, kernel
-from bulletuav.program import Program, by_world
 
 ROW = np.dtype([("mass", "f8"), ("arms", "f8", (3,)), ("count", "i8")])
 
@@ -234,7 +234,7 @@ def test_an_interrupt_while_a_program_is_compiled_leaves_no_call_out(monkeypatch
     one, out, program = np.ones(3), np.zeros(3), Program()
     program.call(add, one, one, out)
     program.call(add, out, one, out)
-    looked_up = bulletuav.program._addresses
+    looked_up = bulletuav.compiled.program._addresses
     calls = []
 
     def interrupted(*given):
@@ -243,7 +243,7 @@ def test_an_interrupt_while_a_program_is_compiled_leaves_no_call_out(monkeypatch
             raise KeyboardInterrupt
         return looked_up(*given)
 
-    monkeypatch.setattr(bulletuav.program, "_addresses", interrupted)
+    monkeypatch.setattr(bulletuav.compiled.program, "_addresses", interrupted)
     with pytest.raises(KeyboardInterrupt):
         program.run()
     program.run()

@@ -14,10 +14,8 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
-    ("version", "errors", "files", "compiling", "stamps", "interrupts"),
-    ("dispatcher", "forms", "parsing"),
-    ("kernel", "deferred", "lanes", "registry"),
-    ("functions", "gather", "program"),
+    ("version", "errors", "files", "interrupts"),
+    ("compiled", "parsing", "registry"),
     ("geometry", "earth"),
     ("conflict", "vehicle"),
     ("engine", "control"),

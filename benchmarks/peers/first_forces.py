@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.functions import exp
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import where
 from bulletuav.dynamics import base, blocks, drive, integration, rigid_body
-from bulletuav.functions import exp
 from bulletuav.geometry.rotation import Vec3, axes, minus, plus, to_body, to_world
-from bulletuav.kernel import func, kernel
-from bulletuav.lanes import where
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import Rotors
 from bulletuav.vehicle.wrench import Around

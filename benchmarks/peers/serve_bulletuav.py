@@ -12,7 +12,7 @@ import bulletuav
 from bulletuav.analysis.benchmark import SUBSTEPS, floors, hovering
 from bulletuav.city.generator import generate
 from bulletuav.city.statistics import KINDS
-from bulletuav.deferred import compile_deferred
+from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.gymnasium import CentralAviary

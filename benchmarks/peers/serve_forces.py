@@ -22,7 +22,7 @@ import numpy as np  # noqa: E402
 from serve import SUBSTEPS, grid, serve  # noqa: E402
 
 import bulletuav  # noqa: E402
-from bulletuav.program import run_calls  # noqa: E402
+from bulletuav.compiled.program import run_calls  # noqa: E402
 from bulletuav.vehicle.airframes import load_airframe  # noqa: E402
 
 SWAY = np.array([0.0, 0.0, 0.01])

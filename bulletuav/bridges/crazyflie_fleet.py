@@ -10,8 +10,8 @@ from bulletuav.bridges.crazyflie_vehicle import Vehicle
 from bulletuav.bridges.crtp import Packet
 from bulletuav.bridges.setpoints import euler, give, make_airspace, states_of
 from bulletuav.bridges.starts import starts
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.earth import pressure
-from bulletuav.functions import cos, sin
 from bulletuav.vehicle.airframes import load_airframe
 
 DECISION_HZ = 1000 // TICK

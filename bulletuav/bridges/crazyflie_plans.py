@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.bridges.crtp import MalformedError, unpack
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.control.trajectory import Trajectory
-from bulletuav.functions import cos, sin
 
 ENDS = np.array(
     [

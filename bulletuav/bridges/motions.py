@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.bridges.setpoints import Order, Setpoint, State, euler
-from bulletuav.functions import atan2
+from bulletuav.compiled.functions import atan2
 
 ACCELERATION = 2.0
 """How fast drones speed up and brake along paths, m/s^2"""

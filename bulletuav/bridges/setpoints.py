@@ -7,11 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from bulletuav.compiled.functions import atan2, cos, sin
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import shown
-from bulletuav.functions import atan2, cos, sin
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.swarm import Swarm
 

@@ -8,8 +8,8 @@ import numpy as np
 from bulletuav.city.model import City
 from bulletuav.city.statistics import KINDS, Statistics
 from bulletuav.city.streets import grid_streets
+from bulletuav.compiled.functions import power
 from bulletuav.errors import choose, finite, shown
-from bulletuav.functions import power
 from bulletuav.geometry.solids import Solids
 
 MOST_BLOCKS = 128

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from bulletuav import dispatcher
-from bulletuav.dispatcher import Compilation
+from bulletuav.compiled import dispatcher
+from bulletuav.compiled.dispatcher import Compilation
 
 LINE_PERIOD = 10.0
 """Least time between two lines, s"""

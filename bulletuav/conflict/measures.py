@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3, point
-from bulletuav.kernel import func, kernel
 
 _TILT = 0.5
 """Tilt of the contour's arms, rad: the sum converges below pi / 4, fastest about here."""

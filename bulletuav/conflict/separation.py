@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.gather import gathered, lane_numbers, scatter, three
+from bulletuav.compiled.gather import gathered, lane_numbers, scatter, three
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.lanes import WIDTH, is_any, where
 from bulletuav.geometry.closest_approach import closest_squared
 from bulletuav.geometry.rotation import minus, vec3
-from bulletuav.kernel import kernel
-from bulletuav.lanes import WIDTH, is_any, where
 
 
 class Conflict(NamedTuple):

@@ -10,18 +10,18 @@ import math
 import numpy as np
 from numba import types
 
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.contact.pairs import body_distance, piece_distance
 from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.rest import Contact
 from bulletuav.contact.spin import angle_at_most
 from bulletuav.contact.touch import TOUCH
-from bulletuav.deferred import deferred
 from bulletuav.geometry.city_grid import NO_LAYOUT, reached
 from bulletuav.geometry.closest_approach import closest_squared, offset
 from bulletuav.geometry.minkowski import far_point, swell
 from bulletuav.geometry.rotation import axes, dot, minus, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 SPARE = 1e-3

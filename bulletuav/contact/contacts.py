@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
 from bulletuav.contact.budgets import is_due
 from bulletuav.contact.impact import tell_pair
 from bulletuav.contact.order import set_order
@@ -14,7 +15,6 @@ from bulletuav.contact.rest import Contact, wake_for_obstacles
 from bulletuav.contact.settling import settle
 from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import allocating, func, in_memory, kernel
 from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, Swarm
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.contact.impulses import slip
 from bulletuav.contact.motion import pose_at, put_vector, valid_until, vector
 from bulletuav.contact.planes import separation_along
@@ -10,7 +11,6 @@ from bulletuav.contact.touch import gap_at
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus, to_body, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
-from bulletuav.kernel import func, kernel
 
 LOOKS = 4
 """Times at which points of a pair that touches repeatedly are foreseen, each a quarter as far"""

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.contact.motion import put_vector, quaternion_of, vector
 from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.relax import FIRM, FROM_NOTHING, relax
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, plus
-from bulletuav.kernel import func, kernel
 
 
 @func

@@ -3,6 +3,8 @@
 import numpy as np
 from numba import types
 
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.contact.foresight import foresee
 from bulletuav.contact.gain import frame_of, keep, lose_gain, moving_energy, remember_before, reopen
 from bulletuav.contact.impulses import POINT, eased
@@ -30,10 +32,8 @@ from bulletuav.contact.relax import (
 from bulletuav.contact.staying import STILL, carried, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
-from bulletuav.deferred import deferred
 from bulletuav.geometry.contact_points import MOST_POINTS
 from bulletuav.geometry.rotation import cross, plus
-from bulletuav.kernel import allocating, func, kernel
 
 SLOW = 0.02
 """Approach below which nothing rebounds, m/s"""

@@ -10,11 +10,12 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.plain import record_type
 from bulletuav.contact.motion import put_vector, quaternion_of, vector
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, cross, dot, minus, plus, point
-from bulletuav.kernel import func, kernel
 
-POINT = np.dtype(
+POINT = record_type(
     [
         ("a", "i8"),
         ("b", "i8"),

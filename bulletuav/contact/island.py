@@ -6,12 +6,12 @@ on. So a heap falls asleep from below. A sleeper that is hit yields, and all who
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
 from bulletuav.contact.impulses import set_ease, surface_velocity
 from bulletuav.contact.motion import advance_to
 from bulletuav.contact.points import Workspace, World, measure
 from bulletuav.contact.touch import IN_TOUCH
 from bulletuav.geometry.rotation import Vec3, dot
-from bulletuav.kernel import func
 
 HIT = 0.05
 """Approach from which on a sleeper yields, m/s"""

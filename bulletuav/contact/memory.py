@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.plain import record_type
 from bulletuav.contact.motion import is_spent, put_vector, quaternion_of, vector
 from bulletuav.geometry.rotation import dot, minus, to_body, to_world
-from bulletuav.kernel import func
 
 ROWS = 16
 """Points of contact that are remembered of a drone"""
@@ -21,7 +22,7 @@ SHORT = 1e-4
 SAME_PLACE = 0.3
 """Distance of points on a drone that count as one, as share of its radius"""
 
-ROW = np.dtype([("other", "i8"), ("arm", "f8", 3), ("force", "f8", 3), ("free", "?")])
+ROW = record_type([("other", "i8"), ("arm", "f8", 3), ("force", "f8", 3), ("free", "?")])
 """A point of contact.
 
 Attributes:

@@ -9,6 +9,8 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.plain import record_type
 from bulletuav.contact.spin import momentum, rotation_between, spin_of, spun, turned
 from bulletuav.geometry.rotation import (
     Quat4,
@@ -25,7 +27,6 @@ from bulletuav.geometry.rotation import (
     vec3,
 )
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import free_rates
 
@@ -36,7 +37,7 @@ MOST_IMPACTS = 16
 SHORTEST_LEG = 1.0 / 64.0
 """Share of the substep that it flies on at least, however fast it turns"""
 
-MOTION = np.dtype(
+MOTION = record_type(
     [
         ("time", "f8"),
         ("until", "f8"),

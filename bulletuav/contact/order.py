@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletuav.kernel import func
+from bulletuav.compiled.kernel import func
 
 
 @func

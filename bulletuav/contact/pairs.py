@@ -5,6 +5,8 @@ Whoever a pair is, it is told by the numbers of its shapes, see `Scenery`.
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func
+from bulletuav.compiled.plain import record_type
 from bulletuav.contact.motion import put_vector, vector
 from bulletuav.contact.touch import TOUCH
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
@@ -12,13 +14,12 @@ from bulletuav.geometry.closest_approach import closest_squared
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
-from bulletuav.kernel import allocating, func
 
 SLACK = 2e-3
 """Metres beyond its way within which a drone's pairs are collected"""
 ORIGIN = (0.0, 0.0, 0.0)
 
-PAIR = np.dtype(
+PAIR = record_type(
     [
         ("a", "i8"),
         ("b", "i8"),

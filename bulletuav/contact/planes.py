@@ -10,13 +10,13 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
 from bulletuav.contact.motion import change_rates, pose_at, valid_until, vector
 from bulletuav.contact.spin import turned
 from bulletuav.geometry.minkowski import far_point, swell
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
-from bulletuav.kernel import func
 
 Plane = tuple[float, float, float, Vec3]
 """How a pair moves against a plane: how fast the gap closes at most, m per substep, how much faster

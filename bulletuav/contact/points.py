@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.contact.impulses import eased, prepare, slip
 from bulletuav.contact.memory import Memory
 from bulletuav.contact.motion import (
@@ -23,7 +24,6 @@ from bulletuav.geometry.gjk import make_room
 from bulletuav.geometry.rotation import Vec3, axes, dot, minus
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import CYLINDER, SPHERE
-from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm
 

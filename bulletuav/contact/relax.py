@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.contact.impulses import (
     Moving,
     eased,
@@ -21,7 +22,6 @@ from bulletuav.contact.impulses import (
 )
 from bulletuav.contact.motion import put_vector, vector
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus, point
-from bulletuav.kernel import func, kernel
 
 FIRM = 1e-9
 """Precision of impulses of what rebounds, see `relax`"""

@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numba import types
 
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.contact.budgets import are_clear, free_way, share_gaps
 from bulletuav.contact.impact import add_forces, push_apart
 from bulletuav.contact.island import join
@@ -29,9 +31,7 @@ from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.staying import halt
 from bulletuav.contact.touch import NEVER, TOUCH, touch_time
 from bulletuav.contact.touches import Touches
-from bulletuav.deferred import deferred
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
-from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 

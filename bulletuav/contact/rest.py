@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
 from bulletuav.contact.memory import Memory, make_memory
 from bulletuav.contact.pairs import body_distance
 from bulletuav.contact.points import Workspace, World, make_workspace
@@ -16,7 +17,6 @@ from bulletuav.contact.support import SUPPORT, pressing
 from bulletuav.contact.touches import Touches, make_touches
 from bulletuav.geometry.rotation import Quat4, Vec3, dot, minus, to_world, vec3
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
 
 NEARBY = 0.01

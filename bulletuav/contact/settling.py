@@ -5,13 +5,13 @@ import math
 import numpy as np
 from numba import types
 
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.contact.motion import vector
 from bulletuav.contact.points import World
 from bulletuav.contact.rest import LONG, Contact, wake
 from bulletuav.contact.support import find_support, holds, pressing
-from bulletuav.deferred import deferred
 from bulletuav.geometry.rotation import Vec3, dot, plus, point, quat4, to_world, vec3
-from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 SLOWEST = 5e-3

@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from bulletuav.functions import atan2
+from bulletuav.compiled.functions import atan2
+from bulletuav.compiled.kernel import func
 from bulletuav.geometry.rotation import (
     Quat4,
     Vec3,
@@ -18,7 +19,6 @@ from bulletuav.geometry.rotation import (
     to_body,
     to_world,
 )
-from bulletuav.kernel import func
 from bulletuav.vehicle.wrench import spin_parts
 
 SMALL_TURN = 0.2

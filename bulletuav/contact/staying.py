@@ -5,15 +5,15 @@ import math
 import numpy as np
 from numba import types
 
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import allocating, func
 from bulletuav.contact.impulses import POINT
 from bulletuav.contact.island import join, touching
 from bulletuav.contact.motion import MOST_IMPACTS, change_rates, is_spent, put_vector, stay, vector
 from bulletuav.contact.points import Workspace, World, add_points
 from bulletuav.contact.touches import Touches, tell
-from bulletuav.deferred import deferred
 from bulletuav.geometry.contact_points import MOST_POINTS
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus
-from bulletuav.kernel import allocating, func
 
 STILL = 1e-9
 """Approach below which shapes in touch do not come closer, m/s"""

@@ -9,13 +9,14 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.plain import record_type
 from bulletuav.contact.motion import pose_at, put_vector, vector
 from bulletuav.contact.points import Workspace, World, coefficients
-from bulletuav.functions import cos, sin
 from bulletuav.geometry.contact_points import contact_points
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, point, quat4, vec3
-from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 SHARE = 0.5
@@ -27,7 +28,7 @@ FEWEST = 3
 DIRECTIONS = 16
 """Directions in which the base is measured"""
 
-SUPPORT = np.dtype([("normal", "f8", 3), ("height", "f8"), ("span", "f8"), ("friction", "f8")])
+SUPPORT = record_type([("normal", "f8", 3), ("height", "f8"), ("span", "f8"), ("friction", "f8")])
 """What a drone rests on.
 
 Attributes:

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.contact.motion import change_rates, pose_at, valid_until
 from bulletuav.contact.planes import (
     is_kept_apart,
@@ -27,7 +28,6 @@ from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.nearest import nearest
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import func, kernel
 
 TOUCH = 1e-4
 """Shapes that are closer touch, m"""

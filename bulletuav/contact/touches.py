@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3
-from bulletuav.kernel import func, kernel
 
 MOST_TOUCHES = 16
 """Others that are told of a drone in a decision; more add to the last"""

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import (
     acceleration_setpoint,
@@ -25,7 +27,6 @@ from bulletuav.control.lee import (
 from bulletuav.control.observers import MEMORY, learned
 from bulletuav.control.pid import pid_rotors
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.deferred import deferred
 from bulletuav.geometry.rotation import (
     Quat4,
     Quat4Like,
@@ -37,7 +38,6 @@ from bulletuav.geometry.rotation import (
     plus,
     quat4,
 )
-from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get
 

@@ -11,10 +11,11 @@ from typing import Protocol
 
 import numpy as np
 
-from bulletuav.functions import tan
+from bulletuav.compiled.functions import tan
+from bulletuav.compiled.plain import record_type
 from bulletuav.vehicle.airframe import MAX_ROTORS, Airframe
 
-GAINS = np.dtype(
+GAINS = record_type(
     [
         ("attitude_frequency", "f8", 3),
         ("position_frequency", "f8"),

@@ -15,8 +15,10 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.lanes import is_any, where
 from bulletuav.control.gains import GainRow
-from bulletuav.functions import cos, sin
 from bulletuav.geometry.rotation import (
     Quat4Like,
     Vec3,
@@ -27,8 +29,6 @@ from bulletuav.geometry.rotation import (
     plus,
     to_body,
 )
-from bulletuav.kernel import func
-from bulletuav.lanes import is_any, where
 from bulletuav.vehicle.aerodynamics import force_of_air, torque_of_drag
 from bulletuav.vehicle.wrench import damping_torque
 

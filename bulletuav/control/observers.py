@@ -10,11 +10,11 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.lanes import is_any, where
 from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import torque_of_drag_ahead
 from bulletuav.geometry.rotation import Quat4, Vec3, Vec3Like, axes, dot, plus, to_body
-from bulletuav.kernel import func
-from bulletuav.lanes import is_any, where
 from bulletuav.vehicle.aerodynamics import force_of_air, torque_of_drag
 from bulletuav.vehicle.rotors import Rotors
 from bulletuav.vehicle.wrench import body_acceleration

@@ -12,10 +12,10 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
 from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import attitude_error, desired_axes
 from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot
-from bulletuav.kernel import func
 from bulletuav.vehicle.rotors import RPM
 
 MEMORY = 6

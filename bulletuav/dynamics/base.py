@@ -11,6 +11,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import (
     begin_decision,
     meet_all,
@@ -29,8 +31,6 @@ from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.c_extension import surface_below
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import vec3
-from bulletuav.kernel import func
-from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
 from bulletuav.vehicle.wrench import Around, with_wake
 

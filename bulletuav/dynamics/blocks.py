@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.gather import copy_numbers, four, gathered, three
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import WIDTH, is_any, lanes_of, lanes_row, room, where
 from bulletuav.control.cascade import Cascade
-from bulletuav.deferred import deferred
 from bulletuav.dynamics.integration import stepped, turn_rotors
 from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
-from bulletuav.gather import copy_numbers, four, gathered, three
-from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, is_any, lanes_of, lanes_row, room, where
 from bulletuav.vehicle.aerodynamics import is_near_surface
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wakes import Wakes

@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, borrowed, in_memory, kernel
+from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import meet_all, place_obstacles, remember_all
 from bulletuav.contact.rest import Contact, bears, wake
 from bulletuav.control.cascade import Cascade
@@ -23,8 +25,6 @@ from bulletuav.dynamics.base import Air, Dynamics, Flight
 from bulletuav.dynamics.drive import drive
 from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
 from bulletuav.geometry.rotation import plus, quat4, vec3
-from bulletuav.kernel import allocating, borrowed, in_memory, kernel
-from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.airframe import MAX_ROTORS
 from bulletuav.vehicle.swarm import Contacts, Swarm

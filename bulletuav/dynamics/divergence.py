@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.rotation import dot, vec3
-from bulletuav.kernel import kernel
 from bulletuav.vehicle.swarm import Swarm
 
 # The engine clamps both at 1e4

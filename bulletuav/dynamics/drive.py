@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from bulletuav.compiled.kernel import borrowed, func, in_memory, kernel
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.dynamics.base import Air, surroundings
 from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
-from bulletuav.kernel import borrowed, func, in_memory, kernel
 from bulletuav.vehicle.aerodynamics import lifted_rotors
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Swarm

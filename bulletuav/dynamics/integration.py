@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.lanes import where
 from bulletuav.geometry.rotation import Quat4, Vec3, normalised
-from bulletuav.kernel import func
-from bulletuav.lanes import where
 from bulletuav.vehicle.aerodynamics import lifted_rotors
 from bulletuav.vehicle.rotors import Rotors, lag_decay, lag_rates, lagged, rotor_wrench, spin_up
 from bulletuav.vehicle.wrench import Around, body_acceleration, wrench

@@ -17,15 +17,15 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.functions import exp
+from bulletuav.compiled.kernel import allocating, borrowed, func, in_memory, kernel
+from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import meet, remember
 from bulletuav.contact.rest import Contact
 from bulletuav.control.cascade import Cascade, command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
-from bulletuav.functions import exp
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, plus, point, quat4, vec3
-from bulletuav.kernel import allocating, borrowed, func, in_memory, kernel
-from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm, get, put
 

@@ -8,6 +8,9 @@ effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 
 import numpy as np
 
+from bulletuav.compiled.kernel import borrowed, func, in_memory, kernel
+from bulletuav.compiled.lanes import WIDTH
+from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import meet, remember
 from bulletuav.contact.rest import Contact, bears
 from bulletuav.contact.rest import wake as rouse
@@ -26,9 +29,6 @@ from bulletuav.dynamics.blocks import (
 from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
 from bulletuav.dynamics.steering import pack_steering
 from bulletuav.geometry.rotation import dot, vec3
-from bulletuav.kernel import borrowed, func, in_memory, kernel
-from bulletuav.lanes import WIDTH
-from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import lifted_rotors
 from bulletuav.vehicle.swarm import Swarm, get, put

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating
 from bulletuav.control.cascade import Cascade, command_kinematic, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.geometry.rotation import quat4
-from bulletuav.kernel import allocating
 from bulletuav.vehicle.swarm import Swarm, get
 
 CONVERTED = (SetpointLevel.VELOCITY, SetpointLevel.ACCELERATION, SetpointLevel.ROTOR)

@@ -4,14 +4,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.gather import copy_numbers, gathered
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import WIDTH, lanes_of, lanes_row, room
 from bulletuav.control.cascade import LEE, Cascade, rates_of_motion, turn_by
 from bulletuav.control.lee import nose
 from bulletuav.control.observers import PUSHES, learned
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.gather import copy_numbers, gathered
 from bulletuav.geometry.rotation import Quat4, Vec3
-from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, lanes_of, lanes_row, room
 from bulletuav.vehicle.rotors import rotor_wrench
 
 ALONE = -1

@@ -14,9 +14,9 @@ Sources: ISO 2533:1975; U.S. Standard Atmosphere 1976, which is the same below 3
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bulletuav.compiled.functions import exp, log, power
 from bulletuav.earth.arrays import values_of
 from bulletuav.errors import finite
-from bulletuav.functions import exp, log, power
 
 SEA_LEVEL_PRESSURE = 101325.0
 """Standard pressure at sea level, Pa."""

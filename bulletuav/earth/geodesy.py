@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bulletuav.compiled.functions import atan2, cos, hypot, sin
 from bulletuav.earth.arrays import values_of, vectors_of
 from bulletuav.errors import finite
-from bulletuav.functions import atan2, cos, hypot, sin
 
 SEMI_MAJOR_AXIS = 6378137.0
 """Radius of the equator, m."""

@@ -18,10 +18,10 @@ import datetime
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bulletuav.compiled.functions import atan2, cos, hypot, sin
 from bulletuav.earth.arrays import values_of
 from bulletuav.earth.geodesy import geodetic_to_ecef
 from bulletuav.errors import finite
-from bulletuav.functions import atan2, cos, hypot, sin
 
 REFERENCE_RADIUS = 6371200.0
 """Radius that the coefficients belong to, m."""

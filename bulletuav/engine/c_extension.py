@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from bulletuav.deferred import deferred
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import allocating, kernel
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.tiles import columns, cover, globalise, land, localise
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.raycast import walk
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import allocating, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 SWITCH = "BULLETUAV_BATCH"

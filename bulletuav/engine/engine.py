@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bulletuav.compiled.program import Program
 from bulletuav.engine.body_source import BodySource, pieces_of, pose_of
 from bulletuav.engine.body_table import Contents
 from bulletuav.engine.c_extension import NO_SESSION, CExtension, Port, bring_out, load
@@ -29,7 +30,6 @@ from bulletuav.geometry.obstacle import MOST_FRICTION, Obstacle
 from bulletuav.geometry.rotation import product, to_world
 from bulletuav.geometry.scenery import NOWHERE, Scenery, add_pieces
 from bulletuav.geometry.solids import Solids
-from bulletuav.program import Program
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Swarm
 

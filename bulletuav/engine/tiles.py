@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.city_grid import meets
 from bulletuav.geometry.rotation import Vec3Like, quat4, to_body, to_world, vec3
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 TILE_PITCH = 4096.0

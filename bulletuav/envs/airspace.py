@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.deferred import compile_deferred
+from bulletuav.compiled.program import Program
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.deferred import compile_deferred
 from bulletuav.envs.airspace_inputs import (
     YAW,
     Angle,
@@ -37,7 +38,6 @@ from bulletuav.envs.snapshot import (
 from bulletuav.envs.stages import finish, headings, prepare
 from bulletuav.errors import numbers_of, shown
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts
 from bulletuav.vehicle.wind import MOST_WIND
 

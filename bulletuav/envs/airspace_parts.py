@@ -5,6 +5,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import overlaps, see
 from bulletuav.contact.touch import TOUCH
 from bulletuav.control.setpoint import SetpointLevel
@@ -22,7 +23,7 @@ from bulletuav.envs.airspace_inputs import (
     state_numbers,
 )
 from bulletuav.envs.airspace_setpoints import usual_widths
-from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.environment import Environment, exclusive, in_plain_python
 from bulletuav.envs.marks import drone_marks
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine, sensor_setup
 from bulletuav.envs.randomization import Uncertainty
@@ -34,7 +35,6 @@ from bulletuav.geometry.rotation import axes, from_euler, product, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import Picture, Shot, projection_matrix, view_matrix
-from bulletuav.program import Program
 from bulletuav.sensors.base import Moment
 from bulletuav.sensors.suite import SensorSuite
 from bulletuav.vehicle.swarm import CITY, GROUND, Swarm
@@ -76,7 +76,7 @@ class AirspaceParts(Environment):
             **options: dynamics, seed, effects, wind, wind_profile, turbulence, gravity, max_speed,
                 controller, contacts, friction, restitution, randomization, rays, camera_size,
                 camera_hz, num_beams, max_range, lidar_elevations, lidar_frame, render_mode,
-                render_size; see `EnvOptions`.
+                render_size, debug; see `EnvOptions`.
 
         Raises:
             ValueError: An option cannot be, or drones overlap each other or what stands.
@@ -110,6 +110,8 @@ class AirspaceParts(Environment):
         self.place(None, position, rotor_speed=rotor_speed)
         self._sensors.reset(0, self._swarm, self.rng)
         self._measure()
+        if known.debug:
+            in_plain_python(self, ("step", "place", "command"))
 
     def _make_arrays(self, shape: tuple[int, int], obstacles: int) -> None:
         """Make the arrays that steps read and write, and what shows them."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.envs.agents import USUAL_TYPES
 from bulletuav.envs.described import parts_of
-from bulletuav.envs.environment import exclusive
+from bulletuav.envs.environment import exclusive, in_plain_python
 from bulletuav.envs.infos import Infos, later
 from bulletuav.envs.resets import Resets
 from bulletuav.envs.snapshot import (
@@ -23,6 +23,7 @@ from bulletuav.envs.snapshot import (
     require_snapshot,
 )
 from bulletuav.envs.step import Step
+from bulletuav.tasks import TaskSource
 from bulletuav.tasks.check import check_info, check_step_result
 from bulletuav.tasks.given import Given
 from bulletuav.tasks.observations.observer import Observation
@@ -62,6 +63,12 @@ class Aviary(Resets):
     _layout: Layout | None = None
     _parts: Mapping[str, str] | None = None
     _varying: Sequence[object] = ()
+
+    def __init__(self, task: TaskSource, num_worlds: int = 1, **options: Any) -> None:
+        """Build the worlds; see `Worlds`."""
+        super().__init__(task, num_worlds, **options)
+        if self.options.debug:
+            in_plain_python(self, ("reset", "decide", "first_info", "load_state", "state"))
 
     @exclusive
     def reset(

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.program import Program
 from bulletuav.control.actions.base import Compiled, limit_each
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.infos import Told, stays
@@ -19,7 +20,6 @@ from bulletuav.envs.stages import (
     tick,
 )
 from bulletuav.envs.worlds import Worlds
-from bulletuav.program import Program
 from bulletuav.sensors.base import Moment
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.account import Account, add_account, make_account, mark_contacts, mark_landings

@@ -30,6 +30,8 @@ WITHOUT_EFFECT = frozenset(
         "seed",
         # Pictures read the state and never write to it
         *("render_mode", "render_size", "render_address"),
+        # The same results by other means
+        "debug",
     }
 )
 """Options that cannot change how a simulation continues from a given state"""

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.gather import pack_numbers, scatter, three
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.lanes import WIDTH, lanes_row, room
+from bulletuav.compiled.program import Program
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.rows import add_value
-from bulletuav.gather import pack_numbers, scatter, three
-from bulletuav.kernel import kernel
-from bulletuav.lanes import WIDTH, lanes_row, room
-from bulletuav.program import Program
 from bulletuav.vehicle.battery import (
     Battery,
     drain,

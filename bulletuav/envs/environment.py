@@ -3,11 +3,12 @@
 import copy
 import functools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
 
+from bulletuav.compiled.dispatcher import plain_kernels
 from bulletuav.envs.agents import in_c
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.observations.observer import Observation, ObservationBuilder
@@ -85,6 +86,21 @@ class LabelledEnvironment(Environment):
             ValueError: The observation has another number of numbers than there are labels.
         """
         return self._observer.split(observation)
+
+
+def in_plain_python(environment: Environment, methods: Iterable[str]) -> None:
+    """Run compiled functions that methods of an environment call as plain Python."""
+
+    def plainly(method: Method) -> Method:
+        @functools.wraps(method)
+        def run(*args: Any, **kwargs: Any) -> Any:
+            with plain_kernels():
+                return method(*args, **kwargs)
+
+        return cast(Method, run)
+
+    for name in methods:
+        setattr(environment, name, plainly(getattr(environment, name)))
 
 
 def exclusive_plainly(method: Method) -> Method:

@@ -124,6 +124,8 @@ class EnvOptions:
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Share of the speed that an impact with them gives back. Of two surfaces the
             geometric mean of their coefficients counts.
+        debug: Whether compiled functions run as plain Python, with the same results, some hundred
+            times slower: for breakpoints, prints and coverage.
     """
 
     num_drones: int
@@ -167,6 +169,7 @@ class EnvOptions:
     contacts: str | None = None
     friction: float = 0.5
     restitution: float = 0.0
+    debug: bool = False
 
     def __post_init__(self) -> None:
         for name, most in COUNTS.items():
@@ -204,7 +207,7 @@ class EnvOptions:
                 "observation is empty: name at least one block, or leave it out for the task's own"
             )
         check_names("effects", "effect", self.effects, EFFECTS)
-        for name in ("normalise", "integral"):
+        for name in ("normalise", "integral", "debug"):
             value = getattr(self, name)
             if not isinstance(value, bool):
                 raise ValueError(f"{name} is {shown(value)}: True or False is needed")

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bulletuav.compiled.program import Program
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.dynamics import find_dynamics
@@ -13,7 +14,6 @@ from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.stages import copy_vectors
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
-from bulletuav.program import Program
 from bulletuav.sensors.base import SensorSetup
 from bulletuav.sensors.lidar import make_beams
 from bulletuav.vehicle.parameters import parameter_rows

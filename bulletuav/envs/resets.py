@@ -4,11 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.program import ByWorld, Program, by_world
 from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.rows import add_rows, add_value, renew, spread
 from bulletuav.envs.snapshot import UNSTARTED
 from bulletuav.envs.stages import keep_before, tick
-from bulletuav.program import ByWorld, Program, by_world
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.account import Account
 from bulletuav.tasks.base import Task

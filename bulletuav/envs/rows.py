@@ -1,5 +1,6 @@
 """Worlds as rows of bytes: what is written to some of them, whatever is in their arrays."""
 
+import ctypes
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,8 +10,9 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from bulletuav.kernel import kernel
-from bulletuav.program import Program
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.plain import in_python
+from bulletuav.compiled.program import Program
 
 
 def add_rows(
@@ -75,6 +77,7 @@ def as_bytes(array: np.ndarray) -> np.ndarray:
     return array.reshape(len(array), -1).view(np.uint8)
 
 
+@in_python(ctypes.memmove)
 @intrinsic  # type: ignore[untyped-decorator]
 def _copy(
     _: Any,

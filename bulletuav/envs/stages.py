@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import heading, quat4
-from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 TURN = 2 * math.pi

@@ -100,6 +100,8 @@ class WorkerAviary(LabelledEnvironment):
             )
         if (mode := self._spec.options.render_mode) not in (None, "rgb_array"):
             raise ValueError(f"render_mode is {mode!r}: a live view needs workers=1")
+        if self._spec.options.debug:
+            raise ValueError("debug is True: debuggers see one process, so it needs workers=1")
         self._timeout = float(timeout)
         # Who looks for answers takes a core
         self._spin = SPIN if _cores() >= workers else 0.0

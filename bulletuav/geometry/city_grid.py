@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
 from bulletuav.geometry.rotation import Vec3Like
 from bulletuav.geometry.solids import Solids
-from bulletuav.kernel import func
 
 GRID_CELL = 25.0
 """Side of a cell, m: about a building."""

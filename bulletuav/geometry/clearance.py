@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, point, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
-from bulletuav.kernel import allocating, func, kernel
 
 LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 """Axes of what is not turned"""

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
+from bulletuav.compiled.lanes import is_any, where
 from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, minus, vec3
-from bulletuav.kernel import allocating, func, kernel
-from bulletuav.lanes import is_any, where
 
 
 @func

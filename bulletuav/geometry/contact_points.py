@@ -12,12 +12,12 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.features import put_feature
 from bulletuav.geometry.minkowski import Turn, row_point, turned
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus, point
 from bulletuav.geometry.shapes import CYLINDER, HALF_SPACE, SPHERE
-from bulletuav.kernel import func, kernel
 
 MOST_POINTS = 20
 """Most points of a pair"""

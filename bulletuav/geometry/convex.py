@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.functions import atan2, hypot
+from bulletuav.compiled.functions import atan2, hypot
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3, Vec3Like
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE, Shape
-from bulletuav.kernel import func, kernel
 
 RIM = 4
 """Points that stand for the rim of a cylinder's flat side"""

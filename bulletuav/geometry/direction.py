@@ -7,11 +7,11 @@ nearest points of two features have from each other.
 
 import math
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.minkowski import Turn, far_point, swell, turned_back
 from bulletuav.geometry.rotation import Vec3, cross, dot, minus, plus
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
-from bulletuav.kernel import func, kernel
 
 ON_IT = 1e-5
 """Distance from an edge or rim within which a nearest point is taken to lie on it, m"""

@@ -10,7 +10,8 @@ import math
 
 import numpy as np
 
-from bulletuav.deferred import deferred
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.minkowski import (
     ANSWER,
@@ -21,7 +22,6 @@ from bulletuav.geometry.minkowski import (
     row_point,
 )
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus
-from bulletuav.kernel import func, kernel
 
 EXACT = 1e-9
 """Difference of the bounds of a depth at which EPA is done, m"""

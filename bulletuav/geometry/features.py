@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import func
 from bulletuav.geometry.convex import RIM, ShapeTable
 from bulletuav.geometry.minkowski import Turn, turned, turned_back
 from bulletuav.geometry.rotation import Vec3, cross, dot, plus, point
 from bulletuav.geometry.shapes import BOX, CYLINDER
-from bulletuav.kernel import func
 
 FLAT = math.sqrt(0.5)
 """Cosine of the largest angle between axis and normal at which a flat side faces the other"""

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.epa import overlap
 from bulletuav.geometry.minkowski import Turn as Turn
@@ -16,7 +17,6 @@ from bulletuav.geometry.minkowski import far_point, put_difference, row_point, s
 from bulletuav.geometry.minkowski import make_room as make_room
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus
 from bulletuav.geometry.shapes import HALF_SPACE
-from bulletuav.kernel import func, kernel
 
 DUALITY_GAP = 1e-13
 """Difference of the bounds of a distance at which GJK is done, m"""

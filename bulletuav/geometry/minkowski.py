@@ -11,10 +11,10 @@ far from the world's origin. Scratch is an array of rows, the same for all funct
 import numpy as np
 from numba import types
 
+from bulletuav.compiled.kernel import func
 from bulletuav.geometry.convex import ShapeTable, support
 from bulletuav.geometry.rotation import Vec3, Vec3Like, dot
 from bulletuav.geometry.shapes import SPHERE
-from bulletuav.kernel import func
 
 _VECTOR = types.UniTuple(types.float64, 3)
 ANSWER = types.Tuple((types.float64, _VECTOR, _VECTOR, _VECTOR))

@@ -11,14 +11,14 @@ import math
 
 import numpy as np
 
-from bulletuav.deferred import deferred
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.direction import Feature, along_crossing, ends, newton_step, off
 from bulletuav.geometry.gjk import DUALITY_GAP, TOUCH_CORE, gap
 from bulletuav.geometry.minkowski import ANSWER, Turn, far_point, swell, turned_back
 from bulletuav.geometry.rotation import Vec3, cross, dot, minus, plus
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE
-from bulletuav.kernel import func, kernel
 
 MOST_STEPS = 8
 """Most steps of Newton's method"""

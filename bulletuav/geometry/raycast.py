@@ -18,13 +18,13 @@ from typing import Protocol
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid
 from bulletuav.geometry.closest_approach import closest_squared
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.rotation import Quat4Like, Vec3Like, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HULL, inside, inside_box, slab
-from bulletuav.kernel import allocating, func, kernel
 
 
 class Poses(Protocol):

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from bulletuav.functions import atan2, cos, sin
-from bulletuav.kernel import func
+from bulletuav.compiled.functions import atan2, cos, sin
+from bulletuav.compiled.kernel import func
 
 Vec3 = tuple[float, float, float]
 """Vector (x, y, z) that compiled functions return."""

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
 from bulletuav.geometry.rotation import Vec3Like, dot
-from bulletuav.kernel import func
 
 SPHERE, CYLINDER, BOX, HULL, HALF_SPACE = range(5)
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.identification.fit import MILD
 from bulletuav.identification.intervals import UNSURE, newey_west, quantile
 from bulletuav.identification.logs import Log
-from bulletuav.kernel import kernel
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.battery import WATT_HOUR, loaded_voltage, resting_voltage
 

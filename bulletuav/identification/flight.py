@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.identification.attitude import frame_of, rates_of, slope, smooth
 from bulletuav.identification.logs import OTHER, POSITION, QUATERNION, RATES, VELOCITY, Log
 from bulletuav.identification.rollout import Track
-from bulletuav.kernel import kernel
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.battery import speed_share
 from bulletuav.vehicle.rotors import RPM

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
 from bulletuav.dynamics.base import Air, surroundings
 from bulletuav.dynamics.integration import lag_stages, rk4, turn_rotors
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, point, product
-from bulletuav.kernel import allocating, func, in_memory, kernel
 from bulletuav.vehicle.rotors import lag_decay, lagged
 from bulletuav.vehicle.swarm import Swarm, get, put
 from bulletuav.vehicle.wakes import Wakes, sum_wakes

@@ -5,7 +5,7 @@ All drones use the same band.
 
 import numpy as np
 
-from bulletuav.kernel import allocating
+from bulletuav.compiled.kernel import allocating
 from bulletuav.network.link import capacity
 
 OFDMA, TDMA, SHARED = range(3)

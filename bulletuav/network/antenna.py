@@ -10,8 +10,8 @@ All functions take numbers, or arrays that broadcast; kernels call them too.
 
 import math
 
-from bulletuav.functions import acos, atan2, cos, hypot, sin
-from bulletuav.kernel import elementwise, func
+from bulletuav.compiled.functions import acos, atan2, cos, hypot, sin
+from bulletuav.compiled.kernel import elementwise, func
 
 PEAK = 8.0
 """Greatest gain of the element, dBi (TR 38.901, table 7.3-1)"""

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.functions import log1p
+from bulletuav.compiled.kernel import allocating, func
 from bulletuav.errors import as_sequence, finite, numbers_of
-from bulletuav.functions import log1p
-from bulletuav.kernel import allocating, func
 
 
 class Tasks(NamedTuple):

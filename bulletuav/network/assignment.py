@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from bulletuav.kernel import allocating, elementwise
+from bulletuav.compiled.kernel import allocating, elementwise
 from bulletuav.network.access import NOBODY
 
 NEAREST, MAX_RATE, DTLCM = range(3)

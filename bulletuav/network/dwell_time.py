@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletuav.kernel import kernel
+from bulletuav.compiled.kernel import kernel
 
 
 @kernel

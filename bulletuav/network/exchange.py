@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import allocating
+from bulletuav.compiled.kernel import allocating
 from bulletuav.network.access import uplink_rates
 from bulletuav.network.arrivals import Tasks, spread
 from bulletuav.network.assignment import assign

@@ -8,8 +8,8 @@ from typing import overload
 
 import numpy as np
 
-from bulletuav.functions import log, log1p, log10, power
-from bulletuav.kernel import elementwise
+from bulletuav.compiled.functions import log, log1p, log10, power
+from bulletuav.compiled.kernel import elementwise
 
 BOLTZMANN = 1.380649e-23
 """Boltzmann constant, J/K, exact (SI, 2019)"""

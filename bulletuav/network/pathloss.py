@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import elementwise
 from bulletuav.errors import choose, numbers_of
-from bulletuav.kernel import elementwise
 from bulletuav.network.propagation import (
     NLOS_EXPONENT,
     antenna_distance,

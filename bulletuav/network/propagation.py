@@ -6,8 +6,8 @@ losses are finite. The functions take numbers, or arrays that broadcast; kernels
 
 import math
 
-from bulletuav.functions import hypot, log10
-from bulletuav.kernel import elementwise, func
+from bulletuav.compiled.functions import hypot, log10
+from bulletuav.compiled.kernel import elementwise, func
 
 SPEED_OF_LIGHT = 299792458.0
 """Speed of light in vacuum, m/s"""

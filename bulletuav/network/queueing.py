@@ -18,8 +18,8 @@ From lambda = c mu on there is no steady state: waits are inf, never a large num
 
 import math
 
-from bulletuav.functions import exp, expm1
-from bulletuav.kernel import elementwise
+from bulletuav.compiled.functions import exp, expm1
+from bulletuav.compiled.kernel import elementwise
 
 
 @elementwise

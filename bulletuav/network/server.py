@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import allocating, func, kernel
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.network.arrivals import Tasks
 from bulletuav.network.queueing import mean_response
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import kernel
+from bulletuav.compiled.kernel import kernel
 from bulletuav.network.server import Served
 
 

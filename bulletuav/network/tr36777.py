@@ -13,8 +13,8 @@ All functions take numbers, or arrays that broadcast; kernels call them too. The
 
 import math
 
-from bulletuav.functions import exp, log10
-from bulletuav.kernel import elementwise
+from bulletuav.compiled.functions import exp, log10
+from bulletuav.compiled.kernel import elementwise
 from bulletuav.network.propagation import antenna_distance, free_space
 from bulletuav.network.tr38901 import (
     CERTAIN_SIGHT,

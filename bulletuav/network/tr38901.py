@@ -10,8 +10,8 @@ All functions take numbers, or arrays that broadcast; kernels call them too. The
 - `frequency`: carrier frequency, GHz.
 """
 
-from bulletuav.functions import exp, log10
-from bulletuav.kernel import elementwise, func
+from bulletuav.compiled.functions import exp, log10
+from bulletuav.compiled.kernel import elementwise, func
 from bulletuav.network.propagation import antenna_distance
 
 CERTAIN_SIGHT = 18.0

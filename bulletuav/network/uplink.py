@@ -6,10 +6,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.functions import hypot
+from bulletuav.compiled.kernel import allocating, func
+from bulletuav.compiled.program import Program
 from bulletuav.errors import choose, finite
-from bulletuav.functions import hypot
 from bulletuav.geometry.rotation import quat4, to_body
-from bulletuav.kernel import allocating, func
 from bulletuav.network.antenna import PEAK, gain_towards
 from bulletuav.network.fading import rician_gain
 from bulletuav.network.link import noise_power, ratio
@@ -17,7 +18,6 @@ from bulletuav.network.pathloss import check_validity
 from bulletuav.network.propagation import log_distance
 from bulletuav.network.tr36777 import uma_av_los, uma_av_nlos, umi_av_los, umi_av_nlos
 from bulletuav.network.tr38901 import uma_los, uma_nlos, umi_los, umi_nlos
-from bulletuav.program import Program
 
 
 @dataclass(frozen=True)

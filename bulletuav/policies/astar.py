@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from bulletuav.kernel import allocating, func
+from bulletuav.compiled.kernel import allocating, func
 from bulletuav.policies.voxels import Cell, Voxels, is_clear, nearest_free
 
 STEPS = np.array(

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
+from bulletuav.compiled.functions import cos, sin
 
 ROUNDS = 100
 """Greatest number of rounds of Lloyd's iteration, which is done after some ten"""

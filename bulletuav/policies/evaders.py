@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.conflict.measures import offsets
 from bulletuav.envs.aviary import Aviary
-from bulletuav.functions import cos, sin
 from bulletuav.policies.game import Game
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bulletuav.functions import log, log1p
-from bulletuav.kernel import kernel
+from bulletuav.compiled.functions import log, log1p
+from bulletuav.compiled.kernel import kernel
 from bulletuav.sensors.sight import AHEAD
 
 LINE_OF_SIGHT = 2.0

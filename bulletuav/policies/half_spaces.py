@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.closest_approach import keep_nearest
 from bulletuav.geometry.rotation import Vec3, cross, dot, plus, vec3
-from bulletuav.kernel import func, kernel
 from bulletuav.policies.linear_program import best_velocity, write
 from bulletuav.policies.traffic import Traffic
 

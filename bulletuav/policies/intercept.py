@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus, point, vec3
-from bulletuav.kernel import allocating, func, kernel
 
 NO_LENGTH = 1e-9
 """Length below which a vector has no direction, m"""

@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
-from bulletuav.kernel import allocating, func, kernel
 
 DEPTH = 4
 """Depths of problems: space, plane, line, point"""

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
-from bulletuav.kernel import allocating, func, kernel
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import (
     NO_TURN,

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from safetensors.numpy import load_file
 
+from bulletuav.compiled.functions import tanh
 from bulletuav.errors import reason_of
-from bulletuav.functions import tanh
 from bulletuav.policies.features import Layers, UserFeatures, dense, symlog
 from bulletuav.policies.layers import Affine, Choose, Clip, Dense, Layer, Relu, Symlog, Tanh
 from bulletuav.policies.swarm_features import SwarmFeatures, find_layout

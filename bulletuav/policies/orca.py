@@ -6,8 +6,8 @@ half-spaces for half-planes.
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, kernel
 from bulletuav.geometry.rotation import vec3
-from bulletuav.kernel import allocating, kernel
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import (
     Rules,

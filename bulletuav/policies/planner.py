@@ -9,11 +9,11 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 from bulletuav.geometry.solids import Solids
-from bulletuav.kernel import allocating, func
 from bulletuav.policies.astar import plan
 from bulletuav.policies.base import Policy
 from bulletuav.policies.landing import touch_down

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.closest_approach import offset
 from bulletuav.geometry.rotation import Vec3, dot, vec3
-from bulletuav.kernel import allocating, func
 from bulletuav.policies.base import Policy
 from bulletuav.policies.straight import preferred_velocity
 from bulletuav.registry import register

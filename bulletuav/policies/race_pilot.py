@@ -6,11 +6,11 @@ from types import MappingProxyType
 
 import numpy as np
 
+from bulletuav.compiled.functions import tan
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.control.actions import limit_norm
 from bulletuav.control.gains import MAX_TILT
 from bulletuav.envs.aviary import Aviary
-from bulletuav.functions import tan
-from bulletuav.kernel import func, kernel
 from bulletuav.policies.base import Policy
 from bulletuav.policies.racing_line import (
     SAMPLES,

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3, dot, minus
-from bulletuav.kernel import func, kernel
 
 SAMPLES = 24
 """Points of a line on the way to each gate"""

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.envs.aviary import Aviary
-from bulletuav.functions import cos, sin
-from bulletuav.kernel import func, kernel
 
 CELL = 2.0
 """Side of the cells, m"""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.functions import log1p
+from bulletuav.compiled.functions import log1p
 from bulletuav.policies.features import Layers, dense, symlog
 from bulletuav.policies.layers import Dense, Others, Swarm
 from bulletuav.sensors.base import Label

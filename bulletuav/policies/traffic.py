@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.convex import hull_shape, make_shape_table
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, vec3
 from bulletuav.geometry.shapes import distance_from_box
 from bulletuav.geometry.solids import Solids
-from bulletuav.kernel import allocating, func, kernel
 
 FACES = 6
 """Faces of the arena, the first rows of surfaces"""

@@ -6,8 +6,8 @@ vehicles using buffered Voronoi cells (2017).
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.rotation import Vec3, vec3
-from bulletuav.kernel import allocating, func, kernel
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import (
     HalfSpace,

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3Like, dot
-from bulletuav.kernel import func, kernel
 
 Cell = tuple[int, int, int]
 """Indices of a cell on the axes x, y and z"""

@@ -6,10 +6,10 @@ import platform
 import re
 from typing import NamedTuple
 
+from bulletuav.compiled.kernel import cache_folder
 from bulletuav.engine.engine import ENGINE_VERSION, EXTENSION, Engine
 from bulletuav.engine.screen import require_screen
 from bulletuav.errors import install
-from bulletuav.kernel import cache_folder
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.version import __version__
 

@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, to_body, vec3
-from bulletuav.kernel import func, kernel
 from bulletuav.registry import register
 from bulletuav.sensors.base import (
     Moment,

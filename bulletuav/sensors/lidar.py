@@ -5,10 +5,10 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, hypot, sin
+from bulletuav.compiled.kernel import allocating
 from bulletuav.engine.engine import Engine
-from bulletuav.functions import cos, hypot, sin
 from bulletuav.geometry.rotation import axes, quat4
-from bulletuav.kernel import allocating
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm

@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.earth.magnetism import EPOCH, HIGHEST, LOWEST, decimal_year, magnetic_field
 from bulletuav.engine.engine import Engine
 from bulletuav.errors import finite
 from bulletuav.geometry.rotation import quat4, to_body
-from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.sensors.base import Moment, Sensor, SensorSetup, Uncertain, vector_labels
 from bulletuav.vehicle.swarm import Swarm

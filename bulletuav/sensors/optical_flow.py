@@ -5,11 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, exp, hypot
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.engine.engine import Engine
 from bulletuav.errors import finite
-from bulletuav.functions import cos, exp, hypot
 from bulletuav.geometry.rotation import Vec3Like, axes, quat4, to_body, vec3
-from bulletuav.kernel import func, kernel
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm, get

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.engine.engine import Engine
-from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.clearance import measure_clearance
 from bulletuav.geometry.gjk import make_room
-from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup
 from bulletuav.vehicle.swarm import Swarm

@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.program import Program
 from bulletuav.conflict.separation import Conflict, fill_conflict, no_conflict
 from bulletuav.contact.contacts import mark
 from bulletuav.contact.rest import Contact
 from bulletuav.geometry.closest_approach import fill_distances
-from bulletuav.kernel import kernel
-from bulletuav.program import Program
 from bulletuav.tasks.frame import (
     RESTING_SPEED,
     RESTING_SPIN,

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import Airspace
 from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES

@@ -6,8 +6,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.functions import atan2, cos, hypot, sin
 from bulletuav.errors import choose
-from bulletuav.functions import atan2, cos, hypot, sin
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs, Task

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.geometry.rotation import Vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.rotation import exponential, point
-from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.config import TaskConfig

@@ -13,8 +13,8 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+from bulletuav.compiled.kernel import cache_folder, uncached
 from bulletuav.files import replace_file
-from bulletuav.kernel import cache_folder, uncached
 
 TUPLES = (2, 3, 4)
 """Vectors of so many numbers reach a function as tuples, longer ones as arrays"""
@@ -104,7 +104,7 @@ def _from_file(
     """Load the loop of an ingredient of the package from its file, or write that first."""
     text = (
         f'"""Generated: the loop of `{module}.{name}`."""\n\n'
-        "from bulletuav.kernel import func, kernel\n"
+        "from bulletuav.compiled.kernel import func, kernel\n"
         f"from {module} import {name} as plain\n\n"
         "function = func(plain)\n\n\n"
         f"@kernel\n{source}"

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.functions import atan2, cos, sin
+from bulletuav.compiled.functions import atan2, cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, Airspace

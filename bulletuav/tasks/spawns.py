@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.program import Program
 from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import as_int, numbers_of, shown, unknown
@@ -13,8 +15,6 @@ from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.closest_approach import offset
 from bulletuav.geometry.rotation import dot, quat4, vec3
 from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE, Shape
-from bulletuav.kernel import kernel
-from bulletuav.program import Program
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import NOTHING, UPRIGHT, Spawn
 from bulletuav.tasks.starts import refuse_overlap

@@ -1,12 +1,12 @@
-"""Rewards, ends and observations as parts of a program; see `bulletuav.program`."""
+"""Rewards, ends and observations as parts of a program; see `bulletuav.compiled.program`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import kernel
-from bulletuav.program import Program
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.program import Program
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import Bound

@@ -4,7 +4,7 @@ from typing import Any, ClassVar, Generic
 
 import numpy as np
 
-from bulletuav.kernel import allocating
+from bulletuav.compiled.kernel import allocating
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import ConfigT
 from bulletuav.tasks.frame import Frame, Scene

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.lanes import where
 from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot
-from bulletuav.kernel import func
-from bulletuav.lanes import where
 from bulletuav.vehicle.parameters import ParameterRow
 
 

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.errors import numbers_of
-from bulletuav.kernel import func, kernel
 
 WATT_HOUR = 3600.0
 """Joules in a watt-hour."""

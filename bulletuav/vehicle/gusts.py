@@ -19,8 +19,8 @@ import math
 
 import numpy as np
 
-from bulletuav.functions import PI, cos, exp, power, sin
-from bulletuav.kernel import func, kernel
+from bulletuav.compiled.functions import PI, cos, exp, power, sin
+from bulletuav.compiled.kernel import func, kernel
 
 FOOT = 0.3048
 """One foot, m"""
@@ -100,7 +100,7 @@ def _sine(turns: float) -> float:
     """Return the sine of at most a quarter turn, with an error below 1e-9.
 
     By Taylor's series, without branches and quotients: so compiled code takes several waves at
-    once, which it cannot with `bulletuav.functions.sin`.
+    once, which it cannot with `bulletuav.compiled.functions.sin`.
     """
     x = 2.0 * PI * turns
     q = x * x

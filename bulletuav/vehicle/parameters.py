@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
+from bulletuav.compiled.plain import record_type
 from bulletuav.errors import unknown
 from bulletuav.vehicle.airframe import DENSITY, MAX_ROTORS, Airframe
 
@@ -22,7 +23,7 @@ EFFECTS = (
 USUAL_EFFECTS = EFFECTS[:-1]
 """Effects that are on unless told otherwise: firmwares make up for the battery's voltage."""
 
-PARAMETERS = np.dtype(
+PARAMETERS = record_type(
     [
         ("mass", "f8"),
         ("inertia", "f8", 3),

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
+from bulletuav.compiled.lanes import is_any, where
+from bulletuav.compiled.plain import record_type
 from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3Like, vec3
-from bulletuav.kernel import allocating, func, kernel
-from bulletuav.lanes import is_any, where
 from bulletuav.vehicle.airframe import DENSITY, STANDARD_GRAVITY, Airframe
 
 # Airframes do not tell the following numbers. They get those of Zeng, Xu and Zhang (our choice).
@@ -58,7 +59,7 @@ class RotaryWing(NamedTuple):
     electronics: float = 0.0
 
 
-ROTARY_WING = np.dtype([(name, "f8") for name in RotaryWing._fields])
+ROTARY_WING = record_type([(name, "f8") for name in RotaryWing._fields])
 """Type of rows for `propulsion`: np.array of a list of `RotaryWing` with this dtype is (N,)."""
 
 

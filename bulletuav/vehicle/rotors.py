@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 
-from bulletuav.functions import exp
+from bulletuav.compiled.functions import exp
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.lanes import where
 from bulletuav.geometry.rotation import Vec3
-from bulletuav.kernel import func
-from bulletuav.lanes import where
 from bulletuav.vehicle.parameters import ParameterRow
 
 RPM = 2.0 * math.pi / 60.0

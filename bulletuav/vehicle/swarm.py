@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Quat4, Vec3, quat4, vec3
-from bulletuav.kernel import func, kernel
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position, quaternion, velocity and rates of one drone, as in `Swarm`."""

@@ -2,8 +2,8 @@
 
 import math
 
-from bulletuav.functions import moderate_exp
-from bulletuav.kernel import func
+from bulletuav.compiled.functions import moderate_exp
+from bulletuav.compiled.kernel import func
 from bulletuav.vehicle.parameters import ParameterRow
 
 WAKE_EDGE = 80.0

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from bulletuav.deferred import deferred
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import WIDTH, lanes_of, room
 from bulletuav.geometry.rotation import quat4, to_body
-from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, lanes_of, room
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.wake import WAKE_EDGE, is_in_wake, jet, wake_width_squared

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.functions import log, power
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.program import Program
 from bulletuav.errors import as_sequence, choose, finite, numbers_of
-from bulletuav.functions import log, power
-from bulletuav.kernel import func, kernel
-from bulletuav.program import Program
 from bulletuav.vehicle.gusts import DRAWS, FOOT, ROWS, WAVES, add_gusts, draw_waves
 
 KNOT = 1852 / 3600

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, Vec3Like, axes, dot, minus, plus
-from bulletuav.kernel import func
 from bulletuav.vehicle.aerodynamics import force_of_air, ground_wrench, torque_of_drag
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import Rotors

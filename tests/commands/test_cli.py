@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav import dispatcher
 from bulletuav.analysis.benchmark import FLOORS
 from bulletuav.cli import COMMANDS, main
 from bulletuav.commands.progress import USUAL_FUNCTIONS, show_progress
+from bulletuav.compiled import dispatcher
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine import engine
 from bulletuav.engine.c_extension import Extension
@@ -646,7 +646,7 @@ def test_how_far_it_is_is_a_bar_on_a_terminal():
     """In a pseudo-terminal."""
     mine, theirs = os.openpty()
     program = "from bulletuav.commands.progress import show_progress\n"
-    program += "from bulletuav.dispatcher import COMPILATION\n"
+    program += "from bulletuav.compiled.dispatcher import COMPILATION\n"
     program += "with show_progress('flying', 3, 'episodes') as report:\n"
     program += "    with COMPILATION.count(): pass\n"
     program += "    import time; time.sleep(0.3)\n"  # more than a frame

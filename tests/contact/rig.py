@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from bulletuav.compiled.kernel import allocating
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
@@ -18,7 +19,6 @@ from bulletuav.geometry.rotation import axes
 from bulletuav.geometry.scenery import NOWHERE
 from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.geometry.solids import Solids
-from bulletuav.kernel import allocating
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows

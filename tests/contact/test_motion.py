@@ -5,8 +5,8 @@ import pytest
 from contact.rig import Rig, random_attitudes, random_directions
 from scipy.spatial.transform import Rotation
 
+from bulletuav.compiled.kernel import allocating
 from bulletuav.contact.motion import advance_to, aim, begin
-from bulletuav.kernel import allocating
 from bulletuav.vehicle.swarm import Swarm
 
 FASTEST = 400.0

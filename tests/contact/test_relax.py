@@ -5,12 +5,12 @@ import pytest
 from contact.rig import random_attitudes
 from scipy.spatial.transform import Rotation
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.contact.gain import keep, reopen
 from bulletuav.contact.impulses import POINT, set_ease
 from bulletuav.contact.motion import MOTION
 from bulletuav.contact.points import fill
 from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FROM_BEFORE, FROM_NOTHING, SWEEPS, relax
-from bulletuav.kernel import kernel
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
 

@@ -6,9 +6,9 @@ from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
 from contact.shots import TARGETS
 from scipy.spatial.transform import Rotation
 
+from bulletuav.compiled.kernel import allocating
 from bulletuav.contact.planes import is_kept_apart
 from bulletuav.contact.touch import IN_TOUCH, NEARLY, NEVER, TOUCH, touch_time
-from bulletuav.kernel import allocating
 
 DT = 1 / 240
 SAMPLES = np.linspace(0, 1, 2001)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bulletuav.compiled.lanes import WIDTH
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.lanes import WIDTH
 
 KINDS = ("high", "near the ground", "tumbling", "resting", "absent", "falling")
 DECISIONS = 4

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from bulletuav.compiled.gather import pack_numbers
+from bulletuav.compiled.lanes import WIDTH, room
 from bulletuav.envs.energy import _fill_propulsion
-from bulletuav.gather import pack_numbers
-from bulletuav.lanes import WIDTH, room
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.power import ROTARY_WING, W20, W100, airframe_wing, propulsion
 

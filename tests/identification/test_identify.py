@@ -101,6 +101,9 @@ def test_predictions_are_as_good_as_the_noise_lets_them(result):
     np.testing.assert_allclose(kept["after"], fitted, rtol=0.35)
 
 
+TRIANGLE = "# {}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+
+
 @pytest.fixture(scope="module")
 def narrow(log):
     """Fits drag alone, which takes less time."""
@@ -153,13 +156,13 @@ def test_meshes_from_elsewhere_go_into_the_folder(narrow, tmp_path):
     for name in ("../up.obj", "inside/in.obj"):
         mesh = source / name
         mesh.parent.mkdir(exist_ok=True)
-        mesh.write_text(f"# {name}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        mesh.write_text(TRIANGLE.format(name))
         text = text.replace("</link>", visual.format(f'"{name}"'), 1)
     (source / "cf2x.urdf").write_text(text)
-    (tmp_path / "up.obj").write_text("theirs")
+    (tmp_path / "up.obj").write_text(TRIANGLE.format("theirs"))
     before = dataclasses.replace(narrow.before, urdf=source / "cf2x.urdf")
     path = write_urdf(dataclasses.replace(narrow, before=before), folder)
-    assert (tmp_path / "up.obj").read_text() == "theirs"
+    assert (tmp_path / "up.obj").read_text() == TRIANGLE.format("theirs")
     assert {one.relative_to(folder).as_posix() for one in folder.rglob("*.obj")} == {
         "up.obj",
         "inside/in.obj",

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bulletuav.kernel import allocating
+from bulletuav.compiled.kernel import allocating
 from bulletuav.network.antenna import (
     INDOOR_PEAK,
     PEAK,

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bulletuav.city.sight_probability import SIGMOIDS, elevation_los
-from bulletuav.kernel import allocating
+from bulletuav.compiled.kernel import allocating
 from bulletuav.network import pathloss
 from bulletuav.network.pathloss import PATHLOSS_MODELS, check_validity
 from bulletuav.network.propagation import (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
-from bulletuav.kernel import kernel
+from bulletuav.compiled.kernel import kernel
 from bulletuav.network.queueing import (
     compute_energy,
     core_power,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.rotation import exponential
-from bulletuav.kernel import kernel
 from bulletuav.tasks.families.draws import source_of, uniform
 from bulletuav.tasks.families.headings import directions, draw_velocities
 from bulletuav.tasks.hover import Hover

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletuav import available_airframes, load_airframe
-from bulletuav.lanes import WIDTH
+from bulletuav.compiled.lanes import WIDTH
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wake import downwash

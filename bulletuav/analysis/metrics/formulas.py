@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating
 from bulletuav.geometry.closest_approach import offset
 from bulletuav.geometry.rotation import dot
-from bulletuav.kernel import allocating
 
 
 def jain(values: np.ndarray) -> float:

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.control.actions.base import Action, ActionContext, Compiled, normalised
 from bulletuav.control.gains import MAX_TILT
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.kernel import kernel
 from bulletuav.registry import register
 
 MAX_RATES = np.array((2 * math.pi, 2 * math.pi, math.pi))

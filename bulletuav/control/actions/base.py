@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.airframe import Airframe
 
 Decoder = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.control.actions.base import Action, ActionContext, Compiled, within_climb
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.kernel import kernel
 from bulletuav.registry import register
 
 CHOICES = ("discrete", "discrete_27")

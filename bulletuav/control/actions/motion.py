@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import kernel
 from bulletuav.control.actions.base import (
     Action,
     ActionContext,
@@ -13,8 +15,6 @@ from bulletuav.control.actions.base import (
     within_climb,
 )
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.functions import cos, sin
-from bulletuav.kernel import kernel
 from bulletuav.registry import register
 
 UP, YAW = 2, 3

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.control.actions.base import Action, ActionContext, Compiled
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.vehicle.rotors import RPM
 

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import func
 from bulletuav.errors import as_sequence, finite, shown
-from bulletuav.functions import cos, sin
-from bulletuav.kernel import func
 from bulletuav.network.mobility.ground import Ground
 
 SPEED_LIMIT = 100.0

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.functions import exp, log
-from bulletuav.kernel import elementwise, kernel
+from bulletuav.compiled.functions import exp, log
+from bulletuav.compiled.kernel import elementwise, kernel
 from bulletuav.network.mobility.base import (
     MAX_TIME,
     MAX_VELOCITY,

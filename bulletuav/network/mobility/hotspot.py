@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.functions import exp, log
+from bulletuav.compiled.kernel import kernel
 from bulletuav.errors import as_int
-from bulletuav.functions import exp, log
-from bulletuav.kernel import kernel
 from bulletuav.network.mobility.base import (
     MAX_LENGTH,
     MAX_TIME,

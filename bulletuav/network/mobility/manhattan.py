@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.errors import as_sequence, finite
-from bulletuav.kernel import func, kernel
 from bulletuav.network.mobility.base import (
     MAX_VELOCITY,
     Generators,

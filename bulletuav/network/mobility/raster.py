@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.city.model import City
-from bulletuav.kernel import allocating, func
+from bulletuav.compiled.kernel import allocating, func
 
 MARGIN = 0.1
 """Distance between free cells and walls, m"""

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.functions import power
-from bulletuav.kernel import func, kernel
+from bulletuav.compiled.functions import power
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.network.mobility.base import (
     MAX_TIME,
     MAX_VELOCITY,

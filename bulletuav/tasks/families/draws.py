@@ -9,7 +9,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from bulletuav.kernel import func
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.plain import in_python
 
 Source = tuple[int, int]
 """Addresses of the function that draws, and of the generator's state"""
@@ -27,6 +28,12 @@ def _drawing(kind: type[np.random.BitGenerator]) -> int:
     return ctypes.cast(kind().ctypes.next_double, ctypes.c_void_p).value or 0
 
 
+def _call_drawing(function: int, state: int) -> Any:
+    """Do in Python what `_next` does."""
+    return np.float64(ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p)(function)(state))
+
+
+@in_python(_call_drawing)
 @intrinsic  # type: ignore[untyped-decorator]
 def _next(
     _: Any,

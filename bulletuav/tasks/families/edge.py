@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
+from bulletuav.compiled.program import Program
 from bulletuav.errors import finite
 from bulletuav.network.access import ACCESS
 from bulletuav.network.arrivals import Arrivals
@@ -15,7 +16,6 @@ from bulletuav.network.link import capacity
 from bulletuav.network.queueing import core_power, service_rate
 from bulletuav.network.service_stats import ServiceStats
 from bulletuav.network.uplink import RadioConfig, Uplink
-from bulletuav.program import Program
 from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.families.users import UsersConfig, UsersTask

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.errors import numbers_of, shown, unknown
-from bulletuav.functions import cos, sin
 
 LETTERS = "letters"
 """Name of the shape that writes the option `text`"""

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.functions import cos, hypot, sin
-from bulletuav.kernel import allocating, kernel
+from bulletuav.compiled.functions import cos, hypot, sin
+from bulletuav.compiled.kernel import allocating, kernel
 
 SWEEPS = 6
 """Of Jacobi's rotations; four leave nothing of random matrices but the last bits"""

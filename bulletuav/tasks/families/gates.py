@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin, tan
+from bulletuav.compiled.kernel import kernel
 from bulletuav.errors import choose, finite, points_of
-from bulletuav.functions import cos, sin, tan
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, from_euler
-from bulletuav.kernel import kernel
 
 SIDES = {"square": 4, "round": 12}
 """How many sides the openings of gates have"""

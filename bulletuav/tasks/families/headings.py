@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.functions import atan2, cos, sin
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.errors import numbers_of, shown
-from bulletuav.functions import atan2, cos, sin
 from bulletuav.geometry.rotation import Vec3, dot, point
-from bulletuav.kernel import allocating, func, kernel
 from bulletuav.tasks.families.draws import Source, uniform
 
 HEADINGS = ("goal", "random")

@@ -7,9 +7,9 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import dot, minus, point
-from bulletuav.kernel import kernel
 from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.families.headings import check_heading, facing, headed

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3, dot, minus, point
-from bulletuav.kernel import func, kernel
 from bulletuav.tasks.families.draws import Source, uniform
 
 

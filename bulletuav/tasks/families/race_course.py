@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.families.gates import Gate, bar_places, frame_of, gate_axes
 from bulletuav.tasks.families.tracks import (

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.errors import shown
 from bulletuav.geometry.closest_approach import closest_squared, offset
 from bulletuav.geometry.rotation import dot
-from bulletuav.kernel import kernel
 
 NOBODY = -1
 """Index where there is no opponent"""

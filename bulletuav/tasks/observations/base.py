@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.program import Program
+from bulletuav.compiled.program import Program
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func
+from bulletuav.compiled.program import Program
 from bulletuav.geometry.closest_approach import closest_squared, keep_nearest
 from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
-from bulletuav.kernel import allocating, func
-from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame

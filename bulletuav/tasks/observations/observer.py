@@ -7,10 +7,10 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.program import Program
 from bulletuav.control.actions import Action
 from bulletuav.errors import shown, unknown
-from bulletuav.kernel import kernel
-from bulletuav.program import Program
 from bulletuav.registry import find, names
 from bulletuav.sensors.base import Image, Label, Sensor, SensorSetup
 from bulletuav.sensors.suite import provider, reading_labels

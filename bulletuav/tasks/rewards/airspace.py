@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.closest_approach import closest_squared, offset
 from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
-from bulletuav.kernel import allocating, func, kernel
 from bulletuav.registry import register
 from bulletuav.tasks.ingredients import reward
 from bulletuav.vehicle.swarm import Swarm

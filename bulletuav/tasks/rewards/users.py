@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletuav.functions import tanh
+from bulletuav.compiled.functions import tanh
 from bulletuav.registry import register
 from bulletuav.tasks.ingredients import reward
 

@@ -16,10 +16,11 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
-from bulletuav.compiling import invoke
-from bulletuav.dispatcher import Dispatcher
-from bulletuav.forms import form_of, type_of
-from bulletuav.kernel import kernel
+from bulletuav.compiled.compiling import invoke
+from bulletuav.compiled.dispatcher import Dispatcher
+from bulletuav.compiled.forms import form_of, type_of
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.plain import SWITCH
 
 Turn = Callable[[], None]
 """What Python does when its turn comes"""
@@ -60,7 +61,7 @@ class Program:
     def call(
         self, kernel: Callable[..., Any], *arguments: Any, otherwise: Turn | None = None
     ) -> None:
-        """Add a call of a function compiled by `bulletuav.kernel`.
+        """Add a call of a function compiled by `bulletuav.compiled.kernel`.
 
         Args:
             kernel: The function; it returns nothing, or a bool.
@@ -88,6 +89,9 @@ class Program:
 
     def run(self) -> None:
         """Run all calls and turns; an exception of a turn ends it."""
+        if SWITCH.is_on:
+            self.interpret()
+            return
         if len(self.table) != len(self._calls):
             self.compile()
         last = len(self._calls) - 1
@@ -98,7 +102,7 @@ class Program:
             k = run_calls(self.table, k + 1) if k < last else -1
 
     def interpret(self) -> None:
-        """Do what `run` does, call by call through Python; for programs that run once."""
+        """Do what `run` does, call by call through Python: to debug, or to run once."""
         for function, arguments, turns in self._calls:
             if function is None or function(*arguments):
                 for turn in turns:
@@ -106,6 +110,8 @@ class Program:
 
     def compile(self) -> None:
         """Look up the addresses of all functions and arguments; the first run does it otherwise."""
+        if SWITCH.is_on:
+            return
         table = np.zeros((len(self._calls), 2), dtype=np.int64)
         kept: list[np.ndarray] = []
         # Most calls are given the same tuples and arrays, which live as long as the calls
@@ -151,8 +157,11 @@ def by_world(program: Program, arrays: Iterable[np.ndarray]) -> ByWorld | None:
         arrays: Those that have a first axis of W worlds.
 
     Returns:
-        None where Python has a turn, or a call is given an array that may be of worlds, too.
+        None where Python has a turn, or a call is given an array that may be of worlds, too; and
+        where kernels run as plain Python.
     """
+    if SWITCH.is_on:
+        return None
     known = [_span(array) for array in arrays if array.size]
     steps: list[int] = []
     words: list[int] = []

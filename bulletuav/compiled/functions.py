@@ -12,12 +12,14 @@ Functions (1980), and Taylor series of what is left.
 import math
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from bulletuav.kernel import elementwise, func
-from bulletuav.lanes import LANES, WIDTH
+from bulletuav.compiled.kernel import elementwise, func
+from bulletuav.compiled.lanes import LANES, WIDTH
+from bulletuav.compiled.plain import in_python
 
 PI = math.pi
 LN2 = 0.6931471805599453
@@ -35,6 +37,12 @@ FAR = 1e5
 """Angle up to which whole right angles are taken off without an error, rad"""
 
 
+def _ldexp(exponent: Any) -> Any:
+    """Do in Python what `two_to` does."""
+    return np.ldexp(exponent * 0.0 + 1.0, np.asarray(exponent).astype(np.int32))
+
+
+@in_python(_ldexp)
 @intrinsic  # type: ignore[untyped-decorator]
 def two_to(_: Any, exponent: Any) -> Any:
     """Return 2 to the power of a whole number from -1022 to 1023, put together of its bits.

@@ -30,7 +30,8 @@ from numba.core.typing.templates import (
 from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
-from bulletuav.stamps import stamp_of
+from bulletuav.compiled.plain import LaneNumbers, choose, in_python
+from bulletuav.compiled.stamps import stamp_of
 
 # numba's codegen knows the features that the environment took away, too
 WIDTH = 8 if "+avx512f" in cpu_target.target_context.codegen().magic_tuple()[2] else 4
@@ -212,6 +213,7 @@ _of_lanes(max, 2, LANES, _second_if(">"))
 _of_lanes(min, 2, LANES, _second_if("<"))
 
 
+@in_python(choose)
 @intrinsic  # type: ignore[untyped-decorator]
 def where(typing: Any, condition: Any, one: Any, other: Any) -> Any:
     """Return one number if a condition holds, else the other, of floats and in each lane.
@@ -230,6 +232,7 @@ def where(typing: Any, condition: Any, one: Any, other: Any) -> Any:
     return result(condition, one, other), generate
 
 
+@in_python(lambda condition: bool(np.any(condition)))
 @intrinsic  # type: ignore[untyped-decorator]
 def is_any(_: Any, condition: Any) -> Any:
     """Tell whether a condition holds in any lane, or of a number."""
@@ -243,6 +246,47 @@ def is_any(_: Any, condition: Any) -> Any:
     return types.boolean(condition), generate
 
 
+class _PlainArray:
+    """What `LanesArray` is in Python: rows (numbers, `WIDTH`) of an array, copied when read."""
+
+    def __init__(self, numbers: np.ndarray, columns: int = 1) -> None:
+        """Take the numbers, with those in a row of an array of two axes."""
+        self._numbers, self._columns = numbers, columns
+
+    def _row(self, index: Any) -> Any:
+        return index[0] * self._columns + index[1] if isinstance(index, tuple) else index
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._numbers[self._row(index)].copy().view(LaneNumbers)
+
+    def __setitem__(self, index: Any, value: Any) -> None:
+        self._numbers[self._row(index)] = value
+
+
+class _PlainRow:
+    """What `LanesRow` is in Python: fields of a row as attributes."""
+
+    def __init__(self, rows: np.ndarray, packed: np.ndarray, block: int) -> None:
+        """Take the numbers (numbers, `WIDTH`) of one block."""
+        assert rows.dtype.fields is not None
+        self._fields, self._numbers = rows.dtype.fields, packed[block]
+
+    def __getattr__(self, name: str) -> Any:
+        kind, offset = self._fields[name][:2]
+        numbers = self._numbers[offset // 8 :]
+        if kind.shape:
+            return _PlainArray(numbers, math.prod(kind.shape[1:]))
+        if kind.kind == "f":
+            return numbers[0].copy().view(LaneNumbers)
+        return numbers[0].view(kind)[0]
+
+
+def _plain_lanes_of(array: np.ndarray, first: int) -> _PlainArray:
+    """Do in Python what `lanes_of` does."""
+    return _PlainArray(array[first] if array.ndim == 3 else array[first:])
+
+
+@in_python(_plain_lanes_of)
 @intrinsic  # type: ignore[untyped-decorator]
 def lanes_of(_: Any, array: Any, first: Any) -> Any:
     """Return an array (numbers, `WIDTH`), or one block of (blocks, numbers, `WIDTH`), as lanes.
@@ -262,6 +306,7 @@ def lanes_of(_: Any, array: Any, first: Any) -> Any:
     return LanesArray(1)(array, types.intp), generate
 
 
+@in_python(_PlainRow)
 @intrinsic  # type: ignore[untyped-decorator]
 def lanes_row(_: Any, rows: Any, packed: Any, block: Any) -> Any:
     """Return the rows of a block of drones as one row of lanes.

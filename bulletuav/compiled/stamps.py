@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numba
 
-PACKAGE = Path(__file__).parent
+PACKAGE = Path(__file__).parents[1]
 _IMPORT = re.compile(
     PACKAGE.name.encode() + rb"\.?([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n]*))?"
 )

@@ -9,10 +9,33 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-from bulletuav.kernel import func, kernel
-from bulletuav.lanes import BITS, LANES, MASK, VECTOR, WIDTH, lanes_of
+from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import BITS, LANES, MASK, VECTOR, WIDTH, lanes_of
+from bulletuav.compiled.plain import LaneNumbers, in_python
 
 
+def _require_c_order(function: str, array: np.ndarray) -> None:
+    """Raise TypeError for an array in another order, as compilation does."""
+    if not array.flags.c_contiguous:
+        raise TypeError(f"{function}: an array in C order is needed")
+
+
+def _gather(array: np.ndarray, first: int, number: int) -> Any:
+    """Do in Python what `gathered` does."""
+    _require_c_order("gathered", array)
+    rows = array.reshape(array.shape[0] * array.shape[1], -1)
+    drones = np.minimum(np.arange(first, first + WIDTH), len(rows) - 1)
+    return rows[drones, number].view(LaneNumbers)
+
+
+def _scatter(array: np.ndarray, first: int, count: int, value: np.ndarray) -> None:
+    """Do in Python what `scatter` does."""
+    _require_c_order("scatter", array)
+    numbers = np.broadcast_to(value, WIDTH)[:count]
+    array.reshape(-1)[first : first + count] = numbers.astype(array.dtype)
+
+
+@in_python(_gather)
 @intrinsic  # type: ignore[untyped-decorator]
 def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
     """Return a number of each of `WIDTH` drones, counted on from world to world.
@@ -49,6 +72,7 @@ def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
     return (MASK if is_bool else LANES)(array, types.intp, types.intp), generate
 
 
+@in_python(_scatter)
 @intrinsic  # type: ignore[untyped-decorator]
 def scatter(_: Any, array: Any, first: Any, count: Any, value: Any) -> Any:
     """Write a number of each of the first drones of a block.
@@ -75,6 +99,7 @@ def scatter(_: Any, array: Any, first: Any, count: Any, value: Any) -> Any:
     return types.none(array, types.intp, types.intp, LANES), generate
 
 
+@in_python(lambda: np.arange(float(WIDTH)).view(LaneNumbers))
 @intrinsic  # type: ignore[untyped-decorator]
 def lane_numbers(_: Any) -> Any:
     """Return the number of each lane: 0, 1, 2, ..."""

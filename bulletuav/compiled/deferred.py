@@ -20,8 +20,8 @@ import llvmlite.ir as ir
 from numba.core import cgutils, types
 from numba.core.typing.templates import make_intrinsic_template
 
-from bulletuav.compiling import invoke
-from bulletuav.dispatcher import Dispatcher, dispatcher_of
+from bulletuav.compiled.compiling import invoke
+from bulletuav.compiled.dispatcher import Dispatcher, dispatcher_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a compiled function; the decorator keeps its signature."""

@@ -9,7 +9,7 @@ functions of different object files call each other. Functions that become part 
 Numba also writes a wrapper that takes apart what Python gives, which for tuples of arrays is longer
 than the function itself. Here only what Python calls gets one.
 
-And numba stamps what it stores with the function's own file alone; see `bulletuav.stamps`.
+And numba stamps what it stores with the function's own file alone; see `bulletuav.compiled.stamps`.
 """
 
 import contextlib
@@ -29,6 +29,7 @@ from types import CodeType, ModuleType
 from typing import Any, ClassVar, NamedTuple
 
 import llvmlite.binding as llvm
+import numpy as np
 from numba.core import sigutils, types
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
@@ -36,8 +37,9 @@ from numba.core.registry import CPUDispatcher
 from numba.core.runtime import _nrt_python
 from numba.core.serialize import dumps
 
-from bulletuav.compiling import PartCompiler, any_number, seldom_collected
-from bulletuav.stamps import stamp_of
+from bulletuav.compiled.compiling import PartCompiler, any_number, seldom_collected
+from bulletuav.compiled.plain import SWITCH, as_compiled, plain_function
+from bulletuav.compiled.stamps import stamp_of
 
 fcntl: ModuleType | None
 try:
@@ -377,7 +379,7 @@ class Dispatcher(_Stored):
 
     Attributes:
         door: What compiled callers find under its name if it is compiled later than they are; see
-            `bulletuav.deferred`.
+            `bulletuav.compiled.deferred`.
     """
 
     door: Any = None
@@ -403,6 +405,11 @@ class Dispatcher(_Stored):
             if self._inner is None:
                 self._inner = self._make_inner()
             return self._inner
+
+    @functools.cached_property
+    def plain(self) -> Callable[..., Any]:
+        """The function as plain Python; see `bulletuav.compiled.plain`."""
+        return plain_function(self.py_func)
 
     def _make_inner(self) -> _Stored:
         """Make the function for callers that are compiled."""
@@ -438,6 +445,35 @@ class Dispatcher(_Stored):
         """Keep both on disk."""
         self._folder = folder
         self._cache = Cache(self.py_func, folder)
+
+
+def _switched(dispatcher: Dispatcher, *arguments: Any, **named: Any) -> Any:
+    """Call a function as Python does where kernels may run as plain Python."""
+    if not SWITCH.is_on:
+        return CPUDispatcher.__call__(dispatcher, *arguments, **named)
+    named = {name: as_compiled(value) for name, value in named.items()}
+    return dispatcher.plain(*as_compiled(arguments), **named)
+
+
+@contextlib.contextmanager
+def plain_kernels() -> Iterator[None]:
+    """Run kernels that this thread calls in the `with` block as plain Python.
+
+    Where `NUMBA_DISABLE_JIT=1` is set they always do.
+    """
+    # Only now, as a call from Python takes three times as long then
+    if "__call__" not in vars(Dispatcher):
+        Dispatcher.__call__ = _switched
+    before, SWITCH.is_on = SWITCH.is_on, True
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    finally:
+        SWITCH.is_on = before
+
+
+if SWITCH.is_on:
+    Dispatcher.__call__ = _switched
 
 
 def dispatcher_of(module: str, name: str) -> Dispatcher | None:

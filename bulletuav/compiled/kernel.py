@@ -2,7 +2,7 @@
 
 `kernel` compiles loops over arrays, `allocating` those that make arrays, `func` the functions of
 one drone that they call, and `elementwise` functions of numbers that broadcast over arrays. How
-they are stored and linked is told in `bulletuav.dispatcher`.
+they are stored and linked is told in `bulletuav.compiled.dispatcher`.
 """
 
 import contextlib
@@ -22,7 +22,8 @@ from numba.core import cgutils
 from numba.core.registry import cpu_target
 from numba.core.typing.templates import AttributeTemplate
 
-from bulletuav.dispatcher import Cache, Dispatcher
+from bulletuav.compiled.dispatcher import Cache, Dispatcher
+from bulletuav.compiled.plain import SWITCH, in_python, plain_function
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a function that is compiled; the decorators keep its signature."""
@@ -49,7 +50,7 @@ def cache_folder() -> Path:
     user = os.getuid() if hasattr(os, "getuid") else ""
     spare = Path(tempfile.gettempdir(), f"bulletuav-{user}")
     candidates = [Path(chosen), spare]
-    installation = hashlib.sha256(os.fsencode(Path(__file__).parent)).hexdigest()[:16]
+    installation = hashlib.sha256(os.fsencode(Path(__file__).parents[1])).hexdigest()[:16]
     for base in candidates:
         folder = base / "bulletuav-kernels" / installation
         with contextlib.suppress(OSError):
@@ -141,6 +142,8 @@ class Elementwise:
     def __call__(self, *numbers: float | np.ndarray) -> np.ndarray: ...
     def __call__(self, *numbers: Any) -> Any:
         """Compute it, of numbers or of arrays."""
+        if SWITCH.is_on:
+            return np.vectorize(self.plain, otypes=[np.float64])(*numbers)[()]
         # A list: a generator that is left early would swallow an interrupt
         if all([isinstance(number, float | int) for number in numbers]):  # noqa: C419
             return np.float64(self._of_numbers(*map(float, numbers)))
@@ -152,6 +155,11 @@ class Elementwise:
             if is_plain and np.result_type(*arrays) == np.float64:
                 return np.vectorize(self._of_numbers, otypes=[np.float64])(*arrays)[()]
         return self._of_arrays(*numbers)
+
+    @functools.cached_property
+    def plain(self) -> Callable[..., Any]:
+        """The function of numbers as plain Python."""
+        return plain_function(self._function)
 
     @functools.cached_property
     def _of_numbers(self) -> Any:
@@ -197,6 +205,7 @@ def _without_owner(
     return value
 
 
+@in_python(lambda value: value)
 @numba.extending.intrinsic  # type: ignore[untyped-decorator]
 def borrowed(_: Any, value: Any) -> Any:
     """Return arrays, or tuples of them, for which nobody counts references.
@@ -286,6 +295,7 @@ def _store_parts(
         _store_parts(builder, part, builder.extract_value(value, k), field)
 
 
+@in_python(lambda value: value)
 @numba.extending.intrinsic  # type: ignore[untyped-decorator]
 def in_memory(_: Any, value: Any) -> Any:
     """Return a named tuple of which others are given the address, and read what they need.

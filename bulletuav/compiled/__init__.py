@@ -1,0 +1,1 @@
+"""Compilation of hot loops to machine code, and programs of compiled calls."""

@@ -1,0 +1,229 @@
+"""Kernels as plain Python, for debuggers, prints and coverage.
+
+Numba's own switch `NUMBA_DISABLE_JIT=1` does it for a process, the option `debug=True` for one
+environment, and `dispatcher.plain_kernels` for what a thread calls within it. Results have the same
+bits as those of machine code; a decision takes some hundred times as long.
+
+A kernel's plain function has the code that stands in its file. Only its constants, and the names
+that it uses, are others: they behave as in compiled code. Division by zero gives inf or NaN,
+functions of `math` raise nothing, and numbers of several drones are arrays.
+"""
+
+import ast
+import dis
+import inspect
+import math
+import textwrap
+import threading
+import types
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import config
+from numba.core.registry import cpu_target
+
+
+class _Switch(threading.local):
+    """Whether kernels that a thread calls run as plain Python."""
+
+    is_on = bool(config.DISABLE_JIT)
+
+
+SWITCH = _Switch()
+"""See `bulletuav.compiled.dispatcher.plain_kernels`"""
+
+
+class Intrinsic:
+    """A function that writes machine code in compiled callers, and is plain Python elsewhere.
+
+    Attributes:
+        plain: The function in Python.
+    """
+
+    def __init__(self, compiled: Any, plain: Callable[..., Any]) -> None:
+        """Join both.
+
+        Args:
+            compiled: Numba's intrinsic.
+            plain: A function that does the same in Python.
+        """
+        self._compiled, self.plain = compiled, plain
+        self.__name__, self.__doc__ = compiled.__name__, compiled.__doc__
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function in Python."""
+        return self.plain(*arguments)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What compiled callers find under the function's name."""
+        return cpu_target.typing_context.resolve_value_type(self._compiled)
+
+
+def in_python(plain: Callable[..., Any]) -> Callable[[Any], Any]:
+    """Return a decorator of numba's intrinsics that adds a function which does the same."""
+    return lambda compiled: Intrinsic(compiled, plain)
+
+
+def record_type(fields: Any, align: bool = False) -> np.dtype[Any]:
+    """Make the type of rows whose fields are attributes, in compiled code and in Python.
+
+    Args:
+        fields: As of `numpy.dtype`.
+        align: As there.
+    """
+    return np.dtype((np.record, np.dtype(fields, align=align)))
+
+
+def plain_function(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a kernel's function as plain Python; lines and files are those of its source."""
+    scope, cells = function.__globals__, function.__closure__
+    code = _with_products(function)
+    read = [one.argval for one in dis.get_instructions(code) if one.opname == "LOAD_GLOBAL"]
+    used = {name: _plain_value(scope[name]) for name in read if name in scope}
+    made = types.FunctionType(
+        code.replace(co_consts=as_compiled(code.co_consts)),
+        {**scope, **_BUILTINS, **used},
+        function.__name__,
+        as_compiled(function.__defaults__),
+        cells and tuple(types.CellType(_plain_value(cell.cell_contents)) for cell in cells),
+    )
+    made.__qualname__, made.__module__ = function.__qualname__, function.__module__
+    return made
+
+
+def _with_products(function: Callable[..., Any]) -> types.CodeType:
+    """Return a function's code, in which whole powers are products, as in compiled code.
+
+    Those of Python are the C library's, whose last bit may differ. The code of a function whose
+    source is not to be had stays as it is.
+    """
+    code = function.__code__
+    if not any(one.argrepr == "**" for one in dis.get_instructions(code)):
+        return code
+    try:
+        source = textwrap.dedent(inspect.getsource(function))
+    except OSError:
+        return code
+    tree = _Products().visit(ast.parse(source))
+    definition = tree.body[0]
+    definition.decorator_list = []
+    # An outer function gives it the variables that it closes over
+    outer = ast.parse(f"def outer({', '.join(code.co_freevars)}):\n    return {function.__name__}")
+    outer.body[0].body.insert(0, definition)  # type: ignore[attr-defined]
+    ast.increment_lineno(ast.fix_missing_locations(outer), code.co_firstlineno - 1)
+    found = compile(outer, code.co_filename, "exec")
+    for _ in range(2):
+        found = next(one for one in found.co_consts if isinstance(one, types.CodeType))
+    return found
+
+
+class _Products(ast.NodeTransformer):
+    """Writes `x ** 2` as a call of `_product`."""
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        """Replace a whole power."""
+        self.generic_visit(node)
+        exponent = node.right
+        is_whole = isinstance(exponent, ast.Constant) and isinstance(exponent.value, int)
+        if not (isinstance(node.op, ast.Pow) and is_whole):
+            return node
+        call = ast.Call(ast.Name(_product.__name__, ast.Load()), [node.left, exponent], [])
+        return ast.copy_location(call, node)
+
+
+def _product(x: Any, exponent: int) -> Any:
+    """Multiply as compiled code does."""
+    result, square = 1.0, x
+    while exponent:
+        if exponent % 2:
+            result = result * square
+        square, exponent = square * square, exponent // 2
+    return result
+
+
+def as_compiled(value: Any) -> Any:
+    """Return numbers, and tuples of them, as NumPy's: they divide by zero as compiled code does."""
+    if type(value) is float:
+        return np.float64(value)
+    if isinstance(value, tuple):
+        parts = [as_compiled(part) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    return value
+
+
+def _plain_value(value: Any) -> Any:
+    """Return what stands for the value of a name that a kernel uses."""
+    if value is math:
+        return MATH
+    return as_compiled(getattr(value, "plain", value))
+
+
+class LaneNumbers(np.ndarray):
+    """Numbers of several drones, an array; in-place operations make another, as of numbers."""
+
+    __iadd__ = np.ndarray.__add__  # type: ignore[assignment]
+    __isub__ = np.ndarray.__sub__  # type: ignore[assignment]
+    __imul__ = np.ndarray.__mul__  # type: ignore[assignment]
+    __itruediv__ = np.ndarray.__truediv__  # type: ignore[assignment]
+
+
+def choose(condition: Any, one: Any, other: Any) -> Any:
+    """Return one number where a condition holds, else the other, of numbers and in each lane."""
+    if isinstance(condition, np.ndarray):
+        return np.where(condition, one, other).view(LaneNumbers)
+    return one if condition else other
+
+
+def _greater(first: Any, *others: Any) -> Any:
+    """Return the greatest of numbers as Python's `max` does, in each lane."""
+    for other in others:
+        first = choose(other > first, other, first)
+    return first
+
+
+def _lesser(first: Any, *others: Any) -> Any:
+    """Return the least of numbers as Python's `min` does, in each lane."""
+    for other in others:
+        first = choose(other < first, other, first)
+    return first
+
+
+_BUILTINS = {"max": _greater, "min": _lesser, "float": np.float64, _product.__name__: _product}
+
+
+def _raising_nothing(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap a function of `math`: inf or NaN where it raises, and NumPy's numbers."""
+
+    def wrapped(*numbers: Any) -> Any:
+        try:
+            return as_compiled(function(*numbers))
+        except OverflowError:
+            return np.float64(math.inf)
+        except ValueError:
+            is_pole = function in (math.log, math.log2, math.log10) and numbers[0] == 0.0
+            return np.float64(-math.inf if is_pole else math.nan)
+
+    return wrapped
+
+
+def _sqrt(x: Any) -> Any:
+    return np.sqrt(x) if isinstance(x, np.ndarray) else np.sqrt(np.float64(x))
+
+
+def _floor(x: Any) -> Any:
+    return np.floor(x) if isinstance(x, np.ndarray) else _raising_nothing(math.floor)(x)
+
+
+def _make_math() -> types.SimpleNamespace:
+    """Make what stands for `math`."""
+    names = {name: value for name, value in vars(math).items() if not name.startswith("_")}
+    wrapped = {
+        name: _raising_nothing(value) if callable(value) else as_compiled(value)
+        for name, value in names.items()
+    }
+    return types.SimpleNamespace(**{**wrapped, "sqrt": _sqrt, "floor": _floor})
+
+
+MATH = _make_math()
