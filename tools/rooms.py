@@ -14,8 +14,8 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
-    ("version", "errors", "files", "interrupts"),
-    ("compiled", "parsing", "registry"),
+    ("version", "errors", "interrupts"),
+    ("compiled", "files", "parsing", "registry"),
     ("geometry", "earth"),
     ("conflict", "vehicle"),
     ("engine", "control"),

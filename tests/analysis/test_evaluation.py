@@ -171,7 +171,7 @@ def die():
 
 
 def fail():
-    raise KeyError("no such thing")
+    raise LookupError("no such thing")
 
 
 @pytest.mark.parametrize(

@@ -279,9 +279,12 @@ def test_nothing_is_printed(capfd, urdf):
 
 
 def test_a_urdf_that_the_engine_cannot_load_is_refused(urdf):
-    path = urdf("cf2x", ('<box size="0.034 0.03 0.018"/>', '<mesh filename="nowhere.obj"/>'))
+    """Checks before leave little for which it is so: here the file goes after they have passed."""
+    path = urdf("cf2x")
+    airframe = bulletuav.load_airframe(path)
+    path.write_text("<robot")
     with pytest.raises(ValueError, match=r"own.urdf: the engine cannot load it"):
-        bulletuav.parallel_env("hover", airframe=path)
+        bulletuav.parallel_env("hover", airframe=airframe)
 
 
 def is_connected(env):

@@ -756,6 +756,7 @@ def test_options_without_effect_leave_the_continuation_as_it_is():
     kept = {name: values[name] for name in aviary.task.difficulties["hard"]}
     cases = (
         {"seed": 5},
+        {"debug": True},
         {"render_mode": "rgb_array"},
         {"render_size": (32, 16)},
         {"render_address": "127.0.0.1:4321"},
