@@ -28,7 +28,9 @@ class Fly(Stage):
 
             def place_again() -> None:
                 dynamics.place(state.swarm, state.moved)
-                # Contacts report what drones meet there, too
+                # Contacts report what drones meet there, too. Those of the flight are collected
+                # first: overlaps are found in the same arrays
+                worlds.contacts.collect()
                 worlds.contacts.add(dynamics.overlaps(state.swarm, state.moved, state.flown))
 
             box = (task.arena_low, task.arena_high, float(task.rebound))
