@@ -7,7 +7,7 @@ tables of the documentation follow from it.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -110,7 +110,9 @@ class State:
     @classmethod
     def zeros(cls, sizes: Sizes, swarm: Swarm, scene: Scene) -> "State":
         """Make all arrays, zero but for the swarm and the scene."""
-        arrays = {name: np.zeros(one.shape(sizes), one.dtype) for name, one in ARRAYS.items()}
+        arrays: dict[str, Any] = {
+            name: np.zeros(one.shape(sizes), one.dtype) for name, one in ARRAYS.items()
+        }
         return cls(swarm, swarm.copy(), scene, **arrays)
 
     def kept(self, kind: str) -> dict[str, np.ndarray]:

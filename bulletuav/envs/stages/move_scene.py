@@ -18,4 +18,8 @@ class MoveScene(Stage):
         # Only tasks that move anything take Python's time
         task, state = worlds.task, worlds.state
         if type(task).move_scene is not Task.move_scene:
-            program.turn(lambda: task.move_scene(state.scene, state.time, state.flying, worlds.rng))
+
+            def move() -> None:
+                task.move_scene(state.scene, state.time, state.flying, worlds.rng)
+
+            program.turn(move)
