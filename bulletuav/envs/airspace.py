@@ -16,6 +16,7 @@ from bulletuav.envs.airspace_inputs import (
     filled,
     rows_of,
 )
+from bulletuav.envs.airspace_kernels import finish, headings, prepare
 from bulletuav.envs.airspace_parts import STILL, AirspaceParts
 from bulletuav.envs.airspace_setpoints import hold, level_of, setpoint_numbers
 from bulletuav.envs.described import faces_of, parts_of
@@ -35,7 +36,6 @@ from bulletuav.envs.snapshot import (
     require_snapshot,
     state_bounds,
 )
-from bulletuav.envs.stages import finish, headings, prepare
 from bulletuav.errors import numbers_of, shown
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Contacts

@@ -22,13 +22,13 @@ from bulletuav.envs.airspace_inputs import (
     rows_of,
     state_numbers,
 )
+from bulletuav.envs.airspace_kernels import headings
 from bulletuav.envs.airspace_setpoints import usual_widths
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
 from bulletuav.envs.marks import drone_marks
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine, sensor_setup
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import FIELD_OF_VIEW, Renderer
-from bulletuav.envs.stages import headings
 from bulletuav.errors import as_int, as_sequence, choose, finite, points_of, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, from_euler, product, to_world

@@ -6,11 +6,16 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.program import Program
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.engine.body_source import BodySource
 from bulletuav.envs.agents import USUAL_TYPES
 from bulletuav.envs.described import parts_of
-from bulletuav.envs.environment import exclusive, in_plain_python
-from bulletuav.envs.infos import Infos, later
-from bulletuav.envs.resets import Resets
+from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
+from bulletuav.envs.environment import Environment, exclusive, in_plain_python
+from bulletuav.envs.infos import Infos, Told, later
+from bulletuav.envs.marks import marks_of
+from bulletuav.envs.simulation import Simulation
 from bulletuav.envs.snapshot import (
     BODIES,
     Layout,
@@ -23,14 +28,25 @@ from bulletuav.envs.snapshot import (
     require_snapshot,
 )
 from bulletuav.envs.step import Step
+from bulletuav.envs.viewer import VIEWERS, Viewer, make_viewer
+from bulletuav.envs.worlds import Worlds
+from bulletuav.errors import as_int, points_of
+from bulletuav.geometry.city_grid import NO_LAYOUT
+from bulletuav.geometry.solids import Solids
+from bulletuav.sensors.base import Label
+from bulletuav.sensors.sight import line_of_sight
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.check import check_info, check_step_result
+from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.given import Given
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.tasks.starts import take_given
+from bulletuav.tasks.targets import links
+from bulletuav.vehicle.swarm import Contacts
+
+NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
 
 
-class Aviary(Resets):
+class Aviary(Environment):
     """W worlds of N drones flying one task.
 
     Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive`
@@ -52,7 +68,8 @@ class Aviary(Resets):
         commanded: (W, N, 3) velocities commanded last, m/s.
         parameters: (W, N) rows of `PARAMETERS` with which the drones fly.
         rng: Random generator of each world.
-        program: What a decision does; None before the first one.
+        worlds: Parts and state of all worlds.
+        simulation: The stages of a decision.
         given: (W, N, A) actions for `decide`.
         rewards: (W, N) rewards of the last decision.
         terminated: (W, N) bool, drones whose episode the task ended in it.
@@ -64,11 +81,54 @@ class Aviary(Resets):
     _parts: Mapping[str, str] | None = None
     _varying: Sequence[object] = ()
 
-    def __init__(self, task: TaskSource, num_worlds: int = 1, **options: Any) -> None:
-        """Build the worlds; see `Worlds`."""
-        super().__init__(task, num_worlds, **options)
+    def __init__(
+        self,
+        task: TaskSource,
+        num_worlds: int = 1,
+        *,
+        first_world: int = 0,
+        **options: Any,
+    ) -> None:
+        """Build the worlds.
+
+        Args:
+            task: Name of a task, `module:Name`, or its class.
+            num_worlds: W.
+            first_world: Number of the first of these worlds among those of several processes.
+                World k is then the one that it would be in a single process.
+            **options: See `EnvOptions` and the task's config.
+
+        Raises:
+            ValueError: An option cannot be.
+        """
+        self._spec = spec = EnvSpec(task, num_worlds, options)
+        first_world = as_int("first_world", first_world, 0, MOST_WORLDS)
+        self.worlds = worlds = Worlds(spec, first_world)
+        seed = spec.options.seed
+        self.simulation = Simulation(worlds, None if seed is None else seed + first_world)
+        self.options, self.task, self.action = spec.options, spec.task, spec.action
+        self.observer, self.global_state = spec.observer, spec.state
+        self.num_worlds, self.num_drones = spec.num_worlds, spec.options.num_drones
+        self.parameters, self.rng = worlds.parameters, worlds.rng
+        state = worlds.state
+        self.swarm, self.scene, self.commanded = state.swarm, state.scene, state.commanded
+        self.given, self.alive, self.steps = state.given, state.alive, state.steps
+        self.rewards, self.terminated, self.truncated = (
+            state.rewards,
+            state.terminated,
+            state.truncated,
+        )
+        self._is_started = False
         if self.options.debug:
             in_plain_python(self, ("reset", "decide", "first_info", "load_state", "state"))
+        # Last, as it opens a port
+        is_served = self.options.render_mode in VIEWERS
+        self.viewer: Viewer | None = make_viewer(self) if is_served else None
+
+    @property
+    def program(self) -> Program | None:
+        """What a decision does; None before the first one."""
+        return self.simulation.program
 
     @exclusive
     def reset(
@@ -100,27 +160,22 @@ class Aviary(Resets):
         spec = self._spec
         chosen = spec.mask(mask)
         worlds = chosen.nonzero()[0].tolist()
-        generators = self._generators(worlds, spec.seeds(seeds))
-        given = self._given
+        simulation = self.simulation
+        generators = simulation.start.generators(worlds, spec.seeds(seeds))
+        given = spec.given
         if not (start is None and goal is None):
             places = take_given(self.task, start, goal)
             given = Given(*(given[k] if one is None else one for k, one in enumerate(places)))
         # All before anything of the worlds is written
-        self._draw_starts(generators, given)
-        frame = self._begin(chosen, worlds, generators)
-        if not self._checked:  # once: later results are of the same form
-            result = self.task.evaluate_step(frame)
-            check_step_result(self.task, result, self.alive.shape)
-            check_info(self.task, self.task.info(frame), self.alive.shape)
-            self._name_infos([*result.terms, *self.task.extra_terms(frame)])
-            self._checked = True
-        self._frame = frame
+        simulation.start.draw(generators, given)
+        simulation.begin(chosen, worlds, generators)
+        self._is_started = True
         if self.viewer is not None and chosen[0]:
             self.viewer.begin()
-        if self.program is None:
-            self._present[:] = False  # so that all are due when a program first observes
-            return self.observer.observe(frame, self.alive)
-        self._observe_fresh()
+        if simulation.program is None:
+            self.worlds.state.present[:] = False  # so that all are due at the first observation
+            return self.observer.observe(self.worlds.frame, self.alive)
+        simulation.observe_start()
         return self.observations()
 
     @exclusive
@@ -158,19 +213,62 @@ class Aviary(Resets):
         Raises:
             ValueError: A number of a living drone's action cannot be. The worlds stay as they were.
         """
-        self._look()
-        self._is_still = True
-        program = self.program or self._make_program()
-        self._contacts_before, self._contacts = self._contacts, None
-        self._forget()
-        program.run()
+        self.simulation.decide()
         if self.viewer is not None:
             self.viewer.show()
 
+    @exclusive
+    def profile(self, decisions: int = 100, seed: int = 0) -> dict[str, float]:
+        """Fly random actions stage by stage, and measure the time that each stage takes.
+
+        Worlds whose drones have all left start new episodes. What is flown counts as any other
+        flight: use an environment of its own.
+
+        Args:
+            decisions: How many are flown; the first of them is not measured.
+            seed: Of the actions.
+
+        Returns:
+            Mean time of each stage, microseconds, by the names of `simulation.stages`.
+
+        Raises:
+            RuntimeError: Before the first reset, or after `close`.
+            ValueError: A number cannot be.
+        """
+        self.require_started()
+        as_int("decisions", decisions, 1)
+        rng = np.random.default_rng(as_int("seed", seed, 0))
+        low, high, choices = self.action.low, self.action.high, self.action.choices
+        totals = dict.fromkeys([one.name for one in self.simulation.stages], 0.0)
+        for k in range(decisions + 1):
+            drawn = rng.uniform(low, high, self.given.shape)
+            self.given[:] = drawn if choices is None else np.rint(drawn)
+            for name, taken in self.simulation.decide_by_stages().items():
+                totals[name] += 1e6 * taken / decisions if k else 0.0
+            over = np.asarray(~self.alive.any(axis=1))
+            if over.any():
+                self.reset(over)
+        return totals
+
     def observations(self) -> Observation:
         """Copy the observations of the last decision."""
-        vector = self._vector.copy()
-        return vector if self.observer.is_plain else self.observer.shown(self._live, vector)
+        vector = self.worlds.vector.copy()
+        return vector if self.observer.is_plain else self.observer.shown(self.worlds.frame, vector)
+
+    def telling(self, world: Any = ...) -> Told:
+        """Keep what the last decision gave; calling the result makes infos of it.
+
+        Args:
+            world: Index of the world of which they report, in arrays (N,); of all, (W, N), when
+                left out.
+        """
+        return self.worlds.results.told(self.simulation.more_infos(), world)
+
+    def require_action(self, drone: int, numbers: np.ndarray) -> None:
+        """Raise ValueError for numbers (A,) of a drone that cannot be; nobody flies."""
+        given, chosen = np.zeros(self.given.shape), np.zeros(self.alive.shape, dtype=bool)
+        given[:, drone], chosen[:, drone] = numbers, True
+        self._spec.actions(given, chosen)
 
     @exclusive
     def first_info(self, worlds: np.ndarray | None = None) -> Infos:
@@ -181,11 +279,8 @@ class Aviary(Resets):
                 others may then be of before the reset. All when left out.
         """
         if worlds is None:
-            self._current()
-        if self.program is None:
-            self._make_program()
-        self._forget()
-        self._telling.run()
+            self.current_frame()
+        self.simulation.report_start()
         return later(self.telling())
 
     @exclusive
@@ -203,13 +298,13 @@ class Aviary(Resets):
             ValueError: There are no such worlds, or contacts are Bullet's own.
         """
         self.require_started()
-        self._current()
+        self.simulation.start.complete()
         require_contacts(self.options.contacts)
         layout, chosen = self._all_arrays(), self._spec.indices(worlds)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
         # Bullet rounds what is written: both flights are to go on from that.
-        self._dynamics.restore(self.swarm, mask[:, None] & self.alive)
+        self.worlds.dynamics.restore(self.swarm, mask[:, None] & self.alive)
         return own_snapshot(layout.pack(self.rng, chosen), layout.form)
 
     @exclusive
@@ -240,23 +335,16 @@ class Aviary(Resets):
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
         # Bodies, and what was worked out of the state.
-        drones = mask[:, None] & self.alive
-        self._uncertainty.restore(chosen)
-        self._engine.set_layouts(self.scene.layout, mask)
-        self._put_obstacles(mask)
-        self._dynamics.restore(self.swarm, drones)
+        drones, parts = mask[:, None] & self.alive, self.worlds
+        parts.uncertainty.restore(chosen)
+        parts.engine.set_layouts(self.scene.layout, mask)
+        parts.place_obstacles(mask)
+        parts.dynamics.restore(self.swarm, drones)
         gone = mask[:, None] & ~self.alive
         if gone.any():
-            self._engine.park(gone)
+            parts.engine.park(gone)
         # What is worked out when asked for, and observations
-        self._contacts = None
-        self._forget()
-        self._look()
-        self._reckoning.run()
-        if self.program is None:
-            self._make_program()
-        self._forget()
-        self._observing.run()
+        self.simulation.reckon()
         return self.observations()
 
     @exclusive
@@ -271,7 +359,7 @@ class Aviary(Resets):
         """
         self.require_started()
         chosen = self._spec.indices(worlds)
-        return hashes_of(pack(self._state_arrays(), self.rng, chosen))
+        return hashes_of(pack(self.worlds.state_arrays(), self.rng, chosen))
 
     @exclusive
     def require_loadable(self, snapshot: Snapshot) -> None:
@@ -287,24 +375,26 @@ class Aviary(Resets):
     def _layout_for(self, snapshot: Snapshot, chosen: np.ndarray) -> Layout:
         """Check a snapshot against worlds (S,), and return where it is to be written."""
         # Worlds that were never reset begin first
-        if self._frame is None:
+        if not self._is_started:
             self._require_open()
             require_parts(snapshot.form, self._own_parts(), self._of)
             self.reset()
-        self._current()
+        self.simulation.start.complete()
         layout = self._all_arrays()
         layout.require(snapshot, chosen)
         return layout
 
     def _all_arrays(self) -> Layout:
         # Sensors may keep other arrays later, readings make some, bodies change the bounds
-        varying: list[object] = [*self._sensors.kept().values(), *self._dynamics.kept().values()]
-        varying += [*self._readings.values(), self._engine.scenery]
+        worlds = self.worlds
+        varying: list[object] = [*worlds.sensors.kept().values(), *worlds.dynamics.kept().values()]
+        varying += [*worlds.readings.values(), worlds.engine.scenery]
         known = self._varying
         is_known = len(known) == len(varying) and all(map(operator.is_, known, varying))
         if self._layout is None or not is_known:
-            arrays = {BODIES: self._engine.bodies, **self._state_arrays(), **self._more_arrays()}
-            self._layout = Layout(self._of, self._own_parts(), self._bounds(), arrays)
+            bodies = {BODIES: worlds.engine.bodies}
+            arrays = {**bodies, **worlds.state_arrays(), **worlds.last_arrays()}
+            self._layout = Layout(self._of, self._own_parts(), worlds.bounds(), arrays)
             self._varying = varying
         return self._layout
 
@@ -316,3 +406,187 @@ class Aviary(Resets):
         if self._parts is None:
             self._parts = parts_of(self.options, self.task)
         return self._parts
+
+    def current_frame(self) -> Frame:
+        """Return the last decision; right after a reset one in which no time has passed.
+
+        Raises:
+            RuntimeError: Before the first reset.
+        """
+        if not self._is_started:
+            raise RuntimeError("the worlds have not been started: call reset() first")
+        self.simulation.start.complete()
+        return self.worlds.frame
+
+    @exclusive
+    def state(self) -> np.ndarray:
+        """Tell the global state.
+
+        Returns:
+            (W, K) float32: the true position, attitude, velocity, rates, goal position and alive of
+            every drone, 17 numbers each; then what there is of charges, the city's parameters,
+            users, utilisations and queues. `global_state.labels` name them all.
+        """
+        self._require_open()
+        return self.global_state.tell(self.current_frame(), self.alive)
+
+    @exclusive
+    def render(
+        self,
+        world: int = 0,
+        *,
+        collision: bool = False,
+        marks: bool = True,
+    ) -> np.ndarray | None:
+        """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise.
+
+        Shows the drones that flew the last decision, so also those that it ended. Marks are rings
+        around drones, and arrows as far as they fly in a second; crosses on goals, and lines to
+        them; dots on targets, green where some drone sees them, else red, and blue lines to those
+        that a drone serves; orange lines along the range finder's beams, pale where they hit
+        nothing. A key tells them in pictures of 240 pixels' height or more.
+
+        Args:
+            world: Index of the world.
+            collision: Whether drones are drawn by the shapes that touch, not by their looks.
+            marks: Whether marks are drawn.
+        """
+        self._require_open()
+        if self.options.render_mode != "rgb_array":
+            return None
+        self._spec.require_world(world)
+        flown = self.current_frame().alive
+        self.worlds.show(self.swarm, self.alive)
+        self.worlds.engine.set_poses(
+            self.swarm, flown & ~self.alive
+        )  # those that just ended are still to be seen
+        seen = marks_of(
+            self.task, self.current_frame(), world, self.worlds.sensors.sensors.values()
+        )
+        picture = self.worlds.renderer.picture(world, self.swarm, seen, flown, collision, marks)
+        self.worlds.engine.park(flown & ~self.alive)
+        return picture
+
+    @exclusive
+    def add_body(
+        self,
+        source: BodySource,
+        position: Sequence[float],
+        quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        world: int | None = None,
+        friction: float | None = None,
+        restitution: float | None = None,
+    ) -> int:
+        """Put up a body that stands still: drones hit it, sensors measure it, pictures show it.
+
+        It stays through resets. Tasks know nothing of it: their starts may lie within it.
+
+        Args:
+            source: Path of a URDF with one link, all of whose collision shapes count (box, sphere,
+                cylinder, or a mesh by its convex hull); path of a Wavefront OBJ, each object of
+                which is a convex hull; corners (V, 3) of a hull, m; or an `Obstacle`.
+            position: (3,) of its origin in the world's own frame, m.
+            quaternion: (4,) body to world, (x, y, z, w).
+            world: Index of the world in which it stands; all when left out.
+            friction: Coefficient of friction; that of the obstacle, or 0.5, when left out.
+            restitution: Share of the speed that an impact gives back; that of the obstacle, or 0,
+                when left out.
+
+        Returns:
+            What `Contacts.other` calls it.
+
+        Raises:
+            ValueError: The source or a number cannot be, or there is no such world.
+            FileNotFoundError: There is no such file.
+        """
+        self._require_open()
+        if world is not None:
+            self._spec.require_world(world)
+        return self.worlds.engine.add_body(
+            source, position, quaternion, world, friction, restitution
+        )
+
+    @exclusive
+    def line_of_sight(
+        self,
+        start: np.ndarray,
+        end: np.ndarray,
+        world: np.ndarray | int = 0,
+    ) -> np.ndarray:
+        """Tell for pairs of points whether nothing but drones is in between.
+
+        Args:
+            start: (M, 3) m, or one point.
+            end: (M, 3) m, or one point.
+            world: Of each pair, (M,), or one for all.
+
+        Returns:
+            (M,) bool.
+
+        Raises:
+            ValueError: Points are not finite, or there is no such world.
+        """
+        self.require_started()
+        start, end = np.broadcast_arrays(points_of("start", start), points_of("end", end))
+        return line_of_sight(
+            self.worlds.engine, start, end, np.broadcast_to(self._spec.worlds(world), len(start))
+        )
+
+    @property
+    def sight(self) -> np.ndarray:
+        """(W, N, U) bool: which targets the drones saw that flew the last decision."""
+        return self.current_frame().seen
+
+    @property
+    def links(self) -> np.ndarray:
+        """(W, N, U) bool: which targets the drones serve that flew the last decision."""
+        frame = self.current_frame()
+        served: np.ndarray = links(self.task, frame) & frame.alive[..., None]
+        return served
+
+    @property
+    def readings(self) -> Mapping[str, np.ndarray]:
+        """What sensors measured last, (W, N, ...) by name; see `Frame.readings`."""
+        return self.current_frame().readings
+
+    @property
+    def reading_labels(self) -> dict[str, tuple[Label, ...]]:
+        """Labels of the numbers that sensors measure, by name of the reading."""
+        return self.worlds.sensors.numbers()
+
+    @property
+    def contacts(self) -> Contacts:
+        """What touched what in the last decision; of worlds that were just reset nothing."""
+        return self.current_frame().contacts.of_worlds(np.ones(self.num_worlds, dtype=bool))
+
+    def solids(self, world: int = 0) -> Solids:
+        """Tell what stands in a world, beside obstacles."""
+        layout = self.scene.layout[self._spec.worlds(world)]
+        return NOTHING_STANDS if layout == NO_LAYOUT else self.task.layouts()[layout]
+
+    @property
+    def setpoint_level(self) -> SetpointLevel:
+        """Setpoint level that the dynamics consumes."""
+        return self.worlds.dynamics.consumes
+
+    @property
+    def communicates(self) -> bool:
+        """Whether messages between drones are simulated, with infos that count them."""
+        return "radio" in self.worlds.sensors.sensors
+
+    def require_started(self) -> None:
+        """Raise RuntimeError before the first reset and after `close`."""
+        if self.worlds.engine.closed or not self._is_started:
+            self._require_open()
+            self.current_frame()
+
+    def _require_open(self) -> None:
+        if self.worlds.engine.closed:
+            raise RuntimeError("this environment is closed: make a new one")
+
+    @exclusive
+    def close(self) -> None:
+        """Free the engine, and end the live view; a second call does nothing."""
+        if self.viewer is not None:
+            self.viewer.close()
+        self.worlds.engine.close()

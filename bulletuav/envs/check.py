@@ -143,7 +143,7 @@ def _check_step(aviary: Aviary, step: Step) -> None:
                 f"info {name!r} of task {aviary.task.name!r} is NaN: a number is needed"
             )
     # What tasks are shown, which they may only read
-    frame = aviary._current()
+    frame = aviary.current_frame()
     shown = (*frame.before, *frame.after, frame.action)
     before = [*_scene(aviary), *(array.copy() for array in shown)]
     shape = aviary.alive.shape

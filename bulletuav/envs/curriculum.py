@@ -11,12 +11,12 @@ from pettingzoo import ParallelEnv
 from bulletuav.envs.common_spaces import common_labels, common_observation
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.global_state import slices
 from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.spaces import drone_action_space
-from bulletuav.envs.state import slices
 from bulletuav.envs.viewer import require_single
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown
 from bulletuav.sensors.base import Label

@@ -9,10 +9,10 @@ import numpy as np
 from bulletuav.control.actions import Action, ActionContext, make_action
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
+from bulletuav.envs.global_state import GlobalState
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
 from bulletuav.envs.resolve import resolve
-from bulletuav.envs.state import GlobalState
 from bulletuav.errors import as_int, as_sequence, numbers_of, require_memory, shown, unknown
 from bulletuav.sensors.base import SensorSetup
 from bulletuav.sensors.camera import IMAGES

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.program import Program
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
@@ -11,7 +12,6 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics, Flight
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.stages import copy_vectors
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import SensorSetup
@@ -115,3 +115,12 @@ def sensor_setup(
         wanted=wanted,
         longest_delay=randomization.bounds("radio_delay")[1] if delays else 0.0,
     )
+
+
+@kernel
+def copy_vectors(given: np.ndarray, out: np.ndarray) -> None:
+    """Copy the first three numbers of `given` (W, K, ...) to `out` (W, K or more, 3)."""
+    for w in range(given.shape[0]):
+        for m in range(given.shape[1]):
+            for k in range(3):
+                out[w, m, k] = given[w, m, k]

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.envs.decisions import INFOS
 from bulletuav.envs.infos import Infos, later, untold
+from bulletuav.envs.results import INFOS
 
 MORE = 16
 """How many infos of tasks, sensors and what is uncertain have room beside the usual ones"""

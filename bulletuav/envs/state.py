@@ -1,122 +1,153 @@
-"""The global state: what is true of all drones, then of the world that they fly in."""
+"""The state of a simulation: its arrays by name, with their shapes, types and meanings.
 
-import dataclasses
+This is the only declaration. What snapshots and hashes hold, how much memory worlds take, and
+tables of the documentation follow from it.
+"""
+
+import math
 from collections.abc import Mapping
-from itertools import chain
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
-from bulletuav.envs.options import EnvOptions
-from bulletuav.sensors.base import Label
-from bulletuav.tasks.base import Task
-from bulletuav.tasks.frame import Frame
-from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.observations.observer import ObservationBuilder
+from bulletuav.tasks.frame import Scene
+from bulletuav.vehicle.swarm import Swarm
 
-DRONES = "drones"
-"""Part of the state in which the numbers of all drones are, one drone after the other"""
+STATE, LAST, DERIVED = "state", "last decision", "derived"
+"""What an array belongs to: the state and its hash; what the last decision gave, which snapshots
+hold, too; and what each decision makes again"""
 
 
-class GlobalState:
-    """What the numbers of a global state are, and how they are told.
-
-    First come the blocks of every drone, then the charge of each, where batteries empty, then what
-    the task tells of the world by `Task.world_state`.
+class Array(NamedTuple):
+    """Declaration of an array.
 
     Attributes:
-        drones: Makes the numbers of each drone.
-        labels: Name, unit and bounds of each number, K.
-        parts: Which numbers each part has, by name, in order.
-        low: (K,) lower bounds.
-        high: (K,) upper bounds.
+        axes: Its axes, see `Sizes`; a number is a length.
+        dtype: Its type.
+        meaning: One line with the unit.
+        kept: `STATE`, `LAST` or `DERIVED`.
+        saved_as: Its name in snapshots, where that is another.
     """
 
-    def __init__(
-        self,
-        task: Task[Any],
-        drones: ObservationBuilder,
-        options: EnvOptions,
-    ) -> None:
-        """Collect the parts.
+    axes: str
+    dtype: type
+    meaning: str
+    kept: str = DERIVED
+    saved_as: str = ""
 
-        Args:
-            task: The task.
-            drones: Makes the numbers of each drone.
-            options: Common options, of which `num_drones` and `battery_capacity` count.
+    def shape(self, sizes: "Sizes") -> tuple[int, ...]:
+        """Return its shape in a simulation of these sizes."""
+        return tuple(
+            int(axis) if axis.isdigit() else getattr(sizes, axis) for axis in self.axes.split()
+        )
+
+
+class Sizes(NamedTuple):
+    """Lengths of axes.
+
+    Attributes:
+        W: Worlds.
+        N: Drones in a world.
+        A: Numbers of an action.
+        S: Numbers of a setpoint.
+    """
+
+    W: int
+    N: int
+    A: int
+    S: int
+
+
+@dataclass(frozen=True)
+class State:
+    """All arrays of W worlds of N drones; they are written in place and never replaced.
+
+    Attributes:
+        swarm: State of the drones.
+        before: State of the drones before the decision.
+        scene: Goals, obstacles, cities, and the task's memory.
+    """
+
+    swarm: Swarm
+    before: Swarm
+    scene: Scene
+    given: Annotated[np.ndarray, Array("W N A", float, "actions, as they were given")]
+    setpoint: Annotated[np.ndarray, Array("W N S", float, "setpoints that the actions make")]
+    levels: Annotated[np.ndarray, Array("W N", int, "`SetpointLevel` of each setpoint")]
+    commanded: Annotated[np.ndarray, Array("W N 3", float, "velocities commanded last, m/s", STATE)]
+    alive: Annotated[np.ndarray, Array("W N", bool, "drones whose episode goes on", STATE)]
+    steps: Annotated[np.ndarray, Array("W", np.int64, "decisions since the reset", STATE)]
+    action: Annotated[
+        np.ndarray, Array("W N A", float, "actions within bounds", LAST, "frame action")
+    ]
+    flown: Annotated[
+        np.ndarray, Array("W N", bool, "drones that fly the decision", LAST, "frame alive")
+    ]
+    time: Annotated[np.ndarray, Array("W", float, "time since the reset, s", LAST, "frame time")]
+    last: Annotated[
+        np.ndarray, Array("W", bool, "where the horizon is reached", LAST, "frame last")
+    ]
+    goal_before: Annotated[
+        np.ndarray, Array("W N 3", float, "goals before the decision, m", LAST, "frame goal_before")
+    ]
+    terminated: Annotated[
+        np.ndarray, Array("W N", bool, "drones whose episode the task ended", LAST)
+    ]
+    truncated: Annotated[
+        np.ndarray, Array("W N", bool, "drones whose episode the horizon ended", LAST)
+    ]
+    present: Annotated[np.ndarray, Array("W N", bool, "drones that others still meet", LAST)]
+    rewards: Annotated[np.ndarray, Array("W N", float, "rewards", LAST)]
+    flying: Annotated[np.ndarray, Array("W", bool, "worlds in which any drone flies")]
+    wind: Annotated[np.ndarray, Array("W N 3", float, "velocity of the air at each drone, m/s")]
+    payload: Annotated[np.ndarray, Array("W N", float, "power that equipment takes, W")]
+    moved: Annotated[np.ndarray, Array("W N", bool, "drones that rebound at the arena's bounds")]
+    ended: Annotated[np.ndarray, Array("W N", bool, "drones that the task's ends are true of")]
+    success: Annotated[np.ndarray, Array("W N", bool, "drones that are where the task wants them")]
+    left: Annotated[np.ndarray, Array("W N", bool, "drones that leave with the decision")]
+
+    @classmethod
+    def zeros(cls, sizes: Sizes, swarm: Swarm, scene: Scene) -> "State":
+        """Make all arrays, zero but for the swarm and the scene."""
+        arrays: dict[str, Any] = {
+            name: np.zeros(one.shape(sizes), one.dtype) for name, one in ARRAYS.items()
+        }
+        return cls(swarm, swarm.copy(), scene, **arrays)
+
+    def kept(self, kind: str) -> dict[str, np.ndarray]:
+        """Return the arrays of `STATE` or `LAST` by the names that snapshots give them.
+
+        The swarms and the scene are not among them.
         """
-        self.drones, self._count = drones, options.num_drones
-        # Of the world: charges, and what the task tells
-        self._world: dict[str, Block] = {}
-        if options.battery_capacity is not None:
-            self._world["charge"] = _charges(self._count)
-        self._world |= task.world_state()
-        # Of each drone, with its name
-        of_drones = [
-            label._replace(name=f"{label.name} of drone_{i}")
-            for i in range(self._count)
-            for label in drones.labels
-        ]
-        # Where each part begins in the vector
-        sizes = {DRONES: len(of_drones)}
-        sizes |= {name: len(block.labels) for name, block in self._world.items()}
-        self.parts = slices(sizes)
-        self.labels = (*of_drones, *chain(*(block.labels for block in self._world.values())))
-        self.low = np.array([label.low for label in self.labels], dtype=np.float32)
-        self.high = np.array([label.high for label in self.labels], dtype=np.float32)
+        chosen = {name: one.saved_as for name, one in ARRAYS.items() if one.kept == kind}
+        return {saved_as or name: getattr(self, name) for name, saved_as in chosen.items()}
 
-    def tell(self, frame: Frame, alive: np.ndarray) -> np.ndarray:
-        """Tell the state.
-
-        Args:
-            frame: The decision, or the first frame after a reset.
-            alive: (W, N) bool, drones whose episode goes on.
-
-        Returns:
-            (W, K) float32, clipped to the bounds.
-        """
-        # Without readings drones know where they are
-        rows = self.drones.observe(dataclasses.replace(frame, readings={}), alive)
-        assert isinstance(rows, np.ndarray)  # no pictures among its blocks
-        state = np.zeros((len(alive), len(self.labels)), dtype=np.float32)
-        state[:, self.parts[DRONES]] = rows.reshape(len(alive), -1)
-        for name, block in self._world.items():
-            state[:, self.parts[name]] = block.compute(frame, alive)
-        return np.clip(state, self.low, self.high)
-
-    def split(self, state: Any) -> dict[str, np.ndarray]:
-        """Split states by name.
-
-        Args:
-            state: (..., K) numbers.
-
-        Returns:
-            Arrays (..., N, numbers of the block) of the drones' blocks, and (..., numbers of the
-            part) of all other parts, views of the given one.
-
-        Raises:
-            ValueError: The state has another number of numbers.
-        """
-        vector = np.asarray(state)
-        if vector.ndim == 0 or vector.shape[-1] != len(self.labels):
-            raise ValueError(
-                f"state is an array {vector.shape}: {len(self.labels)} numbers are needed, one for "
-                f"each label"
-            )
-        rows = vector[..., self.parts[DRONES]].reshape(*vector.shape[:-1], self._count, -1)
-        world = {name: vector[..., self.parts[name]] for name in self._world}
-        return self.drones.split(rows) | world
+    def named(self) -> dict[str, np.ndarray]:
+        """Return all arrays by the names that stages declare, such as "swarm.position"."""
+        named = {name: getattr(self, name) for name in ARRAYS}
+        for group in ("swarm", "before", "scene"):
+            parts = getattr(self, group)._asdict()
+            memory = parts.pop("memory", {})
+            named |= {f"{group}.{name}": array for name, array in parts.items()}
+            named |= {f"{group}.memory.{name}": array for name, array in memory.items()}
+        return named
 
 
-def _charges(drones: int) -> Block:
-    """Make the part that tells what is left in batteries."""
-    labels = tuple(Label(f"charge of drone_{i}", "1", 0.0, 1.0) for i in range(drones))
-    return Block(labels, lambda frame, present: frame.readings["charge"])
+ARRAYS: Mapping[str, Array] = {
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(State, include_extras=True).items()
+    if hasattr(hint, "__metadata__")
+}
+"""The declared arrays by name"""
 
 
-def slices(sizes: Mapping[str, int]) -> dict[str, slice]:
-    """Lay parts of these sizes side by side, in order."""
-    ends = np.cumsum(list(sizes.values())).tolist()
-    return {
-        name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)
-    }
+def num_bytes(sizes: Sizes) -> int:
+    """Count the bytes of the declared arrays."""
+    declared = ARRAYS.values()
+    return sum(math.prod(one.shape(sizes)) * np.dtype(one.dtype).itemsize for one in declared)
+
+
+def with_prefix(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return arrays with a prefix before their names, as snapshots name them."""
+    return {f"{prefix} {name}": array for name, array in arrays.items()}

@@ -206,7 +206,7 @@ class RacePilot(Policy):
     ) -> None:
         """Plan the lines of all drones of a world, which pass gates at the same points."""
         choice = None
-        for i in range(self._count.shape[1]):
+        for i in range(self.aviary.num_drones):
             self._begin_at(w, i, swarm, now + LEAD_IN + HEADWAY * i)
             if choice is None:
                 choice = fastest_choice(self._way(w, i, now), self._limits, PRECISION)

@@ -176,7 +176,7 @@ def test_it_stays_through_resets_and_is_seen_in_pictures(gate):
     aviary.reset(seeds=0)
     assert not aviary.line_of_sight((0, 0, 4), (9, 0, 4))[0]
     view = view_matrix(np.array((0.0, 0, 4)), np.array((6.0, 0, 4)))
-    picture = aviary._engine.picture(0, view, projection_matrix(1.0, 60.0), (80, 80))
+    picture = aviary.worlds.engine.picture(0, view, projection_matrix(1.0, 60.0), (80, 80))
     ball = picture.labels[40, 40], float(picture.depth[40, 40])
     assert ball == (OBSTACLE, pytest.approx(5.5, abs=0.05))
     aviary.close()
@@ -185,7 +185,7 @@ def test_it_stays_through_resets_and_is_seen_in_pictures(gate):
 def test_who_makes_bodies_behind_our_back_is_told_of_add_body():
     aviary = bulletuav.Aviary("hover", num_drones=1)
     for count in (1, 2):
-        bullet.createMultiBody(0, -1, -1, physicsClientId=aviary._engine._bullet.client)
+        bullet.createMultiBody(0, -1, -1, physicsClientId=aviary.worlds.engine._bullet.client)
         with pytest.warns(UserWarning, match=f"made in the engine by others: {count};.*add_body"):
             aviary.reset(seeds=0)
         with warnings.catch_warnings():

@@ -322,7 +322,7 @@ def test_cities_are_bodies_when_somebody_asks_for_them():
     """Compiled rays and contacts do without; who asks finds what stands, where it stands."""
     aviary = bulletuav.Aviary("navigation", 2, area=150.0, leg=50.0, seed=0)
     aviary.reset(seeds=0)
-    engine, client = aviary._engine, aviary._engine._bullet.client
+    engine, client = aviary.worlds.engine, aviary.worlds.engine._bullet.client
     before = bullet.getNumBodies(physicsClientId=client)
     layout = int(aviary.scene.layout[1])
     standing = engine._bullet.bodies.bodies_of(1, CITY)
@@ -350,7 +350,7 @@ def test_resets_make_no_bodies_and_remove_none(rays):
     aviary = bulletuav.Aviary(
         "navigation", 2, area=150.0, leg=50.0, num_layouts=3, irregularity=0.5, seed=0, rays=rays
     )
-    client = aviary._engine._bullet.client
+    client = aviary.worlds.engine._bullet.client
 
     def bodies():
         return [bullet.getBodyUniqueId(k, client) for k in range(bullet.getNumBodies(client))]

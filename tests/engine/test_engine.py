@@ -30,9 +30,9 @@ def test_obstacles_are_bodies_when_somebody_looks_and_lie_apart_before():
     """Many bodies at one place would slow Bullet's tree down for good."""
     aviary = bulletuav.Aviary("obstacles", 3, num_obstacles=40, area=400.0, render_mode="rgb_array")
     aviary.reset(seeds=0)
-    client = aviary._engine._bullet.client
+    client = aviary.worlds.engine._bullet.client
     before = bullet.getNumBodies(physicsClientId=client)
-    table = aviary._engine._bullet.bodies.obstacle
+    table = aviary.worlds.engine._bullet.bodies.obstacle
     assert bullet.getNumBodies(physicsClientId=client) == before + 3 * 40
     places = [bullet.getBasePositionAndOrientation(one, client)[0] for one in table.ravel()]
     assert len(set(places)) == 3 * 40
@@ -239,8 +239,8 @@ def test_closing_twice_and_using_afterwards(make_bench):
 def test_an_open_environment_can_be_left_to_the_garbage_collector():
     env = bulletuav.parallel_env("hover")
     env.reset(seed=0)
-    engine = weakref.ref(env.aviary._engine)
-    finalizer = env.aviary._engine._finalizer
+    engine = weakref.ref(env.aviary.worlds.engine)
+    finalizer = env.aviary.worlds.engine._finalizer
     del env
     gc.collect()
     assert engine() is None
@@ -289,7 +289,7 @@ def test_a_urdf_that_the_engine_cannot_load_is_refused(urdf):
 
 def is_connected(env):
     """Whether Bullet has anything of an environment."""
-    return bool(env.aviary._engine._open)
+    return bool(env.aviary.worlds.engine._open)
 
 
 @pytest.mark.parametrize("options", [{}, {"dynamics": "bullet"}, {"rays": "bullet"}])

@@ -24,7 +24,12 @@ COLOURS = (DRONE, VELOCITY, GOAL, SEEN, UNSEEN, LINK, BEAM, MISS)
 
 
 def marks(aviary, world=0):
-    return marks_of(aviary.task, aviary._current(), world, aviary._sensors.sensors.values())
+    return marks_of(
+        aviary.task,
+        aviary.current_frame(),
+        world,
+        aviary.worlds.sensors.sensors.values(),
+    )
 
 
 def flown(task, worlds=1, decisions=3, **options):
@@ -91,7 +96,7 @@ def test_users_are_marked_with_links_to_who_serves_them(task):
             zip(*(axis.tolist() for axis in np.nonzero(aviary.sight[0])), strict=True)
         )
     else:  # the uplink takes the drone that receives most of each user, and one alone
-        flew = aviary._current().alive[0]
+        flew = aviary.current_frame().alive[0]
         received = np.where(flew[:, None], aviary.scene.memory["received"][0], -1.0)
         assert pairs == {(int(received[:, j].argmax()), j) for j in range(15)}
     aviary.close()

@@ -145,7 +145,9 @@ def test_a_heavy_drone_pushes_a_light_one_back_by_momentum():
         )
         aviary.reset(seeds=0)
         aviary.parameters["mass"][0, 1] = 0.027
-        aviary._engine.set_masses(0, aviary.parameters["mass"][0], aviary.parameters["inertia"][0])
+        aviary.worlds.engine.set_masses(
+            0, aviary.parameters["mass"][0], aviary.parameters["inertia"][0]
+        )
         for _ in range(15):
             step = aviary.step(np.full((1, 2, 4), -1.0))
         assert step.info["collision"].any() or not aviary.alive.any()
@@ -185,7 +187,7 @@ def test_wind_of_an_episode_adds_to_the_steady_one():
     aviary.reset(seeds=0)
     info = aviary.first_info()
     drawn = np.stack([info[f"random/wind_{axis}"] for axis in "xyz"], axis=-1)
-    wind = aviary._wind.sample(aviary.swarm.position, np.zeros(20))
+    wind = aviary.worlds.wind.sample(aviary.swarm.position, np.zeros(20))
     np.testing.assert_allclose(wind, drawn + (1.0, 2.0, 0.0))
     aviary.close()
 

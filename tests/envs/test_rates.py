@@ -24,7 +24,7 @@ def test_decisions_of_whole_substeps_can_be_long(rate, physics_hz, substeps):
     step = aviary.step(np.broadcast_to((0.0, 0.0, 0.01), (1, 1, 3)))
     way = aviary.swarm.position - before
     np.testing.assert_allclose(way, [[(0, 0, 0.01 * speed / rate)]], rtol=1e-9)
-    assert aviary._frame.time[0] == pytest.approx(1 / rate)
+    assert aviary.worlds.frame.time[0] == pytest.approx(1 / rate)
     assert np.isfinite(step.rewards).all()
     aviary.close()
 

@@ -65,16 +65,16 @@ def test_drones_are_drawn_by_the_shapes_that_touch():
     place = aviary.swarm.position[1, 0]
     view = view_matrix(place + (0, 0, 10.0), place, (0, 1, 0))
     camera = 1, view, projection_matrix(1.0, 60.0), (400, 400)
-    aviary._dynamics.show(aviary.swarm, aviary.alive)
+    aviary.worlds.dynamics.show(aviary.swarm, aviary.alive)
     area = (400 / (20 * np.tan(np.pi / 6))) ** 2 * np.pi * 0.27**2
     drones = aviary.swarm, aviary.alive
     disc, body = (
-        aviary._engine.picture(*camera, one).labels == VIEW_DRONE for one in (drones, None)
+        aviary.worlds.engine.picture(*camera, one).labels == VIEW_DRONE for one in (drones, None)
     )
     assert disc.sum() == pytest.approx(area, rel=0.06)
     assert 10 < body.sum() < 0.9 * area
     aviary.alive[1] = False
-    gone = aviary._engine.picture(*camera, drones).labels == VIEW_DRONE
+    gone = aviary.worlds.engine.picture(*camera, drones).labels == VIEW_DRONE
     assert not gone.any()
     aviary.close()
 

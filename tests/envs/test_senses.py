@@ -51,7 +51,7 @@ def test_the_task_itself_may_need_a_sensor():
         "lidar_navigation", observation="velocity", dynamics="point_mass", **TOWN
     )
     aviary.reset(seeds=0)
-    assert aviary._frame.readings["lidar"].shape == (1, 3, 16)
+    assert aviary.worlds.frame.readings["lidar"].shape == (1, 3, 16)
     aviary.close()
 
 

@@ -34,7 +34,7 @@ def test_the_state_tells_drones_charges_city_users_and_servers_in_this_order(mec
     told = aviary.global_state.split(state)
     memory = aviary.scene.memory
     np.testing.assert_allclose(told["position"], aviary.swarm.position[0], rtol=1e-6)
-    np.testing.assert_allclose(told["charge"], aviary._frame.readings["charge"][0], rtol=1e-6)
+    np.testing.assert_allclose(told["charge"], aviary.worlds.frame.readings["charge"][0], rtol=1e-6)
     np.testing.assert_allclose(told["users"].reshape(4, 3), memory["users"][0], rtol=1e-6)
     np.testing.assert_allclose(told["utilisation"], memory["utilisation"][0], rtol=1e-6)
     np.testing.assert_allclose(told["queue"], memory["queue"][0], rtol=1e-6)

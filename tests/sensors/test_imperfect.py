@@ -511,7 +511,7 @@ def test_a_late_gps_is_what_drones_know_and_tell(aviary):
         randomization={"gps_noise": 5.0, "radio_delay": 0.0001},
     )
     known = [one.reset(seeds=0)[0, :, :3]]
-    heard = one._frame.readings["heard_position"][0]
+    heard = one.worlds.frame.readings["heard_position"][0]
     assert np.abs(known[0] - one.swarm.position[0]).min() > 1e-3
     for i, j in ((0, 1), (1, 2), (2, 0)):
         np.testing.assert_allclose(heard[i, j], known[0][j], rtol=1e-6)

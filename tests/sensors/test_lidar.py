@@ -364,7 +364,7 @@ def test_every_dynamics_sees_the_same_and_only_who_flies(make_world, dynamics):
     action = np.random.default_rng(0).uniform(-1, 1, (2, 12, 3)) * (1, 1, 0.2)
     for _ in range(30):
         aviary.step(action)
-    alive, ranges = aviary.alive, aviary._frame.readings["lidar"]
+    alive, ranges = aviary.alive, aviary.worlds.frame.readings["lidar"]
     assert 0 < alive.sum() < 24
     engine = make_world(aviary.task.layouts(), worlds=2, drones=12)
     engine.set_layouts(aviary.scene.layout, np.ones(2, dtype=bool))

@@ -241,7 +241,7 @@ def test_an_environment_tells_who_sees_users_and_each_other(dynamics):
     boxes = [aviary.solids(world).boxes for world in (0, 1)]
     expected = np.concatenate([slab(boxes[w], start[where == w], end[where == w]) for w in (0, 1)])
     np.testing.assert_array_equal(aviary.line_of_sight(start, end, where), expected)
-    seen = aviary._frame.readings["sight"]
+    seen = aviary.worlds.frame.readings["sight"]
     np.testing.assert_array_equal(seen[aviary.alive], expected.reshape(2, 4, -1)[aviary.alive])
     assert 0.05 < expected.mean() < 0.95
     between = aviary.line_of_sight(position[1, 0], position[1], 1)

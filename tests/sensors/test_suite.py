@@ -121,7 +121,10 @@ def test_its_description_is_whole(name):
 @pytest.mark.parametrize("name", ALL)
 def test_labels_agree_with_readings(name, make_aviary):
     aviary, _ = make_aviary(sensors=(find_sensor(name),))
-    attached, readings = aviary._sensors.sensors[name], aviary._frame.readings
+    attached, readings = (
+        aviary.worlds.sensors.sensors[name],
+        aviary.worlds.frame.readings,
+    )
     labels = attached.labels(attached.setup)
     assert set(attached.gives) <= set(readings)
     for reading, label in labels.items():
@@ -152,8 +155,8 @@ def test_what_is_observed_by_its_name_is_what_the_frame_holds(name, reading, mak
         sensors=FAR.get(name, ()),
     )
     assert set(observations) == {reading}
-    held = aviary._frame.readings[reading]
-    attached = aviary._sensors.sensors[name]
+    held = aviary.worlds.frame.readings[reading]
+    attached = aviary.worlds.sensors.sensors[name]
     if uncertain:
         assert all(
             (getattr(attached, key) == usual(key)).all() for key in attached.uncertain
@@ -337,7 +340,7 @@ def test_its_uncertain_parameters_are_drawn_for_each_episode(make_aviary):
     ranges = {"anchor_noise": (0.1, 2.0), "anchor_bias": (-3.0, 3.0)}
     options = {"sensors": (Anchor(),), "observation": "anchor", "randomization": ranges}
     aviary, observations = make_aviary("converge", decisions=0, **options)
-    info, sensor = aviary.first_info(), aviary._sensors.sensors["anchor"]
+    info, sensor = aviary.first_info(), aviary.worlds.sensors.sensors["anchor"]
     np.testing.assert_array_equal(info["random/anchor_noise"], sensor.noise)
     np.testing.assert_array_equal(info["random/anchor_bias"], sensor.bias[:, None].repeat(3, 1))
     assert len(np.unique(sensor.noise)) == WORLDS * DRONES
@@ -346,7 +349,7 @@ def test_its_uncertain_parameters_are_drawn_for_each_episode(make_aviary):
     assert (np.abs(off - sensor.bias[:, None]) < 5 * sensor.noise).all()
     before = sensor.noise.copy()
     aviary.reset()
-    assert (aviary._sensors.sensors["anchor"].noise != before).all()
+    assert (aviary.worlds.sensors.sensors["anchor"].noise != before).all()
     for wrong in ({"anchor_noise": 11.0}, {"anchor_bias": (-6.0, 0.0)}):
         with pytest.raises(ValueError, match=f"randomization {next(iter(wrong))} is"):
             make_aviary("converge", sensors=Anchor, randomization=wrong)
@@ -356,7 +359,7 @@ def test_an_object_is_a_description_of_which_each_environment_has_a_copy(make_av
     given = Anchor()
     one, _ = make_aviary("converge", sensors=given, observation="anchor")
     other, _ = make_aviary("converge", sensors=given, observation="anchor")
-    attached = [aviary._sensors.sensors["anchor"] for aviary in (one, other)]
+    attached = [aviary.worlds.sensors.sensors["anchor"] for aviary in (one, other)]
     assert len({id(given), *map(id, attached)}) == 3
     assert not hasattr(given, "noise")
     assert given.__dict__ == {}
@@ -371,7 +374,7 @@ def test_a_class_is_made_a_sensor_once_for_an_environment(make_aviary):
 
     aviary, _ = make_aviary("converge", decisions=0, sensors=Counted, randomization={})
     assert len(made) == 1
-    assert made[0] is not aviary._sensors.sensors["anchor"]  # which is a copy of it
+    assert made[0] is not aviary.worlds.sensors.sensors["anchor"]  # which is a copy of it
 
 
 def test_it_may_stand_in_place_of_the_packages_own(make_aviary):
@@ -396,7 +399,7 @@ def test_it_may_stand_in_place_of_the_packages_own(make_aviary):
 
 
 def working(aviary):
-    return list(aviary._sensors.sensors)
+    return list(aviary.worlds.sensors.sensors)
 
 
 def test_only_sensors_that_are_needed_work_in_their_order(make_aviary):
@@ -429,7 +432,7 @@ def test_what_others_measured_is_known_to_those_that_follow(make_aviary):
     options = {"gps_noise": 3.0, "radio_delay": 1e-9}
     for decisions in (0, 1, 2):
         aviary, _ = make_aviary("converge", decisions=decisions, randomization=options)
-        readings = aviary._frame.readings
+        readings = aviary.worlds.frame.readings
         known = readings["position"][:, None].repeat(DRONES, axis=1)
         others = ~np.eye(DRONES, dtype=bool)
         heard = readings["heard_position"][:, others]

@@ -97,6 +97,6 @@ class Face:
         went = (now == expected).all()
         require(went, "steps went from {} to {} where {} flew", steps, now, flew)
         require(not (still & ~alive)[~anew].any(), "a drone came back")
-        time = self.core._live.time
+        time = self.core.worlds.frame.time
         right = np.isclose(time, now / self.core.options.decision_hz)
         require(right[flew].all(), "time is {} after {} decisions", time, now)

@@ -177,11 +177,11 @@ def test_a_drone_sinks_as_its_battery_does(dynamics):
                 height=5.0,
             )
             aviary.reset(seeds=0)
-            aviary._energy._battery.start(0, charge)
+            aviary.worlds.energy._battery.start(0, charge)
             for _ in range(30):
                 aviary.step(np.full((1, 1, 4), 16608.0))
             heights[charge, effects] = aviary.swarm.position[0, 0, 2]
-            volts = aviary._energy.voltage[0, 0]
+            volts = aviary.worlds.energy.voltage[0, 0]
             assert volts == pytest.approx({1.0: 3.92, 0.3: 3.44}[charge], abs=0.05)
             aviary.close()
     assert heights[1.0, ("lag",)] == heights[0.3, ("lag",)]

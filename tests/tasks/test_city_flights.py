@@ -122,7 +122,7 @@ def test_ranges_stand_at_their_place_in_the_observation(put_urban):
     np.testing.assert_allclose(observation[14:], ranges, atol=1e-4)
     for _ in range(3):
         step = aviary.step(np.array([[(0.2, 0.3, 0.1)]]))
-        readings = aviary._frame.readings["lidar"][0, 0]
+        readings = aviary.worlds.frame.readings["lidar"][0, 0]
         np.testing.assert_array_equal(step.observations[0, 0, 14:], readings.astype(np.float32))
     assert readings[0] == pytest.approx(4 - 3 * 0.3, abs=1e-4)
 

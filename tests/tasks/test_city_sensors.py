@@ -107,7 +107,7 @@ def test_readings_hold_what_was_asked_for(make_urban, task, observation, read):
     """Charge, power and sight are always there; sight is empty for tasks without targets."""
     aviary = make_urban(task, **({} if observation is None else {"observation": observation}))
     for _ in range(2):
-        readings = aviary._frame.readings
+        readings = aviary.worlds.frame.readings
         always = {"charge", "power", "voltage", "sight"}
         assert read - always == set(readings) - always
         assert read <= set(readings)
@@ -161,10 +161,10 @@ def test_a_reset_of_one_world_leaves_what_others_sense_untouched(make_urban):
     )
     env.reset(seed=0)
     before = env.step(np.zeros((3, 3, 3)))[0]
-    ranges = env.aviary._frame.readings["lidar"].copy()
+    ranges = env.aviary.worlds.frame.readings["lidar"].copy()
     assert (ranges < 60).any(axis=(1, 2)).all()
     after = env.reset(options={"reset_mask": np.array([False, True, False])})[0]
-    now = env.aviary._frame.readings["lidar"]
+    now = env.aviary.worlds.frame.readings["lidar"]
     for w, same in enumerate((True, False, True)):
         assert (ranges[w].tobytes() == now[w].tobytes()) == same
         assert (before[w].tobytes() == after[w].tobytes()) == same

@@ -380,7 +380,7 @@ def test_rewards_add_up_to_those_of_the_anchor(put, task, users, completed, late
         completed,
         users * latency,
     )
-    frame = aviary._frame
+    frame = aviary.worlds.frame
     frame = dataclasses.replace(frame, readings={**frame.readings, "power": np.full((1, 1), power)})
     terms, weights = aviary.task.evaluate_step(frame).terms, aviary.task.weights
     assert sum(weights[name] * terms[name][0, 0] for name in terms) == pytest.approx(
@@ -394,7 +394,7 @@ def test_evaluating_twice_changes_nothing(make, task):
     for _ in range(3):
         step = fly(aviary, EAST)
     memory = {name: array.copy() for name, array in aviary.scene.memory.items()}
-    one, other = (aviary.task.evaluate_step(aviary._frame) for _ in range(2))
+    one, other = (aviary.task.evaluate_step(aviary.worlds.frame) for _ in range(2))
     for name, term in one.terms.items():
         np.testing.assert_array_equal(term, other.terms[name])
         np.testing.assert_array_equal(step.info[f"reward/{name}"], aviary.task.weights[name] * term)

@@ -73,7 +73,7 @@ def test_reward_by_hand_and_the_target_can_be_hit(dynamics):
         step = aviary.step((dive / np.linalg.norm(dive))[None, None] * 0.5)
     assert step.terminated.all()
     assert step.info["collision"].all()
-    assert (aviary._frame.contacts.other == FIRST_OBSTACLE).all()
+    assert (aviary.worlds.frame.contacts.other == FIRST_OBSTACLE).all()
     speed, distance = np.linalg.norm(aviary.swarm.velocity), step.info["goal_distance"][0, 0]
     left = aviary.options.horizon - int(aviary.steps[0])
     assert left > 200
@@ -95,7 +95,7 @@ def test_a_fast_target_does_not_jump_over_a_drone_in_its_way(dynamics, physics_h
     aviary.reset(seeds=0)
     way = aviary.scene.goal_velocity[0, 0] / 14
     aviary.swarm.position[0, 0] = aviary.scene.obstacle[0, 0] + 2.1 * way
-    aviary._dynamics.place(aviary.swarm, aviary.alive)
+    aviary.worlds.dynamics.place(aviary.swarm, aviary.alive)
     hit = False
     for _ in range(3):
         hit |= bool(aviary.step(np.zeros((1, 1, 3))).info["collision"].any())

@@ -65,7 +65,7 @@ def test_infos_tell_what_is_served(task):
     aviary = bulletuav.Aviary(task, 2, **options)
     aviary.reset(seeds=0)
     step = aviary.step(np.zeros((2, 2, 3)))
-    seen = aviary._frame.readings["sight"].any(axis=1)
+    seen = aviary.worlds.frame.readings["sight"].any(axis=1)
     np.testing.assert_allclose(
         step.info["served"], np.repeat(seen.mean(axis=-1)[:, None], 2, axis=1)
     )

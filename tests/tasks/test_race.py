@@ -352,7 +352,7 @@ def test_the_next_gates_are_seen_in_body_axes():
         aviary.step(RNG.uniform(-1, 1, (1, 3, 3)))
     names = [label.name for label in aviary.observer.labels]
     first = names.index("gate 1 position x")
-    seen = aviary.observer.observe(aviary._current(), aviary.alive)[0]
+    seen = aviary.observer.observe(aviary.current_frame(), aviary.alive)[0]
     scene, memory = aviary.scene, aviary.scene.memory
     for i, k in itertools.product(range(3), range(2)):
         turn = Rotation.from_quat(aviary.swarm.quaternion[0, i]).inv()
@@ -365,7 +365,7 @@ def test_the_next_gates_are_seen_in_body_axes():
         expected = np.concatenate([*turn.apply(vectors), memory["gate_size"][0, k : k + 1]])
         np.testing.assert_allclose(told, expected, atol=1e-4)
     memory["passed"][:] = 5
-    seen = aviary.observer.observe(aviary._current(), aviary.alive)[0]
+    seen = aviary.observer.observe(aviary.current_frame(), aviary.alive)[0]
     assert (seen[:, first + 10 : first + 20] == 0).all()  # after the last one there is none
     assert scene.goal.shape == (1, 3, 3)
 

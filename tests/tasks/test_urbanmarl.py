@@ -102,7 +102,7 @@ def paid(aviary, frame):
 def test_the_reward_of_mobile_users_is_that_of_its_formula(started):
     """Sees 6 of 10 users, 10 s in the mean, no contact: 0.6 + 0.5 tanh(1) = 0.9807971."""
     aviary = started("mobile_users", num_users=10)
-    frame = aviary._frame
+    frame = aviary.worlds.frame
     frame.readings["sight"][:] = np.arange(10) < 6
     frame.scene.memory["mean_dwell_time"][:] = 10.0
     np.testing.assert_allclose(paid(aviary, frame), 0.9807971, atol=1e-7)
@@ -121,7 +121,7 @@ def test_the_reward_of_lidar_navigation_is_that_of_its_formula(
     aviary = started("lidar_navigation", small=False)
     aviary.scene.goal[:] = aviary.swarm.position + (distance, 0, 0)
     aviary.step(np.zeros((1, 3, 3)))
-    frame = aviary._frame
+    frame = aviary.worlds.frame
     frame.readings["lidar"][:] = shortest
     np.testing.assert_allclose(paid(aviary, frame), expected, atol=1e-7)
     assert (aviary.scene.memory["goals"] == (distance == 3)).all()

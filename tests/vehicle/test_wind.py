@@ -180,7 +180,9 @@ def test_flights_feel_the_field_and_draw_nothing_for_it():
     for k in range(3):
         place, time = aviary.swarm.position.copy(), np.full(2, k / aviary.options.decision_hz)
         aviary.step(np.zeros((2, 3, aviary.given.shape[-1])))
-        np.testing.assert_array_equal(aviary._air, aviary._wind.sample(place, time))
+        np.testing.assert_array_equal(
+            aviary.worlds.state.wind, aviary.worlds.wind.sample(place, time)
+        )
     assert [rng.bit_generator.state for rng in aviary.rng] == states
     aviary.close()
 

@@ -1,0 +1,52 @@
+"""What drones touched in the last decision, collected when it is asked for."""
+
+import numpy as np
+
+from bulletuav.dynamics.base import Dynamics
+from bulletuav.vehicle.swarm import Contacts
+
+
+class ContactRecord:
+    """Contacts of the last decision; most decisions are never asked for them."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        """Start with no contacts.
+
+        Args:
+            dynamics: It reports what was touched.
+        """
+        self._dynamics = dynamics
+        self._contacts: Contacts | None = Contacts.none()
+        self._before: Contacts | None = None
+
+    @property
+    def is_collected(self) -> bool:
+        """Whether the contacts have been collected in Python."""
+        return self._contacts is not None
+
+    def collect(self) -> Contacts:
+        """Return the contacts of the last decision."""
+        if self._contacts is None:
+            self._contacts = self._dynamics.touched()
+        return self._contacts
+
+    def start_decision(self) -> None:
+        """Forget the contacts before a decision."""
+        self._before, self._contacts = self._contacts, None
+
+    def undo_decision(self) -> None:
+        """Return to the contacts of before, after a decision that was refused."""
+        self._contacts = self._before
+
+    def add(self, contacts: Contacts) -> None:
+        """Add contacts to those of the decision."""
+        self._contacts = self.collect().joined(contacts)
+
+    def keep(self, worlds: np.ndarray | None) -> None:
+        """Keep the contacts of a mask (W,) of worlds; None forgets what was collected."""
+        collected = self._contacts is not None
+        if worlds is None or not collected:
+            self._contacts = None
+        else:
+            assert self._contacts is not None
+            self._contacts = self._contacts.of_worlds(worlds)

@@ -1,0 +1,72 @@
+"""Reward terms and infos of a decision."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from bulletuav.envs.infos import Told, stays
+
+INFOS = {
+    "success": bool,
+    "collision": bool,
+    "resting": bool,
+    "impulse": float,
+    "conflicts": np.int64,
+    "separation": float,
+    "goal_distance": float,
+    "power": float,
+    "charge": float,
+}
+"""Names and types of what infos report beside reward terms, in the order of `report.fill_infos`.
+
+Those of tasks without goals have no "goal_distance".
+"""
+
+
+class Results:
+    """Arrays of reward terms and infos.
+
+    Attributes:
+        names: Names of the T reward terms.
+        unweighted: (T, W, N) reward terms.
+        weighted: (T, W, N) the same times their weights; the first rows of the table.
+        infos: (9, W, N) `INFOS`; the other rows of the table.
+    """
+
+    def __init__(self, terms: list[str], shape: tuple[int, int], has_goals: bool) -> None:
+        """Make the arrays.
+
+        Args:
+            terms: Names of the reward terms that the task gives.
+            shape: (W, N).
+            has_goals: Whether infos report the distance to the goal.
+        """
+        self.names = terms
+        self.unweighted = np.zeros((len(terms), *shape))
+        self._table = np.zeros((len(terms) + len(INFOS), *shape))
+        self.weighted = self._table[: len(terms)]
+        self.infos = self._table[-len(INFOS) :]
+        left_out = None if has_goals else "goal_distance"
+        standard = [(None if name == left_out else name, kind) for name, kind in INFOS.items()]
+        self._rows = [*((f"reward/{name}", float) for name in terms), *standard]
+
+    @property
+    def named_terms(self) -> dict[str, np.ndarray]:
+        """Unweighted reward terms (W, N) by name."""
+        return dict(zip(self.names, self.unweighted, strict=True))
+
+    @property
+    def named_weighted(self) -> dict[str, np.ndarray]:
+        """Weighted reward terms (W, N) by name."""
+        return dict(zip(self.names, self.weighted, strict=True))
+
+    def told(self, more: Mapping[str, np.ndarray], world: object) -> Told:
+        """Copy what the last decision gave; calling the result makes infos of it.
+
+        Args:
+            more: Arrays (W, N) by name that infos have beside the table.
+            world: Index of the world that they report of; all with `...`.
+        """
+        # Arrays that are never written can wait to be copied until somebody asks
+        copies = {name: one if stays(one) else np.array(one) for name, one in more.items()}
+        return Told(self._table.copy(), self._rows, copies, world)

@@ -1,0 +1,221 @@
+"""A simulation: parts and state of all worlds, and the stages of a decision in their order."""
+
+import time
+
+import numpy as np
+
+from bulletuav.compiled.program import Program
+from bulletuav.envs.episode_start import EpisodeStart
+from bulletuav.envs.results import Results
+from bulletuav.envs.stages import Stage, decision_stages
+from bulletuav.envs.stages.observe import Observe
+from bulletuav.envs.stages.report import Report
+from bulletuav.envs.stages.separate import Separate
+from bulletuav.envs.worlds import Worlds
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.check import check_info, check_step_result
+from bulletuav.tasks.stages import add_outcome, clear
+
+
+class Simulation:
+    """W worlds of N drones that fly one task, decision by decision.
+
+    A decision is a program: the compiled calls of all stages, one after the other, which run
+    without Python in between. `print` shows the stages.
+
+    Attributes:
+        worlds: Parts and state.
+        stages: Stages of a decision, in their order; see `insert`.
+        start: Starts new episodes.
+        program: Calls of a decision; None before the first one.
+    """
+
+    def __init__(self, worlds: Worlds, first_seed: int | None) -> None:
+        """Make a simulation of worlds.
+
+        Args:
+            worlds: Their parts and state.
+            first_seed: Seed of the first of them where a reset is given none.
+        """
+        self.worlds = worlds
+        self.stages: tuple[Stage, ...] = decision_stages()
+        self.start = EpisodeStart(worlds, first_seed)
+        self.program: Program | None = None
+        self._staged: tuple[Program, dict[str, Program]] | None = None
+        self._has_account = self._checked = False
+
+    def __repr__(self) -> str:
+        """Show the stages, with what each reads and writes."""
+        heads = ("stage", "reads", "writes")
+        rows = [(one.name, ", ".join(one.reads), ", ".join(one.writes)) for one in self.stages]
+        widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+        texts = ["what it does", *(one.summary for one in self.stages)]
+        lines = [
+            "  ".join([*map(str.ljust, row, widths), text])
+            for row, text in zip([heads, *rows], texts, strict=True)
+        ]
+        worlds, drones = self.worlds.state.alive.shape
+        dynamics = self.worlds.options.dynamics_name
+        title = f"{self.worlds.task.name} in {dynamics}: {worlds} worlds of {drones} drones"
+        return "\n".join([title, *lines])
+
+    def insert(self, stage: Stage, after: str) -> None:
+        """Insert a stage of one's own; decisions from now on have it.
+
+        Args:
+            stage: The stage.
+            after: Name of the stage that it follows.
+
+        Raises:
+            ValueError: There is no stage of that name, or already one of the new name.
+        """
+        names = [one.name for one in self.stages]
+        if stage.name in names:
+            raise ValueError(f"stage {stage.name!r} is there already: choose another name")
+        if after not in names:
+            raise ValueError(f"after is {after!r}: one of {', '.join(names)} is needed")
+        place = names.index(after) + 1
+        self.stages = (*self.stages[:place], stage, *self.stages[place:])
+        self.program = None
+
+    def decide(self) -> None:
+        """Fly one decision of the actions in `state.given`.
+
+        Raises:
+            ValueError: A number of a living drone's action cannot be. The worlds stay as they were.
+        """
+        self.look()
+        self.start.is_still = True
+        program = self.program or self.make_program()
+        self.worlds.contacts.start_decision()
+        self.worlds.forget_derived()
+        program.run()
+
+    def decide_by_stages(self) -> dict[str, float]:
+        """Fly one decision as `decide` does, stage by stage, with the same bits.
+
+        Returns:
+            The time that each stage took, by name, s. Each is some 1e-6 s longer than within
+            `decide`, as Python calls it.
+        """
+        self.look()
+        self.start.is_still = True
+        # Made in any case: results after a reset need it
+        program = self.program or self.make_program()
+        if self._staged is None or self._staged[0] is not program:
+            self._staged = program, self.stage_programs()
+        self.worlds.contacts.start_decision()
+        self.worlds.forget_derived()
+        times = {}
+        for name, part in self._staged[1].items():
+            begin = time.perf_counter()
+            part.run()
+            times[name] = time.perf_counter() - begin
+        return times
+
+    def stage_programs(self) -> dict[str, Program]:
+        """Make a program of each stage alone, by its name."""
+        programs = {}
+        self._derive()
+        for stage in self.stages:
+            program = programs[stage.name] = Program()
+            stage.add_to(program, self.worlds)
+            program.compile()
+        return programs
+
+    def _derive(self) -> None:
+        """Have the task derive what its terms read, so that programs find it."""
+        self.worlds.forget_derived()
+        self.worlds.task.evaluate_step(self.worlds.frame)
+
+    def look(self) -> None:
+        """Take over what stands now; programs know only what stood when they were made."""
+        if self.worlds.dynamics.look_around():
+            self._has_account = False
+        if not self._has_account:
+            self.worlds.make_account()
+            self._reckoning = Program()
+            Separate().add_to(self._reckoning, self.worlds)
+            # Last, so that an interrupt before it leaves nothing that is half made
+            self.program, self._has_account = None, True
+
+    def make_program(self) -> Program:
+        """Make the program of a decision."""
+        worlds, program = self.worlds, Program()
+        self._derive()
+        for stage in self.stages:
+            stage.add_to(program, worlds)
+        program.compile()  # now, so that the first decision takes no longer than others
+        self._observing, self._reporting = Program(), Program()
+        Observe().add_observation(self._observing, worlds)
+        # Terms are zero right after a reset, whatever they would be
+        add_outcome(self._reporting, worlds.task, worlds.frame, worlds.judgement)
+        self._reporting.call(clear, worlds.results.weighted)
+        Report().add_to(self._reporting, worlds)
+        self.start.make_alone(self._observing)
+        self.program = program  # last: an interrupt before it leaves nothing that is half made
+        return program
+
+    def begin(
+        self, fresh: np.ndarray, indices: list[int], generators: list[np.random.Generator]
+    ) -> None:
+        """Start worlds from what was drawn.
+
+        Args:
+            fresh: (W,) bool, worlds that start.
+            indices: Their indices.
+            generators: Their random generators.
+        """
+        self.start.write(fresh, indices, generators)
+        # First readings make arrays that the next program knows
+        self.look()
+        self.start.account(self.program is not None)
+        if not self._checked:
+            self._check()
+
+    def _check(self) -> None:
+        """Check what the task gives, once: later results are of the same form."""
+        task, frame = self.worlds.task, self.worlds.frame
+        shape = self.worlds.state.alive.shape
+        result = task.evaluate_step(frame)
+        check_step_result(task, result, shape)
+        check_info(task, task.info(frame), shape)
+        terms = [*result.terms, *task.extra_terms(frame)]
+        self.worlds.results = Results(terms, shape, task.has_goals)
+        own = type(task).info is not Task.info
+        worlds = self.worlds
+        self._reports_more = own or bool(
+            task.lands or worlds.uncertainty.drawn or worlds.sensors.sensors
+        )
+        self._checked = True
+
+    def more_infos(self) -> dict[str, np.ndarray]:
+        """Return arrays (W, N) that infos have beside reward terms and `results.INFOS`."""
+        if not self._reports_more:
+            return {}
+        worlds = self.worlds
+        landed = {"landed": worlds.frame.landed} if worlds.task.lands else {}
+        own = worlds.task.info(worlds.frame)
+        return {**landed, **own, **worlds.uncertainty.info(), **worlds.sensors.info()}
+
+    def observe_start(self) -> None:
+        """Write what is observed after a reset; a program is there."""
+        self.start.observe(self._observing)
+
+    def report_start(self) -> None:
+        """Write the infos right after a reset."""
+        if self.program is None:
+            self.make_program()
+        self.worlds.forget_derived()
+        self._reporting.run()
+
+    def reckon(self) -> None:
+        """Work out what follows from a state that was written from outside."""
+        self.worlds.contacts.keep(None)
+        self.worlds.forget_derived()
+        self.look()
+        self._reckoning.run()
+        if self.program is None:
+            self.make_program()
+        self.worlds.forget_derived()
+        self._observing.run()

@@ -1,0 +1,41 @@
+"""The stages of a decision, in the order in which they happen."""
+
+from bulletuav.envs.stages.admit import Admit
+from bulletuav.envs.stages.base import Stage
+from bulletuav.envs.stages.energy import DrainBatteries
+from bulletuav.envs.stages.fly import Fly
+from bulletuav.envs.stages.judge import Judge
+from bulletuav.envs.stages.keep_before import KeepBefore
+from bulletuav.envs.stages.leave import Leave
+from bulletuav.envs.stages.move_scene import MoveScene
+from bulletuav.envs.stages.observe import Observe
+from bulletuav.envs.stages.remember import Remember
+from bulletuav.envs.stages.report import Report
+from bulletuav.envs.stages.reward import Reward
+from bulletuav.envs.stages.sense import Sense
+from bulletuav.envs.stages.separate import Separate
+from bulletuav.envs.stages.setpoints import MakeSetpoints
+from bulletuav.envs.stages.wind import SampleWind
+
+__all__ = ["Stage", "decision_stages"]
+
+
+def decision_stages() -> tuple[Stage, ...]:
+    """Make the stages of a decision."""
+    return (
+        Admit(),
+        SampleWind(),
+        KeepBefore(),
+        MoveScene(),
+        MakeSetpoints(),
+        Fly(),
+        DrainBatteries(),
+        Sense(),
+        Separate(),
+        Remember(),
+        Judge(),
+        Leave(),
+        Observe(),
+        Reward(),
+        Report(),
+    )

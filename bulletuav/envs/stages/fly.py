@@ -1,0 +1,72 @@
+"""The flight."""
+
+import numpy as np
+
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.program import Program
+from bulletuav.envs.parts import add_obstacles, copy_vectors
+from bulletuav.envs.stages.base import Stage
+from bulletuav.envs.worlds import Worlds
+from bulletuav.vehicle.swarm import confine
+
+
+class Fly(Stage):
+    """Fly all substeps: controllers, forces, contacts; then count the decision."""
+
+    name = "fly"
+    reads = ("setpoint", "levels", "wind", "flown", "scene.obstacle", "steps", "flying")
+    writes = ("swarm", "dynamics", "steps", "time", "last", "moved", "commanded")
+
+    def add_to(self, program: Program, worlds: Worlds) -> None:
+        """Add the calls; see `Stage`."""
+        state, task, dynamics = worlds.state, worlds.task, worlds.dynamics
+        program.call(copy_vectors, state.scene.obstacle, dynamics.contact.after)
+        flight = (state.levels, state.setpoint, state.wind)
+        dynamics.add_to(program, state.swarm, state.flown, *flight)
+        add_obstacles(program, worlds.engine, state.scene.obstacle)
+        if task.rebound is not None:
+
+            def place_again() -> None:
+                dynamics.place(state.swarm, state.moved)
+                # Contacts report what drones meet there, too. Those of the flight are collected
+                # first: overlaps are found in the same arrays
+                worlds.contacts.collect()
+                worlds.contacts.add(dynamics.overlaps(state.swarm, state.moved, state.flown))
+
+            box = (task.arena_low, task.arena_high, float(task.rebound))
+            bounds = (state.swarm, state.commanded, state.flown, *box, state.moved)
+            program.call(confine, *bounds, otherwise=place_again)
+        add_tick(program, worlds, state.flying)
+
+
+def add_tick(program: Program, worlds: Worlds, flying: np.ndarray) -> None:
+    """Add to a program that a decision is counted in worlds of a mask (W,)."""
+    state, options = worlds.state, worlds.options
+    clock = (state.steps, float(options.decision_hz), options.horizon)
+    program.call(tick, flying, *clock, state.time, state.last)
+
+
+@kernel
+def tick(
+    flying: np.ndarray,
+    steps: np.ndarray,
+    hz: float,
+    horizon: int,
+    time: np.ndarray,
+    last: np.ndarray,
+) -> None:
+    """Count a decision in the worlds that fly, and tell where the horizon is reached.
+
+    Args:
+        flying: (W,) bool.
+        steps: (W,) decisions since the reset, counted on.
+        hz: Decisions a second.
+        horizon: Decisions until an episode is truncated.
+        time: (W,) since the reset, s, written.
+        last: (W,) bool, whether the horizon is reached, written.
+    """
+    for w in range(flying.shape[0]):
+        if flying[w]:
+            steps[w] += 1
+        time[w] = steps[w] / hz
+        last[w] = steps[w] >= horizon

@@ -1,0 +1,67 @@
+"""Drones whose episode is over."""
+
+import numpy as np
+
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.program import Program
+from bulletuav.envs.stages.base import Stage
+from bulletuav.envs.worlds import Worlds
+
+
+class Leave(Stage):
+    """End episodes, and take the drones that leave out of the airspace."""
+
+    name = "leave"
+    reads = ("ended", "energy", "flown", "last")
+    writes = ("terminated", "truncated", "present", "alive", "left")
+
+    def add_to(self, program: Program, worlds: Worlds) -> None:
+        """Add the calls; see `Stage`."""
+        state = worlds.state
+        ends = (state.terminated, state.truncated, state.present, state.alive, state.left)
+        charge = worlds.energy.readings()["charge"]
+        told = (state.ended, charge, state.flown, state.last)
+        program.call(conclude, *told, *ends, otherwise=lambda: worlds.engine.park(state.left))
+
+
+@kernel
+def conclude(
+    ended: np.ndarray,
+    charge: np.ndarray,
+    flown: np.ndarray,
+    last: np.ndarray,
+    terminated: np.ndarray,
+    truncated: np.ndarray,
+    present: np.ndarray,
+    alive: np.ndarray,
+    left: np.ndarray,
+) -> bool:
+    """Tell whose episode is over.
+
+    Args:
+        ended: (W, N) bool, what the task says.
+        charge: (W, N) share of the charge; an empty battery ends an episode.
+        flown: (W, N) bool, drones that flew the decision.
+        last: (W,) bool, whether the horizon is reached.
+        terminated: (W, N) bool, written.
+        truncated: (W, N) bool, written.
+        present: (W, N) bool, written: drones that can still be met. The horizon takes nobody away.
+        alive: (W, N) bool, written: drones whose episode goes on.
+        left: (W, N) bool, written: drones that flew and are not alive any more.
+
+    Returns:
+        Whether any drone left.
+    """
+    any_left = False
+    for w in range(flown.shape[0]):
+        for i in range(flown.shape[1]):
+            # The task's ends, or an empty battery
+            terminated[w, i] = flown[w, i] and (ended[w, i] or charge[w, i] <= 0.0)
+            present[w, i] = flown[w, i] and not terminated[w, i]
+            # The time is over for who is still there
+            truncated[w, i] = last[w] and present[w, i]
+            alive[w, i] = present[w, i] and not truncated[w, i]
+            # Who flew this decision and will not fly the next
+            left[w, i] = flown[w, i] and not alive[w, i]
+            any_left = any_left or left[w, i]
+    return any_left

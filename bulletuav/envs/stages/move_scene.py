@@ -1,0 +1,25 @@
+"""Goals and obstacles that move."""
+
+from bulletuav.compiled.program import Program
+from bulletuav.envs.stages.base import Stage
+from bulletuav.envs.worlds import Worlds
+from bulletuav.tasks.base import Task
+
+
+class MoveScene(Stage):
+    """Let the task move goals, obstacles and users, by `Task.move_scene`."""
+
+    name = "move scene"
+    reads = ("time", "flying", "scene")
+    writes = ("scene",)
+
+    def add_to(self, program: Program, worlds: Worlds) -> None:
+        """Add the calls; see `Stage`."""
+        # Only tasks that move anything take Python's time
+        task, state = worlds.task, worlds.state
+        if type(task).move_scene is not Task.move_scene:
+
+            def move() -> None:
+                task.move_scene(state.scene, state.time, state.flying, worlds.rng)
+
+            program.turn(move)

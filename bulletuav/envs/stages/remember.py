@@ -1,0 +1,20 @@
+"""What the task keeps over an episode."""
+
+from bulletuav.compiled.program import Program
+from bulletuav.envs.stages.base import Stage
+from bulletuav.envs.worlds import Worlds
+from bulletuav.tasks.base import Task
+
+
+class Remember(Stage):
+    """Let the task update its memory, by `Task.update_memory`."""
+
+    name = "remember"
+    reads = ("before", "swarm", "scene", "flown", "account", "readings")
+    writes = ("scene",)
+
+    def add_to(self, program: Program, worlds: Worlds) -> None:
+        """Add the calls; see `Stage`."""
+        task = worlds.task
+        if type(task).update_memory is not Task.update_memory:
+            program.turn(lambda: task.update_memory(worlds.frame, worlds.rng))

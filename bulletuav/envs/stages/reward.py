@@ -1,0 +1,56 @@
+"""Rewards."""
+
+import math
+
+import numpy as np
+
+from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.program import Program
+from bulletuav.envs.stages.base import Stage
+from bulletuav.envs.worlds import Worlds
+from bulletuav.tasks.check import require_finite
+
+
+class Reward(Stage):
+    """Weigh reward terms and add them up."""
+
+    name = "reward"
+    reads = ("results", "flown")
+    writes = ("results", "rewards")
+
+    def add_to(self, program: Program, worlds: Worlds) -> None:
+        """Add the calls; see `Stage`."""
+        state, task, results = worlds.state, worlds.task, worlds.results
+        weights = np.array([float(task.weights[name]) for name in results.names])
+
+        def refuse() -> None:
+            require_finite(task, results.named_weighted, state.rewards)
+
+        sums = (results.unweighted, weights, state.flown, results.weighted, state.rewards)
+        program.call(settle, *sums, otherwise=refuse)
+
+
+@kernel
+def settle(
+    terms: np.ndarray,
+    weights: np.ndarray,
+    flown: np.ndarray,
+    weighted: np.ndarray,
+    reward: np.ndarray,
+) -> bool:
+    """Weigh the reward terms (T, W, N) and add them up; of drones that did not fly they are 0.
+
+    Returns whether any reward is not finite.
+    """
+    broken = False
+    for w in range(flown.shape[0]):
+        for i in range(flown.shape[1]):
+            # In the order of the terms, so that sums have the same bits everywhere
+            total = 0.0
+            for k in range(weights.shape[0]):
+                weighted[k, w, i] = weights[k] * terms[k, w, i] if flown[w, i] else 0.0
+                total += weighted[k, w, i]
+            reward[w, i] = total
+            # Only whether: Python finds out whose it is
+            broken = broken or not math.isfinite(total)
+    return broken

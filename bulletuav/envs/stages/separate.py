@@ -1,0 +1,32 @@
+"""What follows from a flight for every drone."""
+
+import numpy as np
+
+from bulletuav.compiled.program import Program
+from bulletuav.envs.stages.base import Stage
+from bulletuav.envs.worlds import Worlds
+from bulletuav.tasks.account import add_account, mark_contacts, mark_landings
+
+
+class Separate(Stage):
+    """Find separations, conflicts, collisions and distances to goals."""
+
+    name = "separate"
+    reads = ("before", "swarm", "scene.goal", "flown", "readings", "dynamics")
+    writes = ("account",)
+
+    def add_to(self, program: Program, worlds: Worlds) -> None:
+        """Add the calls; see `Stage`."""
+        account, frame = worlds.account, worlds.frame
+        add_account(program, account, frame, worlds.dynamics.contact)
+        if worlds.collects_contacts:
+
+            def mark() -> None:
+                # Compiled code has marked all others
+                if worlds.contacts.is_collected or worlds.options.contacts == "bullet":
+                    mark_contacts(account, frame)
+
+            program.turn(mark)
+        if worlds.task.lands:
+            standing = np.array(worlds.task.context.standing_height)
+            program.turn(lambda: mark_landings(account, frame, standing))

@@ -1,0 +1,18 @@
+"""The air at each drone."""
+
+from bulletuav.compiled.program import Program
+from bulletuav.envs.stages.base import Stage
+from bulletuav.envs.worlds import Worlds
+
+
+class SampleWind(Stage):
+    """Sample the wind where drones are before the flight."""
+
+    name = "wind"
+    reads = ("swarm.position", "time")
+    writes = ("wind",)
+
+    def add_to(self, program: Program, worlds: Worlds) -> None:
+        """Add the calls; see `Stage`."""
+        state = worlds.state
+        worlds.wind.add_to(program, state.swarm.position, state.time, state.wind)
