@@ -10,16 +10,23 @@ from bulletuav.analysis.benchmark import FLOORS, ROUNDS, SIZES, Result, measure
 from bulletuav.commands.output import print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.dynamics import DYNAMICS
+from bulletuav.envs.aviary import Aviary
 
+SECONDS = 0.3
+"""CPU time of one measurement, s"""
+DECISIONS = 500
+"""How many decisions are flown to measure stages"""
 ABOUT = {
     "help": "measure this machine: drone-substeps per CPU-second of every dynamics",
     "description": (
         "Print drone-substeps per CPU-second of every dynamics, the same for the bare calls of "
-        "the engine, and how long resets take."
+        "the engine, and how long resets take. With --stages, print how long each stage of a "
+        "decision of a task takes instead."
     ),
     "epilog": """examples:
   bulletuav benchmark
-  bulletuav benchmark --drones 1 10 100 --seconds 1""",
+  bulletuav benchmark --drones 1 10 100 --seconds 1
+  bulletuav benchmark --stages crossing""",
 }
 
 
@@ -29,35 +36,59 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--drones",
         type=int,
         nargs="+",
-        default=list(SIZES),
         metavar="N",
-        help="swarm sizes",
+        help=f"swarm sizes (default: {' '.join(map(str, SIZES))})",
     )
     parser.add_argument(
         "--seconds",
         type=float,
-        default=0.3,
-        help="CPU time of one measurement (default: 0.3)",
+        help=f"CPU time of one measurement (default: {SECONDS})",
     )
+    parser.add_argument("--stages", metavar="TASK", help="measure the stages of this task")
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Measure and print."""
-    sizes = tuple(arguments.drones)
-    if min(sizes) < 1 or not arguments.seconds > 0:
-        raise ValueError(
-            f"--drones {sizes}, --seconds {arguments.seconds}: numbers above 0 are needed"
-        )
+    if arguments.stages is not None:
+        if arguments.drones is not None or arguments.seconds is not None:
+            raise ValueError("--stages measures a task as it is: leave --drones and --seconds out")
+        _print_stages(arguments.stages)
+        return
+    sizes = tuple(SIZES if arguments.drones is None else arguments.drones)
+    seconds = SECONDS if arguments.seconds is None else arguments.seconds
+    if min(sizes) < 1 or not seconds > 0:
+        raise ValueError(f"--drones {sizes}, --seconds {seconds}: numbers above 0 are needed")
     # Every case is measured several times in turn, so that all meet the same disturbances.
     total = len(sizes) * (len(DYNAMICS) + len(FLOORS)) * ROUNDS
     done = itertools.count(1)
     with show_progress("measuring", total, "measurements") as report:
-        results = measure(sizes, arguments.seconds, lambda: report(next(done)))
+        results = measure(sizes, seconds, lambda: report(next(done)))
     print_table(_table(results, sizes))
     print(
         "bare step: only the engine's step\n"
         "engine calls: the step, and for every drone a wrench applied and a state read"
     )
+
+
+def _print_stages(task: str) -> None:
+    """Measure the stages of a decision of a task, and print them."""
+    aviary = Aviary(task)
+    try:
+        aviary.reset(seeds=0)
+        profile = aviary.profile(DECISIONS)
+    finally:
+        aviary.close()
+    count, dynamics = aviary.num_drones, aviary.options.dynamics_name
+    table = Table(
+        title=f"{task}, {count} drone{'s' * (count > 1)}, {dynamics}: microseconds of each stage"
+    )
+    table.add_column("stage", no_wrap=True)
+    table.add_column("us", justify="right")
+    table.add_column("what it does")
+    for stage in aviary.simulation.stages:
+        table.add_row(stage.name, f"{profile[stage.name]:.1f}", stage.summary)
+    table.add_row("all", f"{sum(profile.values()):.1f}", f"mean of {DECISIONS} decisions at random")
+    print_table(table)
 
 
 def _table(results: Sequence[Result], sizes: Sequence[int]) -> Table:

@@ -120,7 +120,8 @@ class Aviary(Environment):
         )
         self._is_started = False
         if self.options.debug:
-            in_plain_python(self, ("reset", "decide", "first_info", "load_state", "state"))
+            methods = ("reset", "decide", "first_info", "load_state", "state", "profile")
+            in_plain_python(self, methods)
         # Last, as it opens a port
         is_served = self.options.render_mode in VIEWERS
         self.viewer: Viewer | None = make_viewer(self) if is_served else None

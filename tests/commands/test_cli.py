@@ -18,6 +18,7 @@ from bulletuav.compiled import dispatcher
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine import engine
 from bulletuav.engine.c_extension import Extension
+from bulletuav.envs.stages import decision_stages
 from bulletuav.report import doctor
 from bulletuav.tasks import find_task
 
@@ -117,6 +118,13 @@ def test_no_animation_of_an_earlier_flight_is_left(tmp_path):
     (tmp_path / "flight.gif").write_text("old")
     main(["fly", "hover", "--horizon", "5", "--animation", "none", "--out", str(tmp_path)])
     assert not (tmp_path / "flight.gif").exists()
+
+
+def test_the_benchmark_prints_the_stages_of_a_task(capsys):
+    main(["benchmark", "--stages", "hover"])
+    out = capsys.readouterr().out
+    assert "hover, 1 drone, bullet: microseconds of each stage" in out
+    assert all(re.search(rf"{stage.name} .*\d\.\d", out) for stage in decision_stages())
 
 
 def test_the_benchmark_prints_every_dynamics_and_the_floor(capsys):
@@ -401,6 +409,7 @@ def test_help(arguments, capsys):
         (["fly", "crossing", "--set", "start_speed=3"], "start_speed is 3: a list or tuple"),
         (["fly", "crossing", "--set", "observation=position,gaol"], "did you mean 'goal'"),
         (["benchmark", "--drones", "0"], "numbers above 0 are needed"),
+        (["benchmark", "--stages", "hover", "--drones", "1"], "leave --drones and --seconds out"),
         (["fly", "crossing", "--seed", "-3"], "seed is -3"),
         (["evaluate", "converge", "--episodes", "0"], "episodes is 0"),
         (

@@ -1,5 +1,6 @@
 """A simulation is its state and its stages: what these declare is true."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -200,3 +201,16 @@ def test_the_state_is_declared_once():
 def test_the_page_shows_the_stages():
     page = stages.PAGE.read_text()
     assert stages.updated(page) == page
+
+
+def test_the_stage_of_the_documentation(capsys):
+    page = Path(__file__).parents[2].joinpath("CONTRIBUTING.md").read_text()
+    (code,) = re.findall(
+        r"```python\n(import bulletuav\nfrom bulletuav.envs.stages.*?)```", page, re.DOTALL
+    )
+    space = {}
+    exec(code, space)
+    env = space["env"]
+    env.reset(seed=0)
+    env.step({agent: np.zeros(3) for agent in env.agents})
+    assert capsys.readouterr().out == f"{env.aviary.swarm.rotor_speed[0, 0]}\n"

@@ -84,7 +84,8 @@ def test_beams_turn_with_the_nose_or_do_not(put_urban, frame, expected):
     )
     half = np.pi / 4  # of a turn to the north
     aviary.swarm.quaternion[0, 0] = (0, 0, np.sin(half), np.cos(half))
-    ranges = aviary._measure(aviary.swarm, aviary.swarm, aviary.alive)["lidar"][0, 0]
+    aviary.worlds.measure(aviary.swarm, aviary.swarm, aviary.alive)
+    ranges = aviary.readings["lidar"][0, 0]
     assert ranges[0] == pytest.approx(expected, abs=1e-4)
     # 270 degrees to the left.
     assert ranges[12 if frame == "yaw" else 0] == pytest.approx(5.0, abs=1e-4)
