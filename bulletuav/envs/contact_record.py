@@ -43,10 +43,8 @@ class ContactRecord:
         self._contacts = self.collect().joined(contacts)
 
     def keep(self, worlds: np.ndarray | None) -> None:
-        """Keep the contacts of a mask (W,) of worlds; None forgets what was collected."""
-        collected = self._contacts is not None
-        if worlds is None or not collected:
+        """Keep what was collected of a mask (W,) of worlds; None forgets all of it."""
+        if worlds is None:
             self._contacts = None
-        else:
-            assert self._contacts is not None
+        elif self._contacts is not None:
             self._contacts = self._contacts.of_worlds(worlds)

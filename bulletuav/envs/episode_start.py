@@ -25,7 +25,7 @@ STALE = frozenset(
         "nearness",
     }
 )
-"""Values of the frame that differ between a decision and a moment in which no time has passed"""
+"""Fields of the frame that change when worlds are brought up to date after a reset of others"""
 
 
 class _Stillness(NamedTuple):
@@ -36,7 +36,14 @@ class _Stillness(NamedTuple):
 
 
 class EpisodeStart:
-    """Starts new episodes in some of the worlds, while others stay as they are."""
+    """Starts new episodes in some of the worlds, while others stay as they are.
+
+    Attributes:
+        starts: Rows of the starts that were drawn.
+        alone: Programs that update and observe some worlds alone; None where others would be
+            affected.
+        is_still: Whether the account of all worlds is up to date after a reset of some.
+    """
 
     def __init__(self, worlds: Worlds, first_seed: int | None) -> None:
         """Make the arrays that starts are written to.

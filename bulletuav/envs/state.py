@@ -1,10 +1,9 @@
 """The state of a simulation: its arrays by name, with their shapes, types and meanings.
 
-This is the only declaration. What snapshots and hashes hold, how much memory worlds take, and
-tables of the documentation follow from it.
+This is the only declaration. What snapshots and hashes hold of them, and the table of the
+documentation, follow from it.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, get_type_hints
@@ -140,12 +139,6 @@ ARRAYS: Mapping[str, Array] = {
     if hasattr(hint, "__metadata__")
 }
 """The declared arrays by name"""
-
-
-def num_bytes(sizes: Sizes) -> int:
-    """Count the bytes of the declared arrays."""
-    declared = ARRAYS.values()
-    return sum(math.prod(one.shape(sizes)) * np.dtype(one.dtype).itemsize for one in declared)
 
 
 def with_prefix(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -1,7 +1,6 @@
 """Environments whose compiled functions run as plain Python, for debuggers: the same bits."""
 
 import itertools
-import os
 import re
 import subprocess
 import sys
@@ -13,7 +12,6 @@ import pytest
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.airspace import Airspace
-from bulletuav.vehicle.airframes import load_airframe
 
 QUICK = {
     "crossing": {"dynamics": "point_mass", "randomization": {"gps_noise": 1.0}},
@@ -94,26 +92,33 @@ def test_debuggers_see_every_function_of_a_decision():
     assert {"admit", "rotor_wrench", "lagged", "fill_conflict", "conclude", "settle"} <= hidden
 
 
-def test_the_session_of_the_documentation():
-    text = Path(__file__).parents[2].joinpath("CONTRIBUTING.md").read_text()
-    session = re.search(r"```console\n(\$ python -m pdb.*?)```", text, re.DOTALL).group(1)
-    program = re.search(r"```python\n(# fly\.py\n.*?)```", text, re.DOTALL).group(1)
+def test_the_session_of_the_documentation(tmp_path):
+    """It stops at the force on the body, and not at what the controller makes of its model."""
+    page = Path(__file__).parents[2].joinpath("CONTRIBUTING.md").read_text()
+    session = re.search(r"```console\n(\$ python -m pdb.*?)```", page, re.DOTALL).group(1)
+    program = re.search(r"```python\n(# fly\.py\n.*?)```", page, re.DOTALL).group(1)
     commands = re.findall(r"^\(Pdb\) (.*)$", session, re.MULTILINE)
-    folder = Path(__file__).parents[2]
-    assert commands[-1] == "quit"
-    told = subprocess.run(
-        [sys.executable, "-c", f"import pdb; pdb.Pdb(nosigint=True).run({program!r})"],
+    tmp_path.joinpath("fly.py").write_text(program)
+    run = subprocess.run(
+        [sys.executable, "-m", "pdb", "fly.py"],
         input="\n".join(commands),
         capture_output=True,
         text=True,
-        cwd=folder,
-        env={**os.environ, "COLUMNS": "200"},
+        cwd=tmp_path,
     )
-    assert "rotor_wrench()" in told.stdout, told.stdout + told.stderr
-    assert "Error" not in told.stdout, told.stdout
-    # It hovers: thrust is weight
-    thrust = float(re.search(r"float64\((.*)\)", told.stdout.split("(Pdb) ")[-2]).group(1))
-    assert thrust == pytest.approx(load_airframe("hummingbird").mass * 9.80665, rel=1e-4)
+    assert "Error" not in run.stdout, run.stdout + run.stderr
+    answers = dict(zip(commands, run.stdout.split("(Pdb) ")[1:], strict=True))
+    assert re.search(r"slope_of\(\)\n.*\n.*wrench\(\)", answers["where"])
+    thrust, mass = map(float, re.findall(r"float64\((.*?)\)", answers["p rotors[0], row.mass"]))
+    # What the rotors of the same flight give, compiled, where its second decision begins
+    env = bulletuav.parallel_env("crossing", num_drones=2, dynamics="rigid_body")
+    env.reset(seed=0)
+    env.step({agent: [1.0, 0.0, 0.0] for agent in env.agents})
+    row, speed = env.aviary.parameters[0, 0], env.aviary.swarm.rotor_speed[0, 0]
+    assert thrust == pytest.approx(row["thrust_coefficient"] * (speed**2).sum(), rel=1e-12)
+    assert mass == row["mass"]
+    assert abs(thrust / (mass * 9.80665) - 1.0) > 0.01
+    assert "--Return--" in answers["return"]
 
 
 def test_debug_needs_one_process():

@@ -11,7 +11,7 @@ from bulletuav.envs.worlds import Worlds
 
 
 class Admit(Stage):
-    """Clip actions to their bounds, and begin the decision."""
+    """Refuse actions that are not finite, clip the others, and start the decision."""
 
     name = "admit"
     reads = ("given", "alive", "steps")

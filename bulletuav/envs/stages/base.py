@@ -13,9 +13,9 @@ class Stage(ABC):
 
     Attributes:
         name: Its name, unique in a simulation.
-        reads: Names of the arrays that it reads: of `State.named`, or "dynamics", "energy",
-            "readings", "account" and the like for arrays of parts of `Worlds`.
-        writes: Names of the arrays that it writes.
+        reads: Names of the arrays that it reads: of `State.named`, or of a part of `Worlds` for all
+            that it holds: "dynamics", "energy", "engine", "readings", "account", "results", "rng".
+        writes: Names of the arrays that it writes. What it reads and writes is named in both.
     """
 
     name: ClassVar[str]

@@ -9,11 +9,11 @@ from bulletuav.tasks.base import Task
 
 
 class DrainBatteries(Stage):
-    """Drain the batteries by what the flight and the payload take."""
+    """Drain the batteries by what the flight and the payload take; find their voltage."""
 
     name = "energy"
-    reads = ("before", "swarm", "wind", "flown", "scene")
-    writes = ("payload", "energy")
+    reads = ("before", "swarm", "wind", "flown", "scene", "payload", "energy")
+    writes = ("payload", "energy", "dynamics")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls; see `Stage`."""

@@ -11,11 +11,14 @@ from bulletuav.vehicle.swarm import confine
 
 
 class Fly(Stage):
-    """Fly all substeps: controllers, forces, contacts; then count the decision."""
+    """Fly all substeps (controllers, forces, contacts), bound drones by the arena, and count on."""
 
     name = "fly"
-    reads = ("setpoint", "levels", "wind", "flown", "scene.obstacle", "steps", "flying")
-    writes = ("swarm", "dynamics", "steps", "time", "last", "moved", "commanded")
+    reads = (
+        *("setpoint", "levels", "wind", "flown", "scene.obstacle", "steps", "flying"),
+        *("swarm", "dynamics", "commanded"),
+    )
+    writes = ("swarm", "dynamics", "steps", "time", "last", "moved", "commanded", "engine")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls; see `Stage`."""

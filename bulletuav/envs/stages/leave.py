@@ -13,7 +13,7 @@ class Leave(Stage):
 
     name = "leave"
     reads = ("ended", "energy", "flown", "last")
-    writes = ("terminated", "truncated", "present", "alive", "left")
+    writes = ("terminated", "truncated", "present", "alive", "left", "engine")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls; see `Stage`."""

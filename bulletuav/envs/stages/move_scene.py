@@ -10,7 +10,7 @@ class MoveScene(Stage):
     """Let the task move goals, obstacles and users, by `Task.move_scene`."""
 
     name = "move scene"
-    reads = ("time", "flying", "scene")
+    reads = ("time", "flying", "scene", "rng")
     writes = ("scene",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:

@@ -10,7 +10,7 @@ class Remember(Stage):
     """Let the task update its memory, by `Task.update_memory`."""
 
     name = "remember"
-    reads = ("before", "swarm", "scene", "flown", "account", "readings")
+    reads = ("before", "swarm", "scene", "flown", "account", "readings", "rng")
     writes = ("scene",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:

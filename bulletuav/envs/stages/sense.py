@@ -9,7 +9,7 @@ class Sense(Stage):
     """Measure with all sensors: range finders, cameras, positions, radio."""
 
     name = "sense"
-    reads = ("before", "swarm", "scene", "flown", "steps")
+    reads = ("before", "swarm", "scene", "flown", "steps", "rng")
     writes = ("readings",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:

@@ -9,7 +9,7 @@ from bulletuav.tasks.account import add_account, mark_contacts, mark_landings
 
 
 class Separate(Stage):
-    """Find separations, conflicts, collisions and distances to goals."""
+    """Find separations, conflicts, collisions, landings and distances to goals."""
 
     name = "separate"
     reads = ("before", "swarm", "scene.goal", "flown", "readings", "dynamics")

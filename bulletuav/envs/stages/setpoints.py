@@ -11,10 +11,10 @@ from bulletuav.envs.worlds import Worlds
 
 
 class MakeSetpoints(Stage):
-    """Decode actions to setpoints for the controllers."""
+    """Decode actions to setpoints; weaken rotors where randomization drains batteries."""
 
     name = "setpoints"
-    reads = ("action", "commanded", "time")
+    reads = ("action", "setpoint", "commanded", "time")
     writes = ("setpoint", "commanded", "dynamics")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:

@@ -6,7 +6,7 @@ from bulletuav.envs.worlds import Worlds
 
 
 class SampleWind(Stage):
-    """Sample the wind where drones are before the flight."""
+    """Find the wind, with its gusts, where drones are before the flight."""
 
     name = "wind"
     reads = ("swarm.position", "time")
