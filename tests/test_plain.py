@@ -185,7 +185,7 @@ def test_the_switch_of_numba_is_obeyed(tmp_path, switch, calls):
     path = tmp_path / "session.py"
     path.write_text(SESSION)
     environment = {**os.environ, "NUMBA_DISABLE_JIT": switch}
-    told = subprocess.run(
+    run = subprocess.run(
         [sys.executable, path], env=environment, capture_output=True, text=True, check=True
     )
-    assert told.stdout.strip() == calls
+    assert run.stdout.strip() == calls

@@ -2,7 +2,7 @@
 
 `kernel` compiles loops over arrays, `allocating` those that make arrays, `func` the functions of
 one drone that they call, and `elementwise` functions of numbers that broadcast over arrays. How
-they are stored and linked is told in `bulletuav.compiled.dispatcher`.
+they are stored and linked is documented in `bulletuav.compiled.dispatcher`.
 """
 
 import contextlib

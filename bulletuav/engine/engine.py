@@ -257,7 +257,7 @@ class Engine(EngineQueries):
         restitution: float | None = None,
         check: Callable[[Scenery], None] | None = None,
     ) -> int:
-        """Put up a body that stands still, for good; see `Worlds.add_body`.
+        """Put up a body that stands still, for good; see `Aviary.add_body`.
 
         `check` is shown what would stand then, and may raise an error before anything has changed.
         """

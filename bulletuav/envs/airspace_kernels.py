@@ -30,7 +30,7 @@ def prepare(
     before: np.ndarray,
     after: np.ndarray,
 ) -> None:
-    """Tell how obstacles move in a step, and turn the yaws that drones of an airspace are to hold.
+    """Move obstacles through a step, and turn the yaws that drones of an airspace are to hold.
 
     Args:
         quaternion: (W, N, 4) attitudes.
@@ -48,7 +48,7 @@ def prepare(
                 before[w, k, m] = obstacle[w, k, m]
                 obstacle[w, k, m] += period * obstacle_velocity[w, k, m]
                 after[w, k, m] = obstacle[w, k, m]
-        # Yaws stay near those that drones have, so that who turns slowly is not overtaken
+        # Yaws stay near those that drones have, so that a drone that turns slowly is not overtaken
         for i in range(yaw_rate.shape[1]):
             if yaw_rate[w, i] != 0.0:
                 present = heading(quat4(quaternion, w, i))

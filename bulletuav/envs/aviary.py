@@ -59,8 +59,8 @@ class Aviary(Environment):
         options: Common options.
         task: The task.
         action: What actions mean.
-        observer: Makes observations; tells labels, and splits by name.
-        global_state: Tells labels of the global state, and splits it by name.
+        observer: Makes observations; has their labels, and splits them by name.
+        global_state: Has labels of the global state, and splits it by name.
         swarm: State of the drones, (W, N, ...).
         scene: Goals, obstacles and the task's memory.
         alive: (W, N) bool, drones whose episode goes on.
@@ -266,14 +266,14 @@ class Aviary(Environment):
         return self.worlds.results.told(self.simulation.more_infos(), world)
 
     def require_action(self, drone: int, numbers: np.ndarray) -> None:
-        """Raise ValueError for numbers (A,) of a drone that cannot be; nobody flies."""
+        """Raise ValueError for numbers (A,) of a drone's action that cannot be; no drone flies."""
         given, chosen = np.zeros(self.given.shape), np.zeros(self.alive.shape, dtype=bool)
         given[:, drone], chosen[:, drone] = numbers, True
         self._spec.actions(given, chosen)
 
     @exclusive
     def first_info(self, worlds: np.ndarray | None = None) -> Infos:
-        """Tell the infos right after a reset: the keys of every step's info, terms at zero.
+        """Return the infos right after a reset: the keys of every step's info, terms at zero.
 
         Args:
             worlds: (W,) bool, worlds that were just reset, of which alone they are read; those of
@@ -421,7 +421,7 @@ class Aviary(Environment):
 
     @exclusive
     def state(self) -> np.ndarray:
-        """Tell the global state.
+        """Return the global state.
 
         Returns:
             (W, K) float32: the true position, attitude, velocity, rates, goal position and alive of
@@ -445,7 +445,7 @@ class Aviary(Environment):
         around drones, and arrows as far as they fly in a second; crosses on goals, and lines to
         them; dots on targets, green where some drone sees them, else red, and blue lines to those
         that a drone serves; orange lines along the range finder's beams, pale where they hit
-        nothing. A key tells them in pictures of 240 pixels' height or more.
+        nothing. A legend explains them in pictures of 240 pixels' height or more.
 
         Args:
             world: Index of the world.
@@ -478,7 +478,7 @@ class Aviary(Environment):
         friction: float | None = None,
         restitution: float | None = None,
     ) -> int:
-        """Put up a body that stands still: drones hit it, sensors measure it, pictures show it.
+        """Add a body that stands still: drones hit it, sensors measure it, pictures show it.
 
         It stays through resets. Tasks know nothing of it: their starts may lie within it.
 
@@ -514,7 +514,7 @@ class Aviary(Environment):
         end: np.ndarray,
         world: np.ndarray | int = 0,
     ) -> np.ndarray:
-        """Tell for pairs of points whether nothing but drones is in between.
+        """Check for pairs of points whether nothing but drones is in between.
 
         Args:
             start: (M, 3) m, or one point.
@@ -561,7 +561,7 @@ class Aviary(Environment):
         return self.current_frame().contacts.of_worlds(np.ones(self.num_worlds, dtype=bool))
 
     def solids(self, world: int = 0) -> Solids:
-        """Tell what stands in a world, beside obstacles."""
+        """Return the buildings of a world, without obstacles."""
         layout = self.scene.layout[self._spec.worlds(world)]
         return NOTHING_STANDS if layout == NO_LAYOUT else self.task.layouts()[layout]
 

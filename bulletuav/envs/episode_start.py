@@ -120,7 +120,7 @@ class EpisodeStart:
 
         Args:
             can_be_alone: Whether the worlds that start may be seen to alone; the others are brought
-                up to date when somebody asks for them.
+                up to date when they are read.
         """
         is_alone = can_be_alone and len(self._fresh_indices) < len(self._fresh)
         alone = self.alone if is_alone else None

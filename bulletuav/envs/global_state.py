@@ -19,10 +19,10 @@ DRONES = "drones"
 
 
 class GlobalState:
-    """What the numbers of a global state are, and how they are told.
+    """The numbers of a global state, and how they are computed.
 
     First come the blocks of every drone, then the charge of each, where batteries empty, then what
-    the task tells of the world by `Task.world_state`.
+    the task reports of the world by `Task.world_state`.
 
     Attributes:
         drones: Makes the numbers of each drone.
@@ -46,7 +46,7 @@ class GlobalState:
             options: Common options, of which `num_drones` and `battery_capacity` count.
         """
         self.drones, self._count = drones, options.num_drones
-        # Of the world: charges, and what the task tells
+        # Of the world: charges, and what the task reports
         self._world: dict[str, Block] = {}
         if options.battery_capacity is not None:
             self._world["charge"] = _charges(self._count)
@@ -66,7 +66,7 @@ class GlobalState:
         self.high = np.array([label.high for label in self.labels], dtype=np.float32)
 
     def tell(self, frame: Frame, alive: np.ndarray) -> np.ndarray:
-        """Tell the state.
+        """Compute the state.
 
         Args:
             frame: The decision, or the first frame after a reset.
@@ -109,7 +109,7 @@ class GlobalState:
 
 
 def _charges(drones: int) -> Block:
-    """Make the part that tells what is left in batteries."""
+    """Make the part with the charge of batteries."""
     labels = tuple(Label(f"charge of drone_{i}", "1", 0.0, 1.0) for i in range(drones))
     return Block(labels, lambda frame, present: frame.readings["charge"])
 

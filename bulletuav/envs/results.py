@@ -67,6 +67,6 @@ class Results:
             more: Arrays (W, N) by name that infos have beside the table.
             world: Index of the world that they report of; all with `...`.
         """
-        # Arrays that are never written can wait to be copied until somebody asks
+        # Arrays that are never written are copied only when they are read
         copies = {name: one if stays(one) else np.array(one) for name, one in more.items()}
         return Told(self._table.copy(), self._rows, copies, world)

@@ -26,14 +26,14 @@ def flown(task, **options):
     """All that three decisions of two worlds give, with a reset of one of them."""
     given = {"num_worlds": 2, "seed": 5, **options}
     env = bulletuav.batch_env(task, given.pop("num_worlds"), **given)
-    told, rng = [env.reset(seed=3)[0]], np.random.default_rng(1)
+    results, rng = [env.reset(seed=3)[0]], np.random.default_rng(1)
     for _ in range(3):
         step = env.step(rng.uniform(-1, 1, env.aviary.given.shape))
-        told += [step[0], *map(np.asarray, step[1:4])]
-    told.append(env.aviary.reset(mask=np.array([False, True])))
-    told.append(np.array(env.aviary.state_hash()))
+        results += [step[0], *map(np.asarray, step[1:4])]
+    results.append(env.aviary.reset(mask=np.array([False, True])))
+    results.append(np.array(env.aviary.state_hash()))
     env.close()
-    return [one.tobytes() for one in told]
+    return [one.tobytes() for one in results]
 
 
 @pytest.mark.parametrize("task", QUICK)

@@ -82,7 +82,7 @@ def begin(
     flying: np.ndarray,
     time: np.ndarray,
 ) -> None:
-    """Write who flies a decision, and when it begins.
+    """Write which drones fly a decision, and when it begins.
 
     Args:
         alive: (W, N) bool.

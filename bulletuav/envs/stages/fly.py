@@ -58,7 +58,7 @@ def tick(
     time: np.ndarray,
     last: np.ndarray,
 ) -> None:
-    """Count a decision in the worlds that fly, and tell where the horizon is reached.
+    """Count a decision in the worlds that fly, and write where the horizon is reached.
 
     Args:
         flying: (W,) bool.

@@ -20,8 +20,8 @@ class Leave(Stage):
         state = worlds.state
         ends = (state.terminated, state.truncated, state.present, state.alive, state.left)
         charge = worlds.energy.readings()["charge"]
-        told = (state.ended, charge, state.flown, state.last)
-        program.call(conclude, *told, *ends, otherwise=lambda: worlds.engine.park(state.left))
+        given = (state.ended, charge, state.flown, state.last)
+        program.call(conclude, *given, *ends, otherwise=lambda: worlds.engine.park(state.left))
 
 
 @kernel
@@ -36,16 +36,16 @@ def conclude(
     alive: np.ndarray,
     left: np.ndarray,
 ) -> bool:
-    """Tell whose episode is over.
+    """Write which drones end their episodes.
 
     Args:
-        ended: (W, N) bool, what the task says.
+        ended: (W, N) bool, drones that the task's ends are true of.
         charge: (W, N) share of the charge; an empty battery ends an episode.
         flown: (W, N) bool, drones that flew the decision.
         last: (W,) bool, whether the horizon is reached.
         terminated: (W, N) bool, written.
         truncated: (W, N) bool, written.
-        present: (W, N) bool, written: drones that can still be met. The horizon takes nobody away.
+        present: (W, N) bool, written: drones that others still meet. The horizon takes none away.
         alive: (W, N) bool, written: drones whose episode goes on.
         left: (W, N) bool, written: drones that flew and are not alive any more.
 
@@ -58,10 +58,10 @@ def conclude(
             # The task's ends, or an empty battery
             terminated[w, i] = flown[w, i] and (ended[w, i] or charge[w, i] <= 0.0)
             present[w, i] = flown[w, i] and not terminated[w, i]
-            # The time is over for who is still there
+            # The time is over for drones that are still there
             truncated[w, i] = last[w] and present[w, i]
             alive[w, i] = present[w, i] and not truncated[w, i]
-            # Who flew this decision and will not fly the next
+            # Drones that flew this decision and will not fly the next
             left[w, i] = flown[w, i] and not alive[w, i]
             any_left = any_left or left[w, i]
     return any_left

@@ -41,7 +41,7 @@ def fill_infos(
     """Write infos to a table (9, W, N), in this order.
 
     Args:
-        success: (W, N) bool, who is where the task wants it; told of who flew.
+        success: (W, N) bool, drones that are where the task wants them; 0 of others than flew.
         flown: (W, N) bool, drones that flew the decision.
         touched: Collision and resting (W, N) bool, and impulse (W, N), N s.
         apart: Conflicts, separation and distance to the goal (W, N).

@@ -51,6 +51,6 @@ def settle(
                 weighted[k, w, i] = weights[k] * terms[k, w, i] if flown[w, i] else 0.0
                 total += weighted[k, w, i]
             reward[w, i] = total
-            # Only whether: Python finds out whose it is
+            # Only whether: Python finds the drone
             broken = broken or not math.isfinite(total)
     return broken
