@@ -8,7 +8,7 @@ from bulletuav.city.streets import Streets
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Spawn
-from bulletuav.tasks.families.city_layouts import UrbanConfig
+from bulletuav.tasks.parts.city_layouts import CityOptions
 
 SMALL = {"area": 250.0, "num_layouts": 1}
 
@@ -18,7 +18,7 @@ def small_cities(task):
 
     Cities of the usual size and number take three quarters of the time to make an environment.
     """
-    has_cities = issubclass(find_task(task).Config, UrbanConfig)
+    has_cities = issubclass(find_task(task).Config, CityOptions)
     return {**SMALL, "num_layouts": 2} if has_cities else {}
 
 

@@ -15,7 +15,6 @@ from bulletuav.analysis.metrics.teams import FIRST_RETURN, FIRST_SUCCESS
 from bulletuav.policies import PolicySource
 from bulletuav.policies.versus import VERSUS
 from bulletuav.tasks import TaskSource, find_task
-from bulletuav.tasks.targets import TargetTask
 
 SHIRKERS = ("stay", "climb", "dive", "leave", "crash", "circle", "straight", "clump")
 """Policies that no task should pay; see `bulletuav.policies.scripted`"""
@@ -63,7 +62,7 @@ class Incentive(NamedTuple):
 
 def shirkers(task: TaskSource, baseline: PolicySource) -> list[str]:
     """List the policies to compare a task's baseline with."""
-    with_targets = issubclass(find_task(task), TargetTask)
+    with_targets = not find_task(task).has_goals
     first, *opponents = _sides(baseline)
     left_out = {first} if with_targets else {first, "clump"}
     # In a game, whose goals are opponents, who flies straight at its goal does what is wanted.

@@ -9,7 +9,6 @@ from bulletuav.analysis.recorded import TOLD, Recording
 from bulletuav.analysis.scene import SceneLog
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import to_world
-from bulletuav.tasks.targets import active_targets
 from bulletuav.vehicle.swarm import Contacts, Swarm
 
 
@@ -132,7 +131,7 @@ class Recorder:
 def _state(aviary: Aviary) -> _State:
     """Look at world 0."""
     scene = aviary.scene
-    active = active_targets(aviary.task, scene)[0]
+    active = aviary.task.active_targets(scene)[0]
     seen = np.any(aviary.sight[0], axis=0)
     return _State(
         swarm=aviary.swarm.copy(),

@@ -18,7 +18,6 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.shapes import Shape
-from bulletuav.tasks.targets import active_targets
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.looks import parts_of
 
@@ -55,7 +54,7 @@ class SceneLog:
         """Begin with the start, right after a reset."""
         self._aviary = aviary
         self._labels = aviary.reading_labels
-        self._active = active_targets(aviary.task, aviary.scene)[0]
+        self._active = aviary.task.active_targets(aviary.scene)[0]
         self._rotor_speed: list[np.ndarray] = []
         self._turns: list[np.ndarray] = []
         self._links: list[np.ndarray] = []

@@ -40,7 +40,6 @@ from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.given import Given
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.tasks.starts import take_given
-from bulletuav.tasks.targets import links
 from bulletuav.vehicle.swarm import Contacts
 
 NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
@@ -542,7 +541,7 @@ class Aviary(Environment):
     def links(self) -> np.ndarray:
         """(W, N, U) bool: which targets the drones serve that flew the last decision."""
         frame = self.current_frame()
-        served: np.ndarray = links(self.task, frame) & frame.alive[..., None]
+        served: np.ndarray = self.task.links(frame) & frame.alive[..., None]
         return served
 
     @property

@@ -91,7 +91,8 @@ class EpisodeStart:
                 f"{len(generators)} are needed, one for each generator"
             )
         # Most starts are whole as they are drawn
-        if task.takes_off or not given.is_empty or type(task).finish is not Task.finish:
+        is_whole = task.has_goals and given.is_empty and not task.takes_off
+        if not is_whole or task.has_own("finish"):
             spawns = [
                 task.finish(spawn, given, rng) if isinstance(spawn, Spawn) else spawn
                 for spawn, rng in zip(spawns, generators, strict=True)

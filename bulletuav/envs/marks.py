@@ -10,7 +10,6 @@ from bulletuav.sensors.imperfect import unwrapped
 from bulletuav.sensors.lidar import Lidar
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame
-from bulletuav.tasks.targets import active_targets, links
 from bulletuav.vehicle.swarm import Swarm
 
 if TYPE_CHECKING:
@@ -121,9 +120,9 @@ def marks_of(
         goal = frame.scene.goal[world]
         marks = marks._replace(goal=goal, course=np.stack([position, goal], axis=1)[flies])
     # Of the targets those that count, and of the links those to them.
-    active = active_targets(task, frame.scene)[world]
+    active = task.active_targets(frame.scene)[world]
     target = task.targets(frame.scene)[world]
-    who, whom = np.nonzero(links(task, frame)[world] & flies[:, None] & active)
+    who, whom = np.nonzero(task.links(frame)[world] & flies[:, None] & active)
     return marks._replace(
         target=target[active],
         seen=np.any(frame.seen[world], axis=0)[active],

@@ -12,7 +12,6 @@ from bulletuav.envs.stages.observe import Observe
 from bulletuav.envs.stages.report import Report
 from bulletuav.envs.stages.separate import Separate
 from bulletuav.envs.worlds import Worlds
-from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import check_info, check_step_result
 from bulletuav.tasks.stages import add_outcome, clear
 
@@ -182,7 +181,7 @@ class Simulation:
         check_info(task, task.info(frame), shape)
         terms = [*result.terms, *task.extra_terms(frame)]
         self.worlds.results = Results(terms, shape, task.has_goals)
-        own = type(task).info is not Task.info
+        own = task.has_own("info")
         worlds = self.worlds
         self._reports_more = own or bool(
             task.lands or worlds.uncertainty.drawn or worlds.sensors.sensors

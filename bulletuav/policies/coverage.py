@@ -23,7 +23,6 @@ from bulletuav.policies.planner import PathFollower
 from bulletuav.policies.potential import INFLUENCE
 from bulletuav.policies.voxels import cell_of, nearest_free
 from bulletuav.registry import register
-from bulletuav.tasks.targets import active_targets, service_quality
 from bulletuav.vehicle.swarm import Swarm
 
 HIGHEST = 0.93
@@ -90,7 +89,7 @@ class Placement(PathFollower):
         aviary = self.aviary
         scene = aviary.scene
         alive = aviary.alive
-        counts = active_targets(aviary.task, scene)[..., None]
+        counts = aviary.task.active_targets(scene)[..., None]
         targets = np.where(counts, aviary.task.targets(scene), np.inf)
         # Worlds where an episode starts or a drone was lost, and those where targets moved.
         started = alive & (self._count == 0)
@@ -240,7 +239,7 @@ class KMeans(Placement):
 class Oracle(Placement):
     """Hovering where it serves most.
 
-    It knows how well the task's targets would be served (`TargetTask.service_quality`).
+    It knows how well the task's targets would be served (`Task.service_quality`).
     It asks from places all over the city, at the height of the lowest drone. That is what is in
     sight, and in tasks with a radio link how well it serves.
     """
@@ -301,4 +300,4 @@ class Oracle(Placement):
         to_targets = np.tile(targets, (len(places), 1))
         seen = self.aviary.line_of_sight(from_places, to_targets, w)
         in_sight = seen.reshape(len(places), len(targets))
-        return service_quality(self.aviary.task, start, targets, in_sight)
+        return self.aviary.task.service_quality(start, targets, in_sight)

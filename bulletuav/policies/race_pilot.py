@@ -21,8 +21,8 @@ from bulletuav.policies.racing_line import (
     usual_choice,
 )
 from bulletuav.registry import register
-from bulletuav.tasks.families.gates import SIDES
 from bulletuav.tasks.observations.observer import Observation
+from bulletuav.tasks.parts.gates import SIDES
 from bulletuav.tasks.race import Race
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm

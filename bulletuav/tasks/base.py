@@ -2,9 +2,10 @@
 
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import chain
 from types import MappingProxyType
-from typing import Any, ClassVar, Generic
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from bulletuav.geometry.solids import Solids
 from bulletuav.tasks.config import ConfigT, TaskConfig
 from bulletuav.tasks.frame import UPRIGHT, Frame, Scene, Spawn, StepResult, TaskContext
 from bulletuav.tasks.given import Given
-from bulletuav.tasks.ingredients import Binding, Bound, Parts, find_term, numbers_in
+from bulletuav.tasks.ingredients import Binding, Bound, BoundTerms, find_term, numbers_in
 from bulletuav.tasks.observations.base import Block
+from bulletuav.tasks.parts.base import Part, Rngs
 
 SHOWS: Mapping[str, str] = MappingProxyType(
     {
@@ -27,11 +29,10 @@ SHOWS: Mapping[str, str] = MappingProxyType(
     }
 )
 """What is shown of flights of a task that tells nothing else"""
-Rngs = Sequence[np.random.Generator]
 Term = Callable[..., Any]
 Weighted = float | tuple[Term | str, float]
-
-
+PartT = TypeVar("PartT", bound=Part)
+Value = TypeVar("Value")
 SIDES = ("east", "north", "up", "west", "south", "down")
 """Sides of an arena: its upper corner's, then its lower one's"""
 
@@ -68,6 +69,10 @@ class Task(ABC, Generic[ConfigT]):
     `bulletuav.check_task(Perch)` looks for mistakes. Everything is batched: arrays are (W, N, ...)
     for W worlds of N drones.
 
+    What several tasks have in common, such as a city, are parts: objects that `__init__` makes of
+    the options and adds by `add`. Methods whose text says "by default that of its parts" ask them:
+    a task that has such a method of its own calls `super()` in it.
+
     Attributes:
         name: What users call it.
         Config: Class of its own options; taken from `Task[...]`.
@@ -89,6 +94,7 @@ class Task(ABC, Generic[ConfigT]):
         places: Which of its drones' places users may give: "start", "goal".
         rebound: Share of the speed that is left, reversed, to a drone at the arena's bounds; None
             where they hold nobody back.
+        parts: What it is built from, beside its own methods.
         num_targets: How many points drones are to see.
         zone: Separation at which the warning zone about a drone ends, m.
         arena_low: (3,) lower corner of the space to which positions are scaled, m.
@@ -152,11 +158,23 @@ class Task(ABC, Generic[ConfigT]):
         usual = {name: value[1] if isinstance(value, tuple) else value for name, value in given}
         self.weights = merged_weights(usual, config.weights)
         self.zone = 2 * config.d_safe
-        self.parts = Parts()
+        self.parts: list[Part] = []
+        self.bound = BoundTerms()
         self.team = np.zeros(context.num_drones, dtype=int)
         # Configs of other classes may have no such option.
         self.lands = self.takes_off = bool(getattr(config, "take_off", False))
         self._named_terms: dict[str, Bound] | None = None
+
+    def add(self, part: PartT) -> PartT:
+        """Add a part, after those that were added before, and return it."""
+        self.parts.append(part)
+        return part
+
+    def has_own(self, method: str) -> bool:
+        """Return whether the task, or one of its parts, does anything in a method of `Task`."""
+        return getattr(type(self), method) is not getattr(Task, method) or any(
+            getattr(type(part), method) is not getattr(Part, method) for part in self.parts
+        )
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
         """Find out what the arguments of its ingredients stand for; called once.
@@ -190,7 +208,7 @@ class Task(ABC, Generic[ConfigT]):
         self._binding = binding
         beside = {name: find_term("reward", term) for name, (term, _) in extra.items()}
         # Each ingredient is bound once, which finds wrong names before any flight
-        self.parts = Parts(
+        self.bound = BoundTerms(
             extra={name: self._bound(name, term) for name, term in beside.items()},
             terms={name: self._bound(name, term) for name, term in self.own_terms().items()},
             ends=tuple(
@@ -230,7 +248,9 @@ class Task(ABC, Generic[ConfigT]):
         return [self.spawn(rng) for rng in rngs]
 
     def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
-        """Finish the start of one world: put in what users gave, and drones on the ground.
+        """Complete the start of one world: put in what users gave, and drones on the ground.
+
+        Then its parts complete it. Drones without goals have their starts as goals.
 
         Args:
             spawn: What `spawn` drew.
@@ -238,36 +258,61 @@ class Task(ABC, Generic[ConfigT]):
             rng: Generator of the world, for what depends on them.
         """
         spawn = given.put_into(spawn)
-        if not self.takes_off:
-            return spawn
-        place = self.on_ground(np.asarray(spawn.position))
-        return spawn._replace(position=place, velocity=0.0, rates=0.0, quaternion=UPRIGHT)
+        if self.takes_off:
+            place = self.on_ground(np.asarray(spawn.position))
+            spawn = spawn._replace(position=place, velocity=0.0, rates=0.0, quaternion=UPRIGHT)
+        for part in self.parts:
+            spawn = part.finish(spawn, not given.is_empty, rng)
+        return spawn if self.has_goals else spawn._replace(goal=spawn.position)
 
     def on_ground(self, positions: np.ndarray) -> np.ndarray:
         """Tell where drones stand on the ground below positions (N, 3), m."""
         return np.column_stack([positions[:, :2], self.context.standing_height])
 
     def is_free(self, place: np.ndarray, radius: float, layout: int) -> bool:
-        """Tell whether a ball touches nothing of what stands in a world; by default always.
+        """Return whether a ball touches nothing of what stands in a world.
 
         Args:
             place: (3,) its middle, m.
             radius: m.
             layout: What stands there, one of `layouts`.
         """
-        return True
+        return all(part.is_free(place, radius, layout) for part in self.parts)
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """List the bodies that are in every world; none by default."""
-        return ()
+        """List the bodies that are in every world; by default those of its parts."""
+        return tuple(chain.from_iterable(part.obstacles() for part in self.parts))
 
     def layouts(self) -> Sequence[Solids]:
-        """List what can stand in a world, one at a time, such as cities; nothing by default."""
-        return ()
+        """List what can stand in a world, one at a time; by default that of its parts."""
+        return tuple(chain.from_iterable(part.layouts() for part in self.parts))
 
     def targets(self, scene: Scene) -> np.ndarray:
-        """Tell the points that drones are to see, (W, num_targets, 3) m; none by default."""
+        """Return the points that drones are to see, (W, num_targets, 3) m; none by default."""
         return np.zeros((len(scene.goal), 0, 3))
+
+    def active_targets(self, scene: Scene) -> np.ndarray:
+        """Return which targets count, (W, num_targets) bool; all by default."""
+        return np.ones((len(scene.goal), self.num_targets), dtype=bool)
+
+    def links(self, frame: Frame) -> np.ndarray:
+        """Return which drones serve which targets, (W, N, U) bool; none by default."""
+        return np.zeros_like(frame.seen)
+
+    def service_quality(
+        self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
+    ) -> np.ndarray:
+        """Return what targets are worth to drones, for policies that know everything.
+
+        Args:
+            place: (C, 3) of the drones, m.
+            targets: (U, 3) m.
+            sight: (C, U) bool, whether they are in line of sight.
+
+        Returns:
+            (C, U) from 0 to 1; by default whether they are seen.
+        """
+        return sight.astype(float)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Move goals and obstacles through one decision, before the drones fly it.
@@ -279,17 +324,18 @@ class Task(ABC, Generic[ConfigT]):
             rngs: Random generator of each world.
 
         Returns:
-            Whether obstacles moved; by default nothing does.
+            Whether obstacles moved; by default whether those of its parts did.
         """
-        return False
+        moved = [part.move_scene(scene, time, flying, rngs) for part in self.parts]
+        return any(moved)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Tell what the task keeps in `scene.memory` over an episode.
 
         Returns:
-            Shape of each array in one world by name; none by default.
+            Shape of each array in one world by name; by default those of its parts.
         """
-        return {}
+        return _joined(part.memory() for part in self.parts)
 
     def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
         """Return the bounds of what `memory` has, by name, for snapshots that come from elsewhere.
@@ -297,9 +343,10 @@ class Task(ABC, Generic[ConfigT]):
         Arrays from which compiled code takes indices or numbers of steps need them.
 
         Returns:
-            Lowest and highest values, which broadcast to the array of one world; none by default.
+            Lowest and highest values, which broadcast to the array of one world; by default those
+            of its parts.
         """
-        return {}
+        return _joined(part.memory_bounds() for part in self.parts)
 
     def start_memory(self, frame: Frame) -> None:
         """Fill the memory of worlds that were reset from their first frame; draws nothing.
@@ -311,30 +358,39 @@ class Task(ABC, Generic[ConfigT]):
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Bring `scene.memory` up to date after a decision, before it is evaluated.
 
+        By default that of its parts.
+
         Args:
             frame: The decision.
             rngs: Random generator of each world.
         """
+        for part in self.parts:
+            part.update_memory(frame, rngs)
 
     def payload_power(self, scene: Scene) -> np.ndarray | float:
-        """Tell what the drones' equipment takes beside flight, (W, N) W; nothing by default."""
-        return 0.0
+        """Return the power of the drones' equipment, (W, N) W; by default that of its parts."""
+        return sum((part.payload_power(scene) for part in self.parts), 0.0)
 
     def quantities(self) -> Mapping[str, Any]:
         """Tell what the task works out of a frame, by the names that its ingredients use.
 
         Returns:
-            Functions of a frame that give (W, N, ...), or numbers. "outside" is always there.
+            Functions of a frame that give (W, N, ...), or numbers; by default those of its parts.
+            "outside" is always there.
         """
-        return {}
+        return _joined(part.quantities() for part in self.parts)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell what infos say beside rewards and success, (W, N) by name; nothing by default."""
-        return {}
+        """Return further infos, (W, N) by name; by default those of its parts."""
+        return _joined(part.info(frame) for part in self.parts)
 
     def world_state(self) -> Mapping[str, Block]:
-        """List what the global state tells beside drones, of (W, labels); nothing by default."""
-        return {}
+        """List what the global state has beside drones; by default that of its parts.
+
+        Returns:
+            Blocks of (W, labels) by name.
+        """
+        return _joined(part.world_state() for part in self.parts)
 
     def outside(self, frame: Frame) -> np.ndarray:
         """Tell who is outside the arena, or held back at its bounds, (W, N) bool."""
@@ -352,23 +408,23 @@ class Task(ABC, Generic[ConfigT]):
 
     def terminated(self, frame: Frame) -> np.ndarray:
         """Tell whose episode ends here, (W, N) bool; by default by any of `ends`."""
-        if not self.parts.ends:
+        if not self.bound.ends:
             return np.zeros(frame.alive.shape, dtype=bool)
-        ended: np.ndarray = np.any([one(frame) for one in self.parts.ends], axis=0)
+        ended: np.ndarray = np.any([one(frame) for one in self.bound.ends], axis=0)
         return ended
 
     def succeeded(self, frame: Frame) -> np.ndarray:
         """Tell who is where the task wants it, (W, N) bool; by default by `success`."""
-        if self.parts.success is None:
+        if self.bound.success is None:
             return np.zeros(frame.alive.shape, dtype=bool)
-        return self.parts.success(frame)
+        return self.bound.success(frame)
 
     def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
         """Compute the reward terms whose weight is not 0, unweighted, (W, N) by name."""
         if self._named_terms is None:  # a task of its own `evaluate_step` asks for them after all
             own = self.own_terms(everything=True)
             self._named_terms = {
-                name: self.parts.terms.get(name) or self._bound(name, term)
+                name: self.bound.terms.get(name) or self._bound(name, term)
                 for name, term in own.items()
             }
         terms = {name: term(frame) for name, term in self._named_terms.items()}
@@ -387,7 +443,7 @@ class Task(ABC, Generic[ConfigT]):
 
     def extra_terms(self, frame: Frame) -> dict[str, np.ndarray]:
         """Compute the terms that the option `reward` added."""
-        extra = self.parts.extra.items()
+        extra = self.bound.extra.items()
         return {name: term(frame) for name, term in extra if self.weights[name]}
 
     def evaluate_step(self, frame: Frame) -> StepResult:
@@ -397,6 +453,11 @@ class Task(ABC, Generic[ConfigT]):
         """
         terminated, success = self.terminated(frame), self.succeeded(frame)
         return StepResult(self.reward_terms(frame), terminated, success)
+
+
+def _joined(tables: Iterable[Mapping[str, Value]]) -> dict[str, Value]:
+    """Join tables of different names."""
+    return {name: value for table in tables for name, value in table.items()}
 
 
 def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:

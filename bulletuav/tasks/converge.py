@@ -7,20 +7,20 @@ import numpy as np
 
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.registry import register
-from bulletuav.tasks.families.airspace import Airspace
-from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
-from bulletuav.tasks.families.flight_config import (
-    AirspaceConfig,
+from bulletuav.tasks.frame import Spawn, TaskContext
+from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.parts.airspace import (
+    AirspaceOptions,
     circle_arena,
     clearance,
     least_distance,
 )
-from bulletuav.tasks.frame import Spawn, TaskContext
+from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 
 
 @dataclass(frozen=True)
-class ConvergeConfig(AirspaceConfig):
-    """Options of `converge`, beside those of free airspace (`AirspaceConfig`).
+class ConvergeConfig(AirspaceOptions, FlightConfig):
+    """Options of `converge`, beside those of free airspace (`AirspaceOptions`).
 
     Attributes:
         radius: Radius of the circle, m.
@@ -30,7 +30,7 @@ class ConvergeConfig(AirspaceConfig):
 
 
 @register("task")
-class Converge(Airspace[ConvergeConfig]):
+class Converge(GoalFlight[ConvergeConfig]):
     """Flight of drones on a circle to their antipodes, where a large swarm meets at one point.
 
     Drones start evenly spread on a circle at an altitude of 40 m, in flight towards its centre.
@@ -43,7 +43,7 @@ class Converge(Airspace[ConvergeConfig]):
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal.

@@ -8,23 +8,26 @@ import numpy as np
 
 from bulletuav.conflict.measures import offsets
 from bulletuav.registry import register
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, leaves_arena
-from bulletuav.tasks.families.city_layouts import UrbanConfig, ground_cells
-from bulletuav.tasks.families.difficulties import URBAN_DIFFICULTIES
-from bulletuav.tasks.families.presets import URBANMARL_COVERAGE
-from bulletuav.tasks.families.urban import URBAN_DEFAULTS, UrbanTask, check_share
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
+from bulletuav.tasks.parts.city_layouts import CityOptions, add_city, ground_cells
+from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
+from bulletuav.tasks.parts.presets import URBANMARL_COVERAGE
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_share
 from bulletuav.tasks.rewards.users import served
-from bulletuav.tasks.targets import TargetTask, share_of
+from bulletuav.tasks.targets import served_by_any, share_of
 
 MAX_CELLS = 1e6
 """Most squares into which the ground of a city may be divided"""
 
 
 @dataclass(frozen=True)
-class CoverageConfig(UrbanConfig):
-    """Options of `coverage`, beside those of cities (`UrbanConfig`).
+class CoverageConfig(CityOptions, ObstacleOptions, TaskConfig):
+    """Options of `coverage`, beside those of cities (`CityOptions`).
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
@@ -54,7 +57,7 @@ def close(drones_too_near: float) -> float:
 
 
 @register("task")
-class Coverage(UrbanTask[CoverageConfig], TargetTask[CoverageConfig]):
+class Coverage(Task[CoverageConfig]):
     """Search for places, apart from each other, from which drones see the most of a city's streets.
 
     Drones start at rest at random places outdoors, 20 to 60 m high. The ground outdoors is divided
@@ -93,6 +96,8 @@ class Coverage(UrbanTask[CoverageConfig], TargetTask[CoverageConfig]):
         "extreme": {**URBAN_DIFFICULTIES["extreme"], "min_separation": 50.0},
     }
     presets: ClassVar = {"urbanmarl": URBANMARL_COVERAGE}
+    has_goals = False
+    places = ("start",)
     baseline = "oracle"
     observation = ("position", "velocity", "battery", "neighbours", "seen_share")
     reward: ClassVar = {
@@ -113,6 +118,8 @@ class Coverage(UrbanTask[CoverageConfig], TargetTask[CoverageConfig]):
             FileNotFoundError: The city's file is not there.
         """
         super().__init__(config, context)
+        self.add(ObstacleField(self))
+        self.town = add_city(self)
         check_share("wanted", config.wanted)
         self._check_cell()
         cells = [ground_cells(city, config.cell) for city in self.town.cities]
@@ -166,7 +173,15 @@ class Coverage(UrbanTask[CoverageConfig], TargetTask[CoverageConfig]):
     def quantities(self) -> Mapping[str, Any]:
         """Tell the shares of the ground in sight, and how many drones are too near."""
         near = self._drones_too_near
-        return {"served": self.served, "seen_share": self._seen_share, "drones_too_near": near}
+        return {"served": self._served, "seen_share": self._seen_share, "drones_too_near": near}
+
+    def _served(self, frame: Frame) -> np.ndarray:
+        """Compute the share of the squares that some living drone sees, (W, N)."""
+        return served_by_any(frame, self.active_targets(frame.scene))
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Return infos of the city, and the covered share as "served"."""
+        return {**super().info(frame), "served": self._served(frame)}
 
     def _seen_share(self, frame: Frame) -> np.ndarray:
         """Compute the share of the squares that each drone sees, (W, N)."""
@@ -182,4 +197,4 @@ class Coverage(UrbanTask[CoverageConfig], TargetTask[CoverageConfig]):
 
     def succeeded(self, frame: Frame) -> np.ndarray:
         """Tell whether the wanted share of the ground is covered, (W, N) bool."""
-        return self.served(frame) >= self.config.wanted
+        return self._served(frame) >= self.config.wanted

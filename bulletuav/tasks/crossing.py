@@ -6,16 +6,16 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.airspace import Airspace
-from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
-from bulletuav.tasks.families.flight_config import AirspaceConfig, clearance
-from bulletuav.tasks.families.teams import team_sizes
 from bulletuav.tasks.frame import Spawn, TaskContext
+from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.parts.airspace import AirspaceOptions, clearance, require_margin
+from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.parts.teams import team_sizes
 
 
 @dataclass(frozen=True)
-class CrossingConfig(AirspaceConfig):
-    """Options of `crossing`, beside those of free airspace (`AirspaceConfig`).
+class CrossingConfig(AirspaceOptions, FlightConfig):
+    """Options of `crossing`, beside those of free airspace (`AirspaceOptions`).
 
     Attributes:
         half_length: Distance of the first rank of a team from the centre at the start, m.
@@ -33,7 +33,7 @@ class CrossingConfig(AirspaceConfig):
 
 
 @register("task")
-class Crossing(Airspace[CrossingConfig]):
+class Crossing(GoalFlight[CrossingConfig]):
     """Flight of two teams through one airspace at right angles.
 
     The first half of the drones flies north, from (0, -100) to (0, 100) m. The others fly east,
@@ -47,7 +47,7 @@ class Crossing(Airspace[CrossingConfig]):
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal.
@@ -95,6 +95,7 @@ class Crossing(Airspace[CrossingConfig]):
                 ground.
         """
         super().__init__(config, context)
+        require_margin(config)
         # Jitter may move two neighbours towards each other
         clear = clearance(config, context)
         if config.lane_spacing - 2 * config.jitter <= clear:

@@ -9,17 +9,22 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.registry import register
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, leaves_arena
-from bulletuav.tasks.families.presets import URBANMARL_DEFAULT
-from bulletuav.tasks.families.urban import URBAN_DEFAULTS, StreetsConfig, UrbanTask
-from bulletuav.tasks.frame import Spawn
+from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import end, reward
+from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
+from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
+from bulletuav.tasks.parts.presets import URBANMARL_DEFAULT
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, StreetOptions
 
 
 @dataclass(frozen=True)
-class DefaultConfig(StreetsConfig):
-    """Options of `default`, beside those of streets (`StreetsConfig`).
+class DefaultConfig(StreetOptions, CityOptions, ObstacleOptions, TaskConfig):
+    """Options of `default`, beside those of streets (`StreetOptions`).
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
@@ -79,7 +84,7 @@ def arrived(
 
 
 @register("task")
-class Default(UrbanTask[DefaultConfig]):
+class Default(Task[DefaultConfig]):
     """Flight of each drone through a city to its own goal.
 
     Drones start at rest at random places outdoors, 5 to 12 m high. Goals are such places, too.
@@ -112,6 +117,7 @@ class Default(UrbanTask[DefaultConfig]):
     name = "default"
     presets: ClassVar = {"urbanmarl": URBANMARL_DEFAULT}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}
+    difficulties: ClassVar = URBAN_DIFFICULTIES
     observation = ("velocity", "goal", "battery", "room", "lidar")
     baseline = "planner"
     places: ClassVar[tuple[str, ...]] = PLACES
@@ -123,6 +129,17 @@ class Default(UrbanTask[DefaultConfig]):
     }
     ends = (arrived, collision, leaves_arena)
     success = arrived
+
+    def __init__(self, config: DefaultConfig, context: TaskContext) -> None:
+        """Make obstacles and cities.
+
+        Raises:
+            ValueError: A city leaves no room to fly.
+            FileNotFoundError: The city's file is not there.
+        """
+        super().__init__(config, context)
+        self.add(ObstacleField(self))
+        self.town = add_city(self)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start at rest outdoors, with goals outdoors."""

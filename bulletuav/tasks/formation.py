@@ -10,15 +10,15 @@ from bulletuav.geometry.rotation import Vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.base import Rngs
-from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, Airspace
-from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
-from bulletuav.tasks.families.flight_config import circle_arena, clearance, least_distance
-from bulletuav.tasks.families.formation_plan import FormationConfig, Plan
-from bulletuav.tasks.families.formations import Course, Leader, in_world, off_places, off_shape
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.given import Given
+from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, GoalFlight
 from bulletuav.tasks.ingredients import block, reward
 from bulletuav.tasks.observations.base import Block
+from bulletuav.tasks.parts.airspace import circle_arena, clearance, least_distance
+from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.parts.formation_plan import FormationConfig, Plan
+from bulletuav.tasks.parts.formations import Course, Leader, in_world, off_places, off_shape
 
 
 @reward
@@ -41,7 +41,7 @@ def leader(all_leader_velocity: np.ndarray, turn: float) -> Vec3:
 
 
 @register("task")
-class Formation(Airspace[FormationConfig]):
+class Formation(GoalFlight[FormationConfig]):
     """Flight in a shape about a leader, who moves, turns, and asks for another shape.
 
     The leader is no drone: it is a point that flies level at 5 m/s, in a direction drawn at the
@@ -58,7 +58,7 @@ class Formation(Airspace[FormationConfig]):
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `Airspace` for all terms) but for:
+    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms) but for:
 
     - progress 1: metres nearer to the place; how the place moved counts, too.
     - holding 1: 1 within 2 m of the place.
@@ -180,7 +180,7 @@ class Formation(Airspace[FormationConfig]):
             )
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell, beside the shapes of every airspace, what is kept of leader and places.
+        """Return, beside the shapes of `GoalFlight`, those of leader and places.
 
         Returns:
             Of the leader "leader" (4,), its position, m, and yaw, rad; "leader_velocity" (3,), m/s;

@@ -4,14 +4,16 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
-from bulletuav.tasks.families.free_space import FreeSpace, FreeSpaceConfig
-from bulletuav.tasks.families.presets import UAVCONFLICT
+from bulletuav.tasks.frame import TaskContext
+from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.parts.free_space import FreeSpace, FreeSpaceOptions
+from bulletuav.tasks.parts.presets import UAVCONFLICT
 
 
 @dataclass(frozen=True)
-class FreeFlightConfig(FreeSpaceConfig):
-    """Options of `free_flight`, beside those of flights among random places (`FreeSpaceConfig`).
+class FreeFlightConfig(FreeSpaceOptions, FlightConfig):
+    """Options of `free_flight`, beside those of flights among random places (`FreeSpaceOptions`).
 
     Attributes:
         altitude: Height above ground of the middle of the box, m.
@@ -27,7 +29,7 @@ class FreeFlightConfig(FreeSpaceConfig):
 
 
 @register("task")
-class FreeFlight(FreeSpace[FreeFlightConfig]):
+class FreeFlight(GoalFlight[FreeFlightConfig]):
     """Flight between random places of one airspace, in which nothing is arranged.
 
     Drones start at random places in a square of 80 m, between 65 and 75 m high. They fly in
@@ -42,7 +44,7 @@ class FreeFlight(FreeSpace[FreeFlightConfig]):
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal.
@@ -83,3 +85,12 @@ class FreeFlight(FreeSpace[FreeFlightConfig]):
             "num_moving": 0,
         }
     }
+
+    def __init__(self, config: FreeFlightConfig, context: TaskContext) -> None:
+        """Lay out the space.
+
+        Raises:
+            ValueError: There is no room for all, or starts could touch the ground.
+        """
+        super().__init__(config, context)
+        self.starts = FreeSpace(self, self.field)

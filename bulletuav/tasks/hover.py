@@ -13,10 +13,10 @@ from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, too_far
-from bulletuav.tasks.families.draws import between
 from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import end, reward
+from bulletuav.tasks.parts.draws import between
 from bulletuav.tasks.starts import refuse_early_end
 
 SQRT_3 = math.sqrt(3.0)

@@ -358,7 +358,7 @@ class Bound:
             )
 
 
-class Parts(NamedTuple):
+class BoundTerms(NamedTuple):
     """A task's own ingredients, ready for frames; terms by name."""
 
     ends: tuple[Bound, ...] = ()

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.airspace import REWARD_WEIGHTS
-from bulletuav.tasks.families.difficulties import URBAN_DIFFICULTIES
-from bulletuav.tasks.families.presets import URBANMARL_LIDAR_NAVIGATION
-from bulletuav.tasks.families.urban import UrbanFlight, UrbanFlightConfig
 from bulletuav.tasks.frame import TaskContext
+from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, FlightConfig, GoalFlight
+from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
+from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.presets import URBANMARL_LIDAR_NAVIGATION
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, CityLegs, UrbanFlightOptions
 
 RANGE_UNCERTAINTY: dict[str, dict[str, float]] = {
     "easy": {},
@@ -20,8 +21,8 @@ RANGE_UNCERTAINTY: dict[str, dict[str, float]] = {
 
 
 @dataclass(frozen=True)
-class LidarNavigationConfig(UrbanFlightConfig):
-    """Options of `lidar_navigation`, beside those of flights in cities (`UrbanFlightConfig`).
+class LidarNavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):  # type: ignore[misc]
+    """Options of `lidar_navigation`, beside those of flights in cities (`UrbanFlightOptions`).
 
     Attributes:
         proximity_range: Shortest range below which the term `proximity` counts, m; above 0.
@@ -31,7 +32,7 @@ class LidarNavigationConfig(UrbanFlightConfig):
 
 
 @register("task")
-class LidarNavigation(UrbanFlight[LidarNavigationConfig]):
+class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     """Flight through a city to goals, in which drones sense what is near, but not where they are.
 
     Drones start at rest outdoors, 5 to 12 m high. Each one's goal lies outdoors, too, 200 m or
@@ -46,7 +47,7 @@ class LidarNavigation(UrbanFlight[LidarNavigationConfig]):
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal.
@@ -76,18 +77,22 @@ class LidarNavigation(UrbanFlight[LidarNavigationConfig]):
         }
         for difficulty, options in URBAN_DIFFICULTIES.items()
     }
+    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600, "difficulty": "easy"}
+    baseline = "planner"
     observation = ("velocity", "goal", "battery", "room", "lidar")
     required_sensors = ("lidar",)
     reward: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0, "distance": 0.0}
 
     def __init__(self, config: LidarNavigationConfig, context: TaskContext) -> None:
-        """Make the cities, and check the range of the term `proximity`.
+        """Make the cities, and check legs in them and the range of the term `proximity`.
 
         Raises:
-            ValueError: A city leaves no room to fly, or the range is 0.
+            ValueError: A city leaves no room to fly or is too small for a leg, or the range is 0.
             FileNotFoundError: The city's file is not there.
         """
         super().__init__(config, context)
+        self.town = add_city(self)
+        self.starts = CityLegs(self, self.town)
         if config.proximity_range == 0:
             raise ValueError(
                 "proximity_range is 0 m: it must be above 0; to leave the term out, weigh it by 0"

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.presets import URBANMARL_LOS
-from bulletuav.tasks.families.urban import URBAN_DEFAULTS
-from bulletuav.tasks.families.users import UsersConfig, UsersTask
+from bulletuav.tasks.parts.presets import URBANMARL_LOS
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS
+from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 
 @dataclass(frozen=True)
-class LosConfig(UsersConfig):
-    """Options of `los`, those of `UsersConfig`.
+class LosConfig(UserServiceConfig):
+    """Options of `los`, those of `UserServiceConfig`.
 
     Attributes:
         boundary: What happens at the bounds, by default "end": the drone's episode ends.
@@ -21,7 +21,7 @@ class LosConfig(UsersConfig):
 
 
 @register("task")
-class Los(UsersTask[LosConfig]):
+class Los(UserService[LosConfig]):
     """Search for places from which each user on the ground is seen by some drone.
 
     Drones start at rest at random places outdoors, 20 to 60 m high. 20 users stand still outdoors.

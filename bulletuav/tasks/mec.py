@@ -3,24 +3,31 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+from bulletuav.network.uplink import RadioConfig
 from bulletuav.registry import register
-from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
-from bulletuav.tasks.families.presets import URBANMARL_MEC
+from bulletuav.tasks.parts.edge_computing import (
+    EDGE_DIFFICULTIES,
+    EDGE_SHOWS,
+    EdgeComputing,
+    EdgeOptions,
+)
+from bulletuav.tasks.parts.presets import URBANMARL_MEC
 from bulletuav.tasks.rewards.users import power_share
+from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 
 @dataclass(frozen=True)
-class MecConfig(EdgeConfig):
-    """Options of `mec`, those of `EdgeConfig`."""
+class MecConfig(EdgeOptions, RadioConfig, UserServiceConfig):
+    """Options of `mec`, those of `EdgeOptions`."""
 
 
 @register("task")
-class Mec(EdgeTask[MecConfig]):
+class Mec(UserService[MecConfig]):
     """Search for places to which users can offload their tasks, so that most are done in time.
 
     Drones start at rest at random places outdoors, 20 to 60 m high. 50 users stand still outdoors
     and have tasks at random, 0.15 a second each. A task is to be uploaded and computed within 1 s.
-    See `EdgeTask` for what becomes of it.
+    See `EdgeComputing` for what becomes of it.
 
     Observation, Box(8) per drone with the defaults, in world axes (east, north, up): position,
     charge of the battery, utilisation of the drone's cores, tasks (of mean size) in its queue, and
@@ -51,6 +58,9 @@ class Mec(EdgeTask[MecConfig]):
 
     name = "mec"
     presets: ClassVar = {"urbanmarl": URBANMARL_MEC}
+    difficulties: ClassVar = EDGE_DIFFICULTIES
+    shows: ClassVar = EDGE_SHOWS
+    service_kind = EdgeComputing
     observation = ("position", "battery", "server")
     reward: ClassVar = {
         "collision": -2.0,

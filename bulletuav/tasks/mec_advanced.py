@@ -3,15 +3,22 @@
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
+from bulletuav.network.uplink import RadioConfig
 from bulletuav.registry import register
-from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
-from bulletuav.tasks.families.presets import URBANMARL_MEC_ADVANCED
+from bulletuav.tasks.parts.edge_computing import (
+    EDGE_DIFFICULTIES,
+    EDGE_SHOWS,
+    EdgeComputing,
+    EdgeOptions,
+)
+from bulletuav.tasks.parts.presets import URBANMARL_MEC_ADVANCED
 from bulletuav.tasks.rewards.users import power_share
+from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 
 @dataclass(frozen=True)
-class MecAdvancedConfig(EdgeConfig):
-    """Options of `mec_advanced`, those of `EdgeConfig` with other defaults.
+class MecAdvancedConfig(EdgeOptions, RadioConfig, UserServiceConfig):
+    """Options of `mec_advanced`, those of `EdgeOptions` with other defaults.
 
     Attributes:
         num_users: Number of users on the ground, outdoors.
@@ -37,13 +44,13 @@ class MecAdvancedConfig(EdgeConfig):
 
 
 @register("task")
-class MecAdvanced(EdgeTask[MecAdvancedConfig]):
+class MecAdvanced(UserService[MecAdvancedConfig]):
     """Service to few users with many urgent tasks, through directional antennas.
 
     Drones start at rest at random places outdoors, 20 to 45 m high. 10 users stand still outdoors
     and have tasks at random, 2.5 a second each. A task is to be uploaded and computed within 0.2 s.
-    See `EdgeTask` for what becomes of it. The drones' antennas (3GPP TR 38.901, 8 dBi) look along
-    the body's -z axis, so they tilt with the drone.
+    See `EdgeComputing` for what becomes of it. The drones' antennas (3GPP TR 38.901, 8 dBi) look
+    along the body's -z axis, so they tilt with the drone.
 
     Observation, Box(22) per drone with the defaults, in world axes (east, north, up): position,
     velocity, charge of the battery, power, the rate of each user, utilisation of the drone's cores,
@@ -75,6 +82,9 @@ class MecAdvanced(EdgeTask[MecAdvancedConfig]):
 
     name = "mec_advanced"
     presets: ClassVar = {"urbanmarl": URBANMARL_MEC_ADVANCED}
+    difficulties: ClassVar = EDGE_DIFFICULTIES
+    shows: ClassVar = EDGE_SHOWS
+    service_kind = EdgeComputing
     observation = ("position", "velocity", "battery", "power", "link_rates", "server")
     reward: ClassVar = {
         "collision": -5.0,

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.presets import URBANMARL_MOBILE_USERS
-from bulletuav.tasks.families.users import UsersConfig, UsersTask
+from bulletuav.tasks.parts.presets import URBANMARL_MOBILE_USERS
+from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 
 @dataclass(frozen=True)
-class MobileUsersConfig(UsersConfig):
-    """Options of `mobile_users`, those of `UsersConfig`.
+class MobileUsersConfig(UserServiceConfig):
+    """Options of `mobile_users`, those of `UserServiceConfig`.
 
     Attributes:
         mobility: How users walk, by default "manhattan": along the streets.
@@ -20,7 +20,7 @@ class MobileUsersConfig(UsersConfig):
 
 
 @register("task")
-class MobileUsers(UsersTask[MobileUsersConfig]):
+class MobileUsers(UserService[MobileUsersConfig]):
     """Search for users who walk the streets, each to be seen by some drone for as long as can be.
 
     Drones start at rest at random places outdoors, 20 to 60 m high. 20 users walk along the

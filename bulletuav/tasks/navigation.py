@@ -1,14 +1,24 @@
 """Task `navigation`: drones fly to goals through a city that they do not see."""
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.presets import URBANMARL_NAVIGATION
-from bulletuav.tasks.families.urban import UrbanFlight, UrbanFlightConfig
+from bulletuav.tasks.frame import TaskContext
+from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
+from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.presets import URBANMARL_NAVIGATION
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, CityLegs, UrbanFlightOptions
+
+
+@dataclass(frozen=True)
+class NavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):  # type: ignore[misc]
+    """Options of `navigation`, those of flights in cities (`UrbanFlightOptions`)."""
 
 
 @register("task")
-class Navigation(UrbanFlight[UrbanFlightConfig]):
+class Navigation(GoalFlight[NavigationConfig]):
     """Flight through a city to goals, in which drones know where they are, but sense no building.
 
     Drones start at rest outdoors, 5 to 12 m high. Each one's goal lies outdoors, too, 200 m or
@@ -22,7 +32,7 @@ class Navigation(UrbanFlight[UrbanFlightConfig]):
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal.
@@ -43,4 +53,18 @@ class Navigation(UrbanFlight[UrbanFlightConfig]):
 
     name = "navigation"
     presets: ClassVar = {"urbanmarl": URBANMARL_NAVIGATION}
+    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600, "difficulty": "easy"}
+    difficulties: ClassVar = URBAN_DIFFICULTIES
+    baseline = "planner"
     observation = ("position", "velocity", "goal", "battery", "room", "neighbours")
+
+    def __init__(self, config: NavigationConfig, context: TaskContext) -> None:
+        """Make the cities, and check that legs fit into them.
+
+        Raises:
+            ValueError: A city leaves no room to fly, or is too small for a leg.
+            FileNotFoundError: The city's file is not there.
+        """
+        super().__init__(config, context)
+        self.town = add_city(self)
+        self.starts = CityLegs(self, self.town)

@@ -4,13 +4,15 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.difficulties import UNCERTAINTY
-from bulletuav.tasks.families.free_space import FreeSpace, FreeSpaceConfig
+from bulletuav.tasks.frame import TaskContext
+from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.parts.difficulties import UNCERTAINTY
+from bulletuav.tasks.parts.free_space import FreeSpace, FreeSpaceOptions
 
 
 @dataclass(frozen=True)
-class ObstaclesConfig(FreeSpaceConfig):
-    """Options of `obstacles`, beside those of flights among random places (`FreeSpaceConfig`).
+class ObstaclesConfig(FreeSpaceOptions, FlightConfig):
+    """Options of `obstacles`, beside those of flights among random places (`FreeSpaceOptions`).
 
     Attributes:
         altitude_spread: Range of heights of everything about `altitude`, m.
@@ -27,7 +29,7 @@ class ObstaclesConfig(FreeSpaceConfig):
 
 
 @register("task")
-class Obstacles(FreeSpace[ObstaclesConfig]):
+class Obstacles(GoalFlight[ObstaclesConfig]):
     """Flight from random places to random goals among bodies, some of which move.
 
     Drones, goals and obstacles start at random places in a square of 200 m, between 25 and 55 m
@@ -41,7 +43,7 @@ class Obstacles(FreeSpace[ObstaclesConfig]):
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal.
@@ -75,3 +77,12 @@ class Obstacles(FreeSpace[ObstaclesConfig]):
             **UNCERTAINTY["extreme"],
         },
     }
+
+    def __init__(self, config: ObstaclesConfig, context: TaskContext) -> None:
+        """Lay out the space.
+
+        Raises:
+            ValueError: There is no room for all, or starts could touch the ground.
+        """
+        super().__init__(config, context)
+        self.starts = FreeSpace(self, self.field)

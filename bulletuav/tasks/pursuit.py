@@ -9,25 +9,25 @@ import numpy as np
 from bulletuav.compiled.functions import atan2, cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs
-from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, Airspace
-from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
-from bulletuav.tasks.families.flight_config import (
-    AirspaceConfig,
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, FlightConfig, GoalFlight
+from bulletuav.tasks.ingredients import reward
+from bulletuav.tasks.parts.airspace import (
+    AirspaceOptions,
     circle_arena,
     clearance,
     least_distance,
 )
-from bulletuav.tasks.families.presets import UAVCONFLICT
-from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
-from bulletuav.tasks.ingredients import reward
+from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.parts.presets import UAVCONFLICT
 
 TOLERANCE = 0.5
 """Angle by which laps may be short, rad: starts, and ends at the goal, are a little off"""
 
 
 @dataclass(frozen=True)
-class PursuitConfig(AirspaceConfig):
-    """Options of `pursuit`, beside those of free airspace (`AirspaceConfig`).
+class PursuitConfig(AirspaceOptions, FlightConfig):
+    """Options of `pursuit`, beside those of free airspace (`AirspaceOptions`).
 
     Attributes:
         radius: Radius of the circular track, m.
@@ -54,7 +54,7 @@ def lap(
 
 
 @register("task")
-class Pursuit(Airspace[PursuitConfig]):
+class Pursuit(GoalFlight[PursuitConfig]):
     """Flight of a queue round a circle, the faster behind the slower, so that they overtake.
 
     Each drone's goal runs ahead on the circle, clockwise, at the drone's own pace. It runs once
@@ -69,7 +69,7 @@ class Pursuit(Airspace[PursuitConfig]):
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
 
     - lap 1000: share of all laps by which it came nearer to their end, along the track and to the
       goal.

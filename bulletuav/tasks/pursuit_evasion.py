@@ -9,26 +9,28 @@ import numpy as np
 from bulletuav.geometry.closest_approach import fill_distances
 from bulletuav.registry import register
 from bulletuav.sensors.drone_sight import DRONE_SIGHT
-from bulletuav.tasks.base import Rngs
-from bulletuav.tasks.config import REBOUND
-from bulletuav.tasks.families.city_layouts import MAX_TRIES, OPEN, UrbanConfig
-from bulletuav.tasks.families.difficulties import UNCERTAINTY
-from bulletuav.tasks.families.teams import (
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.config import REBOUND, TaskConfig
+from bulletuav.tasks.frame import Frame, Spawn, TaskContext
+from bulletuav.tasks.given import Given
+from bulletuav.tasks.ingredients import reward
+from bulletuav.tasks.parts.base import Rngs
+from bulletuav.tasks.parts.city_layouts import MAX_TRIES, OPEN, CityOptions, add_city
+from bulletuav.tasks.parts.difficulties import UNCERTAINTY
+from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
+from bulletuav.tasks.parts.teams import (
     NOBODY,
     follow_chase,
     nearest_opponents,
     team_sizes,
     zero_sum,
 )
-from bulletuav.tasks.families.urban import UrbanTask, check_share
-from bulletuav.tasks.frame import Frame, Spawn, TaskContext
-from bulletuav.tasks.given import Given
-from bulletuav.tasks.ingredients import reward
+from bulletuav.tasks.parts.urban import check_share
 
 
 @dataclass(frozen=True)
-class PursuitEvasionConfig(UrbanConfig):
-    """Options of `pursuit_evasion`, beside those of cities (`UrbanConfig`).
+class PursuitEvasionConfig(CityOptions, ObstacleOptions, TaskConfig):
+    """Options of `pursuit_evasion`, beside those of cities (`CityOptions`).
 
     Attributes:
         teams: Chasers and evaders; when left out every fourth drone is an evader, but one at least.
@@ -106,7 +108,7 @@ def time(
 
 
 @register("task")
-class PursuitEvasion(UrbanTask[PursuitEvasionConfig]):
+class PursuitEvasion(Task[PursuitEvasionConfig]):
     """Pursuit of evaders by chasers, two teams whose main rewards add up to zero.
 
     Drones 0 to C - 1 are chasers, the others evaders: 3 and 1 of 4. They start at rest, 10 to 40 m
@@ -193,6 +195,7 @@ class PursuitEvasion(UrbanTask[PursuitEvasionConfig]):
     }
     events = ("lost", "captured", "won", "chasing", "capture_payoff", "closing_payoff")
     baseline = "lead vs flee"
+    places = ("start",)
     shows: ClassVar = {
         "success": "won",
         "captured": "captured",
@@ -209,6 +212,8 @@ class PursuitEvasion(UrbanTask[PursuitEvasionConfig]):
             FileNotFoundError: The city's file is not there.
         """
         super().__init__(config, context)
+        self.add(ObstacleField(self))
+        self.town = add_city(self)
         # One in four evades, unless teams are told
         drones = context.num_drones
         evaders = max(drones // 4, 1) if drones > 1 else 0

@@ -11,11 +11,11 @@ from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.ends import leaves_arena
-from bulletuav.tasks.families.gates import cross_gates, rank_drones, ways_left
-from bulletuav.tasks.families.race_course import RaceConfig, RaceCourse
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.observations.base import Block, of_drones
+from bulletuav.tasks.parts.gates import cross_gates, rank_drones, ways_left
+from bulletuav.tasks.parts.race_course import RaceConfig, RaceCourse
 
 
 @reward
@@ -185,7 +185,7 @@ class Race(Task[RaceConfig]):
             "gate_velocity" (G, 3), m/s; "gate_axis" (G, 3, 3), their axes; "gate_size" (G,), m;
             "gate_phase" (G,) of their swings, rad; "leg" (G,), from each to the next, m. Of drones
             "passed" (N,), gates; "split" (N, laps G), when each was passed, s; "passing",
-            "missing", "overtaken" (N,), see `bulletuav.tasks.families.gates`; "missed",
+            "missing", "overtaken" (N,), see `bulletuav.tasks.parts.gates`; "missed",
             "overtakes", "contacts" (N,), sums; "touching" (N,), whether a contact goes on; "way",
             "way_before" (N,), to the finish, m; "rank", "rank_before" (N,).
         """

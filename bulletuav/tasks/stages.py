@@ -87,15 +87,15 @@ def add_outcome(
         _copy(result.terms, judgement)
 
     # A task that judges by itself takes Python's turn
-    kind, parts = type(task), task.parts
+    kind, bound = type(task), task.bound
     if kind.evaluate_step is not Task.evaluate_step:
         program.turn(evaluate)
         return
     # Own methods where there are some, and compiled ingredients beside them
     own = None if kind.terminated is Task.terminated else task.terminated
-    _add_flags(program, frame, judgement.ended, own, parts.ends)
+    _add_flags(program, frame, judgement.ended, own, bound.ends)
     own = None if kind.succeeded is Task.succeeded else task.succeeded
-    success = () if parts.success is None else (parts.success,)
+    success = () if bound.success is None else (bound.success,)
     _add_flags(program, frame, judgement.success, own, success)
 
 
@@ -107,7 +107,7 @@ def add_judgement(
 ) -> None:
     """Add to a program that a task works out what `add_outcome` tells, and reward terms."""
     add_outcome(program, task, frame, judgement)
-    kind, parts = type(task), task.parts
+    kind, bound = type(task), task.bound
     if kind.evaluate_step is Task.evaluate_step:
         _add_terms(program, task, frame, judgement)
     # Terms that users add, by the task's own way or as ingredients
@@ -115,7 +115,7 @@ def add_judgement(
         program.turn(lambda: _copy(task.extra_terms(frame), judgement))
         return
     kept = Kept(program, frame)
-    for name, term in parts.extra.items():
+    for name, term in bound.extra.items():
         if name in judgement.terms:
             kept.add(term, judgement.terms[name])
 
@@ -152,10 +152,10 @@ def _add_terms(
         program.turn(lambda: _copy(task.reward_terms(frame), judgement))
         return
     kept = Kept(program, frame)
-    for name, term in task.parts.terms.items():
+    for name, term in task.bound.terms.items():
         kept.add(term, judgement.terms[name])
     if any(task.weights.get(name) for name in task.computed_terms):
-        own = {name: judgement.terms[name] for name in task.parts.terms}
+        own = {name: judgement.terms[name] for name in task.bound.terms}
         program.turn(lambda: _copy(task.compute_terms(frame, own), judgement))
 
 

@@ -1,89 +1,29 @@
-"""Tasks in which drones are to see points: users on the ground, or cells of it."""
-
-from typing import Any, ClassVar, Generic
+"""Targets that drones are to see: users on the ground, or cells of it."""
 
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating
-from bulletuav.tasks.base import Task
-from bulletuav.tasks.config import ConfigT
-from bulletuav.tasks.frame import Frame, Scene
+from bulletuav.tasks.frame import Frame
 
 SERVED = "served share"
-"""Where a frame keeps what `TargetTask.served` tells"""
+"""Where a frame keeps what `served_by_any` returns"""
 
 
-class TargetTask(Task[ConfigT], Generic[ConfigT]):
-    """A task with `num_targets` targets; a task says where they are, by `targets(scene)`.
+def served_by_any(frame: Frame, active: np.ndarray) -> np.ndarray:
+    """Compute the share of active targets that some living drone sees.
 
-    Its drones have no goals of their own.
+    Args:
+        frame: The decision, which keeps the share until something changes.
+        active: (W, U) bool, targets that count.
+
+    Returns:
+        (W, N), the same for all drones of a world.
     """
-
-    has_goals = False
-    shows: ClassVar = {"served": "served by all", "collision": "collisions"}
-
-    def active_targets(self, scene: Scene) -> np.ndarray:
-        """Tell which targets count, (W, num_targets) bool; all by default."""
-        return np.ones((len(scene.goal), self.num_targets), dtype=bool)
-
-    def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell the share of the targets that is served, beside what every task tells."""
-        return {"served": self.served(frame), **super().info(frame)}
-
-    def served(self, frame: Frame) -> np.ndarray:
-        """Compute the share of the targets that some living drone sees, (W, N)."""
-        known = frame.derived.get(SERVED)
-        if known is None:  # else asked before, of the same frame
-            active = self.active_targets(frame.scene)
-            known = served_share(frame.readings["sight"], frame.alive, active)
-            frame.derived[SERVED] = known
-        return known
-
-    def links(self, frame: Frame) -> np.ndarray:
-        """Tell which drones serve which targets, for pictures, (W, N, U) bool; by default none."""
-        return np.zeros_like(frame.seen)
-
-    def service_quality(
-        self,
-        place: np.ndarray,
-        targets: np.ndarray,
-        sight: np.ndarray,
-    ) -> np.ndarray:
-        """Tell what targets are worth to drones, for policies that know everything.
-
-        Args:
-            place: (C, 3) of the drones, m.
-            targets: (U, 3) m.
-            sight: (C, U) bool, whether they are in line of sight.
-
-        Returns:
-            (C, U) from 0 to 1; by default whether they are seen.
-        """
-        return sight.astype(float)
-
-
-def active_targets(task: Task[Any], scene: Scene) -> np.ndarray:
-    """Tell which targets of any task count, (W, num_targets) bool."""
-    if isinstance(task, TargetTask):
-        return task.active_targets(scene)
-    return np.ones((len(scene.goal), task.num_targets), dtype=bool)
-
-
-def links(task: Task[Any], frame: Frame) -> np.ndarray:
-    """Tell which drones of any task serve which targets; see `TargetTask.links`."""
-    return task.links(frame) if isinstance(task, TargetTask) else np.zeros_like(frame.seen)
-
-
-def service_quality(
-    task: Task[Any],
-    place: np.ndarray,
-    targets: np.ndarray,
-    sight: np.ndarray,
-) -> np.ndarray:
-    """Tell what targets of any task are worth to drones; see `TargetTask.service_quality`."""
-    if isinstance(task, TargetTask):
-        return task.service_quality(place, targets, sight)
-    return sight.astype(float)
+    known = frame.derived.get(SERVED)
+    if known is None:  # else asked before, of the same frame
+        known = served_share(frame.readings["sight"], frame.alive, active)
+        frame.derived[SERVED] = known
+    return known
 
 
 def share_of(seen: np.ndarray, active: np.ndarray) -> np.ndarray:

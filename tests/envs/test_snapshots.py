@@ -533,7 +533,7 @@ def test_memory_from_which_users_walk_is_checked(mobility):
     aviary.step(np.zeros((2, *aviary.action.low.shape)))
     saved, hashed = aviary.save_state(), aviary.state_hash()
     aviary.load_state(sent(saved))
-    kept = [f"memory {name}" for name in aviary.task.mobility.state(1)]
+    kept = [f"memory {name}" for name in aviary.task.users.mobility.state(1)]
     assert set(kept) <= aviary.worlds.bounds().keys()
     for name in kept:
         for value in (1e300, np.nan):

@@ -28,7 +28,7 @@ from bulletuav.report.film import Film
 from bulletuav.report.replay import read_run, write_replay
 from bulletuav.report.results import merge
 from bulletuav.report.verification import Verifier
-from bulletuav.tasks.families.tracks import RandomTrack, blocks, fault, load_track
+from bulletuav.tasks.parts.tracks import RandomTrack, blocks, fault, load_track
 from bulletuav.training.store import Store
 from bulletuav.training.study import Study
 

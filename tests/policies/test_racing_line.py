@@ -16,7 +16,7 @@ from bulletuav.policies.racing_line import (
     time_line,
     usual_choice,
 )
-from bulletuav.tasks.families.tracks import list_tracks
+from bulletuav.tasks.parts.tracks import list_tracks
 
 AXES = np.eye(3)
 

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 import bulletuav
+from bulletuav.tasks.parts.obstacle_field import ObstacleField
 
 POINTS = {"dynamics": "single_integrator"}
 SPACES = [
@@ -30,10 +31,11 @@ def test_obstacles_keep_off_starts_goals_and_buildings_and_stay_in_bounds(task):
     wide = {"area": 200.0} if task == "free_flight" else {}
     aviary = made(task, 3, num_obstacles=6, num_moving=4, randomization={}, **wide)
     at, task = aviary.scene, aviary.task
-    low, high = task.obstacle_bounds()
+    field = next(part for part in task.parts if isinstance(part, ObstacleField))
+    low, high = field.box()
     for w in range(3):
         for places in (aviary.swarm.position[w], at.goal[w]):
-            assert (cdist(places, at.obstacle[w]) > task.keep_off).all()
+            assert (cdist(places, at.obstacle[w]) > field.keep_off).all()
     moving = at.obstacle_velocity[:, :4]
     assert (moving != 0).all()
     assert (at.obstacle_velocity[:, 4:] == 0).all()
@@ -45,7 +47,7 @@ def test_obstacles_keep_off_starts_goals_and_buildings_and_stay_in_bounds(task):
         assert ((at.obstacle >= low) & (at.obstacle <= high)).all()
         for w in range(3):
             for k in range(6):
-                radius = task.obstacle_radius[k]
+                radius = field.radius[k]
                 assert task.is_free(at.obstacle[w, k], radius, int(at.layout[w]))
     np.testing.assert_array_equal(at.obstacle[:, 4:], standing)
     assert (np.linalg.norm(at.obstacle - before, axis=-1)[:, :4] > 0).any()

@@ -7,8 +7,8 @@ from scipy.spatial.distance import pdist
 from urban import STAY, TOWER, blocked
 
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.tasks.families import city_layouts
-from bulletuav.tasks.families.city_layouts import ground_cells
+from bulletuav.tasks.parts import city_layouts
+from bulletuav.tasks.parts.city_layouts import ground_cells
 from bulletuav.tasks.targets import share_of
 
 

@@ -6,8 +6,8 @@ import pytest
 import bulletuav
 from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.rotation import exponential
-from bulletuav.tasks.families.draws import source_of, uniform
-from bulletuav.tasks.families.headings import directions, draw_velocities
+from bulletuav.tasks.parts.draws import source_of, uniform
+from bulletuav.tasks.parts.headings import directions, draw_velocities
 from bulletuav.tasks.hover import Hover
 
 

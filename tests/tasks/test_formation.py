@@ -8,8 +8,8 @@ from scipy.spatial import procrustes
 from scipy.spatial.transform import Rotation
 
 import bulletuav
-from bulletuav.tasks.families.formation_plan import FormationConfig
-from bulletuav.tasks.families.formations import Course, assign, in_world, off_places, off_shape
+from bulletuav.tasks.parts.formation_plan import FormationConfig
+from bulletuav.tasks.parts.formations import Course, assign, in_world, off_places, off_shape
 
 POINTS = {"dynamics": "single_integrator", "randomization": {}, "jitter": 0.0}
 DIAMOND = np.array([(8.0, 0.0, 0.0), (0.0, 8.0, 0.0), (0.0, -8.0, 0.0), (-8.0, 0.0, 4.0)])

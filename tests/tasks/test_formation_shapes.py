@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
 
-from bulletuav.tasks.families.formation_shapes import (
+from bulletuav.tasks.parts.formation_shapes import (
     GRID,
     SHAPES,
     STROKES,

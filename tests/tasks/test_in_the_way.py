@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bulletuav.tasks.families.obstacle_field import first_near
+from bulletuav.tasks.parts.obstacle_field import first_near
 
 
 @pytest.mark.parametrize("seed", range(5))

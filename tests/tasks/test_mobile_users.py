@@ -336,7 +336,7 @@ def test_the_preset_has_the_sizes_that_it_is_named_after(make):
         1,
         100,
     )
-    assert (options.dynamics, task.config.contact_ends, task.mobility) == (
+    assert (options.dynamics, task.config.contact_ends, task.users.mobility) == (
         "single_integrator",
         "world",
         find_mobility("manhattan"),

@@ -10,14 +10,15 @@ from bulletuav import Aviary
 
 def one_by_one(task, rng, obstacle, start):
     """Draw as the text says: each drone tries places until one is clear."""
-    keep_off = task.obstacle_radius + task._apart / 2
+    space = task.starts
+    keep_off = task.field.radius + space.apart / 2
     places = []
     while len(places) < task.context.num_drones:
-        place = rng.uniform(task._low, task._high)
+        place = rng.uniform(space.low, space.high)
         others = np.array(places).reshape(-1, 3)
-        clear = (np.linalg.norm(others - place, axis=1) > task._apart).all()
+        clear = (np.linalg.norm(others - place, axis=1) > space.apart).all()
         clear &= (np.linalg.norm(obstacle - place, axis=1) > keep_off).all()
-        far = start is None or np.linalg.norm(start[len(places)] - place) >= task._leg
+        far = start is None or np.linalg.norm(start[len(places)] - place) >= space.leg
         if clear and far:
             places.append(place)
     return np.array(places)
@@ -35,7 +36,7 @@ def test_places_and_generator_are_as_if_drawn_one_by_one(drones, crowd):
             # Half a number is kept back by 32-bit draws: it must still be there
             assert one.integers(9, dtype=np.uint32) == two.integers(9, dtype=np.uint32)
             spawn, config = task.spawn(one), task.config
-            obstacle = two.uniform(task._low, task._high, (crowd, 3))
+            obstacle = two.uniform(task.starts.low, task.starts.high, (crowd, 3))
             fastest = config.obstacle_speed
             velocity = two.uniform(-fastest, fastest, (crowd, 3))
             velocity[config.num_moving :] = 0
@@ -59,7 +60,7 @@ def test_starts_that_are_shifted_keep_off_each_other_and_their_goals():
         task, rng = aviary.task, np.random.default_rng(0)
         # No draw that keeps the rules comes closer than the rule less both whole shifts
         shift = np.sqrt(3) * task.config.jitter
-        assert task._apart - 2 * shift == pytest.approx(2 * task.config.d_safe)
+        assert task.starts.apart - 2 * shift == pytest.approx(2 * task.config.d_safe)
         spawns = [task.spawn(rng) for _ in range(500)]
     way = [np.linalg.norm(spawn.goal - spawn.position, axis=1).min() for spawn in spawns]
     assert task.config.leg <= min(way) < task.config.leg + 15.0

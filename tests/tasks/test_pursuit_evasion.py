@@ -6,7 +6,7 @@ import pytest
 
 import bulletuav
 from bulletuav.policies import find_policy
-from bulletuav.tasks.families.teams import NOBODY, follow_chase, nearest_opponents, zero_sum
+from bulletuav.tasks.parts.teams import NOBODY, follow_chase, nearest_opponents, zero_sum
 
 POINTS = {"dynamics": "single_integrator", "difficulty": "easy", "evader_speed": 1.0}
 STILL = (0.0, 0.0, 0.0)

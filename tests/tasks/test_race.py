@@ -8,7 +8,7 @@ from matplotlib.path import Path as Polygon
 from scipy.spatial.transform import Rotation
 
 import bulletuav
-from bulletuav.tasks.families.gates import (
+from bulletuav.tasks.parts.gates import (
     BAR,
     Gate,
     bar_places,
@@ -17,7 +17,7 @@ from bulletuav.tasks.families.gates import (
     rank_drones,
     ways_left,
 )
-from bulletuav.tasks.families.tracks import (
+from bulletuav.tasks.parts.tracks import (
     RandomTrack,
     blocks,
     draw_track,

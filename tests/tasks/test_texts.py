@@ -110,5 +110,5 @@ def test_options_are_told_by_the_nearest_class():
 def test_bases_are_not_printed(printed):
     task, _, said = printed
     for base in inspect.getmro(task)[1:]:
-        if base.__module__.startswith("bulletuav.tasks.families"):
+        if base.__module__.startswith("bulletuav.tasks.parts"):
             assert inspect.getdoc(base).partition("\n")[0] not in said

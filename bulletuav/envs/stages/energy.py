@@ -5,7 +5,6 @@ import numpy as np
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
-from bulletuav.tasks.base import Task
 
 
 class DrainBatteries(Stage):
@@ -18,7 +17,7 @@ class DrainBatteries(Stage):
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls; see `Stage`."""
         state, task = worlds.state, worlds.task
-        if type(task).payload_power is not Task.payload_power:
+        if task.has_own("payload_power"):
             program.turn(lambda: np.copyto(state.payload, task.payload_power(state.scene)))
         taken = (state.wind, state.payload, state.flown)
         worlds.energy.add_to(program, state.before, state.swarm, *taken)

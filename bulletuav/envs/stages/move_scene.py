@@ -3,7 +3,6 @@
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
-from bulletuav.tasks.base import Task
 
 
 class MoveScene(Stage):
@@ -17,7 +16,7 @@ class MoveScene(Stage):
         """Add the calls; see `Stage`."""
         # Only tasks that move anything take Python's time
         task, state = worlds.task, worlds.state
-        if type(task).move_scene is not Task.move_scene:
+        if task.has_own("move_scene"):
 
             def move() -> None:
                 task.move_scene(state.scene, state.time, state.flying, worlds.rng)

@@ -3,7 +3,6 @@
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
-from bulletuav.tasks.base import Task
 
 
 class Remember(Stage):
@@ -16,5 +15,5 @@ class Remember(Stage):
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls; see `Stage`."""
         task = worlds.task
-        if type(task).update_memory is not Task.update_memory:
+        if task.has_own("update_memory"):
             program.turn(lambda: task.update_memory(worlds.frame, worlds.rng))

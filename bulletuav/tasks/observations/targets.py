@@ -9,7 +9,7 @@ from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import block
 from bulletuav.tasks.observations.base import Block, refused
-from bulletuav.tasks.targets import TargetTask, share_of
+from bulletuav.tasks.targets import share_of
 
 MAX_POWER = 1000.0
 """W, bound of observed power"""
@@ -50,7 +50,7 @@ def targets(task: Any) -> Block:
 @register("observation")
 def seen_share(task: Any) -> Block:
     """Share of the task's active targets that the drone sees."""
-    task = require_targets(task, "seen_share")
+    require_targets(task, "seen_share")
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         active = task.active_targets(frame.scene)[:, None]
@@ -65,7 +65,7 @@ def centroids(task: Any) -> Block:
 
     Its own are those nearer to it than to other living drones; all where it has none.
     """
-    task = require_targets(task, "centroids")
+    require_targets(task, "centroids")
     bounds = [(task.arena_low[axis], task.arena_high[axis]) for axis in (0, 1)]
     labels = tuple(
         Label(f"{whose}centroid {axis}", "m", float(low), float(high))
@@ -115,12 +115,11 @@ def sight_matrix(task: Any) -> Block:
     return Block(labels, compute)
 
 
-def require_targets(task: Any, name: str) -> TargetTask[Any]:
+def require_targets(task: Any, name: str) -> None:
     """Refuse a block of targets for a task that has none.
 
     Raises:
         ValueError: It has none.
     """
-    if not isinstance(task, TargetTask):
+    if not task.num_targets:
         raise refused(task, name)
-    return task

@@ -53,7 +53,7 @@ def server(task: Any) -> Block:
 def link_rates(task: Any) -> Block:
     """Rate that each user would reach to the drone if it had it for itself."""
     require_memory(task, "link_rates", ("received",))
-    band, noise = task.config.bandwidth, task.uplink.noise
+    band, noise = task.config.bandwidth, task.service.uplink.noise
     users = range(1, task.num_targets + 1)
     labels = tuple(Label(f"rate of user {j}", "Mbit/s", 0.0, MAX_DATA_RATE) for j in users)
 

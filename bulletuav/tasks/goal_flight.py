@@ -1,21 +1,23 @@
-"""Flights of several drones to goals through one shared airspace: rewards, ends and memory."""
+"""Flights of several drones to goals through one shared airspace: options, rewards and ends."""
 
+import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Generic, TypeVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
 from bulletuav.geometry.closest_approach import distances
-from bulletuav.tasks.base import Rngs, Weighted
-from bulletuav.tasks.config import REBOUND
+from bulletuav.tasks.base import Task, Weighted
+from bulletuav.tasks.config import REBOUND, TaskConfig
 from bulletuav.tasks.ends import affected
-from bulletuav.tasks.families.draws import source_of
-from bulletuav.tasks.families.flight_config import FlightConfig
-from bulletuav.tasks.families.headings import draw_velocities
-from bulletuav.tasks.families.obstacle_field import ObstacleTask
-from bulletuav.tasks.families.presets import UAVCONFLICT
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
+from bulletuav.tasks.parts.base import Rngs, Starts
+from bulletuav.tasks.parts.draws import source_of
+from bulletuav.tasks.parts.headings import draw_velocities
+from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
+from bulletuav.tasks.parts.presets import UAVCONFLICT
 from bulletuav.tasks.rewards.airspace import (
     follow_encounters,
     sum_obstacle_nearness,
@@ -40,11 +42,72 @@ REWARD_WEIGHTS = {
 }
 """Weights of the reward terms of all flights to goals"""
 
+
+@dataclass(frozen=True)
+class FlightConfig(ObstacleOptions, TaskConfig):
+    """Options of all flights to goals, beside those of obstacles (`ObstacleOptions`).
+
+    Attributes:
+        d_safe: Separation below which two drones are in conflict, m.
+        start_speed: Least and greatest speed at the start, m/s; by default cut to max_speed.
+        goal_radius: Distance from the goal at which it counts as reached, m.
+        at_goal: What happens at the goal. "leave": the drone leaves the airspace. "land": it has
+            to land on the ground below first, see `Frame.landed`. "hold": it stays, until all
+            that fly are at their goals.
+        boundary: What happens outside the arena. "end": the drone's episode ends. "soft": it is
+            thrown back with 0.8 of its speed. "hard": it stops at the wall. "open": nothing.
+        contact_ends: Whose episode a contact of collision shapes ends: that of the "drone", or
+            of its whole "world".
+        conflict_ends: Whose episode a separation below `d_safe` ends: "nothing", "drone" or
+            "world".
+        warning_zone: Separation at which the warning zone begins, as a multiple of `d_safe`.
+        fairness_range: Distance up to which the term `fairness` compares rewards, m.
+        discount: Discount of the term `shaping`, from 0 to 1.
+    """
+
+    d_safe: float = 5.0
+    start_speed: tuple[float, float] = (5.0, 15.0)
+    goal_radius: float = 2.0
+    at_goal: Literal["leave", "land", "hold"] = "leave"
+    boundary: Literal["end", "soft", "hard", "open"] = "end"
+    contact_ends: Literal["drone", "world"] = "drone"
+    conflict_ends: Literal["nothing", "drone", "world"] = "nothing"
+    warning_zone: float = 2.0
+    fairness_range: float = 50.0
+    discount: float = 0.99
+
+    def check(self, context: TaskContext) -> None:
+        """Refuse options that contradict each other.
+
+        Args:
+            context: The swarm that the options are for.
+
+        Raises:
+            ValueError: A start speed is one that no drone has, the warning zone ends where it
+                begins, or the discount is above 1.
+        """
+        slowest, fastest = self.start_speed
+        usual = self.start_speed == type(self).start_speed
+        if not (0 <= slowest <= fastest and (usual or fastest <= context.max_speed)):
+            raise ValueError(
+                f"start_speed is {self.start_speed}: "
+                f"from low to high within 0 and max_speed {context.max_speed:g}"
+            )
+        if self.warning_zone <= 1:
+            raise ValueError(
+                f"warning_zone is {self.warning_zone:g}: it must end beyond d_safe, at more than 1"
+            )
+        if self.discount > 1:
+            raise ValueError(f"discount is {self.discount:g}: from 0 to 1 is needed")
+
+
 FlightConfigT = TypeVar("FlightConfigT", bound=FlightConfig)
 
 
-class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
+class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
     """Base of flights to goals in one airspace; a task adds where drones start and where they go.
+
+    It sets `starts`, or has a `spawn` of its own.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed. Its norm
     is limited to max_speed. There are 10 decisions a second.
@@ -109,6 +172,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
     places: ClassVar[tuple[str, ...]] = PLACES
     events = ("finished", "reached", "terminated", "ended")
     computed_terms = ("fairness",)
+    starts: Starts
 
     def __init__(self, config: FlightConfigT, context: TaskContext) -> None:
         """Check the options, and take the warning zone and the bounds' rebound from them.
@@ -117,12 +181,24 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
             ValueError: Options contradict each other.
         """
         super().__init__(config, context)
+        self.field = self.add(ObstacleField(self))
         config.check(context)
         self.rebound = REBOUND.get(config.boundary)
         self.zone = config.warning_zone * config.d_safe
         self.lands = self.takes_off or config.at_goal == "land"
         if not config.num_obstacles:
             self.weights["obstacle_warning"] = 0.0
+
+    @property
+    def respawns(self) -> bool:
+        """Whether drones that reach their goals get others."""
+        at_goal: str = self.config.at_goal
+        return at_goal == "respawn"
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Draw a start in flight from the places that `starts` draws."""
+        drawn = self.starts.draw(rng)._asdict()
+        return self.launch(drawn.pop("position"), drawn.pop("goal"), rng, **drawn)
 
     def launch(
         self,
@@ -132,7 +208,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         along: np.ndarray | None = None,
         **others: Any,
     ) -> Spawn:
-        """Make a start in flight, with level drones.
+        """Make a start of level drones in flight.
 
         Args:
             start: (N, 3) where drones start, m.
@@ -145,26 +221,30 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         velocity, ways = np.empty(start.shape), goal - start if along is None else along
         speeds = (float(min(slowest, limit)), float(min(fastest, limit)))
         draw_velocities(source_of(rng), *speeds, ways, velocity)
-        return Spawn(position=start, goal=goal, velocity=velocity, **others)
+        return Spawn(position=start, goal=goal, **{**others, "velocity": velocity})
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell the shapes of what is kept of each drone and, where concession counts, of pairs.
+        """Return the shapes of what is kept of each drone and, where concession counts, of pairs.
 
         Returns:
-            "reached" (N,), time at which a drone first came to its goal, s, 0 before. "first_way"
-            (N,), how far it had to go from its start, m. "encounter" and "effort" (N, N), see
+            "reached" (N,), time at which a drone first came to its goal, s, 0 before; where goals
+            respawn the last time. "goals" (N,), how many it reached then. "first_way" (N,), how far
+            it had to go from its start, m. "encounter" and "effort" (N, N), see
             `bulletuav.tasks.rewards.airspace.follow_encounters`.
         """
         drones = self.context.num_drones
-        shapes: dict[str, tuple[int, ...]] = {"reached": (drones,), "first_way": (drones,)}
+        shapes = {"reached": (drones,), "first_way": (drones,), **super().memory()}
+        if self.respawns:
+            shapes["goals"] = (drones,)
         if self.weights.get("concession"):
             shapes["encounter"] = (drones, drones)
             shapes["effort"] = (drones, drones)
         return shapes
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell the ways to the goal before and after the decision, and how near obstacles are."""
+        """Return the ways to the goal before and after the decision, and how near obstacles are."""
         return {
+            **super().quantities(),
             "way": self.way,
             "way_before": self.way_before,
             "obstacle_nearness": self._obstacle_nearness,
@@ -173,7 +253,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
     def _obstacle_nearness(self, frame: Frame) -> np.ndarray:
         """Sum up over obstacles how deep each drone is within d_safe of them, (W, N)."""
         nearness = np.empty(frame.alive.shape)
-        reach = self.obstacle_radius + self.context.collision_radius
+        reach = self.field.radius + self.context.collision_radius
         place, d_safe = frame.scene.obstacle, float(frame.d_safe)
         sum_obstacle_nearness(frame.after.position, place, reach, d_safe, nearness)
         return nearness
@@ -214,6 +294,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Note when goals were reached, how far it was to them at the start, and who made way."""
+        super().update_memory(frame, rngs)
         memory = frame.scene.memory
         # The first decision of an episode tells the way from the start.
         first_way = memory["first_way"]
@@ -222,16 +303,34 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         is_first = memory["reached"] == 0
         has_reached = self.arrived(frame) & frame.alive & ~frame.collision & is_first
         np.copyto(memory["reached"], frame.time[:, None], where=has_reached)
+        if self.respawns:
+            self._respawn(frame, rngs)
         if "encounter" in memory:
             pairs = (memory["encounter"], memory["effort"])
             follow_encounters(*pairs, frame.before, frame.after, frame.d_safe, frame.alive)
 
+    def _respawn(self, frame: Frame, rngs: Rngs) -> None:
+        """Draw new goals for drones at theirs.
+
+        Rewards and infos of the decision are about the goals before; observations have the new.
+        """
+        scene = frame.scene
+        at_goal = self.arrived(frame) & frame.alive & ~frame.collision
+        np.copyto(scene.memory["reached"], frame.time[:, None], where=at_goal)
+        scene.memory["goals"][:] += at_goal
+        for w, i in np.argwhere(at_goal).tolist():
+            place = frame.after.position[w, i]
+            scene.goal[w, i] = self.starts.next_goal(place, int(scene.layout[w]), rngs[w])
+            frame.known_distance[w, i] = math.dist(scene.goal[w, i], frame.known_position[w, i])
+
     def finished(self, frame: Frame) -> np.ndarray:
-        """Tell who is at the goal, or landed where that is asked for, without a crash.
+        """Return which drones are at the goal, or landed where that is asked for, without a crash.
 
         Returns:
-            (W, N) bool.
+            (W, N) bool; none where goals respawn.
         """
+        if self.respawns:
+            return np.zeros(frame.alive.shape, dtype=bool)
         if self.config.at_goal != "land":
             at_goal: np.ndarray = self.arrived(frame) & ~frame.collision
             return at_goal
@@ -242,7 +341,10 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         return landed
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell who did what the task wants, (W, N) bool; by default all that finished."""
+        """Return which drones finished, or reached a goal where these respawn, (W, N) bool."""
+        if self.respawns:
+            reached: np.ndarray = (frame.scene.memory["goals"] > 0) & ~frame.collision
+            return reached
         # `terminated` leaves this here, so that it is worked out once a decision.
         finished = frame.derived.get("finished")
         return self.finished(frame) if finished is None else finished
@@ -287,6 +389,11 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         frame.derived["terminated"] = ended
         frame.derived["ended"] = ended | frame.last[:, None]
         return ended
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Return infos of the parts and, where goals respawn, the number of goals reached."""
+        goals = {"goals": frame.scene.memory["goals"].copy()} if self.respawns else {}
+        return {**super().info(frame), **goals}
 
     def compute_terms(
         self, frame: Frame, terms: Mapping[str, np.ndarray]

@@ -1,7 +1,8 @@
-"""Cities of a task: its options, how its layouts are made, and where drones can be in them."""
+"""Cities of a task: options, layouts, and random places in them."""
 
 import contextlib
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -12,13 +13,16 @@ import numpy as np
 from bulletuav.city.generator import generate
 from bulletuav.city.imports import READERS
 from bulletuav.city.model import City
-from bulletuav.city.statistics import KINDS, Statistics, parameters
+from bulletuav.city.statistics import KINDS, MOST, Statistics, parameters
 from bulletuav.city.streets import Streets
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import as_sequence, choose, finite, shown
 from bulletuav.geometry.solids import Solids
-from bulletuav.tasks.families.obstacle_field import ObstacleConfig
-from bulletuav.tasks.frame import Spawn, TaskContext
+from bulletuav.sensors.base import Label
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.frame import Frame, Spawn, TaskContext
+from bulletuav.tasks.observations.base import Block
+from bulletuav.tasks.parts.base import Part
 
 RASTER_CELL = 4.0
 """Side of the cells of the raster from which places are drawn, m"""
@@ -30,13 +34,19 @@ USER_HEIGHT = 1.5
 """Height of a user's device above the ground, m"""
 OPEN = "open"
 """Name of the city in which nothing stands"""
+MEASURES = (
+    Label("city_alpha", "1", 0.0, 1.0),
+    Label("city_beta", "1/km^2", 0.0, MOST["beta"]),
+    Label("city_gamma", "m", 0.0, MOST["gamma"]),
+)
+"""What infos and the global state have of a city"""
 MAX_TRIES = 200
 """Random draws of a place before it counts as impossible"""
 
 
 @dataclass(frozen=True)
-class UrbanConfig(ObstacleConfig):
-    """Options of tasks in a city, beside those of obstacles (`ObstacleConfig`).
+class CityOptions:
+    """Options of cities, and of obstacles in them (`ObstacleOptions`).
 
     Attributes:
         city: "suburban", "urban", "dense" or "high_rise"; "open" for none; (alpha, beta, gamma),
@@ -69,7 +79,7 @@ class UrbanConfig(ObstacleConfig):
     obstacle_speed: float = field(default=2.0, metadata={"most": 100.0})
 
 
-def make_cities(config: UrbanConfig) -> tuple[City, ...]:
+def make_cities(config: CityOptions) -> tuple[City, ...]:
     """Make the cities that the options ask for.
 
     Args:
@@ -153,8 +163,11 @@ def _given_statistics(given: Any) -> Statistics:
         ) from None
 
 
-class CityLayouts:
+class CityLayouts(Part):
     """Cities of a task by layout, and random places outdoors in them.
+
+    Infos are "city_alpha", the built-up share of the world's city; "city_beta", buildings per
+    km^2; and "city_gamma", the Rayleigh scale of heights, m. The global state has them, too.
 
     Attributes:
         config: Options of the cities.
@@ -166,19 +179,22 @@ class CityLayouts:
             worlds without a city.
     """
 
-    def __init__(self, config: UrbanConfig, context: TaskContext) -> None:
+    def __init__(self, task: Task[Any]) -> None:
         """Make the cities, and rasters of the places where drones have room.
 
         Args:
-            config: Options of the cities.
-            context: The swarm that is to have room.
+            task: The task, with options of cities, whose drones are to have room.
 
         Raises:
             ValueError: The options leave no room to fly.
             FileNotFoundError: The city's file is not there.
         """
+        config: CityOptions = task.config
+        context, self._takes_off = task.context, task.takes_off
         _check_heights(config, context)
         self.config = config
+        self._num_drones = context.num_drones
+        self._measured: tuple[bytes, dict[str, np.ndarray]] = (b"", {})
         self.cities = make_cities(config)
         self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
         self.parameters = np.array([*map(parameters, self.cities), (0.0, 0.0, 0.0)])
@@ -204,6 +220,41 @@ class CityLayouts:
                     f"{EDGE_MARGIN:g} m off its edge: drones have no room; "
                     f"lower alpha, or raise area"
                 )
+
+    def layouts(self) -> Sequence[Solids]:
+        """List the buildings of each city."""
+        return self.solids
+
+    def is_free(self, place: np.ndarray, radius: float, layout: int) -> bool:
+        """Return whether a ball at a place (3,), m, is off all buildings of a city."""
+        city = self.cities[layout]
+        # The highest roof below the ball, on a raster of it.
+        steps = radius * np.linspace(-1.0, 1.0, 5)
+        below = place[:2] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        is_above = place[2] - radius > float(city.roof(below).max())
+        return bool(is_above) or bool(city.outdoors(place, radius))
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Return what the cities of the worlds measure, the same for all drones of a world."""
+        layout = frame.scene.layout
+        # The same read-only arrays while the same cities stand
+        stands = layout.tobytes()
+        if self._measured[0] != stands:
+            rows = np.repeat(self.parameters[layout][..., None], self._num_drones, 2)
+            own = {label.name: rows[:, k].copy() for k, label in enumerate(MEASURES)}
+            for array in own.values():
+                array.flags.writeable = False
+            self._measured = (stands, own)
+        return dict(self._measured[1])
+
+    def world_state(self) -> Mapping[str, Block]:
+        """Return what the city that stands in the world measures."""
+
+        def measured(frame: Frame, present: np.ndarray) -> np.ndarray:
+            parameters: np.ndarray = self.parameters[frame.scene.layout]
+            return parameters
+
+        return {"city": Block(MEASURES, measured)}
 
     def require(self, leg: float) -> None:
         """Refuse a distance from start to goal that a city is too small for.
@@ -293,7 +344,7 @@ class CityLayouts:
     ) -> np.ndarray:
         """Draw places (count, 3), each `leg` from its entry of `start` where that is given."""
         lowest, highest = self.config.height
-        if start is None and self.config.take_off:
+        if start is None and self._takes_off:
             highest = lowest  # apart as seen from above
         places = np.empty((count, 3))
         for i in range(count):
@@ -350,7 +401,25 @@ class CityLayouts:
         return Spawn(position=place, goal=place, layout=layout)
 
 
-def _check_heights(config: UrbanConfig, context: TaskContext) -> None:
+def add_city(task: Task[Any]) -> CityLayouts:
+    """Add cities to a task; its arena is their ground, up to the ceiling.
+
+    Args:
+        task: The task, with options of cities.
+
+    Returns:
+        The cities.
+
+    Raises:
+        ValueError: They leave no room to fly.
+        FileNotFoundError: The city's file is not there.
+    """
+    town = task.add(CityLayouts(task))
+    task.arena_low, task.arena_high = town.low, town.high
+    return town
+
+
+def _check_heights(config: CityOptions, context: TaskContext) -> None:
     """Refuse heights outside the airspace, and drones that could start in touch."""
     lowest, highest = config.height
     if not context.collision_radius < lowest <= highest < config.ceiling:

@@ -1,20 +1,19 @@
-"""Obstacles that stand or move among the drones of any flight."""
+"""Obstacles that stand or move among the drones, and directions in which drones start."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
 from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import dot, minus, point
-from bulletuav.tasks.base import Rngs, Task
-from bulletuav.tasks.config import TaskConfig
-from bulletuav.tasks.families.headings import check_heading, facing, headed
-from bulletuav.tasks.frame import Scene, Spawn, TaskContext
-from bulletuav.tasks.given import Given
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.frame import Scene, Spawn
+from bulletuav.tasks.parts.base import Part, Rngs
+from bulletuav.tasks.parts.headings import check_heading, facing, headed
 
 GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
 """Its multiples modulo 1 spread sizes evenly over any number of obstacles"""
@@ -23,8 +22,8 @@ MAX_TRIES = 1000
 
 
 @dataclass(frozen=True)
-class ObstacleConfig(TaskConfig):
-    """Options of obstacles and headings, beside those of every task.
+class ObstacleOptions:
+    """Options of obstacles and headings.
 
     Attributes:
         heading: Direction of flight at the start, and of the noses: "goal", "random" (in space),
@@ -44,25 +43,28 @@ class ObstacleConfig(TaskConfig):
     obstacle_speed: float = field(default=5.0, metadata={"most": 100.0})
 
 
-ObstacleConfigT = TypeVar("ObstacleConfigT", bound=ObstacleConfig)
-
-
-class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
-    """Base of tasks with obstacles among the drones, which stand or move.
+class ObstacleField(Part):
+    """Obstacles among the drones, which stand or move; and the option `heading`.
 
     Attributes:
-        obstacle_radius: (K,) radius of the obstacles' bounding spheres, m.
-        keep_off: (K,) how far from their middles starts and goals are, m.
+        radius: (K,) radii of the obstacles' bounding spheres, m.
+        keep_off: (K,) distances of their middles from starts and goals, m.
+        bounds: Corners (3,) of the box in which their middles are, m; None for the task's arena.
     """
 
-    def __init__(self, config: ObstacleConfigT, context: TaskContext) -> None:
-        """Make the obstacles.
+    def __init__(self, task: Task[Any]) -> None:
+        """Make the obstacles of a task.
+
+        Args:
+            task: The task, with their options; its arena, and what stands in it, may follow later.
 
         Raises:
             ValueError: Their sizes or numbers cannot be, or the heading.
         """
-        super().__init__(config, context)
-        check_heading(config.heading, context.num_drones, self.has_goals)
+        config: ObstacleOptions = task.config
+        self._config, self._task, context = config, task, task.context
+        self.bounds: tuple[np.ndarray, np.ndarray] | None = None
+        check_heading(config.heading, context.num_drones, task.has_goals)
         smallest, largest = config.obstacle_radius
         if not 0 < smallest <= largest:
             raise ValueError(
@@ -77,38 +79,34 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         index = np.arange(config.num_obstacles)
         sizes = smallest + (largest - smallest) * (index * GOLDEN_RATIO % 1)
         self._bodies = tuple(_body(k, radius) for k, radius in enumerate(sizes.tolist()))
-        self.obstacle_radius = np.array([body.radius for body in self._bodies])
-        self.keep_off = self.obstacle_radius + max(2 * context.collision_radius, config.d_safe)
+        self.radius = np.array([body.radius for body in self._bodies])
+        self.keep_off = self.radius + max(2 * context.collision_radius, task.config.d_safe)
 
     def obstacles(self) -> Sequence[Obstacle]:
         """List the obstacles, those that move first."""
         return self._bodies
 
-    def obstacle_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tell the box in which the obstacles' middles are, (3,) each, m; by default the arena."""
-        reach = self.obstacle_radius.max(initial=0.0)
-        return self.arena_low + reach, self.arena_high - reach
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return corners (3,) of the box in which the obstacles' middles are, m."""
+        if self.bounds is not None:
+            return self.bounds
+        reach = self.radius.max(initial=0.0)
+        return self._task.arena_low + reach, self._task.arena_high - reach
 
-    def finish(
-        self,
-        spawn: Spawn,
-        given: Given,
-        rng: np.random.Generator,
-    ) -> Spawn:
-        """Put given places into a start, turn drones, and draw obstacles clear of all places.
+    def finish(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
+        """Turn drones as `heading` says, and draw obstacles clear of all starts and goals.
 
         Raises:
             ValueError: There is no room for them.
         """
-        spawn = super().finish(spawn, given, rng)
-        spawn = self._turned(spawn, not given.is_empty, rng)
+        spawn = self._turned(spawn, is_given, rng)
         if not self._bodies:
             return spawn
-        low, high = self.obstacle_bounds()
+        low, high = self.box()
         if (low > high).any():
             raise ValueError(
-                f"obstacle_radius is {self.config.obstacle_radius}: the arena has no room for "
-                f"obstacles of {self.obstacle_radius.max():.3g} m; lower it"
+                f"obstacle_radius is {self._config.obstacle_radius}: the arena has no room for "
+                f"obstacles of {self.radius.max():.3g} m; lower it"
             )
         # Those that the task has drawn stay, unless they are in the way.
         shape = (len(self._bodies), 3)
@@ -117,9 +115,9 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         obstacle = np.array(drawn, dtype=float)
         velocity = spawn.obstacle_velocity
         if not was_drawn:
-            fastest = self.config.obstacle_speed
+            fastest = self._config.obstacle_speed
             velocity = rng.uniform(-fastest, fastest, shape)
-            velocity[self.config.num_moving :] = 0.0
+            velocity[self._config.num_moving :] = 0.0
         # In the way is who is too near to a start, a goal or a building
         goal = np.broadcast_to(spawn.goal, spawn.position.shape)
         places = np.concatenate([spawn.position, goal], dtype=float)
@@ -131,24 +129,19 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
             tries[k] += 1
             if tries[k] == MAX_TRIES:
                 raise ValueError(
-                    f"num_obstacles is {self.config.num_obstacles}: no place is left for "
+                    f"num_obstacles is {self._config.num_obstacles}: no place is left for "
                     f"obstacle {k} clear of starts, goals and buildings; lower it, or "
                     f"obstacle_radius"
                 )
         return spawn._replace(obstacle=obstacle, obstacle_velocity=velocity)
 
-    def _turned(
-        self,
-        spawn: Spawn,
-        is_given: bool,
-        rng: np.random.Generator,
-    ) -> Spawn:
+    def _turned(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
         """Turn velocities and noses as `heading` says.
 
         Where it says nothing and places are given, drones fly towards their goals.
         """
-        heading = self.config.heading
-        if heading is None and not (is_given and "goal" in self.places):
+        heading = self._config.heading
+        if heading is None and not (is_given and "goal" in self._task.places):
             return spawn
         place = spawn.position
         direction = headed(heading or "goal", np.broadcast_to(spawn.goal, place.shape) - place, rng)
@@ -158,11 +151,7 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         return spawn._replace(velocity=direction * speed, quaternion=quaternion)
 
     def _first_in_the_way(
-        self,
-        obstacle: np.ndarray,
-        first: int,
-        places: np.ndarray,
-        layout: int,
+        self, obstacle: np.ndarray, first: int, places: np.ndarray, layout: int
     ) -> int:
         """Find the first of the obstacles (K, 3) m, from `first` on, that has to be elsewhere.
 
@@ -170,29 +159,23 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         """
         near: int = first_near(obstacle, first, self.keep_off, places)
         for k in range(first, near):
-            if not self.is_free(obstacle[k], float(self.obstacle_radius[k]), layout):
+            if not self._task.is_free(obstacle[k], float(self.radius[k]), layout):
                 return k
         return near
 
-    def move_scene(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-        rngs: Rngs,
-    ) -> bool:
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Move obstacles straight on, reflected at the bounds; where buildings are, turned back.
 
         Returns:
             Whether any obstacle can have moved.
         """
-        super().move_scene(scene, time, flying, rngs)
-        moving = self.config.num_moving
+        moving = self._config.num_moving
         if not moving:
             return False
-        low, high = self.obstacle_bounds()
+        low, high = self.box()
         before = scene.obstacle[flying, :moving]
-        place = before + self.context.period * scene.obstacle_velocity[flying, :moving]
+        velocity = scene.obstacle_velocity[flying, :moving]
+        place = before + self._task.context.period * velocity
         # How far each is beyond a bound, on each axis: it comes back as far, and turns round.
         beyond = np.maximum(place - high, 0) + np.minimum(place - low, 0)
         place = place - 2 * beyond
@@ -203,17 +186,13 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         return True
 
     def _turn_back(
-        self,
-        before: np.ndarray,
-        place: np.ndarray,
-        turned: np.ndarray,
-        layout: np.ndarray,
+        self, before: np.ndarray, place: np.ndarray, turned: np.ndarray, layout: np.ndarray
     ) -> None:
         """Let obstacles that would enter a building stay where they were, and turn round."""
-        if not self.layouts():
+        if not self._task.layouts():
             return
         for w, k in np.ndindex(place.shape[:2]):
-            if not self.is_free(place[w, k], float(self.obstacle_radius[k]), int(layout[w])):
+            if not self._task.is_free(place[w, k], float(self.radius[k]), int(layout[w])):
                 place[w, k] = before[w, k]
                 turned[w, k] = -1.0
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3, dot, minus, point
-from bulletuav.tasks.families.draws import Source, uniform
+from bulletuav.tasks.parts.draws import Source, uniform
 
 
 class Rules(NamedTuple):

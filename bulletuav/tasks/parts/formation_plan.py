@@ -5,10 +5,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bulletuav.tasks.families.flight_config import AirspaceConfig, clearance
-from bulletuav.tasks.families.formation_shapes import places_of, several
-from bulletuav.tasks.families.formations import Leader, assign, greatest_speed, in_world
 from bulletuav.tasks.frame import TaskContext
+from bulletuav.tasks.goal_flight import FlightConfig
+from bulletuav.tasks.parts.airspace import AirspaceOptions, clearance
+from bulletuav.tasks.parts.formation_shapes import places_of, several
+from bulletuav.tasks.parts.formations import Leader, assign, greatest_speed, in_world
 
 NEVER = np.inf
 """Time after which something happens that never does, s"""
@@ -17,8 +18,8 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class FormationConfig(AirspaceConfig):
-    """Options of `formation`, beside those of free airspace (`AirspaceConfig`).
+class FormationConfig(AirspaceOptions, FlightConfig):
+    """Options of `formation`, beside those of free airspace (`AirspaceOptions`).
 
     Attributes:
         shapes: One shape, or several that follow each other: "v", "line", "ring", "letters", or

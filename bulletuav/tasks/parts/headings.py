@@ -9,7 +9,7 @@ from bulletuav.compiled.functions import atan2, cos, sin
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.errors import numbers_of, shown
 from bulletuav.geometry.rotation import Vec3, dot, point
-from bulletuav.tasks.families.draws import Source, uniform
+from bulletuav.tasks.parts.draws import Source, uniform
 
 HEADINGS = ("goal", "random")
 """Headings that have names"""

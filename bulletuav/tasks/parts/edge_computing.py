@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,14 @@ from bulletuav.network.exchange import Band, Drawn, Queue, Strategy, connect, wo
 from bulletuav.network.link import capacity
 from bulletuav.network.queueing import core_power, service_rate
 from bulletuav.network.service_stats import ServiceStats
-from bulletuav.network.uplink import RadioConfig, Uplink
-from bulletuav.tasks.base import Rngs
-from bulletuav.tasks.families.difficulties import URBAN_DIFFICULTIES
-from bulletuav.tasks.families.users import UsersConfig, UsersTask
-from bulletuav.tasks.frame import Frame, Scene, TaskContext
+from bulletuav.network.uplink import Uplink
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.frame import Frame, Scene
 from bulletuav.tasks.observations.base import Block, of_drones
 from bulletuav.tasks.observations.users import MAX_QUEUE
+from bulletuav.tasks.parts.base import Rngs
+from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.users import Service, Users
 
 MAX_TASKS = 1e6
 """Most tasks that a world may have in a decision on average"""
@@ -32,8 +33,8 @@ LEAST_RATE = 1e-9
 
 
 @dataclass(frozen=True)
-class EdgeConfig(RadioConfig, UsersConfig):
-    """Options of edge computing, beside those of radio, users and cities.
+class EdgeOptions:
+    """Options of edge computing: tasks, servers, and who serves whom.
 
     Attributes:
         num_users: Number of users on the ground, outdoors.
@@ -72,9 +73,6 @@ class EdgeConfig(RadioConfig, UsersConfig):
     power_scale: float = 400.0
 
 
-EdgeConfigT = TypeVar("EdgeConfigT", bound=EdgeConfig)
-
-
 class _Service(NamedTuple):
     """Programs of a decision's tasks, and the arrays of a frame in which they work.
 
@@ -99,8 +97,8 @@ class _Service(NamedTuple):
         return frame.readings["sight"] is self.sight
 
 
-class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
-    """Base of edge computing: users send tasks to the drone that serves them, which computes them.
+class EdgeComputing(Service):
+    """Servers on drones: users send tasks to the drone that serves them, which computes them.
 
     A task of D bits takes D / rate to upload; a user sends one after the other. Then it waits for
     a core of the drone, first come first served. It computes for
@@ -112,31 +110,30 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
     that of `latency`, is worth more than nothing. A drone that serves nobody only pays for its
     flight.
 
+    Infos, (W, N): "completed", the share of tasks that are completed, and "latency", their mean
+    latency, s. Tasks that are yet to come, as many as on average, count as not completed, so ending
+    early does not raise the share. "dropped", how many tasks of the episode were lost. These are
+    the same for all drones. "queue", tasks of mean size that wait at each drone or are computed
+    there, and "utilisation", the share of the last decision in which its cores worked, mean over
+    them.
+
     Attributes:
         uplink: Radio link from users to drones.
     """
 
-    difficulties: ClassVar = {
-        **URBAN_DIFFICULTIES,
-        # 16 drones serve everybody wherever they are.
-        "extreme": {**URBAN_DIFFICULTIES["extreme"], "num_drones": 8},
-    }
-    shows: ClassVar = {
-        "completed": "completed by all",
-        "latency": "latency of all (s)",
-        "served": "in sight of any",
-        "queue": "queue (tasks)",
-        "collision": "collisions",
-    }
+    def __init__(self, task: Task[Any], users: Users) -> None:
+        """Make the radio link, and the arrivals of tasks.
 
-    def __init__(self, config: EdgeConfigT, context: TaskContext) -> None:
-        """Make the cities, the radio link, and the arrivals of tasks.
+        Args:
+            task: The task, with options of users, radio and edge computing.
+            users: Those who send tasks.
 
         Raises:
-            ValueError: A size cannot be, or a city leaves no room to fly or to walk.
-            FileNotFoundError: The city's file is not there.
+            ValueError: A size cannot be.
         """
-        super().__init__(config, context)
+        super().__init__(task, users)
+        config, context = task.config, task.context
+        self._config, self._context = config, context
         # Sizes and rates of tasks, which bound the memory that they take
         smallest, largest = config.task_bits
         if not 0 < smallest <= largest:
@@ -173,40 +170,37 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         self._service: _Service | None = None
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell the shapes of what is kept of users, servers and the episode's tasks.
+        """Return the shapes of what is kept of servers and the episode's tasks.
 
         Returns:
-            Beside those of `UsersTask.memory`: the fields of
-            `bulletuav.network.service_stats.ServiceStats`; "received" (N, U), power from each
-            user, W; "serves" (N, U), 1 where the drone serves the user; "link_free" (U,) and
-            "core_free" (N, C), time for which uplinks and cores are still taken, s.
+            The fields of `bulletuav.network.service_stats.ServiceStats`; "received" (N, U), power
+            from each user, W; "serves" (N, U), 1 where the drone serves the user; "link_free" (U,)
+            and "core_free" (N, C), time for which uplinks and cores are still taken, s.
         """
-        drones = self.context.num_drones
-        users = self.config.num_users
+        drones = self._context.num_drones
+        users = self._config.num_users
         totals = ("generated", "finished", "delay")
         stats: dict[str, tuple[int, ...]] = {
             name: () if name in totals else (drones,) for name in ServiceStats._fields
         }
         return {
-            **super().memory(),
             **stats,
             "received": (drones, users),
             "serves": (drones, users),
             "link_free": (users,),
-            "core_free": (drones, self.config.num_cores),
+            "core_free": (drones, self._config.num_cores),
         }
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell, beside those of `UsersTask`, how many tasks a decision has on average."""
-        return {**super().quantities(), "expected_tasks": self._expected_tasks}
+        """Return how many tasks a decision has on average."""
+        return {"expected_tasks": self._expected_tasks}
 
     def payload_power(self, scene: Scene) -> np.ndarray:
-        """Tell the power of the cores that were busy in the last decision, (W, N) W."""
+        """Return the power of the cores that were busy in the last decision, (W, N) W."""
         return scene.memory["utilisation"] * self._compute_power
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Work out who serves whom at which rate, and what becomes of the decision's tasks."""
-        super().update_memory(frame, rngs)
         service = self._service
         if service is None or service.frame is not frame or not service.sees(frame):
             first = np.zeros(len(frame.alive) + 1, dtype=np.int64)
@@ -223,7 +217,7 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
 
     def _make_service(self, frame: Frame, first: np.ndarray, uniform: np.ndarray) -> "_Service":
         """Make the programs that work in a frame's arrays."""
-        config, memory, swarm = self.config, frame.scene.memory, frame.after
+        config, memory, swarm = self._config, frame.scene.memory, frame.after
         users, received, sight = memory["users"], memory["received"], frame.readings["sight"]
         # Power that each drone receives from each user, by their lines of sight
         receiving = Program()
@@ -250,20 +244,15 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
             service_rate=self._service_rate,
             deadline=float(config.deadline),
             dt=dt,
-            duration=float(self.context.duration),
+            duration=float(self._context.duration),
         )
         stats = ServiceStats(*(memory[name] for name in ServiceStats._fields))
         free = (memory["link_free"], memory["core_free"])
         working.call(work, drawn, queue, servers, rates, *free, frame.time, stats)
         return _Service(frame, sight, first, uniform, receiving, working)
 
-    def service_quality(
-        self,
-        place: np.ndarray,
-        targets: np.ndarray,
-        sight: np.ndarray,
-    ) -> np.ndarray:
-        """Tell the share of a user's tasks that would be in time.
+    def quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
+        """Return the share of a user's tasks that would be in time.
 
         Each drone is taken to have equally many users, without interference and without a queue.
 
@@ -275,7 +264,7 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         Returns:
             (C, U) from 0 to 1.
         """
-        config = self.config
+        config = self._config
         # Power that a level drone receives at each place; no world flies, so no fading is drawn.
         level = np.tile([0.0, 0.0, 0.0, 1.0], (1, len(place), 1))
         power = self.uplink.received(
@@ -287,7 +276,7 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
             flying=np.zeros(1, dtype=bool),
         )[0]
         # The rate that is left to each user, and the largest task that is in time at that rate.
-        users = max(len(targets) / self.context.num_drones, 1.0)
+        users = max(len(targets) / self._context.num_drones, 1.0)
         rate = capacity(config.bandwidth / users, users * power / self.uplink.noise)
         seconds_per_bit = (
             1 / np.maximum(rate, LEAST_RATE) + config.cycles_per_bit / config.core_frequency
@@ -299,36 +288,42 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         return np.where(in_time < smallest, 0.0, share)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell, beside `served`, how the episode's tasks have gone so far.
-
-        Returns:
-            "completed", the share of tasks that are completed, and "latency", their mean latency,
-            s. Tasks that are yet to come, as many as on average, count as not completed, so ending
-            early does not raise the share. "dropped", how many tasks of the episode were lost.
-            These are the same for all drones. "queue", tasks of mean size that wait at each drone
-            or are computed there, and "utilisation", the share of the last decision in which its
-            cores worked, mean over them. All are (W, N).
-        """
+        """Return how the episode's tasks have gone so far; see the class."""
         memory = frame.scene.memory
         kept = {"completed": "share", "latency": "mean_latency"}
         kept |= {name: name for name in ("queue", "utilisation")}
         service = {name: memory[its].copy() for name, its in kept.items()}
         lost = (memory["generated"] - memory["finished"])[:, None]
         dropped = lost + np.zeros(frame.alive.shape)
-        return {**super().info(frame), **service, "dropped": dropped}
+        return {**service, "dropped": dropped}
 
     def world_state(self) -> Mapping[str, Block]:
-        """Tell, beside those of `UsersTask`, utilisation and queue of every drone."""
+        """Return utilisation and queue of every drone."""
         bounds = {"utilisation": ("1", 1.0), "queue": ("tasks", MAX_QUEUE)}
-        drones = self.context.num_drones
-        own = {name: of_drones(name, *bound, drones) for name, bound in bounds.items()}
-        return {**super().world_state(), **own}
+        drones = self._context.num_drones
+        return {name: of_drones(name, *bound, drones) for name, bound in bounds.items()}
 
     def links(self, frame: Frame) -> np.ndarray:
-        """Tell which drones serve which users, (W, N, U) bool; none before the first decision."""
+        """Return which drones serve which users, (W, N, U) bool; none before the first decision."""
         serving: np.ndarray = frame.scene.memory["serves"] > 0
         return serving
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell whether the wanted share of the episode's tasks is completed, (W, N) bool."""
-        return frame.scene.memory["share"] >= self.config.wanted
+        """Return whether the wanted share of the episode's tasks is completed, (W, N) bool."""
+        return frame.scene.memory["share"] >= self._config.wanted
+
+
+EDGE_DIFFICULTIES = {
+    **URBAN_DIFFICULTIES,
+    # 16 drones serve everybody wherever they are.
+    "extreme": {**URBAN_DIFFICULTIES["extreme"], "num_drones": 8},
+}
+"""Difficulties of tasks of edge computing"""
+EDGE_SHOWS = {
+    "completed": "completed by all",
+    "latency": "latency of all (s)",
+    "served": "in sight of any",
+    "queue": "queue (tasks)",
+    "collision": "collisions",
+}
+"""Infos that pictures of edge computing show"""

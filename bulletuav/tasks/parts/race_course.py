@@ -7,8 +7,9 @@ import numpy as np
 
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.tasks.config import TaskConfig
-from bulletuav.tasks.families.gates import Gate, bar_places, frame_of, gate_axes
-from bulletuav.tasks.families.tracks import (
+from bulletuav.tasks.frame import Scene, Spawn, TaskContext
+from bulletuav.tasks.parts.gates import Gate, bar_places, frame_of, gate_axes
+from bulletuav.tasks.parts.tracks import (
     RANDOM,
     RandomTrack,
     blocks,
@@ -16,7 +17,6 @@ from bulletuav.tasks.families.tracks import (
     fault,
     load_track,
 )
-from bulletuav.tasks.frame import Scene, Spawn, TaskContext
 
 HOVER = 1.0
 """Height at which drones start that do not take off, m"""

@@ -11,7 +11,7 @@ import numpy as np
 from bulletuav.compiled.functions import atan2, cos, hypot, sin
 from bulletuav.errors import nearest, require_file, shown, unknown
 from bulletuav.parsing import read_toml
-from bulletuav.tasks.families.gates import Gate, gate_axes
+from bulletuav.tasks.parts.gates import Gate, gate_axes
 from bulletuav.vehicle.airframes import URDF_FOLDER
 
 RANDOM = "random"

@@ -1,0 +1,89 @@
+"""Starts and goals of flights through free airspace, and the distances between them."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from bulletuav.tasks.frame import TaskContext
+
+
+@dataclass(frozen=True)
+class AirspaceOptions:
+    """Options of flights through free airspace.
+
+    Attributes:
+        altitude: Height above ground of starts and goals, m.
+        jitter: Largest random shift of a start on each axis, m.
+        margin: Distance from starts and goals to the bounds of the arena, m.
+    """
+
+    altitude: float = 40.0
+    jitter: float = 1.0
+    margin: float = 30.0
+
+    def scattered(self, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Shift places (N, 3), m, at random by up to `jitter` on each axis."""
+        return places + rng.uniform(-self.jitter, self.jitter, places.shape)
+
+
+class HasSeparation(Protocol):
+    """Options among which is `d_safe`, m."""
+
+    @property
+    def d_safe(self) -> float:
+        """Separation below which two drones are in conflict, m."""
+
+
+def clearance(config: HasSeparation, context: TaskContext) -> float:
+    """Return the distance between two drones below which they conflict or touch, m."""
+    return max(2 * context.collision_radius, config.d_safe)
+
+
+def least_distance(config: AirspaceOptions, chord: float) -> float:
+    """Return how near to each other two drones may start, m.
+
+    Args:
+        config: Options, of which `jitter` counts.
+        chord: Distance between their undisturbed places, which are at the same height, m.
+    """
+    worst_shift = 2 * np.sqrt(2) * config.jitter
+    return float(chord - worst_shift)
+
+
+def require_margin(config: AirspaceOptions) -> None:
+    """Refuse jitter that reaches beyond the bounds. Raises ValueError."""
+    if config.margin <= config.jitter:
+        raise ValueError(
+            f"margin {config.margin:g} m must exceed jitter {config.jitter:g} m: "
+            f"starts must be in the arena"
+        )
+
+
+def circle_arena(
+    config: AirspaceOptions,
+    context: TaskContext,
+    radius: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the arena of drones that start on a circle about the origin.
+
+    Args:
+        config: Options of the airspace.
+        context: The swarm.
+        radius: Radius of the circle, m.
+
+    Returns:
+        Lower and upper corner, (3,) each, m.
+
+    Raises:
+        ValueError: Drones could start outside the arena, or touch the ground.
+    """
+    require_margin(config)
+    if config.altitude - config.jitter <= context.collision_radius:
+        raise ValueError(
+            f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m"
+        )
+    reach = radius + config.margin
+    low = np.array([-reach, -reach, 0.0])
+    high = np.array([reach, reach, config.altitude + config.margin])
+    return low, high

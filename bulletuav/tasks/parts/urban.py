@@ -1,0 +1,100 @@
+"""Starts, goals and options of flights through cities."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.frame import Spawn
+from bulletuav.tasks.parts.base import Starts
+from bulletuav.tasks.parts.city_layouts import CityLayouts
+
+URBAN_DEFAULTS: dict[str, Any] = {
+    "num_drones": 3,
+    "airframe": "hummingbird",
+    "action": "velocity",
+    "decision_hz": 10,
+    "max_speed": 15.0,
+    "battery_capacity": 23.3,
+}
+"""Common options of tasks in cities, unless a task says otherwise"""
+
+
+def check_share(name: str, value: float) -> None:
+    """Refuse what is not a share that can be reached.
+
+    Args:
+        name: Name of the option.
+        value: Its value.
+
+    Raises:
+        ValueError: It is not above 0 and at most 1.
+    """
+    if not 0 < value <= 1:
+        raise ValueError(f"{name} is {value:g}: a share above 0 and at most 1 is needed")
+
+
+@dataclass(frozen=True)
+class StreetOptions:
+    """Heights of tasks in the streets of a city, below most of its roofs.
+
+    Seven of ten houses of an urban city are higher than 12.5 m, 2.5 m below the ceiling. Straight
+    lines of 200 m or more at that height miss all of them in 7 % of flights, most of them along a
+    street. Below a ceiling of 30 m it would be half of the flights.
+
+    Attributes:
+        height: Least and greatest height of starts and goals, m. They are outdoors.
+        ceiling: Greatest height of the airspace, m.
+    """
+
+    height: tuple[float, float] = (5.0, 12.0)
+    ceiling: float = 15.0
+
+
+@dataclass(frozen=True)
+class UrbanFlightOptions(StreetOptions):
+    """Options of flights to goals in cities, beside those of cities and of all flights.
+
+    Attributes:
+        leg: Least distance from a drone's start to its goal, m.
+        d_safe: Separation below which two drones are in conflict, m.
+        start_speed: Least and greatest speed at the start, m/s.
+        at_goal: What happens at the goal: "leave", "land" or "hold", see `FlightConfig`; or
+            "respawn": the drone gets another goal outdoors, at `leg` from there if it can be.
+            Every goal counts for the term `goal`, and goals end nothing. Success is one goal or
+            more, without a crash; infos count them as `goals`.
+    """
+
+    leg: float = 200.0
+    d_safe: float = 2.0
+    start_speed: tuple[float, float] = (0.0, 0.0)
+    at_goal: Literal["leave", "land", "hold", "respawn"] = "leave"
+
+
+class CityLegs(Starts):
+    """Starts, at rest, and goals outdoors in a city, at least the option `leg` apart."""
+
+    def __init__(self, task: Task[Any], town: CityLayouts) -> None:
+        """Check that legs fit into the cities.
+
+        Args:
+            task: The task, with options of flights through cities.
+            town: Its cities.
+
+        Raises:
+            ValueError: A city is too small for a leg.
+        """
+        self._town, self._num_drones = town, task.context.num_drones
+        self._leg = float(task.config.leg)
+        town.require(self._leg)
+
+    def draw(self, rng: np.random.Generator) -> Spawn:
+        """Draw starts and goals; see the base class."""
+        layout = self._town.draw(rng)
+        start, goal = self._town.legs(rng, layout, self._num_drones, self._leg)
+        return Spawn(start, goal, layout=layout)
+
+    def next_goal(self, place: np.ndarray, layout: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw the next goal of a drone; see the base class."""
+        return self._town.goal_from(rng, layout, place, self._leg)

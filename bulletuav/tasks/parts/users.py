@@ -1,0 +1,154 @@
+"""Users on the ground, who may walk, and how long drones have seen them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from bulletuav.network.dwell_time import watch
+from bulletuav.network.mobility import find_mobility
+from bulletuav.network.mobility.ground import Ground
+from bulletuav.sensors.base import vector_labels
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.frame import Frame, Scene
+from bulletuav.tasks.observations.base import Block
+from bulletuav.tasks.parts.base import Part, Rngs
+from bulletuav.tasks.parts.city_layouts import USER_HEIGHT, CityLayouts
+from bulletuav.tasks.targets import served_by_any
+
+
+@dataclass(frozen=True)
+class UserOptions:
+    """Options of users on the ground.
+
+    Attributes:
+        num_users: Number of users on the ground, outdoors.
+        mobility: How users walk: "still", "gauss_markov", "manhattan", "hotspot" or "waypoint"; a
+            dict with options of that model too, such as {"model": "waypoint", "pause": (0, 5)};
+            or a `Mobility`.
+    """
+
+    num_users: int = field(default=20, metadata={"most": 10_000})
+    mobility: Any = "still"
+
+
+class Users(Part):
+    """Users on the ground of cities: where they are, and for how long drones have seen them.
+
+    Infos are "served", the share of users that some living drone sees, and "dwell_time", for how
+    long the drone has seen users without a break, mean of all, s.
+
+    Attributes:
+        mobility: How they walk.
+    """
+
+    def __init__(self, task: Task[Any], town: CityLayouts) -> None:
+        """Find where users can walk.
+
+        Args:
+            task: The task, with options of users, whose targets they become.
+            town: Its cities.
+
+        Raises:
+            ValueError: A city leaves no room to walk, or there is no such mobility.
+        """
+        self._task, self._count = task, int(task.config.num_users)
+        task.num_targets = self._count
+        self.mobility = find_mobility(task.config.mobility)
+        self._ground = Ground(town.cities, USER_HEIGHT)
+        self.mobility.require(self._ground)
+
+    def start(self, layout: int, rng: np.random.Generator) -> Mapping[str, np.ndarray]:
+        """Draw where the users of a world are, by the names of its memory."""
+        return self.mobility.start(rng, self._ground, layout, self._count)
+
+    def places(self, scene: Scene) -> np.ndarray:
+        """Return where the users are, (W, U, 3) m."""
+        return scene.memory["users"]
+
+    def memory(self) -> Mapping[str, tuple[int, ...]]:
+        """Return the shapes of what is kept of users.
+
+        Returns:
+            "users" (U, 3), where they are, m, and what their mobility model keeps; "dwell_time"
+            (N, U), for how long each drone has seen each user without a break, s, and its mean
+            over users, "mean_dwell_time" (N,).
+        """
+        drones = self._task.context.num_drones
+        dwell = {"dwell_time": (drones, self._count), "mean_dwell_time": (drones,)}
+        return {**self.mobility.state(self._count), **dwell}
+
+    def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
+        """Return the bounds of what the mobility model keeps."""
+        return self.mobility.bounds(self._ground)
+
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+        """Let users walk; they are no obstacles."""
+        period = self._task.context.period
+        self.mobility.move(scene.memory, self._ground, scene.layout, flying, period, rngs)
+        return False
+
+    def update_memory(self, frame: Frame, rngs: Rngs) -> None:
+        """Note for how long each living drone has seen each user without a break."""
+        memory, period = frame.scene.memory, self._task.context.period
+        times = (memory["dwell_time"], memory["mean_dwell_time"])
+        watch(*times, frame.readings["sight"], frame.alive, period)
+
+    def served(self, frame: Frame) -> np.ndarray:
+        """Compute the share of users that some living drone sees, (W, N)."""
+        return served_by_any(frame, self._task.active_targets(frame.scene))
+
+    def quantities(self) -> Mapping[str, Any]:
+        """Return the share of users that some drone sees, and how long they have been seen, s."""
+        return {"served": self.served, "mean_service_time": _mean_service_time}
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Return the served share and the mean dwell time."""
+        mean = frame.scene.memory["mean_dwell_time"]
+        return {"served": self.served(frame), "dwell_time": mean.copy()}
+
+    def world_state(self) -> Mapping[str, Block]:
+        """Return where the users are."""
+        count, task = self._count, self._task
+        names = (f"user {j}" for j in range(1, count + 1))
+        labels = [vector_labels(one, "m", task.arena_low, task.arena_high) for one in names]
+
+        def places(frame: Frame, present: np.ndarray) -> np.ndarray:
+            return frame.scene.memory["users"].reshape(-1, 3 * count)
+
+        return {"users": Block(tuple(chain(*labels)), places)}
+
+
+class Service(Part):
+    """What drones do for users; here they see them, as relays would."""
+
+    def __init__(self, task: Task[Any], users: Users) -> None:
+        """Serve the users of a task.
+
+        Args:
+            task: The task, with the option `wanted`.
+            users: Its users.
+        """
+        self._wanted, self._users = float(task.config.wanted), users
+
+    def links(self, frame: Frame) -> np.ndarray:
+        """Return which drones serve which users, (W, N, U) bool; those that they see."""
+        return frame.seen
+
+    def quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
+        """Return what users are worth to drones; see `Task.service_quality`."""
+        return sight.astype(float)
+
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Return whether some drone sees the wanted share of users, (W, N) bool."""
+        return self._users.served(frame) >= self._wanted
+
+
+def _mean_service_time(frame: Frame) -> np.ndarray:
+    """Compute for how long users have been seen, by the drone that has for longest, (W, N) s."""
+    longest = np.maximum.reduce(frame.scene.memory["dwell_time"], axis=1)
+    # As `np.mean` adds and divides, in fewer calls
+    mean: np.ndarray = np.add.reduce(longest, axis=-1, keepdims=True) / longest.shape[-1]
+    return mean + np.zeros(frame.alive.shape)

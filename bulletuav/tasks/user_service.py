@@ -1,0 +1,120 @@
+"""Tasks in which drones over a city serve users on the ground."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Generic, Literal, TypeVar
+
+import numpy as np
+
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.config import REBOUND, TaskConfig
+from bulletuav.tasks.ends import affected
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
+from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_share
+from bulletuav.tasks.parts.users import Service, UserOptions, Users
+
+
+@dataclass(frozen=True)
+class UserServiceConfig(UserOptions, CityOptions, ObstacleOptions, TaskConfig):
+    """Options of tasks over users, beside those of users, cities and obstacles.
+
+    Attributes:
+        d_safe: Separation below which two drones are in conflict, m.
+        wanted: Share of service that is success; of users served, unless the task says otherwise.
+        boundary: What happens at the bounds of the airspace. "end": the drone's episode ends.
+            "soft": it is thrown back. "hard": it stops there.
+        contact_ends: Whose episode a contact of collision shapes ends: that of the "drone", or
+            of its whole "world".
+        height: Least and greatest height of starts, m.
+        ceiling: Greatest height of the airspace, m: low enough that not every place sees all.
+    """
+
+    d_safe: float = 2.0
+    wanted: float = 0.9
+    boundary: Literal["end", "soft", "hard"] = "hard"
+    contact_ends: Literal["drone", "world"] = "drone"
+    height: tuple[float, float] = (20.0, 60.0)
+    ceiling: float = 70.0
+
+
+UserServiceConfigT = TypeVar("UserServiceConfigT", bound=UserServiceConfig)
+
+
+class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
+    """Base of tasks over users: drones start at rest anywhere outdoors, and so do users.
+
+    A drone's episode ends on contact of collision shapes and with an empty battery. At the bounds
+    of the city's square and at its ceiling drones stop, unless the option `boundary` says
+    otherwise. Success is the share `wanted` of users in sight of some drone.
+
+    Attributes:
+        town: The cities.
+        users: The users, who are the targets.
+        service_kind: Class of `service`.
+        service: What drones do for users.
+    """
+
+    has_goals = False
+    places: ClassVar[tuple[str, ...]] = ("start",)
+    difficulties: ClassVar = URBAN_DIFFICULTIES
+    shows: ClassVar = {"served": "served by all", "collision": "collisions"}
+    service_kind: ClassVar[type[Service]] = Service
+    baseline = "oracle"
+    defaults: ClassVar = {
+        **URBAN_DEFAULTS,
+        "dynamics": "single_integrator",
+        "decision_hz": 1,
+        "horizon": 100,
+    }
+
+    def __init__(self, config: UserServiceConfigT, context: TaskContext) -> None:
+        """Make the cities, and find where users can walk.
+
+        Raises:
+            ValueError: A city leaves no room to fly or to walk.
+            FileNotFoundError: The city's file is not there.
+        """
+        super().__init__(config, context)
+        self.add(ObstacleField(self))
+        self.town = add_city(self)
+        check_share("wanted", config.wanted)
+        self.rebound = REBOUND.get(config.boundary)
+        self.users = self.add(Users(self, self.town))
+        self.service = self.add(self.service_kind(self, self.users))
+
+    def targets(self, scene: Scene) -> np.ndarray:
+        """Return where the users are, (W, U, 3) m."""
+        return self.users.places(scene)
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Draw a start of drones at rest, and of users, all outdoors."""
+        layout = self.town.draw(rng)
+        start = self.town.hovering(rng, layout, self.context.num_drones)
+        return start._replace(memory=self.users.start(layout, rng))
+
+    def terminated(self, frame: Frame) -> np.ndarray:
+        """Return whose episode ends by contact, or outside the airspace where options say so.
+
+        Returns:
+            (W, N) bool.
+        """
+        ended = affected(frame.collision, frame, self.config.contact_ends)
+        if self.config.boundary == "end":
+            ended = ended | self.outside(frame)
+        return ended
+
+    def links(self, frame: Frame) -> np.ndarray:
+        """Return which drones serve which users, (W, N, U) bool."""
+        return self.service.links(frame)
+
+    def service_quality(
+        self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
+    ) -> np.ndarray:
+        """Return how well drones would serve users; see `Task`."""
+        return self.service.quality(place, targets, sight)
+
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Return whether the wanted share of service is reached, (W, N) bool."""
+        return self.service.succeeded(frame)
