@@ -66,12 +66,7 @@ def make_account(frame: Frame) -> Account:
     return account
 
 
-def add_account(
-    program: Program,
-    account: Account,
-    frame: Frame,
-    contact: Contact,
-) -> None:
+def add_account(program: Program, account: Account, frame: Frame, contact: Contact) -> None:
     """Add to a program that the account is filled after a decision.
 
     Args:
@@ -113,11 +108,7 @@ def mark_contacts(account: Account, frame: Frame) -> None:
     account.impulse[:] = fresh.impulse
 
 
-def mark_landings(
-    account: Account,
-    frame: Frame,
-    standing_height: np.ndarray,
-) -> None:
+def mark_landings(account: Account, frame: Frame, standing_height: np.ndarray) -> None:
     """Tell who stands or lands on the ground, see `Frame.landed`; landings are no collisions.
 
     Args:

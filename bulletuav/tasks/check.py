@@ -34,11 +34,7 @@ LARGE = 100.0
 """m, of an option that may be to blame for an arena that is too large"""
 
 
-def check_step_result(
-    task: Task[Any],
-    result: Any,
-    shape: tuple[int, int],
-) -> None:
+def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> None:
     """Refuse a step result that rewards cannot be made of: types, names of terms and shapes (W, N).
 
     Raises:
@@ -78,11 +74,7 @@ def check_step_result(
             )
 
 
-def check_info(
-    task: Task[Any],
-    info: Any,
-    shape: tuple[int, int],
-) -> None:
+def check_info(task: Task[Any], info: Any, shape: tuple[int, int]) -> None:
     """Refuse infos of a task that nobody can tell apart by drones: types, names and shapes (W, N).
 
     Raises:
@@ -104,11 +96,7 @@ def check_info(
             )
 
 
-def require_finite(
-    task: Task[Any],
-    terms: Mapping[str, np.ndarray],
-    reward: np.ndarray,
-) -> None:
+def require_finite(task: Task[Any], terms: Mapping[str, np.ndarray], reward: np.ndarray) -> None:
     """Raise ValueError, naming the term, where a reward (W, N) is no finite number."""
     if np.isfinite(reward).all():
         return
@@ -121,11 +109,7 @@ def require_finite(
     )
 
 
-def check_arena(
-    task: Task[Any],
-    config: Any,
-    radius: float,
-) -> None:
+def check_arena(task: Task[Any], config: Any, radius: float) -> None:
     """Raise ValueError where an arena is none, or reaches into that of other worlds."""
     # The arena itself
     arena = numbers_of(

@@ -37,21 +37,14 @@ class DefaultConfig(StreetOptions, CityOptions, ObstacleOptions, TaskConfig):
 
 @reward
 def speed_made_good(
-    distance_before: float,
-    distance: float,
-    max_speed: float,
-    period: float,
+    distance_before: float, distance: float, max_speed: float, period: float
 ) -> float:
     """Compute the speed towards the goal over max_speed."""
     return (distance_before - distance) / (max_speed * period)
 
 
 @reward
-def arrival(
-    distance: float,
-    goal_radius: float,
-    collision: bool,
-) -> float:
+def arrival(distance: float, goal_radius: float, collision: bool) -> float:
     """Give 1 on reaching the goal without a crash."""
     return 1.0 if distance <= goal_radius and not collision else 0.0
 
@@ -74,11 +67,7 @@ def time(
 
 
 @end
-def arrived(
-    distance: float,
-    goal_radius: float,
-    collision: bool,
-) -> bool:
+def arrived(distance: float, goal_radius: float, collision: bool) -> bool:
     """Tell whether the goal is reached without a crash."""
     return distance <= goal_radius and not collision
 

@@ -30,11 +30,7 @@ def leaves_arena(outside: bool) -> bool:
     return outside
 
 
-def affected(
-    happened: np.ndarray,
-    frame: Frame,
-    whom: str,
-) -> np.ndarray:
+def affected(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
     """Tell whose episode is concerned, (W, N) bool.
 
     Args:

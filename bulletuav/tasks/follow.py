@@ -10,11 +10,12 @@ from bulletuav.compiled.functions import atan2, cos, hypot, sin
 from bulletuav.errors import choose
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
-from bulletuav.tasks.base import Rngs, Task
+from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import at_goal, collision, too_far
 from bulletuav.tasks.frame import Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
+from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.rewards.station import speed_to_goal
 from bulletuav.tasks.starts import refuse_early_end, refuse_overlap
 
@@ -236,13 +237,7 @@ class Follow(Task[FollowConfig]):
             memory={"course": np.array(heading)},
         )
 
-    def move_scene(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-        rngs: Rngs,
-    ) -> bool:
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Drive the target of every world that flies, and its stations with it.
 
         Returns:

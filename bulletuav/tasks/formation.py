@@ -9,13 +9,13 @@ from bulletuav.compiled.functions import cos, sin
 from bulletuav.geometry.rotation import Vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
-from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.given import Given
 from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, GoalFlight
 from bulletuav.tasks.ingredients import block, reward
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.airspace import circle_arena, clearance, least_distance
+from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.formation_plan import FormationConfig, Plan
 from bulletuav.tasks.parts.formations import Course, Leader, in_world, off_places, off_shape
@@ -210,24 +210,14 @@ class Formation(GoalFlight[FormationConfig]):
         spawn = self.launch(start, start, rng, along, memory=memory)
         return self._told(spawn, start, leader)
 
-    def _told(
-        self,
-        spawn: Spawn,
-        start: np.ndarray,
-        leader: Leader,
-    ) -> Spawn:
+    def _told(self, spawn: Spawn, start: np.ndarray, leader: Leader) -> Spawn:
         """Tell drones that start at (N, 3), m, their places."""
         place = self.plan.first(start, leader)
         goal, goal_velocity = in_world(self.plan.shapes[None, 0, place], leader)
         memory = {**spawn.memory, "place": place}
         return spawn._replace(goal=goal[0], goal_velocity=goal_velocity[0], memory=memory)
 
-    def finish(
-        self,
-        spawn: Spawn,
-        given: Given,
-        rng: np.random.Generator,
-    ) -> Spawn:
+    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
         """Put given places into a start, and assign drones to places from there.
 
         Raises:
@@ -239,13 +229,7 @@ class Formation(GoalFlight[FormationConfig]):
             spawn = self._told(spawn, given.start, leader)
         return super().finish(spawn, given, rng)
 
-    def move_scene(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-        rngs: Rngs,
-    ) -> bool:
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Move the leader, and drones' places with it."""
         memory = scene.memory
         turn, period = memory["turn"][flying], self.context.period
@@ -271,12 +255,7 @@ class Formation(GoalFlight[FormationConfig]):
             self._tell_places(frame, w, rngs[w])
         super().update_memory(frame, rngs)
 
-    def _tell_places(
-        self,
-        frame: Frame,
-        w: int,
-        rng: np.random.Generator,
-    ) -> None:
+    def _tell_places(self, frame: Frame, w: int, rng: np.random.Generator) -> None:
         """Tell the living drones of a world their places, where the shape or they change."""
         now, memory = frame.time[w], frame.scene.memory
         due = self.plan.due(now, self.context.period)

@@ -258,13 +258,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         sum_obstacle_nearness(frame.after.position, place, reach, d_safe, nearness)
         return nearness
 
-    def move_scene(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-        rngs: Rngs,
-    ) -> bool:
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Move obstacles, and goals that were reached down to the ground for who is to land."""
         if self.config.at_goal == "land":
             is_landing = (scene.memory["reached"] > 0) & flying[:, None]

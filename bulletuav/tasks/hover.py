@@ -10,12 +10,13 @@ import numpy as np
 from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.rotation import exponential, point
 from bulletuav.registry import register
-from bulletuav.tasks.base import Rngs, Task
+from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, too_far
 from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import end, reward
+from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.draws import between
 from bulletuav.tasks.starts import refuse_early_end
 
@@ -53,23 +54,13 @@ class HoverConfig(TaskConfig):
 
 
 @end
-def holds(
-    distance: float,
-    goal_radius: float,
-    landed: bool,
-    land: bool,
-) -> bool:
+def holds(distance: float, goal_radius: float, landed: bool, land: bool) -> bool:
     """Tell whether the drone is at its target, and stands there where it is to land."""
     return distance <= goal_radius and (landed or not land)
 
 
 @reward
-def holding(
-    distance: float,
-    goal_radius: float,
-    landed: bool,
-    land: bool,
-) -> float:
+def holding(distance: float, goal_radius: float, landed: bool, land: bool) -> float:
     """1 at the target, where it is to land only on the ground."""
     return 1.0 if distance <= goal_radius and (landed or not land) else 0.0
 

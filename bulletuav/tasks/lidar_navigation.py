@@ -21,7 +21,7 @@ RANGE_UNCERTAINTY: dict[str, dict[str, float]] = {
 
 
 @dataclass(frozen=True)
-class LidarNavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):  # type: ignore[misc]
+class LidarNavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):
     """Options of `lidar_navigation`, beside those of flights in cities (`UrbanFlightOptions`).
 
     Attributes:

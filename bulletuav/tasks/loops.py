@@ -32,9 +32,7 @@ _EXPRESSIONS = {
 
 
 def make_loop(
-    function: FunctionType,
-    forms: Sequence[tuple[str, Form]],
-    results: int | None,
+    function: FunctionType, forms: Sequence[tuple[str, Form]], results: int | None
 ) -> Callable[..., None]:
     """Compile a loop that fills an array with what a function gives for each drone.
 
@@ -52,9 +50,7 @@ def make_loop(
 
 @functools.cache
 def _compiled(
-    function: FunctionType,
-    forms: tuple[tuple[str, Form], ...],
-    results: int | None,
+    function: FunctionType, forms: tuple[tuple[str, Form], ...], results: int | None
 ) -> Callable[..., None]:
     source = _source(function.__name__, forms, results)
     home = function.__module__ or ""  # none in code that is run from a text
@@ -68,11 +64,7 @@ def _compiled(
     return loop
 
 
-def _source(
-    name: str,
-    forms: tuple[tuple[str, Form], ...],
-    results: int | None,
-) -> str:
+def _source(name: str, forms: tuple[tuple[str, Form], ...], results: int | None) -> str:
     """Write the loop."""
     given = [name for name, form in forms if form not in ("index", "out")]
     call = f"function({', '.join(_expression(*form) for form in forms)})"
@@ -96,11 +88,7 @@ def _expression(name: str, form: Form) -> str:
     return _EXPRESSIONS[form].format(name=name)
 
 
-def _from_file(
-    module: str,
-    name: str,
-    source: str,
-) -> Callable[..., None]:
+def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
     """Load the loop of an ingredient of the package from its file, or write that first."""
     text = (
         f'"""Generated: the loop of `{module}.{name}`."""\n\n'

@@ -13,7 +13,7 @@ from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, CityLegs, UrbanFlightOpt
 
 
 @dataclass(frozen=True)
-class NavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):  # type: ignore[misc]
+class NavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):
     """Options of `navigation`, those of flights in cities (`UrbanFlightOptions`)."""
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from bulletuav.compiled.functions import atan2, cos, sin
 from bulletuav.registry import register
-from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, FlightConfig, GoalFlight
 from bulletuav.tasks.ingredients import reward
@@ -18,6 +17,7 @@ from bulletuav.tasks.parts.airspace import (
     clearance,
     least_distance,
 )
+from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.presets import UAVCONFLICT
 
@@ -43,12 +43,7 @@ class PursuitConfig(AirspaceOptions, FlightConfig):
 
 
 @reward
-def lap(
-    way: float,
-    way_before: float,
-    radius: float,
-    laps: int,
-) -> float:
+def lap(way: float, way_before: float, radius: float, laps: int) -> float:
     """Share of all laps by which it came nearer to their end, along the track and to the goal."""
     return (way_before - way) / (2 * np.pi * radius * laps)
 
@@ -227,13 +222,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
         """Tell what `way` was before the decision, (W, N) m."""
         return frame.scene.memory["laps_left_before"]
 
-    def move_scene(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-        rngs: Rngs,
-    ) -> bool:
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Let goals run on."""
         goal, velocity = self._track(time + self.context.period)
         scene.goal[flying] = goal[flying]

@@ -79,23 +79,14 @@ def closing(closing_payoff: float) -> float:
 
 
 @reward
-def crash(
-    lost: bool,
-    collision: bool,
-    captured: bool,
-) -> float:
+def crash(lost: bool, collision: bool, captured: bool) -> float:
     """1 on a contact that ends the drone's episode and is no capture."""
     return 1.0 if lost and collision and not captured else 0.0
 
 
 @reward
 def time(
-    chasing: bool,
-    lost: bool,
-    won: bool,
-    time: float,
-    duration: float,
-    period: float,
+    chasing: bool, lost: bool, won: bool, time: float, duration: float, period: float
 ) -> float:
     """Decisions that chasers take; those that evaders lack, and chasers that end before.
 
@@ -265,12 +256,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
             f"{self.context.num_drones} drones; lower it, or raise area"
         )
 
-    def finish(
-        self,
-        spawn: Spawn,
-        given: Given,
-        rng: np.random.Generator,
-    ) -> Spawn:
+    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
         """Put given places into a start; goals are the nearest opponents."""
         spawn = super().finish(spawn, given, rng)
         nearest = np.empty((1, len(spawn.position)), dtype=np.int64)

@@ -9,11 +9,12 @@ from bulletuav.geometry.closest_approach import fill_distances
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
-from bulletuav.tasks.base import Rngs, Task
+from bulletuav.tasks.base import Task
 from bulletuav.tasks.ends import leaves_arena
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.observations.base import Block, of_drones
+from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.gates import cross_gates, rank_drones, ways_left
 from bulletuav.tasks.parts.race_course import RaceConfig, RaceCourse
 
@@ -209,13 +210,7 @@ class Race(Task[RaceConfig]):
         self._follow_ways(frame)
         memory["way_before"][:] = memory["way"]
 
-    def move_scene(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-        rngs: Rngs,
-    ) -> bool:
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Swing gates, and move goals with them.
 
         Returns:

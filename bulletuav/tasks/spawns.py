@@ -234,12 +234,7 @@ def _is_doubtful(
     return False
 
 
-def _refused(
-    task: Task[Any],
-    name: str,
-    what: str,
-    remedy: str,
-) -> ValueError:
+def _refused(task: Task[Any], name: str, what: str, remedy: str) -> ValueError:
     return ValueError(f"{name} of the spawn of task {task.name!r} {what}: {remedy}")
 
 
@@ -254,12 +249,7 @@ ONE_FOR_ALL = {
 """Shapes of what may be given once for all drones"""
 
 
-def _numbers(
-    task: Task[Any],
-    name: str,
-    value: Any,
-    shape: tuple[int, int],
-) -> Any:
+def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> Any:
     """Return a field of a spawn. Raises ValueError unless it is numbers that fill this shape."""
     if type(value) is np.ndarray and value.shape == shape and value.dtype.kind == "f":
         return value
@@ -272,10 +262,7 @@ def _numbers(
 
 
 def _check_memory(
-    task: Task[Any],
-    spawn: Spawn,
-    remembered: Mapping[str, np.ndarray],
-    layouts: int,
+    task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.ndarray], layouts: int
 ) -> None:
     if spawn.layout != NO_LAYOUT or layouts:
         as_int(f"layout of the spawn of task {task.name!r}", spawn.layout, NO_LAYOUT, layouts - 1)
@@ -305,10 +292,7 @@ def _check_turns(task: Task[Any], quaternion: np.ndarray) -> None:
 
 
 def _check_places(
-    task: Task[Any],
-    position: np.ndarray,
-    quaternion: np.ndarray,
-    airframes: Sequence[Airframe],
+    task: Task[Any], position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]
 ) -> None:
     """Refuse starts that are not turned by unit quaternions, too far out, or in the ground."""
     # Squares of norms differ from 1 by twice as much as norms

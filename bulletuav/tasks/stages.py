@@ -63,12 +63,7 @@ class Kept:
         return kept
 
 
-def add_outcome(
-    program: Program,
-    task: Task[Any],
-    frame: Frame,
-    judgement: Judgement,
-) -> None:
+def add_outcome(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
     """Add to a program that a task works out ends and successes, and what it needs for them.
 
     The task has evaluated a frame before.
@@ -99,12 +94,7 @@ def add_outcome(
     _add_flags(program, frame, judgement.success, own, success)
 
 
-def add_judgement(
-    program: Program,
-    task: Task[Any],
-    frame: Frame,
-    judgement: Judgement,
-) -> None:
+def add_judgement(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
     """Add to a program that a task works out what `add_outcome` tells, and reward terms."""
     add_outcome(program, task, frame, judgement)
     kind, bound = type(task), task.bound
@@ -141,12 +131,7 @@ def _add_flags(
         program.call(_join, another, out)
 
 
-def _add_terms(
-    program: Program,
-    task: Task[Any],
-    frame: Frame,
-    judgement: Judgement,
-) -> None:
+def _add_terms(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
     """Add to a program that a task's own reward terms are worked out."""
     if type(task).reward_terms is not Task.reward_terms:
         program.turn(lambda: _copy(task.reward_terms(frame), judgement))

@@ -9,11 +9,7 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.given import PLACES, Given
 
 
-def take_given(
-    task: Task[Any],
-    start: object = None,
-    goal: object = None,
-) -> Given:
+def take_given(task: Task[Any], start: object = None, goal: object = None) -> Given:
     """Take places that users give, and refuse those that cannot be.
 
     Args:
@@ -47,11 +43,7 @@ def take_given(
     return Given(**places)
 
 
-def _given_positions(
-    task: Task[Any],
-    name: str,
-    value: object,
-) -> np.ndarray:
+def _given_positions(task: Task[Any], name: str, value: object) -> np.ndarray:
     """Return an option as positions (N, 3), m, and refuse all but those in the free."""
     drones = task.context.num_drones
     # Anything may be given: numbers first, then their shape
@@ -102,11 +94,7 @@ def refuse_overlap(position: np.ndarray, radius: float) -> None:
         )
 
 
-def refuse_early_end(
-    max_distance: float,
-    start_offset: float,
-    rise: float = 0.0,
-) -> None:
+def refuse_early_end(max_distance: float, start_offset: float, rise: float = 0.0) -> None:
     """Refuse starts that are too far from the goal.
 
     Args:

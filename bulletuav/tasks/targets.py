@@ -41,11 +41,7 @@ def share_of(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
 
 
 @allocating
-def served_share(
-    sight: np.ndarray,
-    alive: np.ndarray,
-    active: np.ndarray,
-) -> np.ndarray:
+def served_share(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np.ndarray:
     """Compute the share of active targets that any living drone sees.
 
     Args:

@@ -154,7 +154,7 @@ def test_the_seeds_scenario_is_one_call():
     assert len(env.agents) == 8
     assert space.shape == (6 + 4 + 8 + 6 * 7,)
     assert env.action_space(env.agents[0]).shape == (3,)
-    low, high = env.aviary.task._low, env.aviary.task._high
+    low, high = env.aviary.task.starts.low, env.aviary.task.starts.high
     np.testing.assert_array_equal(high - low, 200.0)
     starts = np.concatenate(
         [env.aviary.swarm.position[0].copy() for _ in range(50) if env.reset() is not None]

@@ -6,9 +6,9 @@ import pytest
 import bulletuav
 from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.rotation import exponential
+from bulletuav.tasks.hover import Hover
 from bulletuav.tasks.parts.draws import source_of, uniform
 from bulletuav.tasks.parts.headings import directions, draw_velocities
-from bulletuav.tasks.hover import Hover
 
 
 @kernel

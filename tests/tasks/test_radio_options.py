@@ -58,7 +58,7 @@ def test_a_task_takes_the_activity_that_is_asked_for_or_that_of_its_load(put):
     shares = []
     for activity in ("load", 0.1, 1.0, 0):
         aviary = put("mec", OPEN, place, users, arrival_rate=0.1, activity=activity, deadline=1.0)
-        shares.append(aviary.task._activity)
+        shares.append(aviary.task.service._activity)
     assert shares == [pytest.approx(0.1), 0.1, 1.0, 0.0]
 
 

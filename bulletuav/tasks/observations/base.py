@@ -37,22 +37,13 @@ Maker = Callable[[Any], Block]
 """Makes a block for a task"""
 
 
-def of_drones(
-    name: str,
-    unit: str,
-    most: float,
-    drones: int,
-) -> Block:
+def of_drones(name: str, unit: str, most: float, drones: int) -> Block:
     """Make the part of a global state that is memory (W, N) of this name, from 0 to `most`."""
     labels = tuple(Label(f"{name} of drone_{i}", unit, 0.0, most) for i in range(drones))
     return Block(labels, lambda frame, present: frame.scene.memory[name])
 
 
-def require_memory(
-    task: Any,
-    block: str,
-    names: tuple[str, ...],
-) -> None:
+def require_memory(task: Any, block: str, names: tuple[str, ...]) -> None:
     """Refuse a block that shows what the task does not remember.
 
     Raises:

@@ -101,11 +101,7 @@ def _goal_labels(task: Any) -> tuple[Label, ...]:
 
 @register("observation")
 @block(_goal_labels)
-def goal(
-    goal: Vec3,
-    known_position: Vec3,
-    known_distance: float,
-) -> Quat4:
+def goal(goal: Vec3, known_position: Vec3, known_distance: float) -> Quat4:
     """Direction to the goal (unit vector, world axes) and distance."""
     length = max(known_distance, 1e-9)
     return (

@@ -57,11 +57,7 @@ def intruders(task: Any) -> Block:
     return _others(task, "intruder", AHEAD)
 
 
-def _others(
-    task: Any,
-    name: str,
-    horizon: float,
-) -> Block:
+def _others(task: Any, name: str, horizon: float) -> Block:
     """Make the block of others that come nearest within a time, s."""
     count = task.context.num_neighbours
     # For each, the nearest first: distance, relative position and velocity
@@ -79,11 +75,7 @@ def _others(
             nearest_present(*own, present, horizon, count, out)
         return out
 
-    def add(
-        program: Program,
-        frame: Frame,
-        out: np.ndarray,
-    ) -> bool:
+    def add(program: Program, frame: Frame, out: np.ndarray) -> bool:
         if HEARD in frame.readings:
             return False
         own = (frame.known_position, frame.known_velocity)
@@ -137,11 +129,7 @@ def obstacles(task: Any) -> Block:
         nearest_obstacles(*own, scene.obstacle, scene.obstacle_velocity, radius, count, out)
         return out
 
-    def add(
-        program: Program,
-        frame: Frame,
-        out: np.ndarray,
-    ) -> bool:
+    def add(program: Program, frame: Frame, out: np.ndarray) -> bool:
         own = (frame.known_position, frame.known_velocity)
         them = (frame.scene.obstacle, frame.scene.obstacle_velocity, radius)
         program.call(nearest_obstacles, *own, *them, count, out)
@@ -177,11 +165,7 @@ def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 
 @func
-def _least(
-    theirs: tuple[Vec3, Vec3],
-    own: tuple[Vec3, Vec3],
-    horizon: float,
-) -> float:
+def _least(theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3], horizon: float) -> float:
     """Compute how near another comes within `horizon`, s, if both fly straight on, m."""
     gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
     # Where the other will be, relative to the drone
@@ -195,10 +179,7 @@ def _least(
 
 @func
 def _write(
-    out: np.ndarray,
-    place: tuple[int, int, int],
-    theirs: tuple[Vec3, Vec3],
-    own: tuple[Vec3, Vec3],
+    out: np.ndarray, place: tuple[int, int, int], theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3]
 ) -> None:
     """Write one of the others, as seen from the drone, to its `place` (w, i, slot)."""
     w, i, slot = place

@@ -156,12 +156,7 @@ class ObservationBuilder:
         """Make room for the numbers of all drones, (W, N, D) float32."""
         return np.zeros((*shape, len(self.labels)), dtype=np.float32)
 
-    def add_to(
-        self,
-        program: Program,
-        frame: Frame,
-        vector: np.ndarray,
-    ) -> None:
+    def add_to(self, program: Program, frame: Frame, vector: np.ndarray) -> None:
         """Add to a program that the numbers are written.
 
         Args:
@@ -324,12 +319,7 @@ class _Shown:
             )
         out[...] = numbers
 
-    def add_to(
-        self,
-        program: Program,
-        frame: Frame,
-        out: np.ndarray,
-    ) -> None:
+    def add_to(self, program: Program, frame: Frame, out: np.ndarray) -> None:
         """Add to a program that they are written."""
         if self._block.add is not None and self._block.add(program, frame, out):
             return

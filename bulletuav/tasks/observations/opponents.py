@@ -15,11 +15,7 @@ PER_OPPONENT = 1 + PER_NEIGHBOUR
 """Numbers of each: whether it is seen, distance, relative position, relative velocity"""
 
 
-def opponents_in_sight(
-    task: Any,
-    frame: Frame,
-    present: np.ndarray,
-) -> np.ndarray:
+def opponents_in_sight(task: Any, frame: Frame, present: np.ndarray) -> np.ndarray:
     """Tell which opponents each drone sees.
 
     They are within the task's `sight_range`, and nothing but drones is in between, where the

@@ -61,9 +61,7 @@ def require_margin(config: AirspaceOptions) -> None:
 
 
 def circle_arena(
-    config: AirspaceOptions,
-    context: TaskContext,
-    radius: float,
+    config: AirspaceOptions, context: TaskContext, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the arena of drones that start on a circle about the origin.
 

@@ -35,19 +35,10 @@ def _call_drawing(function: int, state: int) -> Any:
 
 @in_python(_call_drawing)
 @intrinsic  # type: ignore[untyped-decorator]
-def _next(
-    _: Any,
-    function: Any,
-    state: Any,
-) -> Any:
+def _next(_: Any, function: Any, state: Any) -> Any:
     """Call a function of C that takes an address and returns a double."""
 
-    def generate(
-        context: Any,
-        builder: Any,
-        _: Any,
-        given: Any,
-    ) -> Any:
+    def generate(context: Any, builder: Any, _: Any, given: Any) -> Any:
         form = ir.FunctionType(ir.DoubleType(), [ir.IntType(8).as_pointer()])
         drawing = builder.inttoptr(given[0], form.as_pointer())
         return builder.call(drawing, [builder.inttoptr(given[1], form.args[0])])
@@ -56,20 +47,12 @@ def _next(
 
 
 @func
-def between(
-    share: float,
-    low: float,
-    high: float,
-) -> float:
+def between(share: float, low: float, high: float) -> float:
     """Turn a number in [0, 1) into one between limits, as `Generator.uniform` does."""
     return low + (high - low) * share
 
 
 @func
-def uniform(
-    source: Source,
-    low: float,
-    high: float,
-) -> float:
+def uniform(source: Source, low: float, high: float) -> float:
     """Draw what `Generator.uniform(low, high)` draws."""
     return between(_next(source[0], source[1]), low, high)

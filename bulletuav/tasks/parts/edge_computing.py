@@ -197,7 +197,8 @@ class EdgeComputing(Service):
 
     def payload_power(self, scene: Scene) -> np.ndarray:
         """Return the power of the cores that were busy in the last decision, (W, N) W."""
-        return scene.memory["utilisation"] * self._compute_power
+        power: np.ndarray = scene.memory["utilisation"] * self._compute_power
+        return power
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Work out who serves whom at which rate, and what becomes of the decision's tasks."""
@@ -310,7 +311,8 @@ class EdgeComputing(Service):
 
     def succeeded(self, frame: Frame) -> np.ndarray:
         """Return whether the wanted share of the episode's tasks is completed, (W, N) bool."""
-        return frame.scene.memory["share"] >= self._config.wanted
+        completed: np.ndarray = frame.scene.memory["share"] >= self._config.wanted
+        return completed
 
 
 EDGE_DIFFICULTIES = {

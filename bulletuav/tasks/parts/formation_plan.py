@@ -127,12 +127,7 @@ class Plan:
         """Choose the places of drones at (N, 3), m, at the start: (N,) indices."""
         return self._nearest(position, leader, 0) if self._is_free else np.arange(len(position))
 
-    def _nearest(
-        self,
-        position: np.ndarray,
-        leader: Leader,
-        shape: int,
-    ) -> np.ndarray:
+    def _nearest(self, position: np.ndarray, leader: Leader, shape: int) -> np.ndarray:
         """Choose the places of a shape that are nearest to all drones together."""
         place = self.shapes[None, shape, : self._counts[shape]]
         return assign(position, in_world(place, leader)[0][0])

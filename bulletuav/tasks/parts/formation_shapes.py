@@ -68,11 +68,7 @@ SHAPES: Mapping[str, Callable[[int, float], np.ndarray]] = MappingProxyType(
 NAMES = (*SHAPES, LETTERS)
 
 
-def letters(
-    count: int,
-    spacing: float,
-    text: str,
-) -> np.ndarray:
+def letters(count: int, spacing: float, text: str) -> np.ndarray:
     """Write a text that is read from above, its top in front.
 
     A drone is on each corner and end of a stroke. The others go, one by one, to the stroke on
@@ -150,13 +146,7 @@ def _is_shape(value: Any) -> bool:
     )
 
 
-def places_of(
-    shape: Any,
-    count: int,
-    spacing: float,
-    text: str,
-    apart: float,
-) -> np.ndarray:
+def places_of(shape: Any, count: int, spacing: float, text: str, apart: float) -> np.ndarray:
     """Find the places of a shape.
 
     Args:

@@ -37,12 +37,7 @@ class Course:
     """
 
     def __init__(
-        self,
-        speed: float,
-        turn: float,
-        altitude: float,
-        duration: float,
-        period: float,
+        self, speed: float, turn: float, altitude: float, duration: float, period: float
     ) -> None:
         """Find the middle of the way, which is put above the origin.
 
@@ -61,12 +56,7 @@ class Course:
         offset = way - self._middle
         self.reach = float(hypot(offset[:, 0], offset[:, 1]).max())
 
-    def _way(
-        self,
-        time: np.ndarray,
-        course: np.ndarray,
-        turn: np.ndarray,
-    ) -> np.ndarray:
+    def _way(self, time: np.ndarray, course: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Compute the ways (K, 2) from the start, m: chords of arcs."""
         half = turn * time / 2
         # The chord of an arc is shorter than it by sin(half) / half, and points to its middle.
@@ -74,12 +64,7 @@ class Course:
         chord = self._speed * time * share
         return np.stack([chord * cos(course + half), chord * sin(course + half)], axis=1)
 
-    def at(
-        self,
-        time: np.ndarray,
-        course: np.ndarray,
-        turn: np.ndarray,
-    ) -> Leader:
+    def at(self, time: np.ndarray, course: np.ndarray, turn: np.ndarray) -> Leader:
         """Tell where leaders are.
 
         Args:
@@ -118,11 +103,7 @@ def in_world(place: np.ndarray, leader: Leader) -> tuple[np.ndarray, np.ndarray]
     return leader.position[:, None] + offset, leader.velocity[:, None] + round_it
 
 
-def greatest_speed(
-    place: np.ndarray,
-    speed: float,
-    turn: float,
-) -> float:
+def greatest_speed(place: np.ndarray, speed: float, turn: float) -> float:
     """Compute the speed of the fastest of places (M, 3) about a leader that turns, m/s.
 
     Args:
@@ -151,11 +132,7 @@ def assign(position: np.ndarray, place: np.ndarray) -> np.ndarray:
     return chosen
 
 
-def off_places(
-    position: np.ndarray,
-    goal: np.ndarray,
-    counts: np.ndarray,
-) -> np.ndarray:
+def off_places(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Compute how far swarms are off their places: the root of the mean squared distance.
 
     Nothing is taken off it: a swarm in perfect shape beside its leader is off.
@@ -175,11 +152,7 @@ def off_places(
 
 
 @allocating
-def off_shape(
-    position: np.ndarray,
-    goal: np.ndarray,
-    counts: np.ndarray,
-) -> np.ndarray:
+def off_shape(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Compute what is left of `off_places` after the best shift and rotation of the places.
 
     B. K. P. Horn, Closed-form solution of absolute orientation using unit quaternions (1987).

@@ -15,11 +15,7 @@ HEADINGS = ("goal", "random")
 """Headings that have names"""
 
 
-def check_heading(
-    heading: Any,
-    num_drones: int,
-    has_goals: bool,
-) -> None:
+def check_heading(heading: Any, num_drones: int, has_goals: bool) -> None:
     """Refuse a heading that is no direction.
 
     Args:
@@ -46,11 +42,7 @@ def check_heading(
         )
 
 
-def headed(
-    heading: Any,
-    ways: np.ndarray,
-    rng: np.random.Generator,
-) -> np.ndarray:
+def headed(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Make directions of a heading.
 
     Args:
@@ -86,11 +78,7 @@ def directions(ways: np.ndarray) -> np.ndarray:
 
 @kernel
 def draw_velocities(
-    source: Source,
-    slowest: float,
-    fastest: float,
-    ways: np.ndarray,
-    velocity: np.ndarray,
+    source: Source, slowest: float, fastest: float, ways: np.ndarray, velocity: np.ndarray
 ) -> None:
     """Draw a speed between two for each drone, m/s, and write velocities (N, 3) along its way."""
     for i in range(ways.shape[0]):

@@ -198,12 +198,7 @@ class ObstacleField(Part):
 
 
 @kernel
-def first_near(
-    obstacle: np.ndarray,
-    first: int,
-    keep_off: np.ndarray,
-    places: np.ndarray,
-) -> int:
+def first_near(obstacle: np.ndarray, first: int, keep_off: np.ndarray, places: np.ndarray) -> int:
     """Find the first of the obstacles (K, 3), from `first` on, that does not keep off places.
 
     Args:

@@ -183,10 +183,7 @@ class RaceCourse:
         )
 
     def swing(
-        self,
-        time: np.ndarray,
-        axis: np.ndarray,
-        phase: np.ndarray,
+        self, time: np.ndarray, axis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Tell how far gates swing to their left, and how fast.
 
@@ -202,12 +199,7 @@ class RaceCourse:
         left = axis[:, :, 1]
         return self._config.gate_motion * sin(angle) * left, self._speed * cos(angle) * left
 
-    def move(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-    ) -> None:
+    def move(self, scene: Scene, time: np.ndarray, flying: np.ndarray) -> None:
         """Swing the gates of the worlds of `flying` (W,) on by a decision that begins at `time`."""
         memory = scene.memory
         axis, phase = memory["gate_axis"][flying], memory["gate_phase"][flying]

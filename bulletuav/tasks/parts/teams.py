@@ -16,11 +16,7 @@ GRAIN = 2.0**-20
 """Payoffs are whole multiples of it: sums of those are exact, in whatever order"""
 
 
-def team_sizes(
-    given: Any,
-    drones: int,
-    usual: tuple[int, int],
-) -> tuple[int, int]:
+def team_sizes(given: Any, drones: int, usual: tuple[int, int]) -> tuple[int, int]:
     """Take the option `teams`: the sizes of two teams.
 
     Args:
@@ -50,10 +46,7 @@ def team_sizes(
 
 @kernel
 def nearest_opponents(
-    position: np.ndarray,
-    present: np.ndarray,
-    team: np.ndarray,
-    nearest: np.ndarray,
+    position: np.ndarray, present: np.ndarray, team: np.ndarray, nearest: np.ndarray
 ) -> None:
     """Find the nearest drone of another team, for each drone.
 
@@ -128,11 +121,7 @@ def follow_chase(
                 closing[w, i] = math.sqrt(first) - math.sqrt(last)
 
 
-def zero_sum(
-    gain: np.ndarray,
-    paid: np.ndarray,
-    paying: np.ndarray,
-) -> np.ndarray:
+def zero_sum(gain: np.ndarray, paid: np.ndarray, paying: np.ndarray) -> np.ndarray:
     """Share gains among the drones of one team that flew, and take them from the other's.
 
     Each one's share is rounded to `GRAIN`. So payoffs of a world add up to 0, not nearly but to the

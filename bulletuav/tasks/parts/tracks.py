@@ -127,12 +127,7 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
     return tuple(_gate_of(path, k, table, usual) for k, table in enumerate(tables))
 
 
-def _gate_of(
-    path: Path,
-    k: int,
-    table: object,
-    usual: RandomTrack,
-) -> Gate:
+def _gate_of(path: Path, k: int, table: object, usual: RandomTrack) -> Gate:
     """Make a gate of its table. Raises ValueError for what it cannot be made of."""
     who = f"gate {k} of track {path}"
     if not isinstance(table, dict):
@@ -178,12 +173,7 @@ def blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
     return np.column_stack([places, np.zeros(drones)])
 
 
-def fault(
-    gates: tuple[Gate, ...],
-    start: np.ndarray,
-    radius: float,
-    motion: float,
-) -> str | None:
+def fault(gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: float) -> str | None:
     """Tell why a track cannot be flown, or None where it can.
 
     Args:
@@ -240,11 +230,7 @@ def _depth(gate: Gate) -> float:
 
 
 def draw_track(
-    rng: np.random.Generator,
-    like: RandomTrack,
-    drones: int,
-    radius: float,
-    motion: float,
+    rng: np.random.Generator, like: RandomTrack, drones: int, radius: float, motion: float
 ) -> tuple[Gate, ...]:
     """Draw a track that can be flown.
 

@@ -73,11 +73,7 @@ def energy(velocity: Vec3, velocity_before: Vec3) -> float:
 
 @register("reward")
 @reward
-def efficiency(
-    way: float,
-    first_way: float,
-    goal_radius: float,
-) -> float:
+def efficiency(way: float, first_way: float, goal_radius: float) -> float:
     """1 at the goal, 0 as far from it as at the start: 1 - d / d0, of the way to its end."""
     return 1 - way / max(first_way, goal_radius)
 
@@ -93,13 +89,7 @@ def speed_keeping(velocity: Vec3, max_speed: float) -> float:
 
 @register("reward")
 @reward
-def time(
-    terminated: bool,
-    finished: bool,
-    time: float,
-    duration: float,
-    period: float,
-) -> float:
+def time(terminated: bool, finished: bool, time: float, duration: float, period: float) -> float:
     """1 a decision until the drone has finished; an end before that costs all that are left.
 
     So no drone saves time by crashing or leaving.
@@ -111,12 +101,7 @@ def time(
 
 @register("reward")
 @reward
-def shaping(
-    way: float,
-    way_before: float,
-    terminated: bool,
-    discount: float,
-) -> float:
+def shaping(way: float, way_before: float, terminated: bool, discount: float) -> float:
     """Gain of the discounted potential.
 
     That is the discounted potential after the decision, less that before. It is minus the way to
@@ -129,11 +114,7 @@ def shaping(
 @register("reward")
 @reward
 def concession(
-    i: int,
-    encounter: np.ndarray,
-    effort: np.ndarray,
-    all_effort: np.ndarray,
-    ended: bool,
+    i: int, encounter: np.ndarray, effort: np.ndarray, all_effort: np.ndarray, ended: bool
 ) -> float:
     """At the end of an episode: for how many drones it made way, less how many made way for it.
 
@@ -165,12 +146,7 @@ LOOK_AHEAD = 10.0
 
 
 @func
-def _change(
-    before: Swarm,
-    after: Swarm,
-    w: int,
-    i: int,
-) -> float:
+def _change(before: Swarm, after: Swarm, w: int, i: int) -> float:
     """Compute the size of a drone's velocity change, m/s."""
     own, new = vec3(before.velocity, w, i), vec3(after.velocity, w, i)
     return math.sqrt((new[0] - own[0]) ** 2 + (new[1] - own[1]) ** 2 + (new[2] - own[2]) ** 2)
@@ -232,10 +208,7 @@ def follow_encounters(
 
 @allocating
 def variance_nearby(
-    reward: np.ndarray,
-    position: np.ndarray,
-    alive: np.ndarray,
-    reach: float,
+    reward: np.ndarray, position: np.ndarray, alive: np.ndarray, reach: float
 ) -> np.ndarray:
     """Compute the variance of the rewards of living drones near each one, itself among them.
 
@@ -268,11 +241,7 @@ def variance_nearby(
 
 @kernel
 def sum_obstacle_nearness(
-    position: np.ndarray,
-    obstacle: np.ndarray,
-    reach: np.ndarray,
-    d_safe: float,
-    out: np.ndarray,
+    position: np.ndarray, obstacle: np.ndarray, reach: np.ndarray, d_safe: float, out: np.ndarray
 ) -> None:
     """Sum up how deep drones are within d_safe of obstacles.
 

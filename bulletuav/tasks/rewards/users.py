@@ -53,11 +53,7 @@ def tasks(completed: float, expected_tasks: float) -> float:
 
 @register("reward")
 @reward
-def latency(
-    delay_completed: float,
-    deadline: float,
-    expected_tasks: float,
-) -> float:
+def latency(delay_completed: float, deadline: float, expected_tasks: float) -> float:
     """Latencies of the completed tasks over the deadline, and over the expected tasks."""
     return delay_completed / (deadline * expected_tasks)
 
