@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+import importlib
 import sys
 from pathlib import Path
 
@@ -78,6 +79,22 @@ def test_tasks_never_import_each_other(imports):
     assert [path.stem for path in tasks] == bulletuav.list_tasks()
     names = {f"bulletuav.tasks.{path.stem}" for path in tasks}
     assert not [own(path) for path, module, _ in imports if path in tasks and module in names]
+
+
+def test_chains_of_classes_in_tasks_and_environments_have_three_links_at_most():
+    def links(kind):
+        own = [base for base in kind.__bases__ if base.__module__.startswith("bulletuav")]
+        return 1 + max(map(links, own), default=0)
+
+    kinds = set()
+    for path in FILES:
+        if {"tasks", "envs"} & set(path.parts):
+            name = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+            module = importlib.import_module(name.removesuffix(".__init__"))
+            kinds |= {one for one in vars(module).values() if isinstance(one, type)}
+    own = [kind for kind in kinds if kind.__module__.startswith("bulletuav")]
+    assert len(own) > 150
+    assert not [kind.__name__ for kind in own if links(kind) > 3]
 
 
 def test_engine_and_extras_stay_in_their_places(imports):
