@@ -58,11 +58,3 @@ def test_every_kind_of_ingredient_is_told_with_its_example_and_its_check():
     assert told == examples - {"heavy.py"}
     checks = {name for name in bulletuav.__all__ if name.startswith("check_")}
     assert checks <= set(re.findall(r"\[(check_\w+)\]", table))
-
-
-def test_sentences_are_short():
-    prose = re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", re.sub(r"^\|.*$", "", TEXT, flags=re.MULTILINE))
-    sentences = re.split(r"[.:;](?:\s|\*)|\n\s*(?:-|\d+\.)\s|\n\n", prose)
-    lengths = [len(sentence.split()) for sentence in sentences if len(sentence.split()) > 2]
-    assert sum(lengths) / len(lengths) < 15
-    assert max(lengths) <= 25, max(sentences, key=lambda one: len(one.split()))
