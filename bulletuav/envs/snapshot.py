@@ -37,8 +37,6 @@ UNIT = 1e-6
 """Rounding of the components of a quaternion"""
 MAX_ROTOR_SPEED = 1e6
 """Speed of a rotor, rad/s"""
-MAX_STEPS = 2**53
-"""Decisions of a world: as many as a float64 counts"""
 MAX_COORDINATE = 1e7
 """Distance of a drone from its world's origin, m; flights that diverge end before"""
 FIRST_FIELDS = ("data", "form", "checksum")
