@@ -126,7 +126,10 @@ class Airspace(Environment):
         known, carried = airspace_options(position, airframe, sensors, {**options, **rates})
         layouts = () if layout is None else (layout,)
         self._options, self.airframes = known, known.airframe
-        self._made = {"obstacles": tuple(obstacles), "layout": faces_of(layouts)}
+        self._made: dict[str, Any] = {
+            "obstacles": tuple(obstacles),
+            "layout": faces_of(layouts),
+        }
         self.world = world = AirspaceWorld(known, tuple(obstacles), layouts, carried)
         self.simulation = AirspaceSimulation(world)
         self.consumes, self.period = world.dynamics.consumes, 1 / known.decision_hz

@@ -239,7 +239,8 @@ class WorkerAviary(LabelledEnvironment):
         if not isinstance(self.observation_space, Dict):
             return self._arrays["observation/"].copy()
         # The space sorts its entries; observations have them in the order of the blocks.
-        order = (VECTOR, *self._observer.slices, *self._observer.images)
+        observer = self._spec.observer
+        order = (VECTOR, *observer.slices, *observer.images)
         names = filter(self.observation_space.spaces.__contains__, order)
         return {name: self._arrays[f"observation/{name}"].copy() for name in names}
 
