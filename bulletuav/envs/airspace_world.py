@@ -55,9 +55,8 @@ class AirspaceWorld(Parts):
         options.check_setpoint_levels(consumes, consumes)
         # Setpoints have a yaw, or a number for each rotor
         rotors, drones = self.hover_speed.shape[1], options.num_drones
-        swarm = Swarm.zeros(1, drones, rotors)
-        sizes = Sizes(1, drones, S=max(YAW + 1, rotors), K=len(obstacles))
-        self.state = state = AirspaceState(swarm, swarm.copy(), **AirspaceState.zeros(sizes))
+        sizes = Sizes(1, drones, S=max(YAW + 1, rotors), K=len(obstacles), R=rotors)
+        self.state = state = AirspaceState.make(sizes)
         state.levels[:] = int(consumes)
         state.alive[:] = True
         state.obstacle[..., 2] = -PARKING_HEIGHT

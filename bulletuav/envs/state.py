@@ -57,6 +57,7 @@ class Sizes(NamedTuple):
         A: Numbers of an action.
         S: Numbers of a setpoint.
         K: Obstacles in a world.
+        R: Rotors of the drone with the most.
     """
 
     W: int
@@ -64,6 +65,7 @@ class Sizes(NamedTuple):
     A: int = 0
     S: int = 0
     K: int = 0
+    R: int = 0
 
 
 class Arrays:
@@ -94,14 +96,6 @@ class Arrays:
         """Make the declared arrays."""
         return {name: np.zeros(one.shape(sizes), one.dtype) for name, one in cls.declared().items()}
 
-    @classmethod
-    def num_bytes(cls, sizes: Sizes) -> int:
-        """Return what the declared arrays take, without making any."""
-        return sum(
-            math.prod(one.shape(sizes)) * np.dtype(one.dtype).itemsize
-            for one in cls.declared().values()
-        )
-
     def kept(self, kind: str) -> dict[str, np.ndarray]:
         """Return the declared arrays of `STATE` or `LAST` by the names that snapshots give them."""
         return {
@@ -117,6 +111,10 @@ class Arrays:
             for name, one in self.declared().items()
             if one.max is not None
         }
+
+    def world_bytes(self) -> int:
+        """Return the bytes that all arrays have for a world; there need not be any worlds."""
+        return sum(math.prod(array.shape[1:]) * array.itemsize for array in self.named().values())
 
     def named(self) -> dict[str, np.ndarray]:
         """Return all arrays by the names that stages declare, such as "swarm.position"."""
@@ -177,6 +175,18 @@ class State(Arrays):
     success: Annotated[np.ndarray, Array("W N", bool, "drones that are where the task wants them")]
     left: Annotated[np.ndarray, Array("W N", bool, "drones that leave with the decision")]
 
+    @classmethod
+    def make(cls, sizes: Sizes, memory: Mapping[str, tuple[int, ...]]) -> "State":
+        """Make all arrays.
+
+        Args:
+            sizes: Lengths of their axes.
+            memory: Shape of each array of the task's memory in one world, by name.
+        """
+        swarm = Swarm.zeros(sizes.W, sizes.N, sizes.R)
+        scene = Scene.empty(sizes.W, sizes.N, sizes.K, memory)
+        return cls(swarm, swarm.copy(), scene, **cls.zeros(sizes))
+
 
 @dataclass(frozen=True)
 class AirspaceState(Arrays):
@@ -207,6 +217,12 @@ class AirspaceState(Arrays):
     ]
     alive: Annotated[np.ndarray, Array("W N", bool, "drones that fly: all")]
     wind: Annotated[np.ndarray, Array("W N 3", float, "velocity of the air at each drone, m/s")]
+
+    @classmethod
+    def make(cls, sizes: Sizes) -> "AirspaceState":
+        """Make all arrays, of sizes with W = 1."""
+        swarm = Swarm.zeros(sizes.W, sizes.N, sizes.R)
+        return cls(swarm, swarm.copy(), **cls.zeros(sizes))
 
 
 def with_prefix(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -12,7 +12,7 @@ from bulletuav.envs.state import LAST, STATE, Sizes, State, with_prefix
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.sensors.base import Moment
 from bulletuav.tasks.account import Account, make_account
-from bulletuav.tasks.frame import Frame, Scene
+from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import PRESENT
 from bulletuav.tasks.stages import Judgement
 from bulletuav.vehicle.swarm import Swarm
@@ -63,13 +63,9 @@ class Worlds(Parts):
         task, action, shape = self.task, self.action, (self.num_worlds, self.options.num_drones)
         size = action.low.shape[-1]
         setpoint = action.decode(np.zeros((*shape, size)), np.zeros((*shape, 3)))
-        swarm = Swarm.zeros(*shape, self.hover_speed.shape[1])
-        self.state = state = State(
-            swarm,
-            swarm.copy(),
-            Scene.empty(*shape, num_obstacles, task.memory()),
-            **State.zeros(Sizes(*shape, size, setpoint.shape[-1])),
-        )
+        rotors = self.hover_speed.shape[1]
+        sizes = Sizes(*shape, size, setpoint.shape[-1], num_obstacles, rotors)
+        self.state = state = State.make(sizes, task.memory())
         state.setpoint[:] = setpoint
         state.levels[:] = int(action.level)
         self.nothing_seen = np.zeros((*shape, task.num_targets), dtype=bool)

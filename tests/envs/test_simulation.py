@@ -9,6 +9,7 @@ import pytest
 
 import bulletuav
 from bulletuav import Airspace, SetpointLevel
+from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.stages import Stage, airspace_stages, decision_stages
 from bulletuav.envs.state import LAST, STATE, AirspaceState, Sizes, State
 from bulletuav.geometry.obstacle import Obstacle
@@ -299,8 +300,7 @@ def require_as_declared(state, sizes, saved, last):
         assert (array.shape, array.dtype) == (one.shape(sizes), np.dtype(one.dtype))
     declared = state.declared().values()
     assert {one.kept for one in declared} == {STATE, "derived"} | ({LAST} if last else set())
-    of_declared = sum(getattr(state, name).nbytes for name in state.declared())
-    assert state.num_bytes(sizes) == of_declared
+    assert state.world_bytes() * sizes.W == sum(one.nbytes for one in state.named().values())
     # What snapshots hold is what is declared to be kept
     for kind in (STATE, LAST):
         assert all(saved[name] is array for name, array in state.kept(kind).items())
@@ -313,6 +313,23 @@ def test_the_state_is_declared_once():
     saved = {**worlds.state_arrays(), **worlds.last_arrays()}
     require_as_declared(worlds.state, sizes, saved, last=True)
     assert worlds.bounds()["steps"] == (0, 2**53)
+
+
+@pytest.mark.parametrize("task", CASES)
+def test_the_memory_that_worlds_take_follows_from_the_state(task):
+    spec = EnvSpec(task, 5, CASES[task])
+    named = made(task).worlds.state.named()
+    assert spec.state_bytes() == sum(one.nbytes for one in named.values()) // 2
+
+
+def test_memory_is_counted_before_it_is_allocated(monkeypatch):
+    taken = EnvSpec("crossing", 1, {}).state_bytes()
+    grown = {"given": State.declared()["given"]._replace(axes=f"W N A {10**12}")}
+    declared = {**State.declared(), **grown}
+    monkeypatch.setattr(State, "declared", classmethod(lambda cls: declared))
+    with pytest.raises(ValueError, match="1 worlds of 8 drones .* need about"):
+        EnvSpec("crossing", 1, {})
+    assert taken < 10**5
 
 
 def test_the_state_of_an_airspace_is_declared_once():
