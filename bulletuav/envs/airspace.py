@@ -126,10 +126,7 @@ class Airspace(Environment):
         known, carried = airspace_options(position, airframe, sensors, {**options, **rates})
         layouts = () if layout is None else (layout,)
         self._options, self.airframes = known, known.airframe
-        self._made: dict[str, Any] = {
-            "obstacles": tuple(obstacles),
-            "layout": faces_of(layouts),
-        }
+        self._made: dict[str, Any] = {"obstacles": tuple(obstacles), "layout": faces_of(layouts)}
         self.world = world = AirspaceWorld(known, tuple(obstacles), layouts, carried)
         self.simulation = AirspaceSimulation(world)
         self.consumes, self.period = world.dynamics.consumes, 1 / known.decision_hz
@@ -341,10 +338,7 @@ class Airspace(Environment):
 
     @exclusive
     def apply(
-        self,
-        drones: Drones,
-        force: Sequence[float] = STILL,
-        torque: Sequence[float] = STILL,
+        self, drones: Drones, force: Sequence[float] = STILL, torque: Sequence[float] = STILL
     ) -> None:
         """Push drones during the next step, beside what pushes them already.
 

@@ -65,10 +65,7 @@ OF_TASKS = (
 
 
 def airspace_options(
-    position: Any,
-    airframe: Any,
-    sensors: Any,
-    given: Mapping[str, Any],
+    position: Any, airframe: Any, sensors: Any, given: Mapping[str, Any]
 ) -> tuple[EnvOptions, dict[str, Sensor]]:
     """Check the options of an airspace.
 
@@ -243,12 +240,7 @@ def angles(name: str, value: Any, count: tuple[int, ...]) -> np.ndarray | float:
 
 
 def state_numbers(
-    most: np.ndarray,
-    position: Any,
-    quaternion: Any,
-    velocity: Any,
-    rates: Any,
-    rotor_speed: Any,
+    most: np.ndarray, position: Any, quaternion: Any, velocity: Any, rates: Any, rotor_speed: Any
 ) -> tuple[np.ndarray, ...]:
     """Take a state that drones are to have.
 
@@ -348,9 +340,7 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
 
 
 def usual_widths(
-    consumes: SetpointLevel,
-    options: EnvOptions,
-    rotors: int,
+    consumes: SetpointLevel, options: EnvOptions, rotors: int
 ) -> dict[SetpointLevel, int]:
     """Tell the levels that drones can be told with no more ado, and how many numbers each has.
 
@@ -400,11 +390,7 @@ hold = in_c(hold_plainly)
 
 
 def setpoint_numbers(
-    level: SetpointLevel,
-    setpoint: Any,
-    count: tuple[int, ...],
-    rotors: int,
-    speaks: bool,
+    level: SetpointLevel, setpoint: Any, count: tuple[int, ...], rotors: int, speaks: bool
 ) -> np.ndarray:
     """Take the numbers of a setpoint.
 

@@ -82,12 +82,7 @@ class Aviary(Environment):
     _varying: Sequence[object] = ()
 
     def __init__(
-        self,
-        task: TaskSource,
-        num_worlds: int = 1,
-        *,
-        first_world: int = 0,
-        **options: Any,
+        self, task: TaskSource, num_worlds: int = 1, *, first_world: int = 0, **options: Any
     ) -> None:
         """Build the worlds.
 
@@ -433,11 +428,7 @@ class Aviary(Environment):
 
     @exclusive
     def render(
-        self,
-        world: int = 0,
-        *,
-        collision: bool = False,
-        marks: bool = True,
+        self, world: int = 0, *, collision: bool = False, marks: bool = True
     ) -> np.ndarray | None:
         """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise.
 
@@ -509,10 +500,7 @@ class Aviary(Environment):
 
     @exclusive
     def line_of_sight(
-        self,
-        start: np.ndarray,
-        end: np.ndarray,
-        world: np.ndarray | int = 0,
+        self, start: np.ndarray, end: np.ndarray, world: np.ndarray | int = 0
     ) -> np.ndarray:
         """Check for pairs of points whether nothing but drones is in between.
 

@@ -60,12 +60,7 @@ class EnvSpec:
         setup: What sensors know of their environment.
     """
 
-    def __init__(
-        self,
-        task: TaskSource,
-        num_worlds: int,
-        options: dict[str, Any],
-    ) -> None:
+    def __init__(self, task: TaskSource, num_worlds: int, options: dict[str, Any]) -> None:
         """Check everything; see `Aviary`.
 
         Raises:
@@ -321,11 +316,7 @@ class EnvSpec:
         return clipped
 
 
-def _make_task(
-    kind: type[Task[Any]],
-    config: TaskConfig,
-    options: EnvOptions,
-) -> Task[Any]:
+def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -> Task[Any]:
     # Tasks keep the distance that the largest drone needs
     radius = max(airframe.collision_radius for airframe in options.airframe)
     period = 1 / options.decision_hz

@@ -145,10 +145,6 @@ def exclusive_plainly(method: Method) -> Method:
 exclusive = in_c(exclusive_plainly)
 
 
-def _make_again(
-    kind: type,
-    args: tuple[Any, ...],
-    kwargs: dict[str, Any],
-) -> Any:
+def _make_again(kind: type, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     """Make a copy from the arguments of the original."""
     return kind(*args, **kwargs)

@@ -131,10 +131,7 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
     @exclusive
     def reset(
-        self,
-        *,
-        seed: int | None = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start a new episode.
 
@@ -270,10 +267,7 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
 
     @exclusive
     def reset(
-        self,
-        *,
-        seed: Any = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes in all worlds, or in those of options["reset_mask"] (W,).
 

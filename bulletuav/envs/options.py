@@ -194,10 +194,7 @@ class EnvOptions:
         if self.contacts is None:
             self._keep("contacts", dynamics.contacts[0])
         choose("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
-        choices = {
-            "action": tuple(ACTIONS),
-            "controller": tuple(CONTROLLERS),
-        }
+        choices = {"action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
         choices["rays"] = tuple(RAY_METHODS)
         for name, known in choices.items():

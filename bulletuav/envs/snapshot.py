@@ -313,11 +313,7 @@ class FaceSnapshot:
         return hashlib.blake2b(text_of(beside).encode(), digest_size=CHECKSUM).digest()
 
 
-def require_snapshot(
-    snapshot: Any,
-    kind: type,
-    worlds: int | None = 1,
-) -> None:
+def require_snapshot(snapshot: Any, kind: type, worlds: int | None = 1) -> None:
     """Refuse what is no snapshot of a kind, a damaged one, or one of another number of worlds.
 
     Args:
@@ -401,11 +397,7 @@ def arrays_of(fields: Fields) -> tuple[tuple[str, str, tuple[int, ...]], ...]:
     return tuple((name, str(one.dtype), one.shape[1:]) for name, one in fields.items())
 
 
-def pack(
-    fields: Fields,
-    rngs: list[np.random.Generator],
-    worlds: np.ndarray,
-) -> np.ndarray:
+def pack(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
     """Copy worlds (S,) of all arrays, and their random generators, into bytes (S, B)."""
     rows = _rows(worlds)
     parts = [_bytes_of(array[rows]) for array in fields.values() if array.size]
@@ -415,10 +407,7 @@ def pack(
 
 
 def unpack(
-    data: np.ndarray,
-    fields: Fields,
-    rngs: list[np.random.Generator],
-    worlds: np.ndarray,
+    data: np.ndarray, fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray
 ) -> None:
     """Write bytes (S, B) back into worlds (S,) of all arrays, and of the random generators."""
     at, rows = 0, _rows(worlds)
@@ -519,12 +508,7 @@ class Layout:
             row[size:].data[:] = _generator_bytes(rngs[w])
         return data
 
-    def unpack(
-        self,
-        data: np.ndarray,
-        rngs: list[np.random.Generator],
-        worlds: np.ndarray,
-    ) -> None:
+    def unpack(self, data: np.ndarray, rngs: list[np.random.Generator], worlds: np.ndarray) -> None:
         """Write bytes (S, B) back into worlds (S,) of all; see `unpack`."""
         rows = self._chosen(worlds)
         if rows is None:
@@ -598,11 +582,7 @@ def _generator_bytes(rng: np.random.Generator) -> bytes:
     return b"".join(parts)
 
 
-def _restore(
-    rngs: list[np.random.Generator],
-    world: int,
-    data: bytes,
-) -> None:
+def _restore(rngs: list[np.random.Generator], world: int, data: bytes) -> None:
     """Bring a world's generator to the state that `_generator_bytes` wrote, or make one of it."""
     bits = rngs[world].bit_generator
     if rngs[world] is UNSTARTED or not isinstance(bits, np.random.PCG64):

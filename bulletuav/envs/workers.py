@@ -256,10 +256,7 @@ class WorkerAviary(LabelledEnvironment):
 
     @exclusive
     def reset(
-        self,
-        *,
-        seed: Any = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start new episodes; see `BatchAviary.reset`."""
         given = reset_options(options, MASK)
@@ -404,10 +401,5 @@ def batch_env(
     if workers == 1:
         return BatchAviary(task, num_envs, **options)
     return WorkerAviary(
-        task,
-        num_envs,
-        workers=workers,
-        start_method=start_method,
-        timeout=timeout,
-        **options,
+        task, num_envs, workers=workers, start_method=start_method, timeout=timeout, **options
     )

@@ -1,13 +1,7 @@
 """The stages of a decision, and of a step of an airspace, in the order in which they happen."""
 
 from bulletuav.envs.stages.admit import Admit
-from bulletuav.envs.stages.airspace import (
-    CountStep,
-    FlyCommands,
-    MeasureAll,
-    MoveAndTurn,
-    ShowLive,
-)
+from bulletuav.envs.stages.airspace import CountStep, FlyCommands, MeasureAll, MoveAndTurn, ShowLive
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.stages.energy import DrainBatteries
 from bulletuav.envs.stages.fly import Fly
