@@ -34,7 +34,6 @@ from bulletuav.envs.environment import Environment, exclusive, in_plain_python
 from bulletuav.envs.marks import drone_marks
 from bulletuav.envs.renderer import FIELD_OF_VIEW
 from bulletuav.envs.snapshot import (
-    BODIES,
     Layout,
     Snapshot,
     hashes_of,
@@ -84,9 +83,7 @@ class Airspace(Environment):
         simulation: The stages of a step.
     """
 
-    _layout: Layout | None = None
     _parts: Mapping[str, str] | None = None
-    _laid_out: Scenery | None = None
 
     def __init__(
         self,
@@ -408,7 +405,7 @@ class Airspace(Environment):
         """Save all that makes the future but which bodies there are; see `Aviary.save_state`."""
         self._require_open()
         require_contacts(self._options.contacts)
-        layout, world = self._all_arrays(), self.world
+        layout, world = self._layout(), self.world
         # Bullet rounds what is written: both flights are to go on from that.
         world.dynamics.restore(world.state.swarm, world.state.alive)
         return own_snapshot(layout.pack(world.rng, ONLY), layout.form)
@@ -428,12 +425,12 @@ class Airspace(Environment):
         """
         self._require_open()
         require_snapshot(snapshot, Snapshot)
-        self._all_arrays().require(snapshot, ONLY)
+        self._layout().require(snapshot, ONLY)
         self.simulation.look()
         world = self.world
         # Arrays that were read from `readings` before do not change
         world.readings = {name: reading.copy() for name, reading in world.readings.items()}
-        self._all_arrays().unpack(snapshot.data, world.rng, ONLY)
+        self._layout().unpack(snapshot.data, world.rng, ONLY)
         self._turns = bool(world.state.yaw_rate.any())
         world.uncertainty.restore(ONLY)
         world.set_obstacles()
@@ -446,18 +443,10 @@ class Airspace(Environment):
         (digest,) = hashes_of(pack(self.world.state_arrays(), self.world.rng, ONLY))
         return digest
 
-    def _all_arrays(self) -> Layout:
-        world = self.world
-        bodies = {BODIES: world.engine.bodies}
-        arrays = {**bodies, **world.state_arrays(), **world.last_arrays()}
+    def _layout(self) -> Layout:
         if self._parts is None:
             self._parts = parts_of(self._options, **self._made)
-        scenery = world.engine.scenery  # another one where bodies were added
-        known = self._layout is not None and self._layout.is_of(arrays)
-        if self._layout is None or not known or scenery is not self._laid_out:
-            self._laid_out = scenery
-            self._layout = Layout("airspace", self._parts, world.bounds(), arrays)
-        return self._layout
+        return self.world.layout("airspace", self._parts)
 
     @exclusive
     def render(self) -> np.ndarray:

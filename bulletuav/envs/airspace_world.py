@@ -61,7 +61,7 @@ class AirspaceWorld(Parts):
         state.alive[:] = True
         state.obstacle[..., 2] = -PARKING_HEIGHT
         state.obstacle_turn[:] = UPRIGHT
-        self.readings: dict[str, np.ndarray] = {}
+        self.readings = {}
         self.rng = [np.random.default_rng(options.seed)]
         if layouts:
             self.engine.set_layouts(np.zeros(1, dtype=int), ALL)
@@ -176,7 +176,7 @@ class AirspaceWorld(Parts):
         self.renderer.show(swarm, alive, 1 / self.options.decision_hz)
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays (1, ...) by name that are the state, whatever flew before."""
+        """Return the arrays of the state; see `Parts.state_arrays`."""
         return {
             **self.state.swarm._asdict(),
             # What was drawn at the start belongs to the state: it is not drawn again
@@ -189,7 +189,7 @@ class AirspaceWorld(Parts):
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
-        """Return what else the future follows from; it may hold what flew before."""
+        """Return what else the future follows from; see `Parts.last_arrays`."""
         parts = (self.wind, self.sensors, self.dynamics)
         return {
             **with_prefix("before", self.state.before._asdict()),

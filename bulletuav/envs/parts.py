@@ -1,6 +1,8 @@
 """Parts that worlds are made of, with a task or without: engine, dynamics, sensors."""
 
-from collections.abc import Sequence
+import operator
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from bulletuav.engine.engine import Engine
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
+from bulletuav.envs.snapshot import BODIES, Bounds, Layout
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor, SensorSetup
@@ -24,7 +27,7 @@ from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wind import Wind
 
 
-class Parts:
+class Parts(ABC):
     """Parts of W worlds of N drones.
 
     Attributes:
@@ -38,7 +41,12 @@ class Parts:
         uncertainty: What is drawn for each episode.
         sensors: All sensors.
         renderer: Pictures and the live window.
+        readings: What sensors measured last, by name.
     """
+
+    readings: dict[str, np.ndarray]
+    _layout: Layout | None = None
+    _varying: Sequence[object] = ()
 
     def __init__(
         self,
@@ -68,6 +76,37 @@ class Parts:
         """Place the engine's bodies where drones of `mask` (W, N) and obstacles are."""
         self.dynamics.show(swarm, mask)
         self.engine.show_obstacles()
+
+    def layout(self, of: str, parts: Mapping[str, str]) -> Layout:
+        """Return where arrays are in snapshots.
+
+        Args:
+            of: See `snapshot.Form`, like the parts.
+            parts: What the simulation is made from.
+        """
+        # Sensors may keep other arrays later, readings make some, bodies change the bounds
+        varying: list[object] = [*self.sensors.kept().values(), *self.dynamics.kept().values()]
+        varying += [*self.readings.values(), self.engine.scenery]
+        known = self._varying
+        is_known = len(known) == len(varying) and all(map(operator.is_, known, varying))
+        if self._layout is None or not is_known:
+            bodies = {BODIES: self.engine.bodies}
+            arrays = {**bodies, **self.state_arrays(), **self.last_arrays()}
+            self._layout = Layout(of, parts, self.bounds(), arrays)
+            self._varying = varying
+        return self._layout
+
+    @abstractmethod
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays (W, ...) by name that are a world's state, whatever flew before."""
+
+    @abstractmethod
+    def last_arrays(self) -> dict[str, np.ndarray]:
+        """Return what else the future follows from; it may hold what flew before a reset."""
+
+    @abstractmethod
+    def bounds(self) -> Bounds:
+        """Return the bounds of arrays that a snapshot may write, by name."""
 
 
 def make_engine(

@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import operator
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -425,7 +424,7 @@ class Layout:
     """Where arrays are in the bytes of a snapshot.
 
     To look at 80 arrays takes longer than to copy them. So it is done once, and again where one of
-    them is another.
+    them was replaced; see `Parts.layout`.
 
     Attributes:
         form: What snapshots have to fit.
@@ -444,11 +443,6 @@ class Layout:
         self.form = Form(of, parts, arrays_of(fields))
         self._rows: Rows | None = None
         self._is_known = False
-
-    def is_of(self, fields: Fields) -> bool:
-        """Tell whether these are the very arrays that it is of."""
-        known = self._fields.values()
-        return len(known) == len(fields) and all(map(operator.is_, known, fields.values()))
 
     def require(self, snapshot: Snapshot, worlds: np.ndarray) -> None:
         """Check everything that is to be written to worlds (S,), before any of it is.

@@ -128,7 +128,7 @@ class Worlds(Parts):
                 held[...] = value
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays (W, ...) by name that are a world's state, whatever flew before."""
+        """Return the arrays of the state; see `Parts.state_arrays`."""
         scene = self.state.scene._asdict()
         memory = with_prefix("memory", scene.pop("memory"))
         return {
@@ -143,7 +143,7 @@ class Worlds(Parts):
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
-        """Return what else the future follows from; it may hold what flew before a reset."""
+        """Return what else the future follows from; see `Parts.last_arrays`."""
         parts = (self.wind, self.energy, self.sensors, self.dynamics)
         return {
             **{name: array for part in parts for name, array in part.kept().items()},
