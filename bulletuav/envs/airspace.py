@@ -68,7 +68,7 @@ class Airspace(Environment):
             airspace.step()
         print(airspace.swarm.position[0])
 
-    Its arrays stay the same for its life, and each step writes them anew: copy what you keep. The
+    Its arrays stay the same for its life, and each step writes them again: copy what you keep. The
     same calls with the same seed give the same bits.
 
     Attributes:
@@ -236,7 +236,7 @@ class Airspace(Environment):
         friction: float | None = None,
         restitution: float | None = None,
     ) -> int:
-        """Put up a body that stands still, for good; see `Aviary.add_body`.
+        """Add a body that stands still, permanently; see `Aviary.add_body`.
 
         Returns:
             What `Contacts.other` calls it.
