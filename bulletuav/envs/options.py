@@ -199,10 +199,6 @@ class EnvOptions:
         choices["rays"] = tuple(RAY_METHODS)
         for name, known in choices.items():
             choose(name, getattr(self, name), dict.fromkeys(known))
-        if self.observation is not None and not self.observation:
-            raise ValueError(
-                "observation is empty: name at least one block, or leave it out for the task's own"
-            )
         check_names("effects", "effect", self.effects, EFFECTS)
         for name in ("normalise", "integral", "debug"):
             value = getattr(self, name)
