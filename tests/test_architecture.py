@@ -119,3 +119,25 @@ def test_the_library_does_not_print():
         and node.func.id in ("print", "exit")
     ]
     assert not prints
+
+
+def bases_of_classes():
+    """(file, names of its bases) of each class, by its name; a name may be there twice."""
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                bases = [one.value if isinstance(one, ast.Subscript) else one for one in node.bases]
+                yield node.name, own(path), [ast.unparse(one).split(".")[-1] for one in bases]
+
+
+def test_environments_are_composed_and_not_derived_in_chains():
+    every = list(bases_of_classes())
+    here = {name: bases for name, path, bases in every if path.startswith("envs/")}
+
+    def depth(name):
+        return 1 + max(map(depth, here[name]), default=0) if name in here else 0
+
+    assert {name: depth(name) for name in here if depth(name) > 3} == {}
+    assert max(map(depth, here)) == 3
+    derived = [base for _, _, bases in every for base in bases]
+    assert [name for name in here if derived.count(name) == 1] == [], "made to be derived from once"

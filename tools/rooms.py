@@ -25,7 +25,7 @@ ROOMS = (
     ("network", "sensors"),
     ("tasks",),
     ("envs",),
-    ("policies",),
+    ("policies", "serving"),
     ("adapters",),
     ("analysis",),
     ("training",),

@@ -11,9 +11,9 @@ from typing import Any
 
 from bulletuav.adapters.flights import Flight
 from bulletuav.adapters.ros import stamps_of, topics_of
-from bulletuav.envs.refusals import LineLimit
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import missing
+from bulletuav.serving.refusals import LineLimit
 
 try:
     from foxglove import Channel, Context, Schema, start_server

@@ -22,11 +22,11 @@ from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_pictures import DrawingError, Pictures
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.sockets import LOG_NAME, listening
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits
 from bulletuav.envs.pacer import Pacer
-from bulletuav.envs.refusals import Refusals
-from bulletuav.envs.streams import Stream, StreamServer
 from bulletuav.errors import as_int, missing, shown
+from bulletuav.serving.connections import Clock, Connections, FullError, Limits
+from bulletuav.serving.refusals import Refusals
+from bulletuav.serving.streams import Stream, StreamServer
 
 PORT = 41451
 """Port that clients connect to, unless they are told another"""

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import MOST_DATA, NULL, MalformedError, Packet, Port
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
-from bulletuav.envs.connections import Clock, Limits
-from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.viewer import join_address
+from bulletuav.serving.connections import Clock, Limits
+from bulletuav.serving.refusals import Refusals
 
 PORT = 19850
 """Port of the first drone; cflib looks for drones at this one and the nine after it"""

@@ -19,7 +19,10 @@ from typing import Any
 from bulletuav.bridges.hil_bodies import STEP_HZ, HilBodies
 from bulletuav.bridges.mavlink_wire import Command, Message, Told, Wire, text, whole_frames
 from bulletuav.bridges.sockets import LOG_NAME, listening
-from bulletuav.envs.connections import (
+from bulletuav.envs.pacer import Pacer
+from bulletuav.envs.viewer import join_address
+from bulletuav.errors import as_int, finite
+from bulletuav.serving.connections import (
     ACCEPT_RETRY,
     EXHAUSTED,
     SPARED,
@@ -29,10 +32,7 @@ from bulletuav.envs.connections import (
     Limits,
     cannot_accept,
 )
-from bulletuav.envs.pacer import Pacer
-from bulletuav.envs.refusals import Refusals
-from bulletuav.envs.viewer import join_address
-from bulletuav.errors import as_int, finite
+from bulletuav.serving.refusals import Refusals
 
 PORT = 4560
 """Port that the first of PX4's instances connects to"""

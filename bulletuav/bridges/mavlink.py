@@ -15,10 +15,10 @@ from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.bridges.mavlink_services import describe, packed, refusal_of
 from bulletuav.bridges.mavlink_wire import Message, Sender, Told, Wire, text
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits
-from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import as_int
+from bulletuav.serving.connections import Clock, Connections, FullError, Limits
+from bulletuav.serving.refusals import Refusals
 
 PORT = 18570
 """Port of the first vehicle"""

@@ -21,12 +21,7 @@ Shared = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool
 """Observations, rewards, terminated and truncated, by agent; whether any agent's episode ended"""
 
 
-def take_plainly(
-    actions: Any,
-    agents: list[str],
-    rows: Rows,
-    given: np.ndarray,
-) -> bool:
+def take_plainly(actions: Any, agents: list[str], rows: Rows, given: np.ndarray) -> bool:
     """Copy the action of each agent to its row.
 
     Args:

@@ -1,52 +1,66 @@
 """An airspace: drones in Bullet that fly by a loop of one's own, without a task."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from bulletuav.compiled.deferred import compile_deferred
-from bulletuav.compiled.program import Program
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.engine.body_source import BodySource, pose_of
+from bulletuav.engine.body_table import Contents
+from bulletuav.engine.scene_copy import ScenePoses
 from bulletuav.envs.airspace_inputs import (
+    STILL,
+    UPRIGHT,
     YAW,
     Angle,
     Drones,
+    airspace_options,
     angles,
     filled,
+    hold,
+    level_of,
+    require_bodies,
     rows_of,
+    setpoint_numbers,
+    state_numbers,
+    usual_widths,
 )
-from bulletuav.envs.airspace_kernels import finish, headings, prepare
-from bulletuav.envs.airspace_parts import STILL, AirspaceParts
-from bulletuav.envs.airspace_setpoints import hold, level_of, setpoint_numbers
+from bulletuav.envs.airspace_simulation import AirspaceSimulation
+from bulletuav.envs.airspace_world import ALL, AirspaceWorld
 from bulletuav.envs.described import faces_of, parts_of
-from bulletuav.envs.environment import exclusive
-from bulletuav.envs.parts import add_obstacles
+from bulletuav.envs.environment import Environment, exclusive, in_plain_python
+from bulletuav.envs.marks import drone_marks
+from bulletuav.envs.renderer import FIELD_OF_VIEW
 from bulletuav.envs.snapshot import (
-    BODIES,
-    MAX_STEPS,
-    Bounds,
     Layout,
     Snapshot,
-    contact_bounds,
     hashes_of,
     own_snapshot,
     pack,
     require_contacts,
     require_snapshot,
-    state_bounds,
 )
-from bulletuav.errors import numbers_of, shown
+from bulletuav.errors import as_int, as_sequence, choose, finite, numbers_of, points_of, shown
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.rotation import axes, product, to_world
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.vehicle.swarm import Contacts
+from bulletuav.geometry.solids import Solids
+from bulletuav.geometry.view import Picture, Shot, projection_matrix, view_matrix
+from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wind import MOST_WIND
 
+UP, NORTH = np.array((0.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
+ONLY = np.zeros(1, dtype=int)
+"""Index (1,) of the only world"""
 
-class Airspace(AirspaceParts):
-    """One world of N drones that do what they are told, step by step: no goal, no reward, no end.
 
-    Each drone holds the setpoint that it was told last. Until it is told one, these are zeros at
-    the level that the dynamics consumes: motors off, or no motion.
+class Airspace(Environment):
+    """One world of N drones that hold setpoints, step by step: no goal, no reward, no end.
+
+    Each drone holds the setpoint that it was commanded last. Before the first one these are zeros
+    at the level that the dynamics consumes: motors off, or no motion.
 
         airspace = Airspace([(0.0, 0.0, 1.0)], decision_hz=48)
         airspace.command(0, SetpointLevel.POSITION, (1.0, 0.0, 1.0))
@@ -54,7 +68,7 @@ class Airspace(AirspaceParts):
             airspace.step()
         print(airspace.swarm.position[0])
 
-    Its arrays stay the same for its life, and each step writes them anew: copy what you keep. The
+    Its arrays stay the same for its life, and each step writes them again: copy what you keep. The
     same calls with the same seed give the same bits.
 
     Attributes:
@@ -65,22 +79,180 @@ class Airspace(AirspaceParts):
         consumes: Setpoint level that the dynamics consumes; commands are of it or above.
         levels: (N,) `SetpointLevel` that each drone holds; read-only.
         setpoint: (N, S) setpoint that each drone holds; read-only.
-        readings: What sensors measured last, arrays (N, ...) by name, new ones each step.
+        world: Parts and state.
+        simulation: The stages of a step.
     """
 
-    _layout: Layout | None = None
     _parts: Mapping[str, str] | None = None
-    _laid_out: Scenery | None = None
+
+    def __init__(
+        self,
+        position: Sequence[Sequence[float]] | np.ndarray,
+        airframe: Any = "cf2x",
+        *,
+        physics_hz: int = 240,
+        decision_hz: int = 240,
+        rotor_speed: float | str | Sequence[Any] | np.ndarray = 0.0,
+        obstacles: Sequence[Obstacle] = (),
+        layout: Solids | None = None,
+        sensors: Sequence[Any] = (),
+        **options: Any,
+    ) -> None:
+        """Make an airspace, with drones at rest and level.
+
+        Args:
+            position: (N, 3) where drones start, m. To stand on the ground takes a height of
+                `Airframe.standing_height`.
+            airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
+            physics_hz: Substeps a second.
+            decision_hz: Steps a second; must divide physics_hz.
+            rotor_speed: Speeds with which rotors start, rad/s; see `place`.
+            obstacles: What `place_obstacle` can put somewhere.
+            layout: Buildings that stand.
+            sensors: Names of sensors, or objects, that all drones carry.
+            **options: dynamics, seed, effects, wind, wind_profile, turbulence, gravity, max_speed,
+                controller, contacts, friction, restitution, randomization, rays, camera_size,
+                camera_hz, num_beams, max_range, lidar_elevations, lidar_frame, render_mode,
+                render_size, debug; see `EnvOptions`.
+
+        Raises:
+            ValueError: An option cannot be, or drones overlap each other or what stands.
+        """
+        require_bodies(obstacles, layout)
+        rates = {"physics_hz": physics_hz, "decision_hz": decision_hz}
+        known, carried = airspace_options(position, airframe, sensors, {**options, **rates})
+        layouts = () if layout is None else (layout,)
+        self._options, self.airframes = known, known.airframe
+        self._made: dict[str, Any] = {"obstacles": tuple(obstacles), "layout": faces_of(layouts)}
+        self.world = world = AirspaceWorld(known, tuple(obstacles), layouts, carried)
+        self.simulation = AirspaceSimulation(world)
+        self.consumes, self.period = world.dynamics.consumes, 1 / known.decision_hz
+        self.hover_speed = world.hover_speed
+        self.hover_speed.flags.writeable = False
+        state = world.state
+        self.swarm = Swarm(*map(_shown, state.swarm))
+        self.levels, self.setpoint = _shown(state.levels), _shown(state.setpoint)
+        self._held = (state.levels, state.setpoint, state.commanded)
+        self._widths = usual_widths(self.consumes, known, self.hover_speed.shape[1])
+        self._turns = False
+        world.wind.reset(0, self.rng)
+        world.uncertainty.reset(0, self.rng)
+        self.place(None, position, rotor_speed=rotor_speed)
+        world.sensors.reset(0, state.swarm, self.rng)
+        world.measure()
+        if known.debug:
+            in_plain_python(self, ("step", "place", "command"))
 
     @property
     def time(self) -> float:
         """Time since the airspace was made, s."""
-        return float(self._time[0])
+        return float(self.world.state.time[0])
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """The random generator."""
+        return self.world.rng[0]
+
+    @property
+    def readings(self) -> dict[str, np.ndarray]:
+        """What sensors measured last, arrays (N, ...) by name; new ones each step."""
+        return self.world.readings
 
     @property
     def contacts(self) -> Contacts:
         """What touched what in the last step; the world of each row is 0."""
-        return self._dynamics.touched().of_worlds(np.ones(1, dtype=bool))
+        return self.world.dynamics.touched().of_worlds(ALL)
+
+    @exclusive
+    def place(
+        self,
+        drones: Drones,
+        position: Any,
+        quaternion: Any = UPRIGHT,
+        velocity: Any = STILL,
+        rates: Any = STILL,
+        rotor_speed: Any = 0.0,
+    ) -> None:
+        """Put drones somewhere, as if nothing had been before.
+
+        They hold their setpoints. Gusts, and biases of sensors, go on.
+
+        Args:
+            drones: Index of a drone, several, a mask (N,), or None for all.
+            position: (3,) m, or a row for each of the drones.
+            quaternion: (4,) body to world, or rows. Dynamics without tilt take its heading alone.
+            velocity: (3,) world axes, m/s, or rows.
+            rates: (3,) body axes, rad/s, or rows.
+            rotor_speed: (R,) or rows, or one number for all rotors, rad/s; or "hover". Dynamics
+                without motors always have that of hovering.
+
+        Raises:
+            ValueError: There is no such drone, numbers cannot be, or drones would overlap each
+                other or what stands; nothing has changed.
+        """
+        self._require_open()
+        rows, _ = rows_of(drones, len(self.airframes))
+        if isinstance(rotor_speed, str):
+            rotor_speed = choose("rotor_speed", rotor_speed, {"hover": self.hover_speed})[rows]
+        most = self.world.max_rotor_speed(rows)
+        state = state_numbers(most, position, quaternion, velocity, rates, rotor_speed)
+        self.simulation.look()
+        self.world.place(rows, state)
+
+    @exclusive
+    def place_obstacle(
+        self,
+        obstacle: int,
+        position: Sequence[float],
+        quaternion: Sequence[float] = UPRIGHT,
+        velocity: Any = STILL,
+    ) -> None:
+        """Put one of `obstacles` somewhere; it moves on from there without turning.
+
+        Args:
+            obstacle: Its index.
+            position: (3,) m.
+            quaternion: (4,) body to world.
+            velocity: (3,) m/s.
+
+        Raises:
+            ValueError: There is no such obstacle, numbers cannot be, or it would overlap a drone.
+        """
+        self._require_open()
+        count = self.world.state.obstacle.shape[1]
+        if not count:
+            raise ValueError("there are no obstacles: make the airspace with the option obstacles")
+        k = as_int("obstacle", obstacle, 0, count - 1)
+        pose, moving = pose_of(position, quaternion), filled("velocity", velocity, (3,))
+        self.simulation.look()
+        self.world.place_obstacle(k, *pose, moving)
+
+    @exclusive
+    def add_body(
+        self,
+        source: BodySource,
+        position: Sequence[float],
+        quaternion: Sequence[float] = UPRIGHT,
+        friction: float | None = None,
+        restitution: float | None = None,
+    ) -> int:
+        """Add a body that stands still, permanently; see `Aviary.add_body`.
+
+        Returns:
+            What `Contacts.other` calls it.
+
+        Raises:
+            ValueError: The source or a number cannot be, or the body would overlap a drone.
+            FileNotFoundError: There is no such file.
+        """
+        self._require_open()
+        self.simulation.look()
+        world, pose, surface = self.world, (position, quaternion), (friction, restitution)
+
+        def check(scenery: Scenery) -> None:
+            world.require_free(world.state.swarm, world.state.alive, scenery)
+
+        return world.engine.add_body(source, *pose, None, *surface, check=check)
 
     @exclusive
     def command(
@@ -92,7 +264,7 @@ class Airspace(AirspaceParts):
         yaw: Angle | None = None,
         yaw_rate: Angle | None = None,
     ) -> None:
-        """Tell drones what to do from the next step on.
+        """Command setpoints to drones, which hold them from the next step on.
 
         Args:
             drones: Index of a drone, several, a mask (N,), or None for all.
@@ -112,10 +284,10 @@ class Airspace(AirspaceParts):
         # The usual call, checked and kept by compiled code
         if yaw is None and yaw_rate is None and not self._turns and type(level) is SetpointLevel:
             width = self._widths.get(level)
-            held = (self._levels, self._setpoint, self._told)
-            if width and hold(*held, drones, level, width, setpoint):
+            if width and hold(*self._held, drones, level, width, setpoint):
                 return
         # Everything is checked before anything is kept
+        state = self.world.state
         rows, count = rows_of(drones, len(self.airframes))
         level = level_of(level, self.consumes, self._options)
         speaks = yaw is not None or yaw_rate is not None
@@ -124,20 +296,20 @@ class Airspace(AirspaceParts):
         turning = None if yaw_rate is None else angles("yaw_rate", yaw_rate, count)
         # Without a yaw in the setpoint, the present heading is held
         if yaw is not None:
-            self._setpoint[0, rows, YAW] = angles("yaw", yaw, count)
+            state.setpoint[0, rows, YAW] = angles("yaw", yaw, count)
         elif level < SetpointLevel.ATTITUDE and numbers.shape[-1] == YAW:
-            self._hold_yaw(rows)
-        # Held until told otherwise
-        self._setpoint[0, rows, : numbers.shape[-1]] = numbers
-        self._levels[0, rows] = int(level)
-        self._told[0, rows] = True
+            self.world.hold_heading(rows)
+        # Held until the next command
+        state.setpoint[0, rows, : numbers.shape[-1]] = numbers
+        state.levels[0, rows] = int(level)
+        state.commanded[0, rows] = True
         # Integrals of the PID would be stale after a flight without it
         if level == SetpointLevel.ROTOR and self._options.controller == "pid":
-            self._dynamics.flight.cascade.memory[0, rows] = 0.0
-        # From the first yaw rate on, drones that are told none stop turning
+            self.world.cascade.memory[0, rows] = 0.0
+        # From the first yaw rate on, drones that are commanded none stop turning
         if turning is not None or self._turns:
             self._turns = True
-            self._yaw_rate[0, rows] = 0.0 if turning is None else turning
+            state.yaw_rate[0, rows] = 0.0 if turning is None else turning
 
     def stop(self, drones: Drones = None) -> None:
         """Switch motors off, until the next command.
@@ -163,10 +335,7 @@ class Airspace(AirspaceParts):
 
     @exclusive
     def apply(
-        self,
-        drones: Drones,
-        force: Sequence[float] = STILL,
-        torque: Sequence[float] = STILL,
+        self, drones: Drones, force: Sequence[float] = STILL, torque: Sequence[float] = STILL
     ) -> None:
         """Push drones during the next step, beside what pushes them already.
 
@@ -182,13 +351,13 @@ class Airspace(AirspaceParts):
         rows, count = rows_of(drones, len(self.airframes))
         shape = (*count, 3)
         push, twist = filled("force", force, shape), filled("torque", torque, shape)
-        name = self._options.dynamics_name
-        if push.any() and not self._dynamics.feels_force:
+        dynamics, name = self.world.dynamics, self._options.dynamics_name
+        if push.any() and not dynamics.feels_force:
             raise ValueError(f"dynamics {name!r} feels no forces: use 'rigid_body' or 'bullet'")
-        if twist.any() and not self._dynamics.feels_torque:
+        if twist.any() and not dynamics.feels_torque:
             raise ValueError(f"dynamics {name!r} feels no torques: use 'rigid_body' or 'bullet'")
-        self._dynamics.force[0, rows] += push
-        self._dynamics.torque[0, rows] += twist
+        dynamics.force[0, rows] += push
+        dynamics.torque[0, rows] += twist
 
     @exclusive
     def set_wind(self, wind: Sequence[float]) -> None:
@@ -207,7 +376,7 @@ class Airspace(AirspaceParts):
                 f"wind is {shown(wind)}: three numbers from {-MOST_WIND:g} to {MOST_WIND:g} m/s "
                 f"are needed"
             )
-        self._wind.steady[0] = given
+        self.world.wind.steady[0] = given
 
     @exclusive
     def step(self) -> None:
@@ -216,14 +385,8 @@ class Airspace(AirspaceParts):
         Raises:
             RuntimeError: A flight diverged, or the airspace is closed.
         """
-        self._look()
-        program = self._program or self._make_program()
-        try:
-            program.run()
-        except BaseException:
-            # So that `place` is enough to go on
-            self._dynamics.force[:] = self._dynamics.torque[:] = 0.0
-            raise
+        self._require_open()
+        self.simulation.step()
 
     def warm_up(self) -> None:
         """Fly a step, and compile what later ones may need, such as contacts.
@@ -237,40 +400,15 @@ class Airspace(AirspaceParts):
         self.step()
         compile_deferred()
 
-    def _make_program(self) -> Program:
-        """Make the program of a step, in the order in which things happen."""
-        program, contact = Program(), self._dynamics.contact
-        # What is around: wind, obstacles on their ways, headings that turn
-        self._wind.add_to(program, self._swarm.position, self._time, self._air)
-        obstacles = (self._obstacle, self._obstacle_velocity, contact.before, contact.after)
-        turning = (self._swarm.quaternion, self._setpoint, self._yaw_rate)
-        program.call(prepare, *turning, self.period, *obstacles)
-        # The flight, and where obstacles are after it
-        given = (self._levels, self._setpoint, self._air)
-        self._dynamics.add_to(program, self._swarm, self._alive, *given)
-        add_obstacles(program, self._engine, self._obstacle)
-        # Forces that were applied act in one step
-        pushes = (self._dynamics.force, self._dynamics.torque)
-        hz = float(self._options.decision_hz)
-        program.call(finish, self._steps, hz, self._time, *pushes)
-        # Sensors and views come last, of the state after the step
-        if self._sensors.sensors:
-            program.turn(self._measure)
-        if self._options.render_mode == "human":
-            program.turn(self._show_live)
-        program.compile()
-        self._program = program
-        return program
-
     @exclusive
     def save_state(self) -> Snapshot:
         """Save all that makes the future but which bodies there are; see `Aviary.save_state`."""
         self._require_open()
         require_contacts(self._options.contacts)
-        layout, only = self._all_arrays(), np.zeros(1, dtype=int)
+        layout, world = self._layout(), self.world
         # Bullet rounds what is written: both flights are to go on from that.
-        self._dynamics.restore(self._swarm, self._alive)
-        return own_snapshot(layout.pack([self.rng], only), layout.form)
+        world.dynamics.restore(world.state.swarm, world.state.alive)
+        return own_snapshot(layout.pack(world.rng, ONLY), layout.form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot) -> None:
@@ -287,84 +425,159 @@ class Airspace(AirspaceParts):
         """
         self._require_open()
         require_snapshot(snapshot, Snapshot)
-        self._all_arrays().require(snapshot, np.zeros(1, dtype=int))
-        self._look()
-        # What was read from `readings` before stays as it is.
-        self.readings = {name: reading.copy() for name, reading in self.readings.items()}
-        layout, rngs = self._all_arrays(), [self.rng]
-        layout.unpack(snapshot.data, rngs, np.zeros(1, dtype=int))
-        (self.rng,) = rngs
-        self._turns = bool(self._yaw_rate.any())
-        self._uncertainty.restore(np.zeros(1, dtype=int))
-        obstacles = (self._obstacle, self._obstacle_turn, np.ones(1, dtype=bool))
-        self._engine.set_obstacles(*obstacles)
-        self._dynamics.restore(self._swarm, self._alive)
+        self._layout().require(snapshot, ONLY)
+        self.simulation.look()
+        world = self.world
+        # Arrays that were read from `readings` before do not change
+        world.readings = {name: reading.copy() for name, reading in world.readings.items()}
+        self._layout().unpack(snapshot.data, world.rng, ONLY)
+        self._turns = bool(world.state.yaw_rate.any())
+        world.uncertainty.restore(ONLY)
+        world.set_obstacles()
+        world.dynamics.restore(world.state.swarm, world.state.alive)
 
     @exclusive
     def state_hash(self) -> str:
         """Hash the state; see `Aviary.state_hash`."""
         self._require_open()
-        (told,) = hashes_of(pack(self._state_arrays(), [self.rng], np.zeros(1, dtype=int)))
-        return told
+        (digest,) = hashes_of(pack(self.world.state_arrays(), self.world.rng, ONLY))
+        return digest
 
-    def _all_arrays(self) -> Layout:
-        arrays = {BODIES: self._engine.bodies, **self._state_arrays(), **self._more_arrays()}
+    def _layout(self) -> Layout:
         if self._parts is None:
-            made: dict[str, Any] = {"obstacles": self._obstacles, "layout": faces_of(self._layouts)}
-            self._parts = parts_of(self._options, **made)
-        scenery = self._engine.scenery  # another one where bodies were added
-        known = self._layout is not None and self._layout.is_of(arrays)
-        if self._layout is None or not known or scenery is not self._laid_out:
-            self._laid_out = scenery
-            self._layout = Layout("airspace", self._parts, self._bounds(), arrays)
-        return self._layout
+            self._parts = parts_of(self._options, **self._made)
+        return self.world.layout("airspace", self._parts)
 
-    def _bounds(self) -> Bounds:
-        """Return the bounds of arrays that a snapshot may write, by name."""
-        return {
-            **state_bounds(self._swarm),
-            "levels": (0, int(self.consumes)),
-            "steps": (0, MAX_STEPS),
-            **self._sensors.kept_bounds(),
-            **contact_bounds(self._engine.scenery),
-        }
+    @exclusive
+    def render(self) -> np.ndarray:
+        """Take a picture from afar: rings on drones, arrows of a second's flight, lidar beams.
 
-    def _state_arrays(self) -> dict[str, np.ndarray]:
-        """Tell the arrays (1, ...) by name that are the state, whatever flew before."""
-        # What was drawn at the start belongs to the state: it is not drawn again
-        drawn = {f"drawn {name}": array for name, array in self._uncertainty.drawn.items()}
-        return {
-            **self._swarm._asdict(),
-            **drawn,
-            "levels": self._levels,
-            "setpoint": self._setpoint,
-            "told": self._told,
-            "yaw_rate": self._yaw_rate,
-            "steps": self._steps,
-            "time": self._time,
-            "obstacle": self._obstacle,
-            "obstacle_velocity": self._obstacle_velocity,
-            "obstacle_turn": self._obstacle_turn,
-            "force": self._dynamics.force,
-            "torque": self._dynamics.torque,
-            "parameters": self._dynamics.flight.parameters,
-            "controller": self._dynamics.flight.cascade.memory,
-        }
+        Returns:
+            (height, width, 3) uint8.
+        """
+        self._require_open()
+        world, shown = self.world, (self.world.state.swarm, self.world.state.alive)
+        world.show(*shown)
+        marks = drone_marks(*shown, 0, world.sensors.sensors.values())
+        return world.renderer.picture(0, shown[0], marks, shown[1])
 
-    def _more_arrays(self) -> dict[str, np.ndarray]:
-        """Tell what else its future follows from; something in them may be left from before."""
-        told = {f"before {name}": array for name, array in self._before._asdict().items()}
-        told |= {f"reading {name}": array[None] for name, array in self.readings.items()}
-        for part in (self._wind, self._sensors, self._dynamics):
-            told.update(part.kept())
-        return told
+    @exclusive
+    def picture(
+        self,
+        drone: int | None = None,
+        position: Sequence[float] | None = None,
+        quaternion: Sequence[float] = UPRIGHT,
+        target: Sequence[float] | None = None,
+        size: Sequence[int] = (640, 480),
+        field_of_view: float = FIELD_OF_VIEW,
+    ) -> Picture:
+        """Take a picture with a camera that looks along its own x axis, z up.
 
-    def _hold_yaw(self, rows: Any) -> None:
-        """Let drones that hold no yaw hold the present one."""
-        holds = self._told[0, rows] & (self._levels[0, rows] <= SetpointLevel.ACCELERATION)
-        free = np.flatnonzero(~holds)
-        if len(free):
-            present = np.zeros(self._levels.shape)
-            headings(self._swarm.quaternion, present)
-            who = np.atleast_1d(np.arange(len(self.airframes))[rows])[free]
-            self._setpoint[0, who, YAW] = present[0, who]
+        Args:
+            drone: Index of the drone that carries it; None for one that stands in the world.
+            position: (3,) of the camera in body axes of the drone, or in the world, m. Left out, at
+                the nose of the drone, or the world's origin.
+            quaternion: (4,) of the camera, to body axes or to the world.
+            target: (3,) point in the world to look at, m, in place of the quaternion.
+            size: Width and height, pixels.
+            field_of_view: Vertical angle, degrees.
+
+        Returns:
+            Colours, depth and labels of the pixels.
+
+        Raises:
+            ValueError: There is no such drone, or a number cannot be.
+        """
+        shot = self.shot(drone, position, quaternion, target, size, field_of_view)
+        return self.draw(shot)
+
+    @exclusive
+    def draw(self, shot: Shot) -> Picture:
+        """Draw what a camera sees, as `picture` does.
+
+        Args:
+            shot: What `shot` returned.
+        """
+        self._require_open()
+        self.world.show(self.world.state.swarm, self.world.state.alive)
+        return self.world.engine.picture(0, *shot)
+
+    @exclusive
+    def shot(
+        self,
+        drone: int | None,
+        position: Sequence[float] | None,
+        quaternion: Sequence[float],
+        target: Sequence[float] | None,
+        size: Sequence[int],
+        field_of_view: float,
+    ) -> Shot:
+        """Return what a camera sees from its present place, to be drawn now or elsewhere.
+
+        Arguments and errors are those of `picture`.
+        """
+        self._require_open()
+        if drone is not None:
+            i = as_int("drone", drone, 0, len(self.airframes) - 1)
+        if position is None:
+            nose = 0.0 if drone is None else self.airframes[i].collision_radius
+            position = (nose, 0.0, 0.0)
+        place, turn = pose_of(position, quaternion)
+        width, height = (as_int("size", one, 8, 4096) for one in as_sequence("size", size, 2))
+        angle = finite("field_of_view", field_of_view, 1, 170)
+        if drone is not None:
+            body = self.swarm.quaternion[i]
+            place = self.swarm.position[i] + to_world(body, place)
+            turn = np.array(product(body, turn))
+        forward, _, up = (np.array(axis) for axis in axes(turn))
+        if target is not None:
+            (ahead,) = points_of("target", [target])
+            forward = ahead - place
+            level = np.abs(forward[:2]).max() > 1e-6 * np.abs(forward).max()
+            up = UP if level else NORTH
+            if not forward.any():
+                raise ValueError(f"target is {shown(target)}, where the camera is: look elsewhere")
+        view = view_matrix(place, place + forward, up.tolist())
+        projection = projection_matrix(width / height, angle)
+        return Shot(view, projection, (width, height))
+
+    @exclusive
+    def scene_poses(self) -> ScenePoses:
+        """Return where everything is that pictures show now, as a copy; see `SceneCopy`."""
+        self._require_open()
+        return self.world.engine.scene_poses(self.world.state.swarm)
+
+    @property
+    def scene_setup(self) -> tuple[Contents, bool]:
+        """The arguments with which a `SceneCopy` of this airspace is made."""
+        return self.world.engine.contents, self.world.engine.asks_bodies
+
+    def __repr__(self) -> str:
+        """Show what flies, how, and for how long."""
+        kinds = ", ".join(dict.fromkeys(one.name for one in self.airframes))
+        flown = f"{self._options.dynamics_name}, {self.time:g} s"
+        return f"<Airspace of {len(self.airframes)} {kinds}, {flown}>"
+
+    def __enter__(self) -> Self:
+        """Return itself, which is closed at the end of the `with`."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()
+
+    def _require_open(self) -> None:
+        if self.world.engine.closed:
+            raise RuntimeError("this airspace is closed: make a new one")
+
+    @exclusive
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        self.world.engine.close()
+
+
+def _shown(array: np.ndarray) -> np.ndarray:
+    """Show the only world of an array (1, ...), read-only."""
+    view: np.ndarray = array[0]
+    view.flags.writeable = False
+    return view

@@ -1,6 +1,5 @@
 """The batched core: W independent worlds of N drones through one decision at a time."""
 
-import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,7 +16,6 @@ from bulletuav.envs.infos import Infos, Told, later
 from bulletuav.envs.marks import marks_of
 from bulletuav.envs.simulation import Simulation
 from bulletuav.envs.snapshot import (
-    BODIES,
     Layout,
     Snapshot,
     hashes_of,
@@ -76,17 +74,10 @@ class Aviary(Environment):
         viewer: Shows world 0 with `render_mode` "web" and "foxglove"; None otherwise.
     """
 
-    _layout: Layout | None = None
     _parts: Mapping[str, str] | None = None
-    _varying: Sequence[object] = ()
 
     def __init__(
-        self,
-        task: TaskSource,
-        num_worlds: int = 1,
-        *,
-        first_world: int = 0,
-        **options: Any,
+        self, task: TaskSource, num_worlds: int = 1, *, first_world: int = 0, **options: Any
     ) -> None:
         """Build the worlds.
 
@@ -300,7 +291,8 @@ class Aviary(Environment):
         self.require_started()
         self.simulation.start.complete()
         require_contacts(self.options.contacts)
-        layout, chosen = self._all_arrays(), self._spec.indices(worlds)
+        layout = self.worlds.layout(self._of, self._own_parts())
+        chosen = self._spec.indices(worlds)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
         # Bullet rounds what is written: both flights are to go on from that.
@@ -380,23 +372,9 @@ class Aviary(Environment):
             require_parts(snapshot.form, self._own_parts(), self._of)
             self.reset()
         self.simulation.start.complete()
-        layout = self._all_arrays()
+        layout = self.worlds.layout(self._of, self._own_parts())
         layout.require(snapshot, chosen)
         return layout
-
-    def _all_arrays(self) -> Layout:
-        # Sensors may keep other arrays later, readings make some, bodies change the bounds
-        worlds = self.worlds
-        varying: list[object] = [*worlds.sensors.kept().values(), *worlds.dynamics.kept().values()]
-        varying += [*worlds.readings.values(), worlds.engine.scenery]
-        known = self._varying
-        is_known = len(known) == len(varying) and all(map(operator.is_, known, varying))
-        if self._layout is None or not is_known:
-            bodies = {BODIES: worlds.engine.bodies}
-            arrays = {**bodies, **worlds.state_arrays(), **worlds.last_arrays()}
-            self._layout = Layout(self._of, self._own_parts(), worlds.bounds(), arrays)
-            self._varying = varying
-        return self._layout
 
     @property
     def _of(self) -> str:
@@ -432,11 +410,7 @@ class Aviary(Environment):
 
     @exclusive
     def render(
-        self,
-        world: int = 0,
-        *,
-        collision: bool = False,
-        marks: bool = True,
+        self, world: int = 0, *, collision: bool = False, marks: bool = True
     ) -> np.ndarray | None:
         """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise.
 
@@ -508,10 +482,7 @@ class Aviary(Environment):
 
     @exclusive
     def line_of_sight(
-        self,
-        start: np.ndarray,
-        end: np.ndarray,
-        world: np.ndarray | int = 0,
+        self, start: np.ndarray, end: np.ndarray, world: np.ndarray | int = 0
     ) -> np.ndarray:
         """Check for pairs of points whether nothing but drones is in between.
 

@@ -73,11 +73,7 @@ def check_dynamics(dynamics: Any, **options: Any) -> None:
     _check_worlds(f"dynamics {name!r}", "hover", {**usual, **options})
 
 
-def _check_worlds(
-    who: str,
-    task: TaskSource,
-    options: dict[str, Any],
-) -> None:
+def _check_worlds(who: str, task: TaskSource, options: dict[str, Any]) -> None:
     """Fly a task twice in several worlds, and its last world alone: all must agree."""
     both = [list(_flown(task, options)) for _ in range(2)]
     alone = list(_flown(task, options, num_worlds=1, first_world=NUM_WORLDS - 1))
@@ -96,11 +92,7 @@ def _check_worlds(
 
 
 def _flown(
-    task: TaskSource,
-    options: dict[str, Any],
-    *,
-    num_worlds: int = NUM_WORLDS,
-    first_world: int = 0,
+    task: TaskSource, options: dict[str, Any], *, num_worlds: int = NUM_WORLDS, first_world: int = 0
 ) -> Iterator[list[np.ndarray]]:
     """Yield what some decisions with random actions give, and what is observed after resets.
 

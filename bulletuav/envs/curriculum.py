@@ -44,13 +44,7 @@ class Curriculum:
         window: Episodes that count.
     """
 
-    def __init__(
-        self,
-        count: int,
-        up: float = 0.8,
-        down: float = 0.2,
-        window: int = 20,
-    ) -> None:
+    def __init__(self, count: int, up: float = 0.8, down: float = 0.2, window: int = 20) -> None:
         """Begin at the first stage.
 
         Raises:
@@ -206,9 +200,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
     @exclusive
     def reset(
-        self,
-        seed: int | None = None,
-        options: dict[str, Any] | None = None,
+        self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[ByAgent, Infos]:
         """Start a new episode, of another stage if the last ones ask for it.
 

@@ -59,10 +59,7 @@ def described(options: EnvOptions, config: Any) -> dict[str, Any]:
         own["city"] = getattr(city, "name", "")
     mobility = own.get("mobility")
     if isinstance(mobility, Mobility):
-        own["mobility"] = {
-            "model": mobility.name,
-            **dataclasses.asdict(cast(Any, mobility)),
-        }
+        own["mobility"] = {"model": mobility.name, **dataclasses.asdict(cast(Any, mobility))}
     return {
         **vars(options),
         "airframe": [airframe.name for airframe in options.airframe],

@@ -10,13 +10,7 @@ from bulletuav.compiled.lanes import WIDTH, lanes_row, room
 from bulletuav.compiled.program import Program
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.rows import add_value
-from bulletuav.vehicle.battery import (
-    Battery,
-    drain,
-    loaded_voltage,
-    resting_voltage,
-    speed_share,
-)
+from bulletuav.vehicle.battery import Battery, drain, loaded_voltage, resting_voltage, speed_share
 from bulletuav.vehicle.power import (
     ROTARY_WING,
     RotaryWing,
@@ -39,12 +33,7 @@ class Energy:
         voltage: (W, N) voltage of the batteries, V; 0 where the airframe tells of none.
     """
 
-    def __init__(
-        self,
-        options: EnvOptions,
-        parameters: np.ndarray,
-        supply: np.ndarray,
-    ) -> None:
+    def __init__(self, options: EnvOptions, parameters: np.ndarray, supply: np.ndarray) -> None:
         """Start with full batteries.
 
         Args:
@@ -208,11 +197,7 @@ def _fill_voltage(
 
 
 @kernel
-def _add_payload(
-    payload: np.ndarray,
-    flown: np.ndarray,
-    power: np.ndarray,
-) -> None:
+def _add_payload(payload: np.ndarray, flown: np.ndarray, power: np.ndarray) -> None:
     """Add the payload to the power (W, N) of who flew; that of others becomes 0."""
     for w in range(power.shape[0]):
         for i in range(power.shape[1]):

@@ -13,6 +13,7 @@ from bulletuav.envs.global_state import GlobalState
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
 from bulletuav.envs.resolve import resolve
+from bulletuav.envs.state import Sizes, State
 from bulletuav.errors import as_int, as_sequence, numbers_of, require_memory, shown, unknown
 from bulletuav.sensors.base import SensorSetup
 from bulletuav.sensors.camera import IMAGES
@@ -37,7 +38,8 @@ from bulletuav.tasks.starts import take_given
 
 MOST_WORLDS = 1_000_000
 BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
-"""Of a drone, an obstacle and a city in one world of the engine, measured"""
+"""Of a drone, an obstacle and a city in one world beside the state, most of it in the engine,
+measured"""
 NUMBER_BYTES = 8
 ENERGY_READINGS = frozenset({"charge", "power", "voltage"})
 """Readings that come from the battery, not from a sensor"""
@@ -58,12 +60,7 @@ class EnvSpec:
         setup: What sensors know of their environment.
     """
 
-    def __init__(
-        self,
-        task: TaskSource,
-        num_worlds: int,
-        options: dict[str, Any],
-    ) -> None:
+    def __init__(self, task: TaskSource, num_worlds: int, options: dict[str, Any]) -> None:
         """Check everything; see `Aviary`.
 
         Raises:
@@ -159,18 +156,27 @@ class EnvSpec:
     def _world_bytes(self) -> float:
         """Estimate what a world takes.
 
-        That is bodies of drones, obstacles and cities, and what is kept of each drone: what it
-        observes, its pictures, the others, targets, and the task's memory.
+        That is bodies of drones, obstacles and cities, the arrays of the state, and what is kept
+        of each drone: what it observes, its pictures, the others, and targets.
         """
         drones, task = self.options.num_drones, self.task
         images = self._names.intersection(IMAGES)
         pictures = math.prod(self.options.camera_size) if images else 0
-        memory = sum(math.prod(shape) for shape in task.memory().values()) // drones
         others = drones if {"neighbours", "all_neighbours"} & self._names else 0
-        observed = 2 * self.observer.low.size + 2 * pictures + 3 * others
-        numbers = observed + 2 * task.num_targets + memory
+        observed = 2 * self.observer.low.size + 2 * pictures + 3 * others + 2 * task.num_targets
         things = OBSTACLE_BYTES * len(task.obstacles()) + LAYOUT_BYTES * len(task.layouts())
-        return (BODY_BYTES + NUMBER_BYTES * numbers) * drones + things
+        return (BODY_BYTES + NUMBER_BYTES * observed) * drones + self.state_bytes() + things
+
+    def state_bytes(self) -> int:
+        """Return the bytes that the arrays of the state take for a world.
+
+        They follow from their declaration: the state of no worlds has all shapes, and no numbers.
+        """
+        rotors = max(len(one.rotors) for one in self.options.airframe)
+        # Setpoints have three numbers and a yaw, or one for each rotor
+        numbers = (self.action.low.shape[-1], max(4, rotors))
+        sizes = Sizes(0, self.options.num_drones, *numbers, len(self.task.obstacles()), rotors)
+        return State.make(sizes, self.task.memory()).world_bytes()
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
         """Take a mask (W,) of worlds to reset, all for None.
@@ -310,11 +316,7 @@ class EnvSpec:
         return clipped
 
 
-def _make_task(
-    kind: type[Task[Any]],
-    config: TaskConfig,
-    options: EnvOptions,
-) -> Task[Any]:
+def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -> Task[Any]:
     # Tasks keep the distance that the largest drone needs
     radius = max(airframe.collision_radius for airframe in options.airframe)
     period = 1 / options.decision_hz

@@ -4,14 +4,15 @@ import copy
 import functools
 import threading
 from collections.abc import Callable, Iterable
-from typing import Any, NoReturn, TypeVar, cast
+from typing import Any, NoReturn, Protocol, TypeVar, cast
 
 import numpy as np
+from gymnasium.spaces import Box, Dict
 
 from bulletuav.compiled.dispatcher import plain_kernels
 from bulletuav.envs.agents import in_c
 from bulletuav.sensors.base import Label
-from bulletuav.tasks.observations.observer import Observation, ObservationBuilder
+from bulletuav.tasks.observations.observer import Observation
 
 USER = "user"
 """Where an environment notes the thread that is in one of its methods"""
@@ -54,13 +55,27 @@ class Environment:
         )
 
 
+class Observer(Protocol):
+    """What knows the labels of observations, such as an `ObservationBuilder`."""
+
+    @property
+    def labels(self) -> Iterable[Label]:
+        """Labels of the numbers that one drone observes."""
+
+    def split(self, observation: Observation) -> dict[str, np.ndarray]:
+        """Split observations by the names of their blocks."""
+
+    def space(self) -> Box | Dict:
+        """Make the space of observations."""
+
+
 class LabelledEnvironment(Environment):
-    """An environment that tells what the numbers of its observations are.
+    """An environment with labels of the numbers of its observations.
 
     Derived classes set `_observer` in their `__init__`.
     """
 
-    _observer: ObservationBuilder
+    _observer: Observer
 
     @property
     def observation_labels(self) -> list[Label]:
@@ -80,7 +95,8 @@ class LabelledEnvironment(Environment):
 
         Returns:
             Arrays (..., numbers of the block) by name, views of the given one. Pictures, and
-            observations in the format "dict", come back as they are.
+            observations in the format "dict", come back as they are. Where one agent commands N
+            drones, the arrays are (..., N, numbers of the block), but for parts of the world.
 
         Raises:
             ValueError: The observation has another number of numbers than there are labels.
@@ -129,10 +145,6 @@ def exclusive_plainly(method: Method) -> Method:
 exclusive = in_c(exclusive_plainly)
 
 
-def _make_again(
-    kind: type,
-    args: tuple[Any, ...],
-    kwargs: dict[str, Any],
-) -> Any:
+def _make_again(kind: type, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     """Make a copy from the arguments of the original."""
     return kind(*args, **kwargs)

@@ -18,12 +18,7 @@ from bulletuav.tasks.given import Given
 from bulletuav.tasks.spawns import MEMORY, Starts
 
 STALE = frozenset(
-    {
-        *(name for name in FIELDS if name.endswith("_before")),
-        "conflicts",
-        "separation",
-        "nearness",
-    }
+    {*(name for name in FIELDS if name.endswith("_before")), "conflicts", "separation", "nearness"}
 )
 """Fields of the frame that change when worlds are brought up to date after a reset of others"""
 

@@ -32,12 +32,7 @@ class GlobalState:
         high: (K,) upper bounds.
     """
 
-    def __init__(
-        self,
-        task: Task[Any],
-        drones: ObservationBuilder,
-        options: EnvOptions,
-    ) -> None:
+    def __init__(self, task: Task[Any], drones: ObservationBuilder, options: EnvOptions) -> None:
         """Collect the parts.
 
         Args:

@@ -37,43 +37,37 @@ def environment_id(task: str) -> str:
     return f"bulletuav/{task.title().replace('_', '')}-v{find_task(task).version}"
 
 
-class CentralEnvironment(LabelledEnvironment):
+class CentralObserver:
     """Observations of the one agent that commands all drones of a world.
 
     Attributes:
-        aviary: The batched core.
+        is_alone: Whether there is one drone, whose own observation that is.
+        labels: Labels of the numbers of one drone.
     """
 
-    aviary: Aviary
-
-    def _observe_centrally(self, aviary: Aviary) -> None:
+    def __init__(self, aviary: Aviary) -> None:
         """Choose what the agent observes: one drone's own observation, or the global state."""
-        self.aviary = aviary
-        self._is_alone = aviary.num_drones == 1
-        self._observer = aviary.observer if self._is_alone else aviary.global_state.drones
+        self.is_alone = aviary.num_drones == 1
+        self._aviary = aviary
+        self._drone = aviary.observer if self.is_alone else aviary.global_state.drones
+        self.labels = self._drone.labels
         self._gives_dict = aviary.options.observation_format == "dict"
 
-    @property
-    def _central_space(self) -> Box | Dict:
-        """Space of what the agent of one world observes, a new object each time."""
-        if self._is_alone:
-            return self._observer.space()
-        low, high = self.aviary.global_state.low, self.aviary.global_state.high
+    def space(self) -> Box | Dict:
+        """Make the space of what the agent of one world observes."""
+        if self.is_alone:
+            return self._drone.space()
+        low, high = self._aviary.global_state.low, self._aviary.global_state.high
         if not self._gives_dict:
             return Box(low, high, dtype=np.float32)
-        lows = self.split(low)
-        highs = self.split(high)
+        lows, highs = self.split(low), self.split(high)
         # An entry for each block, with a row for each drone.
-        spaces: dict[str, Space[Any]] = {}
-        for name in lows:
-            spaces[name] = Box(lows[name], highs[name], dtype=np.float32)
+        spaces: dict[str, Space[Any]] = {
+            name: Box(lows[name], highs[name], dtype=np.float32) for name in lows
+        }
         return Dict(spaces)
 
-    def _central(
-        self,
-        observations: Observation,
-        state: np.ndarray | None = None,
-    ) -> Observation:
+    def observe(self, observations: Observation, state: np.ndarray | None = None) -> Observation:
         """Return what the agent of each world observes.
 
         Args:
@@ -83,32 +77,23 @@ class CentralEnvironment(LabelledEnvironment):
         Returns:
             Arrays (W, ...).
         """
-        if self._is_alone:
+        if self.is_alone:
             own: Observation = part(observations, (slice(None), 0))
             return own
-        state = self.aviary.state() if state is None else state
+        state = self._aviary.state() if state is None else state
         return self.split(state) if self._gives_dict else state
 
     def split(self, observation: Observation) -> dict[str, np.ndarray]:
-        """Split observations by the names of their blocks.
+        """Split observations by the names of their blocks; see `LabelledEnvironment.split`.
 
-        Args:
-            observation: What `reset` or `step` gave: (..., K) numbers, or a dict.
-
-        Returns:
-            Arrays (..., N, numbers of the block) by name, views of the given one: all drones have
-            the same blocks. What is told of the world has no axis for drones. With one drone there
-            is none at all. Dicts by block come back as they are.
-
-        Raises:
-            ValueError: The observation has another number of numbers.
+        All drones have the same blocks. With one drone there is no axis for drones.
         """
-        if self._is_alone or isinstance(observation, dict):
-            return super().split(observation)
-        return self.aviary.global_state.split(observation)
+        if self.is_alone or isinstance(observation, dict):
+            return self._drone.split(observation)
+        return self._aviary.global_state.split(observation)
 
 
-class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
+class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
     """One world as a `gymnasium.Env`.
 
     Attributes:
@@ -118,17 +103,19 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
     """
 
     metadata = METADATA
+    _observer: CentralObserver
 
     def __init__(self, task: TaskSource, **options: Any) -> None:
         """Make the environment; see `bulletuav.parallel_env`."""
-        self._observe_centrally(Aviary(task, 1, **options))
+        self.aviary = Aviary(task, 1, **options)
+        self._observer = CentralObserver(self.aviary)
         self.metadata = {**METADATA, "render_fps": self.aviary.options.decision_hz}
         self.render_mode = self.aviary.options.render_mode
-        self.observation_space = self._central_space
+        self.observation_space = self._observer.space()
         action = self.aviary.action
         self.action_space = joint_action_space(action)
         # Whether actions can be taken over as they are
-        self._takes = self._is_alone and action.choices is None
+        self._takes = self._observer.is_alone and action.choices is None
         self._config = self.aviary.task.config
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -144,10 +131,7 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
 
     @exclusive
     def reset(
-        self,
-        *,
-        seed: int | None = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start a new episode.
 
@@ -163,7 +147,7 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
             seed = as_int("seed", seed, 0)
         super().reset(seed=seed)
         observations = self.aviary.reset(seeds=seed, **reset_options(options))
-        observation = part(self._central(observations), 0)
+        observation = part(self._observer.observe(observations), 0)
         return observation, _of_world(self.aviary.first_info())
 
     @exclusive
@@ -189,11 +173,11 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         is_over = True not in aviary.alive.tolist()[0]
         truncated = is_over and True in aviary.truncated.tolist()[0]
         seen = aviary.observations()
-        if self._is_alone:
+        if self._observer.is_alone:
             observation = part(seen, (0, 0))
             mean = aviary.rewards.item()
         else:
-            observation, mean = part(self._central(seen), 0), float(aviary.rewards.mean())
+            observation, mean = part(self._observer.observe(seen), 0), float(aviary.rewards.mean())
         infos = later(aviary.telling(0))
         return observation, mean, is_over and not truncated, truncated, infos
 
@@ -205,7 +189,7 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
     @exclusive
     def load_state(self, snapshot: Snapshot) -> Any:
         """Go on from a state that was saved, and give the observation; see `Aviary.load_state`."""
-        return part(self._central(self.aviary.load_state(snapshot)), 0)
+        return part(self._observer.observe(self.aviary.load_state(snapshot)), 0)
 
     @exclusive
     def state_hash(self) -> str:
@@ -232,7 +216,7 @@ def _of_world(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return later(lambda: {name: value[0] for name, value in info.items()})
 
 
-class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, Any, Any]):
+class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, Any, Any]):
     """W worlds as a `gymnasium.vector.VectorEnv`.
 
     Attributes:
@@ -245,6 +229,7 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
     """
 
     metadata = METADATA
+    _observer: CentralObserver
 
     def __init__(
         self,
@@ -266,7 +251,8 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
         """
         # The batch flies and resets; here its drones become one agent.
         self._batch = BatchAviary(task, num_envs, autoreset_mode, **options)
-        self._observe_centrally(self._batch.aviary)
+        self.aviary = self._batch.aviary
+        self._observer = CentralObserver(self.aviary)
         self.num_envs = self.aviary.num_worlds
         self.render_mode = self.aviary.options.render_mode
         self.metadata = {
@@ -274,17 +260,14 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
             "render_fps": self.aviary.options.decision_hz,
             "autoreset_mode": self._batch.autoreset_mode,
         }
-        self.single_observation_space = self._central_space
+        self.single_observation_space = self._observer.space()
         self.single_action_space = joint_action_space(self.aviary.action)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     @exclusive
     def reset(
-        self,
-        *,
-        seed: Any = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes in all worlds, or in those of options["reset_mask"] (W,).
 
@@ -296,7 +279,7 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
             Observations (W, ...), and infos (W, N) by name.
         """
         observations, infos = self._batch.reset(seed=seed, options=options)
-        return self._central(observations), infos
+        return self._observer.observe(observations), infos
 
     @exclusive
     def step(self, actions: Any) -> BatchResults:
@@ -322,9 +305,9 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
         truncated = ended & cut.any(axis=1)
         terminated = ended & ~truncated
         if "final_obs" in infos:
-            infos["final_obs"] = self._central(infos["final_obs"], infos["final_state"])
+            infos["final_obs"] = self._observer.observe(infos["final_obs"], infos["final_state"])
         mean_rewards = rewards.mean(axis=1)
-        return self._central(observations), mean_rewards, terminated, truncated, infos
+        return self._observer.observe(observations), mean_rewards, terminated, truncated, infos
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
@@ -334,7 +317,7 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Any:
         """Go on from a state that was saved, and give observations; see `Aviary.load_state`."""
-        return self._central(self._batch.load_state(snapshot, worlds))
+        return self._observer.observe(self._batch.load_state(snapshot, worlds))
 
     @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:

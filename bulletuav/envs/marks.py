@@ -74,12 +74,7 @@ class Marks(NamedTuple):
     hit: np.ndarray = NONE
 
 
-def drone_marks(
-    swarm: Swarm,
-    flown: np.ndarray,
-    world: int,
-    sensors: Iterable[Sensor],
-) -> Marks:
+def drone_marks(swarm: Swarm, flown: np.ndarray, world: int, sensors: Iterable[Sensor]) -> Marks:
     """Find out what is to be marked of the drones of a world.
 
     Args:
@@ -100,12 +95,7 @@ def drone_marks(
     return Marks(drone, way, beam=beam, hit=hit)
 
 
-def marks_of(
-    task: Task[Any],
-    frame: Frame,
-    world: int,
-    sensors: Iterable[Sensor],
-) -> Marks:
+def marks_of(task: Task[Any], frame: Frame, world: int, sensors: Iterable[Sensor]) -> Marks:
     """Find out what is to be marked in a world after a decision.
 
     Args:
@@ -181,22 +171,13 @@ class Lens(NamedTuple):
         kept: np.ndarray = ends[both_before & near]
         return kept
 
-    def draw_lines(
-        self,
-        pen: "ImageDraw.ImageDraw",
-        points: np.ndarray,
-        colour: Colour,
-    ) -> None:
+    def draw_lines(self, pen: "ImageDraw.ImageDraw", points: np.ndarray, colour: Colour) -> None:
         """Draw those of the lines (L, 2, 3) that lie before the camera."""
         for line in self.lines(points):
             pen.line(tuple(line), colour)
 
 
-def draw(
-    marks: Marks,
-    lens: Lens,
-    pen: "ImageDraw.ImageDraw",
-) -> None:
+def draw(marks: Marks, lens: Lens, pen: "ImageDraw.ImageDraw") -> None:
     """Draw marks into a picture, those of drones above all others.
 
     Args:
@@ -225,11 +206,7 @@ def draw(
         _draw_key(pen, marks, lens.size[1])
 
 
-def _draw_key(
-    pen: "ImageDraw.ImageDraw",
-    marks: Marks,
-    height: int,
-) -> None:
+def _draw_key(pen: "ImageDraw.ImageDraw", marks: Marks, height: int) -> None:
     """Write in the lower left corner what the colours mean that are there."""
     key = (
         (marks.drone, DRONE, "drone"),
@@ -249,12 +226,7 @@ def _draw_key(
         pen.text((22, y), text, VELOCITY)
 
 
-def _dots(
-    pen: "ImageDraw.ImageDraw",
-    places: np.ndarray,
-    radius: int,
-    colour: Colour,
-) -> None:
+def _dots(pen: "ImageDraw.ImageDraw", places: np.ndarray, radius: int, colour: Colour) -> None:
     """Draw a disc at each of the places (M, 2), pixels."""
     for x, y in places:
         pen.ellipse((x - radius, y - radius, x + radius, y + radius), colour)

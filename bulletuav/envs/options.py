@@ -194,18 +194,11 @@ class EnvOptions:
         if self.contacts is None:
             self._keep("contacts", dynamics.contacts[0])
         choose("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
-        choices = {
-            "action": tuple(ACTIONS),
-            "controller": tuple(CONTROLLERS),
-        }
+        choices = {"action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
         choices["rays"] = tuple(RAY_METHODS)
         for name, known in choices.items():
             choose(name, getattr(self, name), dict.fromkeys(known))
-        if self.observation is not None and not self.observation:
-            raise ValueError(
-                "observation is empty: name at least one block, or leave it out for the task's own"
-            )
         check_names("effects", "effect", self.effects, EFFECTS)
         for name in ("normalise", "integral", "debug"):
             value = getattr(self, name)

@@ -79,11 +79,7 @@ class Pacer:
         return delay
 
 
-def _positive(
-    name: str,
-    value: float,
-    unit: str,
-) -> float:
+def _positive(name: str, value: float, unit: str) -> float:
     """Check that a number is positive and finite, and return it as a float."""
     number = finite(name, value)
     if number <= 0:

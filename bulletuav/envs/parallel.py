@@ -102,9 +102,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     @exclusive
     def reset(
-        self,
-        seed: int | None = None,
-        options: dict[str, Any] | None = None,
+        self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[ByAgent, Infos]:
         """Start a new episode.
 
@@ -255,11 +253,7 @@ def _of(array: np.ndarray, rows: list[int] | None) -> np.ndarray:
     return one
 
 
-def check_agents(
-    actions: Any,
-    agents: Sequence[str],
-    possible: Collection[str],
-) -> None:
+def check_agents(actions: Any, agents: Sequence[str], possible: Collection[str]) -> None:
     """Check whose actions were given.
 
     Args:

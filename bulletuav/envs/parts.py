@@ -1,6 +1,8 @@
 """Parts that worlds are made of, with a task or without: engine, dynamics, sensors."""
 
-from collections.abc import Sequence
+import operator
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,11 +14,99 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics, Flight
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.randomization import Uncertainty
+from bulletuav.envs.renderer import Renderer
+from bulletuav.envs.snapshot import BODIES, Bounds, Layout
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
-from bulletuav.sensors.base import SensorSetup
+from bulletuav.sensors.base import Sensor, SensorSetup
 from bulletuav.sensors.lidar import make_beams
+from bulletuav.sensors.suite import SensorSuite
 from bulletuav.vehicle.parameters import parameter_rows
+from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.wind import Wind
+
+
+class Parts(ABC):
+    """Parts of W worlds of N drones.
+
+    Attributes:
+        options: Common options.
+        engine: Bodies, obstacles, cities, rays and pictures.
+        dynamics: Moves drones.
+        parameters: (W, N) rows of `PARAMETERS` with which the drones fly.
+        cascade: Controllers.
+        hover_speed: (N, R) rotor speeds at which drones hover, rad/s.
+        wind: Steady wind and gusts.
+        uncertainty: What is drawn for each episode.
+        sensors: All sensors.
+        renderer: Pictures and the live window.
+        readings: What sensors measured last, by name.
+    """
+
+    readings: dict[str, np.ndarray]
+    _layout: Layout | None = None
+    _varying: Sequence[object] = ()
+
+    def __init__(
+        self,
+        options: EnvOptions,
+        obstacles: Sequence[Obstacle],
+        layouts: Sequence[Solids],
+        sensors: dict[str, Sensor],
+        setup: SensorSetup,
+        first_world: int = 0,
+    ) -> None:
+        """Make all parts; see `make_engine` and `SensorSuite`."""
+        num_worlds, _ = setup.shape
+        self.options = options
+        self.engine = make_engine(options, num_worlds, obstacles, layouts, first_world)
+        self.dynamics = make_dynamics(options, self.engine)
+        self.parameters = self.dynamics.flight.parameters
+        self.cascade = self.dynamics.flight.cascade
+        self.hover_speed = hover_speeds(options)
+        self.wind = Wind(options.wind, options.wind20, num_worlds, options.wind_profile)
+        self.uncertainty = Uncertainty(
+            options.randomization, self.engine, self.parameters, self.wind
+        )
+        self.sensors = SensorSuite(sensors, setup, self.engine, self.uncertainty.drawn)
+        self.renderer = Renderer(self.engine, options.render_size)
+
+    def show(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Place the engine's bodies where drones of `mask` (W, N) and obstacles are."""
+        self.dynamics.show(swarm, mask)
+        self.engine.show_obstacles()
+
+    def layout(self, of: str, parts: Mapping[str, str]) -> Layout:
+        """Return where arrays are in snapshots.
+
+        Args:
+            of: See `snapshot.Form`, like the parts.
+            parts: What the simulation is made from.
+        """
+        # Sensors may keep other arrays later, readings make some, bodies change the bounds
+        varying: list[object] = [*self.sensors.kept().values(), *self.dynamics.kept().values()]
+        varying += [*self.readings.values(), self.engine.scenery]
+        known = self._varying
+        is_known = len(known) == len(varying) and all(map(operator.is_, known, varying))
+        if self._layout is None or not is_known:
+            bodies = {BODIES: self.engine.bodies}
+            arrays = {**bodies, **self.state_arrays(), **self.last_arrays()}
+            self._layout = Layout(of, parts, self.bounds(), arrays)
+            self._varying = varying
+        return self._layout
+
+    @abstractmethod
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays (W, ...) by name that are a world's state, whatever flew before."""
+
+    @abstractmethod
+    def last_arrays(self) -> dict[str, np.ndarray]:
+        """Return what else the future follows from; it may hold what flew before a reset."""
+
+    @abstractmethod
+    def bounds(self) -> Bounds:
+        """Return the bounds of arrays that a snapshot may write, by name."""
 
 
 def make_engine(
@@ -68,11 +158,7 @@ def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
     return find_dynamics(options.dynamics)(flight)
 
 
-def add_obstacles(
-    program: Program,
-    engine: Engine,
-    obstacle: np.ndarray,
-) -> None:
+def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> None:
     """Add to a program that obstacles stand where (W, K, 3) tells after a flight, m."""
     if obstacle.shape[1]:
         program.call(copy_vectors, obstacle, engine.scenery.place)
@@ -88,11 +174,7 @@ def hover_speeds(options: EnvOptions) -> np.ndarray:
     return speeds
 
 
-def sensor_setup(
-    options: EnvOptions,
-    num_worlds: int,
-    wanted: frozenset[str],
-) -> SensorSetup:
+def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -> SensorSetup:
     """Tell sensors what they know of where they fly, but for a task's targets and arena.
 
     Args:

@@ -156,11 +156,7 @@ class Uncertainty:
     """
 
     def __init__(
-        self,
-        spec: Randomization,
-        engine: Engine,
-        parameters: np.ndarray,
-        wind: Wind,
+        self, spec: Randomization, engine: Engine, parameters: np.ndarray, wind: Wind
     ) -> None:
         """Make room for what is drawn.
 

@@ -55,12 +55,7 @@ def picture_rate(rate: Any, decision_hz: float) -> int:
     return whole
 
 
-def divides(
-    name: str,
-    rate: int,
-    into: str,
-    total: int,
-) -> None:
+def divides(name: str, rate: int, into: str, total: int) -> None:
     """Raise ValueError, with rates nearby that do, where `rate` does not divide `total`."""
     if total % rate:
         divisors = [divisor for divisor in range(1, total + 1) if total % divisor == 0]

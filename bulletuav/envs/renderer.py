@@ -7,15 +7,7 @@ import numpy as np
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.marks import Colour, Lens, Marks, draw
 from bulletuav.envs.pacer import Pacer
-from bulletuav.geometry.view import (
-    AIR,
-    FAR,
-    LAND,
-    SKY,
-    projection_matrix,
-    refocused,
-    view_matrix,
-)
+from bulletuav.geometry.view import AIR, FAR, LAND, SKY, projection_matrix, refocused, view_matrix
 from bulletuav.vehicle.swarm import Swarm
 
 if TYPE_CHECKING:
@@ -142,12 +134,7 @@ class Renderer:
         lens.draw_lines(pen, drops, SHADOW)
         pixels[ground] = np.asarray(lines)[ground]
 
-    def show(
-        self,
-        swarm: Swarm,
-        alive: np.ndarray,
-        period: float,
-    ) -> None:
+    def show(self, swarm: Swarm, alive: np.ndarray, period: float) -> None:
         """Keep the live view of world 0 in real time.
 
         The first call points it at the drones. Each waits until its time has come.
@@ -197,9 +184,7 @@ class Renderer:
 
 
 def fit(
-    points: np.ndarray,
-    direction: np.ndarray,
-    size: tuple[int, int],
+    points: np.ndarray, direction: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, float]:
     """Find the middle of points (M, 3), and the distance from which a picture shows just all.
 

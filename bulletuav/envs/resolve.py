@@ -99,9 +99,7 @@ def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
 
 
 def _with_defaults(
-    task: type[Task[Any]],
-    given: Mapping[str, Any],
-    known: set[str],
+    task: type[Task[Any]], given: Mapping[str, Any], known: set[str]
 ) -> dict[str, Any]:
     """Add the values of preset, difficulty and task to the options that are given."""
     for name in given:
@@ -235,11 +233,7 @@ def _checked_config(config: TaskConfig) -> TaskConfig:
     return dataclasses.replace(config, **stored)
 
 
-def _checked(
-    field: dataclasses.Field[Any],
-    kind: Any,
-    value: Any,
-) -> Any:
+def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
     """Check the value of a field by its type.
 
     A field's metadata may tell its "least" and "most". Float fields are sizes, so not negative.

@@ -15,12 +15,7 @@ from bulletuav.compiled.plain import in_python
 from bulletuav.compiled.program import Program
 
 
-def add_rows(
-    program: Program,
-    mask: np.ndarray,
-    rows: np.ndarray,
-    array: np.ndarray,
-) -> None:
+def add_rows(program: Program, mask: np.ndarray, rows: np.ndarray, array: np.ndarray) -> None:
     """Add to a program that the first rows are written to worlds of a mask, in their order.
 
     Args:
@@ -58,12 +53,7 @@ class Rows:
             begin += one.shape[1]
 
 
-def add_value(
-    program: Program,
-    mask: np.ndarray,
-    value: object,
-    array: np.ndarray,
-) -> None:
+def add_value(program: Program, mask: np.ndarray, value: object, array: np.ndarray) -> None:
     """Add to a program that all worlds of a mask (W,) get one value, one for all or for each."""
     if array.size:
         row = np.empty((1, *array.shape[1:]), dtype=array.dtype)
@@ -79,20 +69,10 @@ def as_bytes(array: np.ndarray) -> np.ndarray:
 
 @in_python(ctypes.memmove)
 @intrinsic  # type: ignore[untyped-decorator]
-def _copy(
-    _: Any,
-    target: Any,
-    source: Any,
-    count: Any,
-) -> Any:
+def _copy(_: Any, target: Any, source: Any, count: Any) -> Any:
     """Copy bytes from one address to another."""
 
-    def generate(
-        context: Any,
-        builder: Any,
-        signature: Any,
-        given: Any,
-    ) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         byte = ir.IntType(8).as_pointer()
         to, start = (builder.inttoptr(address, byte) for address in given[:2])
         cgutils.raw_memcpy(builder, to, start, given[2], 1)
@@ -102,12 +82,7 @@ def _copy(
 
 
 @kernel
-def _put(
-    mask: np.ndarray,
-    rows: np.ndarray,
-    begin: int,
-    array: np.ndarray,
-) -> None:
+def _put(mask: np.ndarray, rows: np.ndarray, begin: int, array: np.ndarray) -> None:
     """Write bytes of the first rows, from `begin` on, to worlds of a mask (W,) of an array."""
     s = 0
     for w in range(mask.shape[0]):
@@ -118,12 +93,7 @@ def _put(
 
 
 @kernel
-def _take(
-    mask: np.ndarray,
-    array: np.ndarray,
-    rows: np.ndarray,
-    begin: int,
-) -> None:
+def _take(mask: np.ndarray, array: np.ndarray, rows: np.ndarray, begin: int) -> None:
     """Do the reverse of `_put`."""
     s = 0
     for w in range(mask.shape[0]):
@@ -134,11 +104,7 @@ def _take(
 
 
 @kernel
-def _fill(
-    mask: np.ndarray,
-    row: np.ndarray,
-    array: np.ndarray,
-) -> None:
+def _fill(mask: np.ndarray, row: np.ndarray, array: np.ndarray) -> None:
     """Write one row (1, B) to all rows of an array (W, B) that are of a mask (W,)."""
     for w in range(mask.shape[0]):
         if mask[w]:
@@ -155,12 +121,7 @@ def spread(mask: np.ndarray, each: np.ndarray) -> None:
 
 
 @kernel
-def renew(
-    alive: np.ndarray,
-    fresh: np.ndarray,
-    present: np.ndarray,
-    due: np.ndarray,
-) -> None:
+def renew(alive: np.ndarray, fresh: np.ndarray, present: np.ndarray, due: np.ndarray) -> None:
     """Write who can be met after a reset, and what worlds are to be observed anew.
 
     Args:

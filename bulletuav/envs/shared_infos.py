@@ -90,11 +90,7 @@ class SharedInfos:
         )
 
 
-def merged(
-    parts: list[slice],
-    infos: list[dict[str, Any]],
-    num_envs: int,
-) -> dict[str, Any]:
+def merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
     """Merge infos of several processes.
 
     Args:

@@ -8,6 +8,7 @@ from bulletuav.compiled.program import Program
 from bulletuav.envs.episode_start import EpisodeStart
 from bulletuav.envs.results import Results
 from bulletuav.envs.stages import Stage, decision_stages
+from bulletuav.envs.stages.base import inserted, programs_of, table
 from bulletuav.envs.stages.observe import Observe
 from bulletuav.envs.stages.report import Report
 from bulletuav.envs.stages.separate import Separate
@@ -45,37 +46,24 @@ class Simulation:
 
     def __repr__(self) -> str:
         """Show the stages, with what each reads and writes."""
-        heads = ("stage", "reads", "writes")
-        rows = [(one.name, ", ".join(one.reads), ", ".join(one.writes)) for one in self.stages]
-        widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
-        texts = ["what it does", *(one.summary for one in self.stages)]
-        lines = [
-            "  ".join([*map(str.ljust, row, widths), text])
-            for row, text in zip([heads, *rows], texts, strict=True)
-        ]
         worlds, drones = self.worlds.state.alive.shape
         dynamics = self.worlds.options.dynamics_name
         title = f"{self.worlds.task.name} in {dynamics}: {worlds} worlds of {drones} drones"
-        return "\n".join([title, *lines])
+        return f"{title}\n{table(self.stages)}"
 
-    def insert(self, stage: Stage, after: str) -> None:
+    def insert(self, stage: Stage, after: str | None = None, *, before: str | None = None) -> None:
         """Insert a stage of one's own; decisions from now on have it.
 
         Args:
             stage: The stage.
-            after: Name of the stage that it follows.
+            after: Name of the stage that it follows; or
+            before: name of the stage that it precedes.
 
         Raises:
-            ValueError: There is no stage of that name, or already one of the new name.
+            ValueError: None or both of these are given, there is no such stage, or the new stage
+                has a name that is taken.
         """
-        names = [one.name for one in self.stages]
-        if stage.name in names:
-            raise ValueError(f"stage {stage.name!r} is there already: choose another name")
-        if after not in names:
-            raise ValueError(f"after is {after!r}: one of {', '.join(names)} is needed")
-        place = names.index(after) + 1
-        self.stages = (*self.stages[:place], stage, *self.stages[place:])
-        self.program = None
+        self.stages, self.program = inserted(self.stages, stage, after, before), None
 
     def decide(self) -> None:
         """Fly one decision of the actions in `state.given`.
@@ -114,13 +102,8 @@ class Simulation:
 
     def stage_programs(self) -> dict[str, Program]:
         """Make a program of each stage alone, by its name."""
-        programs = {}
         self._derive()
-        for stage in self.stages:
-            program = programs[stage.name] = Program()
-            stage.add_to(program, self.worlds)
-            program.compile()
-        return programs
+        return programs_of(self.stages, self.worlds)
 
     def _derive(self) -> None:
         """Have the task derive what its terms read, so that programs find it."""

@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import operator
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,8 +36,6 @@ UNIT = 1e-6
 """Rounding of the components of a quaternion"""
 MAX_ROTOR_SPEED = 1e6
 """Speed of a rotor, rad/s"""
-MAX_STEPS = 2**53
-"""Decisions of a world: as many as a float64 counts"""
 MAX_COORDINATE = 1e7
 """Distance of a drone from its world's origin, m; flights that diverge end before"""
 FIRST_FIELDS = ("data", "form", "checksum")
@@ -315,11 +312,7 @@ class FaceSnapshot:
         return hashlib.blake2b(text_of(beside).encode(), digest_size=CHECKSUM).digest()
 
 
-def require_snapshot(
-    snapshot: Any,
-    kind: type,
-    worlds: int | None = 1,
-) -> None:
+def require_snapshot(snapshot: Any, kind: type, worlds: int | None = 1) -> None:
     """Refuse what is no snapshot of a kind, a damaged one, or one of another number of worlds.
 
     Args:
@@ -403,11 +396,7 @@ def arrays_of(fields: Fields) -> tuple[tuple[str, str, tuple[int, ...]], ...]:
     return tuple((name, str(one.dtype), one.shape[1:]) for name, one in fields.items())
 
 
-def pack(
-    fields: Fields,
-    rngs: list[np.random.Generator],
-    worlds: np.ndarray,
-) -> np.ndarray:
+def pack(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
     """Copy worlds (S,) of all arrays, and their random generators, into bytes (S, B)."""
     rows = _rows(worlds)
     parts = [_bytes_of(array[rows]) for array in fields.values() if array.size]
@@ -417,10 +406,7 @@ def pack(
 
 
 def unpack(
-    data: np.ndarray,
-    fields: Fields,
-    rngs: list[np.random.Generator],
-    worlds: np.ndarray,
+    data: np.ndarray, fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray
 ) -> None:
     """Write bytes (S, B) back into worlds (S,) of all arrays, and of the random generators."""
     at, rows = 0, _rows(worlds)
@@ -438,7 +424,7 @@ class Layout:
     """Where arrays are in the bytes of a snapshot.
 
     To look at 80 arrays takes longer than to copy them. So it is done once, and again where one of
-    them is another.
+    them was replaced; see `Parts.layout`.
 
     Attributes:
         form: What snapshots have to fit.
@@ -457,11 +443,6 @@ class Layout:
         self.form = Form(of, parts, arrays_of(fields))
         self._rows: Rows | None = None
         self._is_known = False
-
-    def is_of(self, fields: Fields) -> bool:
-        """Tell whether these are the very arrays that it is of."""
-        known = self._fields.values()
-        return len(known) == len(fields) and all(map(operator.is_, known, fields.values()))
 
     def require(self, snapshot: Snapshot, worlds: np.ndarray) -> None:
         """Check everything that is to be written to worlds (S,), before any of it is.
@@ -521,12 +502,7 @@ class Layout:
             row[size:].data[:] = _generator_bytes(rngs[w])
         return data
 
-    def unpack(
-        self,
-        data: np.ndarray,
-        rngs: list[np.random.Generator],
-        worlds: np.ndarray,
-    ) -> None:
+    def unpack(self, data: np.ndarray, rngs: list[np.random.Generator], worlds: np.ndarray) -> None:
         """Write bytes (S, B) back into worlds (S,) of all; see `unpack`."""
         rows = self._chosen(worlds)
         if rows is None:
@@ -600,11 +576,7 @@ def _generator_bytes(rng: np.random.Generator) -> bytes:
     return b"".join(parts)
 
 
-def _restore(
-    rngs: list[np.random.Generator],
-    world: int,
-    data: bytes,
-) -> None:
+def _restore(rngs: list[np.random.Generator], world: int, data: bytes) -> None:
     """Bring a world's generator to the state that `_generator_bytes` wrote, or make one of it."""
     bits = rngs[world].bit_generator
     if rngs[world] is UNSTARTED or not isinstance(bits, np.random.PCG64):

@@ -59,11 +59,7 @@ def joint_action_space(action: Action) -> Space[Any]:
     return Box(low, high, dtype=np.float32)
 
 
-def drone_numbers(
-    action: Action,
-    drone: int,
-    given: object,
-) -> np.ndarray:
+def drone_numbers(action: Action, drone: int, given: object) -> np.ndarray:
     """Make the row of a batch that holds one drone's action.
 
     Args:
@@ -86,11 +82,7 @@ def drone_numbers(
     return padded
 
 
-def joint_numbers(
-    action: Action,
-    given: object,
-    num_worlds: int,
-) -> np.ndarray:
+def joint_numbers(action: Action, given: object, num_worlds: int) -> np.ndarray:
     """Make a batch of joint actions.
 
     Args:

@@ -105,10 +105,7 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def reset(
-        self,
-        *,
-        seed: Any = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start new episodes.
 
@@ -174,11 +171,7 @@ class BatchAviary(LabelledEnvironment):
             infos = self._with_fresh(info, self._ended) | final
         return observations, rewards, terminated, truncated, infos
 
-    def _with_fresh(
-        self,
-        info: dict[str, np.ndarray],
-        worlds: np.ndarray,
-    ) -> dict[str, Any]:
+    def _with_fresh(self, info: dict[str, np.ndarray], worlds: np.ndarray) -> dict[str, Any]:
         """Return infos in which those of `worlds` (W,) are of their new episodes."""
         first = self.aviary.first_info(worlds)
         return later(

@@ -239,7 +239,8 @@ class WorkerAviary(LabelledEnvironment):
         if not isinstance(self.observation_space, Dict):
             return self._arrays["observation/"].copy()
         # The space sorts its entries; observations have them in the order of the blocks.
-        order = (VECTOR, *self._observer.slices, *self._observer.images)
+        observer = self._spec.observer
+        order = (VECTOR, *observer.slices, *observer.images)
         names = filter(self.observation_space.spaces.__contains__, order)
         return {name: self._arrays[f"observation/{name}"].copy() for name in names}
 
@@ -255,10 +256,7 @@ class WorkerAviary(LabelledEnvironment):
 
     @exclusive
     def reset(
-        self,
-        *,
-        seed: Any = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start new episodes; see `BatchAviary.reset`."""
         given = reset_options(options, MASK)
@@ -403,10 +401,5 @@ def batch_env(
     if workers == 1:
         return BatchAviary(task, num_envs, **options)
     return WorkerAviary(
-        task,
-        num_envs,
-        workers=workers,
-        start_method=start_method,
-        timeout=timeout,
-        **options,
+        task, num_envs, workers=workers, start_method=start_method, timeout=timeout, **options
     )

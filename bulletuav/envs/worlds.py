@@ -5,39 +5,28 @@ import numpy as np
 from bulletuav.envs.contact_record import ContactRecord
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine
-from bulletuav.envs.randomization import Uncertainty
-from bulletuav.envs.renderer import Renderer
+from bulletuav.envs.parts import Parts
 from bulletuav.envs.results import Results
-from bulletuav.envs.snapshot import MAX_STEPS, UNSTARTED, Bounds, contact_bounds, state_bounds
+from bulletuav.envs.snapshot import UNSTARTED, Bounds, contact_bounds, state_bounds
 from bulletuav.envs.state import LAST, STATE, Sizes, State, with_prefix
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.sensors.base import Moment
-from bulletuav.sensors.suite import SensorSuite
 from bulletuav.tasks.account import Account, make_account
-from bulletuav.tasks.frame import Frame, Scene
+from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import PRESENT
 from bulletuav.tasks.stages import Judgement
 from bulletuav.vehicle.swarm import Swarm
-from bulletuav.vehicle.wind import Wind
 
 
-class Worlds:
-    """Parts and state of W worlds of N drones.
+class Worlds(Parts):
+    """Parts and state of W worlds of N drones that fly a task.
 
     Attributes:
         spec: Checks of what callers give.
-        options: Common options.
         task: The task.
         action: What actions mean.
         observer: Makes observations.
-        engine: Bodies, obstacles, cities, rays and pictures.
-        dynamics: Moves drones.
-        sensors: All sensors.
-        wind: Steady wind and gusts.
         energy: Batteries and what takes power.
-        uncertainty: What is drawn for each episode.
-        renderer: Pictures and the live window.
         state: All arrays.
         frame: The state as tasks, sensors and observations read it.
         account: Separations, distances and collisions of the decision, as the frame shows them.
@@ -58,22 +47,12 @@ class Worlds:
             spec: Checked options and the task.
             first_world: Number of the first of these worlds among those of several processes.
         """
-        options, task = spec.options, spec.task
-        self.spec, self.options, self.task, self.action = spec, options, task, spec.action
-        self.observer, self.num_worlds = spec.observer, spec.num_worlds
-        obstacles = task.obstacles()
-        self.engine = make_engine(options, self.num_worlds, obstacles, task.layouts(), first_world)
-        self.dynamics = make_dynamics(options, self.engine)
-        self.parameters = self.dynamics.flight.parameters
-        self.cascade = self.dynamics.flight.cascade
+        options, task, obstacles = spec.options, spec.task, spec.task.obstacles()
+        sensors = (spec.sensors, spec.setup)
+        super().__init__(options, obstacles, task.layouts(), *sensors, first_world)
         options.check_setpoint_levels(spec.action.level, self.dynamics.consumes)
-        self.renderer = Renderer(self.engine, options.render_size)
-        self.hover_speed = hover_speeds(options)
-        self.wind = Wind(options.wind, options.wind20, self.num_worlds, options.wind_profile)
-        self.uncertainty = Uncertainty(
-            options.randomization, self.engine, self.parameters, self.wind
-        )
-        self.sensors = SensorSuite(spec.sensors, spec.setup, self.engine, self.uncertainty.drawn)
+        self.spec, self.task, self.action = spec, task, spec.action
+        self.observer, self.num_worlds = spec.observer, spec.num_worlds
         self.energy = Energy(options, self.parameters, self.dynamics.supply)
         self.contacts = ContactRecord(self.dynamics)
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
@@ -84,11 +63,9 @@ class Worlds:
         task, action, shape = self.task, self.action, (self.num_worlds, self.options.num_drones)
         size = action.low.shape[-1]
         setpoint = action.decode(np.zeros((*shape, size)), np.zeros((*shape, 3)))
-        self.state = state = State.zeros(
-            Sizes(*shape, size, setpoint.shape[-1]),
-            Swarm.zeros(*shape, self.hover_speed.shape[1]),
-            Scene.empty(*shape, num_obstacles, task.memory()),
-        )
+        rotors = self.hover_speed.shape[1]
+        sizes = Sizes(*shape, size, setpoint.shape[-1], num_obstacles, rotors)
+        self.state = state = State.make(sizes, task.memory())
         state.setpoint[:] = setpoint
         state.levels[:] = int(action.level)
         self.nothing_seen = np.zeros((*shape, task.num_targets), dtype=bool)
@@ -128,11 +105,6 @@ class Worlds:
         self.frame.derived.clear()
         self.frame.derived[PRESENT] = self.state.present
 
-    def show(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Place the engine's bodies where drones of `mask` (W, N) and obstacles are."""
-        self.dynamics.show(swarm, mask)
-        self.engine.show_obstacles()
-
     def place_obstacles(self, worlds: np.ndarray) -> None:
         """Place the engine's obstacles where the scene of `worlds` (W,) bool has them."""
         scene = self.state.scene
@@ -156,7 +128,7 @@ class Worlds:
                 held[...] = value
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays (W, ...) by name that are a world's state, whatever flew before."""
+        """Return the arrays of the state; see `Parts.state_arrays`."""
         scene = self.state.scene._asdict()
         memory = with_prefix("memory", scene.pop("memory"))
         return {
@@ -171,7 +143,7 @@ class Worlds:
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
-        """Return what else the future follows from; it may hold what flew before a reset."""
+        """Return what else the future follows from; see `Parts.last_arrays`."""
         parts = (self.wind, self.energy, self.sensors, self.dynamics)
         return {
             **{name: array for part in parts for name, array in part.kept().items()},
@@ -184,7 +156,7 @@ class Worlds:
         """Return the bounds of arrays that a snapshot may write, by name."""
         return {
             **state_bounds(self.state.swarm),
-            "steps": (0, MAX_STEPS),
+            **self.state.bounds(),
             "layout": (NO_LAYOUT, len(self.task.layouts()) - 1),
             **{f"memory {name}": one for name, one in self.task.memory_bounds().items()},
             **self.sensors.kept_bounds(),

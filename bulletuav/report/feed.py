@@ -20,10 +20,10 @@ from email.message import Message
 from http import HTTPStatus
 from ipaddress import ip_address
 
-from bulletuav.envs.connections import Clock, Connections, FullError, Limits
-from bulletuav.envs.refusals import Refusals
-from bulletuav.envs.streams import Stream, StreamServer
 from bulletuav.envs.viewer import join_address
+from bulletuav.serving.connections import Clock, Connections, FullError, Limits
+from bulletuav.serving.refusals import Refusals
+from bulletuav.serving.streams import Stream, StreamServer
 
 LIMITS = Limits(
     max_clients=64, max_pending=32, grace=10.0, max_unread=2**23, max_stall=10.0, linger=1.0

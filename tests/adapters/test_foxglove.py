@@ -17,7 +17,7 @@ from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.cli import main
-from bulletuav.envs.refusals import MAX_LINES
+from bulletuav.serving.refusals import MAX_LINES
 
 websockets = pytest.importorskip("websockets.sync.client", reason="needs websockets")
 foxglove = pytest.importorskip(

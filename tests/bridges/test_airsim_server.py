@@ -22,8 +22,8 @@ from bulletuav.bridges import airsim, airsim_drawing, airsim_pictures
 from bulletuav.bridges.airsim import AirsimServer, Turns
 from bulletuav.bridges.airsim_world import World
 from bulletuav.cli import main
-from bulletuav.envs.connections import Limits
-from bulletuav.envs.streams import SWEEP_PERIOD
+from bulletuav.serving.connections import Limits
+from bulletuav.serving.streams import SWEEP_PERIOD
 
 FREE = (0, {"is_rate": True, "yaw_or_rate": 0.0})
 

@@ -41,8 +41,8 @@ from bulletuav.bridges.sockets import LATE_SHARE
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
 from bulletuav.dynamics import DYNAMICS
-from bulletuav.envs.connections import ACCEPT_RETRY, SPARED
 from bulletuav.report.feed import Feed
+from bulletuav.serving.connections import ACCEPT_RETRY, SPARED
 
 ODD = (0.0, -1.0, 1.0, 1e-45, 3e38, -3e38, math.inf, -math.inf, math.nan)
 """Numbers that no program means"""

@@ -605,7 +605,7 @@ def test_a_placed_drone_forgets_pushes_integrals_and_what_its_sensors_felt():
     assert np.abs(new.readings["imu"][0, :3]).max() < 3 * G
     # Motors that were off begin without integrals
     airspace.stop()
-    assert not airspace._dynamics.flight.cascade.memory.any()
+    assert not airspace.world.cascade.memory.any()
 
 
 def test_points_keep_the_heading_with_which_they_are_placed():

@@ -8,7 +8,7 @@ import pytest
 
 import bulletuav
 from bulletuav.envs import airspace
-from bulletuav.envs.airspace_setpoints import hold, hold_plainly
+from bulletuav.envs.airspace_inputs import hold, hold_plainly
 from bulletuav.envs.environment import Environment, exclusive, exclusive_plainly
 
 LEVELS = bulletuav.SetpointLevel
@@ -52,7 +52,7 @@ def told(commands, taken_over, monkeypatch, **options):
         one.place(None, START, quaternion=TURNED)
         for command in commands:
             one.command(*command)
-        held = (one.levels.copy(), one.setpoint.copy(), one._told.copy())
+        held = (one.levels.copy(), one.setpoint.copy(), one.world.state.commanded[0].copy())
         one.step()
         return *held, one.swarm.position.copy(), count
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.envs.env_spec import EnvSpec
 
 BAD = [
     ("hover", {"num_drones": 0}, "num_drones is 0"),
@@ -269,3 +270,8 @@ def test_surfaces_of_the_ground_are_options(friction):
     left = 4 - 2 * np.sqrt(friction * 0.5)
     np.testing.assert_allclose(aviary.swarm.velocity[0, 0], (left, 0, 0), atol=0.01)
     aviary.close()
+
+
+def test_an_observation_of_nothing_is_refused():
+    with pytest.raises(ValueError, match="observation is empty: name at least one block"):
+        EnvSpec("crossing", 1, {"observation": ()})

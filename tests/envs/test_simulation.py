@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.envs.stages import Stage, decision_stages
-from bulletuav.envs.state import ARRAYS, LAST, STATE, Sizes
+from bulletuav import Airspace, SetpointLevel
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.envs.stages import Stage, airspace_stages, decision_stages
+from bulletuav.envs.state import LAST, STATE, AirspaceState, Sizes, State
+from bulletuav.geometry.obstacle import Obstacle
 
 sys.path.append(str(Path(__file__).parents[2] / "tools"))
 import stages
@@ -41,6 +44,25 @@ def is_declared(name, declared):
     return name in declared or name.partition(".")[0] in declared
 
 
+AIRSPACES = {
+    "bullet": {"sensors": ("imu",), "dynamics": "bullet"},
+    "rigid_body": {"wind": (1.0, 0.5, 0.0), "turbulence": "light", "sensors": ("imu", "gps")},
+    "point_mass": {"dynamics": "point_mass"},
+}
+
+
+def airspace_of(case):
+    """An airspace in which all that can change does: obstacles, yaws, forces, readings."""
+    options = {"dynamics": "rigid_body", "decision_hz": 24, "seed": 3, **AIRSPACES[case]}
+    places = [(0.0, 0.0, 1.0), (2.0, 0.0, 1.0)]
+    airspace = Airspace(places, obstacles=(Obstacle("sphere", (0.2,)),), **options)
+    airspace.place_obstacle(0, (5.0, 0.0, 1.0), velocity=(-0.5, 0.0, 0.0))
+    airspace.command(None, SetpointLevel.VELOCITY, (0.5, 0.0, 0.2), yaw_rate=0.7)
+    if airspace.consumes == SetpointLevel.ROTOR:
+        airspace.apply(0, force=(0.1, 0.0, 0.0))
+    return airspace
+
+
 @pytest.mark.parametrize("task", CASES)
 def test_stage_by_stage_is_the_same_as_all_at_once(task):
     one, other = made(task), made(task)
@@ -56,51 +78,37 @@ def test_stage_by_stage_is_the_same_as_all_at_once(task):
     assert list(times) == [stage.name for stage in one.simulation.stages]
 
 
-@pytest.mark.parametrize("task", CASES)
-def test_stages_write_what_they_declare(task):
-    aviary, rng = made(task), np.random.default_rng(2)
-    worlds, written = aviary.worlds, set()
-    for _ in range(6):
-        act(aviary, rng)
-        aviary.decide()
-    programs = aviary.simulation.stage_programs()
-    worlds.contacts.start_decision()
-    worlds.forget_derived()
-    act(aviary, rng)
-    for stage in aviary.simulation.stages:
-        before = {name: array.copy() for name, array in worlds.state.named().items()}
+def changed_by(stages, programs, state):
+    """Names of arrays that a run of stages changes; each by a stage that declares so."""
+    written = set()
+    for stage in stages:
+        before = {name: array.copy() for name, array in state.named().items()}
         programs[stage.name].run()
         changed = {
             name
-            for name, array in worlds.state.named().items()
+            for name, array in state.named().items()
             if array.tobytes() != before[name].tobytes()
         }
-        undeclared = [name for name in changed if not is_declared(name, stage.writes)]
-        assert not undeclared, stage.name
+        assert not [name for name in changed if not is_declared(name, stage.writes)], stage.name
         written |= changed
-    assert {"action", "time", "swarm.position", "before.position", "rewards"} <= written
+    return written
 
 
-@pytest.mark.parametrize("task", CASES)
-def test_stages_are_given_what_they_declare(task):
+def arrays_in(value):
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from arrays_in(part)
+
+
+def require_declared(stages, programs, state):
     """Each array of the state that a compiled call gets is read or written, as declared."""
-    aviary = made(task)
-    worlds = aviary.worlds
     spans = {
         name: (array.ctypes.data, array.ctypes.data + array.nbytes)
-        for name, array in worlds.state.named().items()
+        for name, array in state.named().items()
     }
-
-    programs = aviary.simulation.stage_programs()
-
-    def arrays_in(value):
-        if isinstance(value, np.ndarray):
-            yield value
-        elif isinstance(value, tuple):
-            for part in value:
-                yield from arrays_in(part)
-
-    for stage in aviary.simulation.stages:
+    for stage in stages:
         given = {
             name
             for _, arguments, _ in programs[stage.name].calls
@@ -112,14 +120,72 @@ def test_stages_are_given_what_they_declare(task):
         assert not [name for name in given if not is_declared(name, declared)], stage.name
 
 
-def test_every_stage_declares_what_there_is():
-    aviary = made("crossing")
-    parts = {"dynamics", "energy", "readings", "account", "results", "observations"}
-    parts |= {"engine", "rng"}
-    names = {name for one in aviary.worlds.state.named() for name in (one, one.partition(".")[0])}
-    every = decision_stages()
-    assert len({stage.name for stage in every}) == len(every)
-    for stage in every:
+@pytest.mark.parametrize("task", CASES)
+def test_stages_write_what_they_declare(task):
+    aviary, rng = made(task), np.random.default_rng(2)
+    worlds = aviary.worlds
+    for _ in range(6):
+        act(aviary, rng)
+        aviary.decide()
+    programs = aviary.simulation.stage_programs()
+    worlds.contacts.start_decision()
+    worlds.forget_derived()
+    act(aviary, rng)
+    written = changed_by(aviary.simulation.stages, programs, worlds.state)
+    assert {"action", "time", "swarm.position", "before.position", "rewards"} <= written
+
+
+@pytest.mark.parametrize("task", CASES)
+def test_stages_are_given_what_they_declare(task):
+    aviary = made(task)
+    simulation = aviary.simulation
+    require_declared(simulation.stages, simulation.stage_programs(), aviary.worlds.state)
+
+
+@pytest.mark.parametrize("case", AIRSPACES)
+def test_stages_of_an_airspace_write_and_are_given_what_they_declare(case):
+    airspace = airspace_of(case)
+    simulation, state = airspace.simulation, airspace.world.state
+    programs = simulation.stage_programs()
+    require_declared(simulation.stages, programs, state)
+    written = changed_by(simulation.stages, programs, state)
+    assert {"swarm.position", "setpoint", "obstacle", "steps", "time"} <= written
+    assert ("before.position" in written) == bool(airspace.readings)
+
+
+@pytest.mark.parametrize("case", AIRSPACES)
+def test_steps_of_an_airspace_are_the_same_stage_by_stage(case):
+    one, other = airspace_of(case), airspace_of(case)
+    for _ in range(3):
+        one.step()
+        for program in other.simulation.stage_programs().values():
+            program.run()
+        assert one.state_hash() == other.state_hash()
+    assert one.readings.keys() == other.readings.keys()
+    for name, array in one.readings.items():
+        np.testing.assert_array_equal(other.readings[name], array)
+
+
+@pytest.mark.parametrize("case", AIRSPACES)
+def test_a_debugged_airspace_flies_the_same_bits(case, monkeypatch):
+    monkeypatch.setitem(AIRSPACES, "debugged", {**AIRSPACES[case], "debug": True})
+    one, other = airspace_of(case), airspace_of("debugged")
+    for _ in range(3):
+        one.step()
+        other.step()
+    assert one.state_hash() == other.state_hash()
+
+
+@pytest.mark.parametrize("every", [decision_stages, airspace_stages])
+def test_every_stage_declares_what_there_is(every):
+    of_decision = every is decision_stages
+    state = made("crossing").worlds.state if of_decision else airspace_of("rigid_body").world.state
+    parts = {"dynamics", "engine", "readings", "rng"}
+    parts |= {"energy", "account", "results", "observations"} if of_decision else set()
+    names = {name for one in state.named() for name in (one, one.partition(".")[0])}
+    stages = every()
+    assert len({stage.name for stage in stages}) == len(stages)
+    for stage in stages:
         assert {*stage.reads, *stage.writes} <= names | parts, stage.name
         assert stage.summary.endswith(".")
         assert type(stage).__module__ != Stage.__module__
@@ -133,6 +199,14 @@ def test_a_simulation_is_printed_as_its_stages():
     reads, writes = "given, alive, steps", "action, flown, flying, time"
     summary = "Refuse actions that are not finite, clip the others, and start the decision."
     assert " ".join(lines[2].split()) == f"admit {reads} {writes} {summary}"
+
+
+def test_an_airspace_is_printed_as_its_stages():
+    lines = repr(airspace_of("point_mass").simulation).splitlines()
+    assert lines[0] == "airspace in point_mass: 2 drones"
+    names = [" ".join(line.split("  ")[0].split()) for line in lines[2:]]
+    assert names == ["wind", "move and turn", "fly", "count", "sense", "show"]
+    assert lines[5].endswith("Count the step, and end the forces that were applied in it.")
 
 
 class Log(Stage):
@@ -162,10 +236,45 @@ def test_a_stage_of_ones_own_takes_its_turn():
     assert names[names.index("fly") :][:3] == ["fly", "second", "log"]
 
 
+def test_a_stage_is_inserted_before_another():
+    aviary, log = made("crossing"), Log()
+    aviary.simulation.insert(log, before="admit")
+    aviary.simulation.insert(type("Last", (Log,), {"name": "last"})(), before="fly")
+    names = [stage.name for stage in aviary.simulation.stages]
+    assert names[:2] == ["log", "admit"]
+    assert names[names.index("last") + 1] == "fly"
+    height = aviary.swarm.position[0, 0, 2]
+    act(aviary, np.random.default_rng(0))
+    aviary.decide()
+    assert log.heights == [height]
+
+
+def test_a_stage_of_ones_own_takes_its_turn_in_an_airspace():
+    airspace, log, early = airspace_of("point_mass"), Log(), Log()
+    airspace.step()
+    early.name = "early"
+    airspace.simulation.insert(log, after="fly")
+    airspace.simulation.insert(early, before="fly")
+    height = airspace.swarm.position[0, 2]
+    airspace.step()
+    assert early.heights == [height]
+    assert log.heights == [airspace.swarm.position[0, 2]]
+    with pytest.raises(ValueError, match="before is 'admit': one of wind, move and turn, early"):
+        airspace.simulation.insert(type("Third", (Log,), {"name": "third"})(), before="admit")
+
+
 def test_stages_that_cannot_be_are_refused():
     simulation = made("crossing").simulation
+    stages = simulation.stages
     with pytest.raises(ValueError, match="after is 'flight': one of admit, wind"):
         simulation.insert(Log(), after="flight")
+    with pytest.raises(ValueError, match="before is 'flight': one of admit, wind"):
+        simulation.insert(Log(), before="flight")
+    with pytest.raises(ValueError, match="after is None and before is None: exactly one of them"):
+        simulation.insert(Log())
+    with pytest.raises(ValueError, match="after is 'fly' and before is 'wind': exactly one"):
+        simulation.insert(Log(), after="fly", before="wind")
+    assert simulation.stages == stages
     simulation.insert(Log(), after="fly")
     with pytest.raises(ValueError, match="stage 'log' is there already"):
         simulation.insert(Log(), after="fly")
@@ -184,18 +293,52 @@ def test_a_profile_has_each_stage():
         aviary.profile(decisions=0)
 
 
-def test_the_state_is_declared_once():
-    aviary = made("crossing")
-    state, sizes = aviary.worlds.state, Sizes(2, 8, 3, aviary.worlds.state.setpoint.shape[-1])
-    for name, one in ARRAYS.items():
+def require_as_declared(state, sizes, saved, last):
+    """Check arrays against their declaration, and what snapshots hold of them."""
+    for name, one in state.declared().items():
         array = getattr(state, name)
         assert (array.shape, array.dtype) == (one.shape(sizes), np.dtype(one.dtype))
-    kept = {one.kept for one in ARRAYS.values()}
-    assert kept == {STATE, LAST, "derived"}
+    declared = state.declared().values()
+    assert {one.kept for one in declared} == {STATE, "derived"} | ({LAST} if last else set())
+    assert state.world_bytes() * sizes.W == sum(one.nbytes for one in state.named().values())
     # What snapshots hold is what is declared to be kept
-    saved = {**aviary.worlds.state_arrays(), **aviary.worlds.last_arrays()}
-    assert all(saved[name] is array for name, array in state.kept(STATE).items())
-    assert all(saved[name] is array for name, array in state.kept(LAST).items())
+    for kind in (STATE, LAST):
+        assert all(saved[name] is array for name, array in state.kept(kind).items())
+
+
+def test_the_state_is_declared_once():
+    worlds = made("crossing").worlds
+    assert isinstance(worlds.state, State)
+    sizes = Sizes(2, 8, 3, worlds.state.setpoint.shape[-1])
+    saved = {**worlds.state_arrays(), **worlds.last_arrays()}
+    require_as_declared(worlds.state, sizes, saved, last=True)
+    assert worlds.bounds()["steps"] == (0, 2**53)
+
+
+@pytest.mark.parametrize("task", CASES)
+def test_the_memory_that_worlds_take_follows_from_the_state(task):
+    spec = EnvSpec(task, 5, CASES[task])
+    named = made(task).worlds.state.named()
+    assert spec.state_bytes() == sum(one.nbytes for one in named.values()) // 2
+
+
+def test_memory_is_counted_before_it_is_allocated(monkeypatch):
+    taken = EnvSpec("crossing", 1, {}).state_bytes()
+    grown = {"given": State.declared()["given"]._replace(axes=f"W N A {10**12}")}
+    declared = {**State.declared(), **grown}
+    monkeypatch.setattr(State, "declared", classmethod(lambda cls: declared))
+    with pytest.raises(ValueError, match="1 worlds of 8 drones .* need about"):
+        EnvSpec("crossing", 1, {})
+    assert taken < 10**5
+
+
+def test_the_state_of_an_airspace_is_declared_once():
+    world = airspace_of("rigid_body").world
+    assert isinstance(world.state, AirspaceState)
+    sizes = Sizes(1, 2, S=4, K=1)
+    require_as_declared(world.state, sizes, world.state_arrays(), last=False)
+    assert world.bounds()["steps"] == (0, 2**53)
+    assert world.state_arrays().keys() >= {"told", "setpoint", "obstacle_turn"}
 
 
 def test_the_page_shows_the_stages():

@@ -456,10 +456,16 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
     other.close()
 
 
+def fields_of(environment):
+    """The arrays by name of which snapshots consist."""
+    is_airspace = isinstance(environment, bulletuav.Airspace)
+    return (environment.world if is_airspace else environment.worlds)._layout._fields
+
+
 def written(environment, snapshot, name, value, world=0):
     """A snapshot with another value in an array, and the checksum that belongs to it."""
     data, at = snapshot.data.copy(), 0
-    for key, array in environment._layout._fields.items():
+    for key, array in fields_of(environment).items():
         if key == name:
             size = array[0].nbytes
             row = data[world, at : at + size].view(array.dtype)
@@ -491,7 +497,7 @@ def test_values_that_no_state_has_are_refused_though_the_checksum_is_right():
     aviary.reset(seeds=0)
     aviary.step(np.full((2, 2, 3), 0.3))
     saved = aviary.save_state()
-    arrays = aviary._layout._fields
+    arrays = fields_of(aviary)
     integers = {name for name, array in arrays.items() if array.size and array.dtype.kind in "iu"}
     assert integers - BEYOND.keys() == {"bodies"}
     aviary.step(np.full((2, 2, 3), -0.3))
@@ -561,7 +567,7 @@ def test_parameters_and_contacts_are_checked_row_by_row():
     for name in ("parameters.num_rotors", "memory rows.other"):
         whole, field = name.rsplit(".", 1)
         data, at = saved.data.copy(), 0
-        for key, array in aviary._layout._fields.items():
+        for key, array in fields_of(aviary).items():
             if key == whole:
                 size = array[0].nbytes
                 data[0, at : at + size].view(array.dtype)[field] = 2**30

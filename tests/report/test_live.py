@@ -15,10 +15,10 @@ from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.cli import main
-from bulletuav.envs.connections import Limits
 from bulletuav.envs.viewer import join_address, parse_address
 from bulletuav.report import feed as feeds
 from bulletuav.report.feed import Feed, event
+from bulletuav.serving.connections import Limits
 
 FREE = "127.0.0.1:0"
 SHORT = {"num_drones": 3, "dynamics": "point_mass", "horizon": 20}

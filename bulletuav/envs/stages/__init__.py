@@ -1,6 +1,7 @@
-"""The stages of a decision, in the order in which they happen."""
+"""The stages of a decision, and of a step of an airspace, in the order in which they happen."""
 
 from bulletuav.envs.stages.admit import Admit
+from bulletuav.envs.stages.airspace import CountStep, FlyCommands, MeasureAll, MoveAndTurn, ShowLive
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.stages.energy import DrainBatteries
 from bulletuav.envs.stages.fly import Fly
@@ -17,7 +18,7 @@ from bulletuav.envs.stages.separate import Separate
 from bulletuav.envs.stages.setpoints import MakeSetpoints
 from bulletuav.envs.stages.wind import SampleWind
 
-__all__ = ["Stage", "decision_stages"]
+__all__ = ["Stage", "airspace_stages", "decision_stages"]
 
 
 def decision_stages() -> tuple[Stage, ...]:
@@ -39,3 +40,8 @@ def decision_stages() -> tuple[Stage, ...]:
         Reward(),
         Report(),
     )
+
+
+def airspace_stages() -> tuple[Stage, ...]:
+    """Make the stages of a step of an airspace."""
+    return (SampleWind(), MoveAndTurn(), FlyCommands(), CountStep(), MeasureAll(), ShowLive())

@@ -1,11 +1,11 @@
-"""What a stage of a decision is."""
+"""What a stage of a decision is, and lists of stages."""
 
 import inspect
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 from bulletuav.compiled.program import Program
-from bulletuav.envs.worlds import Worlds
 
 
 class Stage(ABC):
@@ -23,15 +23,67 @@ class Stage(ABC):
     writes: ClassVar[tuple[str, ...]]
 
     @abstractmethod
-    def add_to(self, program: Program, worlds: Worlds) -> None:
+    def add_to(self, program: Program, worlds: Any) -> None:
         """Add the calls of the stage to a program.
 
         Args:
             program: Compiled calls, and calls of Python, in their order.
-            worlds: What they work on; arrays are written in place.
+            worlds: What they work on: `Worlds`, or the `AirspaceWorld` of an airspace. Arrays are
+                written in place.
         """
 
     @property
     def summary(self) -> str:
         """First line of the class's docstring."""
         return inspect.cleandoc(type(self).__doc__ or "").partition("\n")[0]
+
+
+def inserted(
+    stages: Sequence[Stage], stage: Stage, after: str | None, before: str | None
+) -> tuple[Stage, ...]:
+    """Return stages with one more.
+
+    Args:
+        stages: The stages.
+        stage: The new one.
+        after: Name of the stage that it follows; or
+        before: name of the stage that it precedes.
+
+    Raises:
+        ValueError: None or both of these are given, there is no such stage, or the new stage has a
+            name that is taken.
+    """
+    names = [one.name for one in stages]
+    if stage.name in names:
+        raise ValueError(f"stage {stage.name!r} is there already: choose another name")
+    if (after is None) == (before is None):
+        raise ValueError(
+            f"after is {after!r} and before is {before!r}: exactly one of them is needed, the name "
+            f"of the stage that {stage.name!r} follows or precedes"
+        )
+    side, name = ("after", after) if before is None else ("before", before)
+    if name not in names:
+        raise ValueError(f"{side} is {name!r}: one of {', '.join(names)} is needed")
+    place = names.index(name) + (side == "after")
+    return (*stages[:place], stage, *stages[place:])
+
+
+def table(stages: Sequence[Stage]) -> str:
+    """Write stages with what each reads and writes, and what it does, a line each."""
+    heads = ("stage", "reads", "writes")
+    rows = [(one.name, ", ".join(one.reads), ", ".join(one.writes)) for one in stages]
+    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+    texts = ["what it does", *(one.summary for one in stages)]
+    return "\n".join(
+        "  ".join([*map(str.ljust, row, widths), text])
+        for row, text in zip([heads, *rows], texts, strict=True)
+    )
+
+
+def programs_of(stages: Sequence[Stage], worlds: Any) -> dict[str, Program]:
+    """Make a program of each stage alone, by its name."""
+    programs = {stage.name: Program() for stage in stages}
+    for stage in stages:
+        stage.add_to(programs[stage.name], worlds)
+        programs[stage.name].compile()
+    return programs

@@ -1,6 +1,7 @@
 """The air at each drone."""
 
 from bulletuav.compiled.program import Program
+from bulletuav.envs.airspace_world import AirspaceWorld
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
 
@@ -12,7 +13,7 @@ class SampleWind(Stage):
     reads = ("swarm.position", "time")
     writes = ("wind",)
 
-    def add_to(self, program: Program, worlds: Worlds) -> None:
+    def add_to(self, program: Program, worlds: Worlds | AirspaceWorld) -> None:
         """Add the calls; see `Stage`."""
         state = worlds.state
         worlds.wind.add_to(program, state.swarm.position, state.time, state.wind)

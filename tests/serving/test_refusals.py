@@ -4,8 +4,8 @@ import logging
 
 import pytest
 
-from bulletuav.envs import refusals as module
-from bulletuav.envs.refusals import (
+from bulletuav.serving import refusals as module
+from bulletuav.serving.refusals import (
     MAX_KINDS,
     MAX_LINES,
     MAX_TEXT,

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from waiting import PATIENCE
 
-from bulletuav.envs.connections import ACCEPT_RETRY, Connections, FullError, Limits
-from bulletuav.envs.refusals import Refusals
-from bulletuav.envs.streams import StreamServer
+from bulletuav.serving.connections import ACCEPT_RETRY, Connections, FullError, Limits
+from bulletuav.serving.refusals import Refusals
+from bulletuav.serving.streams import StreamServer
 
 
 class Clock:

@@ -7,7 +7,8 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from bulletuav.envs.connections import (
+from bulletuav.envs.viewer import join_address
+from bulletuav.serving.connections import (
     EXHAUSTED,
     SPARED,
     Clock,
@@ -16,8 +17,7 @@ from bulletuav.envs.connections import (
     Limits,
     cannot_accept,
 )
-from bulletuav.envs.refusals import Refusals
-from bulletuav.envs.viewer import join_address
+from bulletuav.serving.refusals import Refusals
 
 SWEEP_PERIOD = 0.25
 """Time between two looks for connections that are overdue or stalled, s"""

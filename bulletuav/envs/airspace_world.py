@@ -1,0 +1,223 @@
+"""What an airspace is made of: one world of N drones without a task."""
+
+from typing import Any
+
+import numpy as np
+
+from bulletuav.compiled.kernel import kernel
+from bulletuav.contact.contacts import overlaps, see
+from bulletuav.contact.touch import TOUCH
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.engine.parking import PARKING_HEIGHT
+from bulletuav.envs.airspace_inputs import UPRIGHT, YAW
+from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.parts import Parts, sensor_setup
+from bulletuav.envs.snapshot import Bounds, contact_bounds, state_bounds
+from bulletuav.envs.state import STATE, AirspaceState, Sizes, with_prefix
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.rotation import from_euler, heading, quat4
+from bulletuav.geometry.scenery import Scenery
+from bulletuav.geometry.solids import Solids
+from bulletuav.sensors.base import Moment, Sensor
+from bulletuav.vehicle.swarm import CITY, GROUND, Swarm
+
+ALL = np.ones(1, dtype=bool)
+"""Mask (1,) of the only world"""
+
+
+class AirspaceWorld(Parts):
+    """Parts and state of an airspace.
+
+    Attributes:
+        state: All arrays.
+        readings: What sensors measured last, arrays (N, ...) by name; new ones each step.
+        rng: The random generator, in a list as sensors take it.
+    """
+
+    def __init__(
+        self,
+        options: EnvOptions,
+        obstacles: tuple[Obstacle, ...],
+        layouts: tuple[Solids, ...],
+        sensors: dict[str, Sensor],
+    ) -> None:
+        """Make all parts, and put up what stands; obstacles wait deep below.
+
+        Args:
+            options: Common options.
+            obstacles: The K obstacles.
+            layouts: The city that stands, if any.
+            sensors: Those that all drones carry, by name.
+        """
+        wanted = frozenset(name for one in sensors.values() for name in one.gives)
+        super().__init__(options, obstacles, layouts, sensors, sensor_setup(options, 1, wanted))
+        consumes = self.dynamics.consumes
+        options.check_setpoint_levels(consumes, consumes)
+        # Setpoints have a yaw, or a number for each rotor
+        rotors, drones = self.hover_speed.shape[1], options.num_drones
+        sizes = Sizes(1, drones, S=max(YAW + 1, rotors), K=len(obstacles), R=rotors)
+        self.state = state = AirspaceState.make(sizes)
+        state.levels[:] = int(consumes)
+        state.alive[:] = True
+        state.obstacle[..., 2] = -PARKING_HEIGHT
+        state.obstacle_turn[:] = UPRIGHT
+        self.readings = {}
+        self.rng = [np.random.default_rng(options.seed)]
+        if layouts:
+            self.engine.set_layouts(np.zeros(1, dtype=int), ALL)
+        self.set_obstacles()
+        self.dynamics.look_around()
+
+    def set_obstacles(self) -> None:
+        """Place the engine's obstacles where the state has them."""
+        self.engine.set_obstacles(self.state.obstacle, self.state.obstacle_turn, ALL)
+
+    def place_obstacle(
+        self, k: int, position: np.ndarray, quaternion: np.ndarray, velocity: np.ndarray
+    ) -> None:
+        """Put an obstacle somewhere.
+
+        Raises:
+            ValueError: It would overlap a drone; nothing has changed.
+        """
+        state, scenery = self.state, self.engine.scenery
+        trial = scenery._replace(place=scenery.place.copy(), quaternion=scenery.quaternion.copy())
+        trial.place[0, k], trial.quaternion[0, k] = position, quaternion
+        self.require_free(state.swarm, state.alive, trial)
+        state.obstacle_velocity[0, k] = velocity
+        state.obstacle[0, k], state.obstacle_turn[0, k] = position, quaternion
+        self.set_obstacles()
+        # Contacts look again at what is near
+        see(self.dynamics.contact, scenery)
+
+    def max_rotor_speed(self, rows: Any) -> np.ndarray:
+        """Return the highest speeds (M, R) of the rotors of drones, rad/s; 0 of absent ones."""
+        fastest = np.expand_dims(self.parameters["max_rotor_speed"][0, rows], -1)
+        count = np.expand_dims(self.parameters["num_rotors"][0, rows], -1)
+        return np.where(np.arange(self.hover_speed.shape[1]) < count, fastest, 0.0)
+
+    def place(self, rows: Any, given: tuple[np.ndarray, ...]) -> None:
+        """Put drones somewhere.
+
+        Args:
+            rows: Which, as an index of N.
+            given: Their states, in the order of `Swarm`.
+
+        Raises:
+            ValueError: They would overlap each other or what stands; nothing has changed.
+        """
+        swarm, before, dynamics = self.state.swarm, self.state.before, self.dynamics
+        after = swarm.copy()
+        for array, numbers in zip(after, given, strict=True):
+            array[0, rows] = numbers
+        if dynamics.consumes < SetpointLevel.ROTOR:
+            after.rotor_speed[0] = self.hover_speed
+        moved = np.zeros_like(self.state.alive)
+        moved[0, rows] = True
+        self.require_free(after, moved, self.engine.scenery)
+        for array, numbers in zip(swarm, after, strict=True):
+            array[:] = numbers
+        self.cascade.memory[moved] = 0.0
+        dynamics.force[moved] = dynamics.torque[moved] = 0.0
+        dynamics.place(swarm, moved)
+        # Drones that the dynamics made level keep their headings
+        level = np.argwhere(moved & (swarm.quaternion != after.quaternion).any(axis=-1))
+        yaw = yaws(after.quaternion)
+        for w, i in level.tolist():
+            swarm.quaternion[w, i] = from_euler(0.0, 0.0, yaw[w, i])
+        for array, numbers in zip(before, swarm, strict=True):
+            array[moved] = numbers[moved]
+
+    def require_free(self, after: Swarm, moved: np.ndarray, scenery: Scenery) -> None:
+        """Raise ValueError if drones of `moved` (1, N) would overlap something."""
+        contact = self.dynamics.contact._replace(scenery=scenery)
+        kept = [array.copy() for array in contact.touches]
+        found = overlaps(contact, after, moved, self.state.alive, self.parameters)
+        for array, before in zip(contact.touches, kept, strict=True):
+            array[:] = before
+        deep = np.flatnonzero(found.depth > TOUCH)
+        if len(deep):
+            row = deep[found.depth[deep].argmax()]
+            i, other = int(found.drone[row]), int(found.other[row])
+            names = {GROUND: "the ground", CITY: "a building"}
+            what = f"drone {other}" if other >= 0 else names.get(other, "a body")
+            height = self.options.airframe[i].standing_height
+            raise ValueError(
+                f"drone {i} at {after.position[0, i]} m would overlap {what} by "
+                f"{found.depth[row]:.3g} m: choose another place (on the ground it stands at "
+                f"standing_height = {height:.4g} m)"
+            )
+
+    def hold_heading(self, rows: Any) -> None:
+        """Set the yaw setpoint of drones that hold none to their present yaw."""
+        state = self.state
+        holds = state.commanded[0, rows] & (state.levels[0, rows] <= SetpointLevel.ACCELERATION)
+        free = np.flatnonzero(~holds)
+        if len(free):
+            drones = np.atleast_1d(np.arange(state.levels.shape[1])[rows])[free]
+            state.setpoint[0, drones, YAW] = yaws(state.swarm.quaternion)[0, drones]
+
+    def measure(self) -> None:
+        """Measure with all sensors, and keep the state for the next rates of change."""
+        if not self.sensors.sensors:
+            return
+        state = self.state
+        targets = np.zeros((1, 0, 3))
+        moment = Moment(state.before, state.swarm, targets, state.alive, state.steps, self.rng, {})
+        for name, reading in self.sensors.measure(moment, self.show).items():
+            self.readings[name] = reading[0].copy()
+        for array, numbers in zip(state.before, state.swarm, strict=True):
+            array[:] = numbers
+
+    def show_live(self) -> None:
+        """Update the live window."""
+        swarm, alive = self.state.swarm, self.state.alive
+        self.show(swarm, alive)
+        self.renderer.show(swarm, alive, 1 / self.options.decision_hz)
+
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the state; see `Parts.state_arrays`."""
+        return {
+            **self.state.swarm._asdict(),
+            # What was drawn at the start belongs to the state: it is not drawn again
+            **with_prefix("drawn", self.uncertainty.drawn),
+            **self.state.kept(STATE),
+            "force": self.dynamics.force,
+            "torque": self.dynamics.torque,
+            "parameters": self.parameters,
+            "controller": self.cascade.memory,
+        }
+
+    def last_arrays(self) -> dict[str, np.ndarray]:
+        """Return what else the future follows from; see `Parts.last_arrays`."""
+        parts = (self.wind, self.sensors, self.dynamics)
+        return {
+            **with_prefix("before", self.state.before._asdict()),
+            **{f"reading {name}": array[None] for name, array in self.readings.items()},
+            **{name: array for part in parts for name, array in part.kept().items()},
+        }
+
+    def bounds(self) -> Bounds:
+        """Return the bounds of arrays that a snapshot may write, by name."""
+        return {
+            **state_bounds(self.state.swarm),
+            **self.state.bounds(),
+            "levels": (0, int(self.dynamics.consumes)),
+            **self.sensors.kept_bounds(),
+            **contact_bounds(self.engine.scenery),
+        }
+
+
+def yaws(quaternion: np.ndarray) -> np.ndarray:
+    """Return the yaws (W, N) of attitudes (W, N, 4), rad."""
+    yaw = np.zeros(quaternion.shape[:2])
+    headings(quaternion, yaw)
+    return yaw
+
+
+@kernel
+def headings(quaternion: np.ndarray, yaw: np.ndarray) -> None:
+    """Write the yaws (W, N) of attitudes (W, N, 4), rad."""
+    for w in range(yaw.shape[0]):
+        for i in range(yaw.shape[1]):
+            yaw[w, i] = heading(quat4(quaternion, w, i))

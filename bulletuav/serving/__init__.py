@@ -1,0 +1,1 @@
+"""Servers: the policy of their connections, and the log of what they refuse."""
