@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.compiled.program import Program
-from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.control.setpoint import SetpointLevel, Setpoints
 from bulletuav.envs.airspace_inputs import (
     YAW,
     Angle,
@@ -246,8 +246,8 @@ class Airspace(AirspaceParts):
         turning = (self._swarm.quaternion, self._setpoint, self._yaw_rate)
         program.call(prepare, *turning, self.period, *obstacles)
         # The flight, and where obstacles are after it
-        given = (self._levels, self._setpoint, self._air)
-        self._dynamics.add_to(program, self._swarm, self._alive, *given)
+        given = Setpoints(self._levels, self._setpoint)
+        self._dynamics.add_to(program, self._swarm, self._alive, given, self._air)
         add_obstacles(program, self._engine, self._obstacle)
         # Forces that were applied act in one step
         pushes = (self._dynamics.force, self._dynamics.torque)

@@ -37,7 +37,7 @@ from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import Picture, Shot, projection_matrix, view_matrix
 from bulletuav.sensors.base import Moment
 from bulletuav.sensors.suite import SensorSuite
-from bulletuav.vehicle.swarm import CITY, GROUND, Swarm
+from bulletuav.vehicle.swarm import CITY, GROUND, DroneArrays, Swarm
 from bulletuav.vehicle.wind import Wind
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -204,7 +204,8 @@ class AirspaceParts(Environment):
         """Raise ValueError if drones of `moved` (1, N) would overlap something."""
         contact = self._dynamics.contact._replace(scenery=scenery)
         told = [array.copy() for array in contact.touches]
-        found = overlaps(contact, after, moved, self._alive, self._dynamics.flight.parameters)
+        drones = DroneArrays(after, self._alive, self._dynamics.flight.parameters)
+        found = overlaps(contact, drones, moved)
         for array, before in zip(contact.touches, told, strict=True):
             array[:] = before
         deep = np.flatnonzero(found.depth > TOUCH)
