@@ -101,11 +101,11 @@ def downwash(horizontal_squared: float, drop: float, row: ParameterRow) -> float
 
 
 @kernel
-def sum_wakes(drones, first: int, last: int, listed: bool, leeway: float, wakes):
+def sum_wakes(swarm, alive, parameters, first: int, last: int, listed: bool, leeway: float, wakes):
     """Sum the downwash of all living drones of some worlds on each of them."""
-    position, felt = drones.swarm.position, wakes.felt
+    position, felt = swarm.position, wakes.felt
     for w in range(first, last):
-        _sum_wakes(w, position, drones.alive, drones.parameters, felt[w - first])
+        _sum_wakes(w, position, alive, parameters, felt[w - first])
 
 
 @func

@@ -345,18 +345,17 @@ def command_rotors(
         command: (R,) speed of each rotor, rad/s, which is written.
     """
     # What the controller believes: nominal parameters, not those that fly
-    controller, all_nominal, all_gains, memory, integral = cascade
-    nominal = all_nominal[w, i]
-    gain = all_gains[w, i]
+    nominal, gain, memory = cascade.nominal[w, i], cascade.gains[w, i], cascade.memory
     level, setpoint = setpoints.level[w, i], setpoints.value
     state = get(swarm, w, i)
     if level == SetpointLevel.ROTOR:
         # The setpoint is the command, within what rotors can do.
         for r in range(nominal.num_rotors):
             command[r] = min(max(setpoint[w, i, r], 0.0), nominal.max_rotor_speed)
-    elif controller == PID:
+    elif cascade.controller == PID:
         target = quat4(setpoint, w, i)
         step_pid(level, target, state, memory, w, i, dt, gravity, nominal, gain, command)
     else:
         target, speeds, past = quat4(setpoint, w, i), swarm.rotor_speed[w, i], memory[w, i]
-        step_lee(level, target, state, speeds, past, integral, dt, gravity, nominal, gain, command)
+        learns = cascade.integral
+        step_lee(level, target, state, speeds, past, learns, dt, gravity, nominal, gain, command)

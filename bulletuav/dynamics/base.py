@@ -259,7 +259,7 @@ class Dynamics(ABC):
         program = Program()
         levels = np.array(np.broadcast_to(levels, alive.shape), dtype=np.int64)
         self.add_to(program, swarm, alive, Setpoints(levels, setpoint), wind)
-        program.interpret()
+        program.run()
         return self.touched()
 
     def look_around(self) -> bool:

@@ -13,7 +13,7 @@ they are Bullet's own, for comparison: fast drones pass through thin things ther
 
 import numpy as np
 
-from bulletuav.compiled.kernel import allocating, borrowed, in_memory, kernel
+from bulletuav.compiled.kernel import allocating, in_memory, kernel
 from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import meet_all, place_obstacles, remember_all
 from bulletuav.contact.rest import Contact, bears, wake
@@ -36,7 +36,8 @@ def choose_flying(drones: DroneArrays, contact: Contact, dt: float, scratch: Scr
         dt: Length of the substep, s.
         scratch: Wrenches of the drones; `flying` is written.
     """
-    alive, (force, torque), flying = drones.alive, scratch.wrenches, scratch.flying
+    alive, flying = drones.alive, scratch.flying
+    force, torque = scratch.wrenches.force, scratch.wrenches.torque
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             # Whom a contact stopped stays for the rest of the decision
@@ -78,8 +79,8 @@ def advance(
         port: Session of the extension, and the arrays of the worlds.
         near_ground: Whether the ground effect wants the surface below.
     """
-    port, decision, scratch = borrowed((port, decision, scratch))
-    contact = in_memory(contact)
+    decision, contact = in_memory(decision), in_memory(contact)
+    scratch, port = in_memory(scratch), in_memory(port)
     drones, step, driven = decision.drones, decision.step, scratch.driven
     swarm = drones.swarm
     _choose_driven(drones.alive, contact, driven)

@@ -4,14 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.compiled.kernel import borrowed, func, in_memory, kernel
+from bulletuav.compiled.kernel import func, in_memory, kernel
 from bulletuav.control.cascade import command_rotors
 from bulletuav.dynamics.base import Decision, surroundings
 from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
 from bulletuav.vehicle.aerodynamics import lifted_rotors
 from bulletuav.vehicle.airframe import MAX_ROTORS
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
-from bulletuav.vehicle.swarm import DroneArrays
 from bulletuav.vehicle.wakes import Wakes, sum_wakes
 from bulletuav.vehicle.wrench import SMALL_TURN, Wrenches, rate_slopes, spin_parts, wrench
 
@@ -98,14 +97,13 @@ def drive(decision: Decision, scratch: Scratch) -> None:
         decision: The drones before the substep, whose rotor speeds are advanced, and the rest.
         scratch: Of `driven` drones, the wrenches are written.
     """
-    drones, setpoints, cascade, air, step = borrowed(decision)
-    wrenches, room, wakes, alive, _ = borrowed(scratch)
-    swarm, parameters, dt = drones.swarm, drones.parameters, step.dt
-    wakes = in_memory(wakes)
-    command, speed = room[0], room[1]
+    decision, scratch = in_memory(decision), in_memory(scratch)
+    swarm, parameters, air = decision.drones.swarm, decision.drones.parameters, decision.air
+    setpoints, cascade, dt = decision.setpoints, decision.cascade, decision.step.dt
+    wrenches, wakes, alive = scratch.wrenches, scratch.wakes, scratch.driven
+    command, speed = scratch.rotors[0], scratch.rotors[1]
     # Downwash of all on all
-    driven = in_memory(DroneArrays(swarm, alive, parameters))
-    sum_wakes(driven, 0, alive.shape[0], False, 0.0, wakes)
+    sum_wakes(swarm, alive, parameters, 0, alive.shape[0], False, 0.0, wakes)
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             if alive[w, i]:

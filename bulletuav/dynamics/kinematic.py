@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.compiled.functions import exp
-from bulletuav.compiled.kernel import allocating, borrowed, func, in_memory, kernel
+from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
 from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import meet, remember
 from bulletuav.contact.rest import Contact
@@ -234,9 +234,10 @@ def advance(decision: Decision, contact: Contact, kind: int) -> None:
         contact: What contacts need.
         kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR.
     """
-    drones, setpoints, cascade, air, step = borrowed(decision)
-    contact = in_memory(contact)
-    swarm, alive, parameters = drones
+    decision, contact = in_memory(decision), in_memory(contact)
+    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
+    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
+    air, step = decision.air, decision.step
     accelerates = kind == DOUBLE_INTEGRATOR
     constants = np.empty((alive.shape[1], 3))
     for w in range(alive.shape[0]):
@@ -245,6 +246,7 @@ def advance(decision: Decision, contact: Contact, kind: int) -> None:
             constants[i] = _constants(swarm, w, i, parameters[w, i], gain, air.gravity)
         pieces = _pieces(kind, setpoints.level, w, step.substeps)
         dt = step.dt * (step.substeps // pieces)
+        straight = in_memory(TimeStep(pieces, dt))
         for piece in range(pieces):
             remember(contact, swarm, w)
             for i in range(alive.shape[1]):
@@ -267,7 +269,7 @@ def advance(decision: Decision, contact: Contact, kind: int) -> None:
                 )
                 position = plus(position, 1.0, moved)
                 put(swarm, w, i, (position, quaternion, velocity, rates))
-            meet(contact, drones, w, piece, TimeStep(pieces, dt))
+            meet(contact, drones, w, piece, straight)
 
 
 @kernel

@@ -6,7 +6,7 @@ surface below is sampled once a decision. Over level ground that is exact; past 
 effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 """
 
-from bulletuav.compiled.kernel import borrowed, func, in_memory, kernel
+from bulletuav.compiled.kernel import func, in_memory, kernel
 from bulletuav.compiled.lanes import WIDTH
 from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import meet, remember
@@ -92,13 +92,10 @@ def advance(decision: Decision, contact: Contact, blocks: Blocks) -> None:
         contact: What contacts need.
         blocks: Room for a group of worlds.
     """
-    decision = borrowed(decision)
-    drones, setpoints, cascade, air, step = decision
-    contact = in_memory(contact)
-    blocks = in_memory(blocks)
-    shared_air = in_memory(air)
-    shared_drones = in_memory(drones)
-    swarm, alive, parameters = drones
+    decision, contact, blocks = in_memory(decision), in_memory(contact), in_memory(blocks)
+    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
+    air, step = decision.air, decision.step
+    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
     dt = step.dt
     num_drones = alive.shape[1]
     # Worlds by groups, whose drones share blocks
@@ -110,13 +107,13 @@ def advance(decision: Decision, contact: Contact, blocks: Blocks) -> None:
         for w in range(first, last):
             lag_stages(parameters, w, dt, blocks.decay[w - first])
         if alive.size >= FEWEST:
-            pack(blocks, shared_air, first * num_drones)
+            pack(blocks, air, first * num_drones)
             pack_steering(blocks.steering, setpoints, first * num_drones)
         for substep in range(step.substeps):
             _mark(drones, contact, blocks, first, last, dt)
             # Wakes and commands of all drones come from the state before any of them moves
             if num_drones > 1:
-                sum_wakes(shared_drones, first, last, substep > 0, leeway, blocks.wakes)
+                sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
             for w in range(first, last):
                 remember(contact, swarm, w)
                 for i in range(num_drones):

@@ -9,7 +9,7 @@ from bulletuav.dynamics.base import Air, surroundings
 from bulletuav.dynamics.integration import lag_stages, rk4, turn_rotors
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, point, product
 from bulletuav.vehicle.rotors import lag_decay, lagged
-from bulletuav.vehicle.swarm import DroneArrays, Swarm, get, put
+from bulletuav.vehicle.swarm import Swarm, get, put
 from bulletuav.vehicle.wakes import Wakes, sum_wakes
 
 STATE = 13
@@ -136,7 +136,7 @@ def roll_out(
         air.torque[0, 0, k] = twist[k]
     for i in range(num_drones):
         swarm.quaternion[0, i, 3] = 1.0
-    drones = DroneArrays(swarm, np.ones((1, num_drones), dtype=np.bool_), parameters)
+    alive = np.ones((1, num_drones), dtype=np.bool_)
     wanted = np.zeros((num_drones, num_rotors))
     decay = np.empty((num_drones, 6))
     speeds = (np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors))
@@ -158,7 +158,7 @@ def roll_out(
             if num_drones > 1:
                 for k in range(3):
                     swarm.position[0, 1, k] = track.other[now, k]
-                sum_wakes(in_memory(drones), 0, 1, False, 0.0, in_memory(wakes))
+                sum_wakes(in_memory(swarm), alive, parameters, 0, 1, False, 0.0, in_memory(wakes))
             for r in range(num_rotors):
                 wanted[0, r] = command[now, r]
             rotors = turn_rotors(swarm.rotor_speed[0, 0], wanted[0], 1.0, decay[0], row, speeds)

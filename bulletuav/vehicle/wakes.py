@@ -90,7 +90,12 @@ def _widest_squared(drop: float, row: ParameterRow) -> float:
 
 
 @func
-def _has_company(position: np.ndarray, w: int, i: int, edge: float) -> bool:
+def _has_company(
+    position: np.ndarray,
+    w: int,
+    i: int,
+    edge: float,
+) -> bool:
     """Tell whether a drone of higher index is within a squared horizontal distance of drone i."""
     # A sum without branches, which compiles to several pairs at once
     far = 0
@@ -237,19 +242,27 @@ def _blow(
 @deferred(types.none)
 @kernel
 def sum_wakes(
-    drones: Any, first: int, last: int, is_listed: bool, leeway: float, wakes: Any
+    swarm: Any,
+    alive: np.ndarray,
+    parameters: np.ndarray,
+    first: int,
+    last: int,
+    is_listed: bool,
+    leeway: float,
+    wakes: Any,
 ) -> None:
     """Sum the wakes of all living drones of some worlds on each of them.
 
     Args:
-        drones: `DroneArrays`.
+        swarm: `Swarm`, state of all drones.
+        alive: (W, N) bool.
+        parameters: (W, N) rows of `parameters.PARAMETERS`.
         first: Index of the group's first world.
         last: That after its last one.
         is_listed: Whether the pairs were listed with `LEEWAY` before, with the same drones alive.
         leeway: `LEEWAY` for a list that is used again, 0 for one that is not.
         wakes: `Wakes` of the group; `felt` is filled.
     """
-    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
     position = swarm.position
     if not is_listed or _has_moved(position, wakes.place, first, last):
         wakes.listed[0] = 0

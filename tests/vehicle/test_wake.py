@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from bulletuav import available_airframes, load_airframe
 from bulletuav.compiled.lanes import WIDTH
 from bulletuav.vehicle.parameters import parameter_rows
-from bulletuav.vehicle.swarm import DroneArrays, Swarm
+from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wake import downwash
 from bulletuav.vehicle.wakes import LEEWAY, Wakes, sum_wakes
 
@@ -32,7 +32,7 @@ def swarm_of(airframes, position):
 def wakes_of(swarm, alive, parameters):
     wakes = Wakes.of(*alive.shape)
     wakes.felt[:] = np.nan
-    sum_wakes(DroneArrays(swarm, alive, parameters), 0, 1, False, 0.0, wakes)
+    sum_wakes(swarm, alive, parameters, 0, 1, False, 0.0, wakes)
     return wakes.felt[0]
 
 
@@ -141,21 +141,20 @@ def test_a_list_of_pairs_holds_until_a_drone_moves_too_far(shape, way):
     swarm.quaternion[:] = rng.normal(size=swarm.quaternion.shape)
     parameters = np.array([parameter_rows(airframes)] * shape[0])
     alive = rng.random(shape) < 0.8
-    drones = DroneArrays(swarm, alive, parameters)
     listed, felt = Wakes.of(*shape), 0
     for drawn in range(20):
         # Many are near the edge of wakes, where the leeway matters
         swarm.position[:] = rng.uniform(0, 1, (*shape, 3)) * (3 + drawn / 4, 3, 1 + drawn)
-        sum_wakes(drones, 0, shape[0], False, LEEWAY, listed)
+        sum_wakes(swarm, alive, parameters, 0, shape[0], False, LEEWAY, listed)
         pairs = listed.pairs[: listed.listed[0]].copy()
         step = {"a little": 0.3, "as far as the leeway": 1.0, "far": 3.0, "somewhere": 30.0}[way]
         sides = rng.choice([-1.0, 1.0], swarm.position.shape)
         swarm.position[:] += LEEWAY * (1 - 1e-12) * step * sides
-        sum_wakes(drones, 0, shape[0], True, LEEWAY, listed)
+        sum_wakes(swarm, alive, parameters, 0, shape[0], True, LEEWAY, listed)
         kept = np.array_equal(listed.pairs[: listed.listed[0]], pairs)
         assert kept or step > 1.0
         anew = Wakes.of(*shape)
-        sum_wakes(drones, 0, shape[0], False, 0.0, anew)
+        sum_wakes(swarm, alive, parameters, 0, shape[0], False, 0.0, anew)
         np.testing.assert_array_equal(listed.felt, anew.felt)
         felt += np.count_nonzero(anew.felt[..., 0])
         assert listed.listed[0] >= anew.listed[0]
@@ -172,7 +171,7 @@ def test_worlds_of_a_group_do_not_feel_each_other():
     swarm.position[:] = rng.uniform(0, 1, (4, 9, 3))
     parameters, alive = np.array([parameter_rows(airframes)] * 4), np.ones((4, 9), dtype=bool)
     group = Wakes.of(3, 9)
-    sum_wakes(DroneArrays(swarm, alive, parameters), 1, 4, False, 0.0, group)
+    sum_wakes(swarm, alive, parameters, 1, 4, False, 0.0, group)
     assert group.listed[0] > 5 * WIDTH
     for w in range(1, 4):
         alone = Swarm(*(array[w : w + 1] for array in swarm))
@@ -194,7 +193,6 @@ def test_airframes_without_a_wake_are_not_listed():
     swarm = swarm_of([cf2x] * 2, [(0, 0, 1), (0, 0, 1.4)])
     parameters = parameter_rows([cf2x] * 2, ())[None]
     wakes = Wakes.of(1, 2)
-    drones = DroneArrays(swarm, all_alive(2), parameters)
-    sum_wakes(drones, 0, 1, False, LEEWAY, wakes)
+    sum_wakes(swarm, all_alive(2), parameters, 0, 1, False, LEEWAY, wakes)
     assert wakes.listed[0] == 0
     assert (wakes.felt == 0).all()
