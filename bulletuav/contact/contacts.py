@@ -22,13 +22,20 @@ from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, DroneArrays, Swarm, 
 def remember(contact: Contact, swarm: Swarm, w: int) -> None:
     """Keep the state of a world at the beginning of a substep."""
     start = contact.start
-    for i in range(start.position.shape[1]):
+    # Where arrays are is read once, as what is written could be that for all the compiler knows
+    position, quaternion, velocity, rates = (
+        (start.position, swarm.position),
+        (start.quaternion, swarm.quaternion),
+        (start.velocity, swarm.velocity),
+        (start.rates, swarm.rates),
+    )
+    for i in range(position[0].shape[1]):
         for k in range(3):
-            start.position[w, i, k] = swarm.position[w, i, k]
-            start.velocity[w, i, k] = swarm.velocity[w, i, k]
-            start.rates[w, i, k] = swarm.rates[w, i, k]
+            position[0][w, i, k] = position[1][w, i, k]
+            velocity[0][w, i, k] = velocity[1][w, i, k]
+            rates[0][w, i, k] = rates[1][w, i, k]
         for k in range(4):
-            start.quaternion[w, i, k] = swarm.quaternion[w, i, k]
+            quaternion[0][w, i, k] = quaternion[1][w, i, k]
 
 
 @func

@@ -67,15 +67,18 @@ def _mark(
     drones: DroneArrays, contact: Contact, blocks: Blocks, first: int, last: int, dt: float
 ) -> None:
     """Mark the drones of a group of worlds, from `first` to before `last`, that fly in blocks."""
-    alive = drones.alive
+    # Where arrays are is read once: what is written could be that for all the compiler knows
+    alive, spin = drones.alive, drones.swarm.rates
+    stopped, asleep = contact.stopped, contact.asleep
+    together, alike = blocks.together, blocks.alike
     drone = 0
     for w in range(first, last):
         for i in range(alive.shape[1]):
-            rates = vec3(drones.swarm.rates, w, i)
-            still = contact.stopped[w, i] | contact.asleep[w, i]
+            rates = vec3(spin, w, i)
+            still = stopped[w, i] | asleep[w, i]
             calm = dot(rates, rates) * dt * dt < CALM * CALM
             # Without branches, which would take longer
-            blocks.together[drone] = alive[w, i] & calm & (not still) & blocks.alike[drone // WIDTH]
+            together[drone] = alive[w, i] & calm & (not still) & alike[drone // WIDTH]
             drone += 1
     for k in range(drone, blocks.together.shape[0]):
         blocks.together[k] = False
