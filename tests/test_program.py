@@ -48,6 +48,34 @@ def mix(nested, strided, flags, single, whole, positive, vector, out):
         out[i] = total if flags[i] and positive else -total
 
 
+class Switches(NamedTuple):
+    first: bool
+    count: int
+    second: bool
+    third: bool
+    pair: Pair
+
+
+class Deep(NamedTuple):
+    before: bool
+    switches: Switches
+    scale: float
+    after: bool
+    last: np.ndarray
+
+
+@kernel
+def read_deep(deep, out):
+    switches = deep.switches
+    given = (deep.before, switches.first, switches.second, switches.third, deep.after)
+    for k in range(5):
+        out[k] = given[k]
+    out[5] = switches.count
+    out[6] = deep.scale
+    out[7] = switches.pair.one[1] + switches.pair.two[2, 1]
+    out[8] = deep.last.size + deep.last[1, 2]
+
+
 @allocating
 def by_sum(array, out):
     room = np.empty(array.shape[0])
@@ -255,6 +283,34 @@ def sum_up(pair, weights, out):
     for w in range(out.shape[0]):
         for i in range(out.shape[1]):
             out[w, i] += weights[i] * pair.one[w, i] + pair.two[w, 0]
+
+
+@pytest.mark.parametrize("bits", range(0, 32, 3))
+def test_records_of_records_are_in_memory_as_compiled_code_reads_them(bits):
+    """Flags beside each other, and before larger numbers: padding counts."""
+    flags = [bool(bits >> k & 1) for k in range(5)]
+    table = np.arange(24.0).reshape(4, 6)
+    pair = Pair(table[0], table[:, ::2])
+    deep = Deep(flags[0], Switches(flags[1], -7, *flags[2:4], pair), 0.25, flags[4], table[1:, 1:])
+    out, program = np.zeros(9), Program()
+    program.call(read_deep, deep, out)
+    program.run()
+    assert out.tolist() == [*flags, -7, 0.25, 1 + 14, 15 + 15]
+
+
+def test_worlds_are_not_run_alone_with_a_record_of_records():
+    out, program = np.zeros((4, 3)), Program()
+    deep = Nested(Pair(np.zeros(3), np.zeros((3, 2))), np.zeros(3, ROW), 1.0)
+    program.call(keep_scale, deep, out)
+    assert by_world(program, [out]) is None
+    program.run()
+    assert (out == 1.0).all()
+
+
+@kernel
+def keep_scale(deep, out):
+    for w in range(out.shape[0]):
+        out[w, 0] = out[w, 1] = out[w, 2] = deep.scale
 
 
 def by_worlds(given=None):

@@ -18,8 +18,8 @@ from numba.np.arrayobj import populate_array
 
 from bulletuav.compiled.compiling import invoke
 from bulletuav.compiled.dispatcher import Dispatcher
-from bulletuav.compiled.forms import form_of, type_of
-from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.forms import TupleForm, form_of, type_of
+from bulletuav.compiled.kernel import InMemory, kernel
 from bulletuav.compiled.plain import SWITCH
 
 Turn = Callable[[], None]
@@ -117,17 +117,26 @@ class Program:
         # Most calls are given the same tuples and arrays, which live as long as the calls
         forms: dict[int, Any] = {}
         known: dict[int, list[int]] = {}
+        records: dict[int, np.ndarray] = {}
         for row, (made, arguments, _) in zip(table, self._calls, strict=True):
             if made is not None:
                 for one in arguments:
                     if id(one) not in forms:
                         forms[id(one)] = form_of(one)
                 function, caller = _addresses(made, tuple(forms[id(one)] for one in arguments))
-                words = np.array([function, *_flat(arguments, known)], dtype=np.int64)
+                numbers = [function]
+                for one in arguments:
+                    if is_nested(one):
+                        if id(one) not in records:
+                            records[id(one)] = _record(one)
+                        numbers.append(records[id(one)].ctypes.data)
+                    else:
+                        numbers += _flat(one, known)
+                words = np.array(numbers, dtype=np.int64)
                 row[:] = caller, words.ctypes.data
                 kept.append(words)
         # At once: an interrupt before it leaves no table without some of the calls
-        self._words, self.table = kept, table
+        self._words, self.table = [*kept, *records.values()], table
 
 
 class ByWorld:
@@ -157,8 +166,8 @@ def by_world(program: Program, arrays: Iterable[np.ndarray]) -> ByWorld | None:
         arrays: Those that have a first axis of W worlds.
 
     Returns:
-        None where Python has a turn, or a call is given an array that may be of worlds, too; and
-        where kernels run as plain Python.
+        None where Python has a turn, or a call is given an array that may be of worlds, too, or a
+        record of records; and where kernels run as plain Python.
     """
     if SWITCH.is_on:
         return None
@@ -169,7 +178,7 @@ def by_world(program: Program, arrays: Iterable[np.ndarray]) -> ByWorld | None:
     for function, arguments, turns in program.calls:
         parts = list(_arrays_in(arguments))
         strides = [_world_stride(array, known) for array in parts]
-        if function is None or turns or None in strides:
+        if function is None or turns or None in strides or any(map(is_nested, arguments)):
             return None
         begins.append(len(words))
         address, _ = _addresses(function, tuple(map(form_of, arguments)))
@@ -261,6 +270,35 @@ def _flat(value: Any, known: dict[int, list[int]]) -> list[int]:
     return [ctypes.cast(value, ctypes.c_void_p).value or 0]
 
 
+def is_nested(value: Any) -> bool:
+    """Check whether an argument is a record of records, whose address functions are given.
+
+    As values they are hundreds of words, which take long to compile, and to copy in each call.
+    """
+    return hasattr(value, "_fields") and any(isinstance(part, tuple) for part in value)
+
+
+def _record(value: Any) -> np.ndarray:
+    """Write a named tuple into memory, as compiled functions read it by `InMemory`."""
+    kind, numbers = _in_memory(value)
+    return np.array(numbers, dtype=kind)
+
+
+def _in_memory(value: Any) -> tuple[Any, Any]:
+    """Return NumPy's type of what a part of a record is in memory, and its numbers."""
+    if isinstance(value, np.ndarray):
+        # Owner and parent are not known: nobody counts references
+        place = (0, 0, value.size, value.itemsize, *_flat(value, {}))
+        return np.dtype((np.int64, (len(place),))), place
+    if isinstance(value, tuple):
+        kinds, numbers = zip(*map(_in_memory, value), strict=True)
+        return np.dtype([("", kind) for kind in kinds], align=True), numbers
+    if isinstance(value, np.generic):
+        return value.dtype, value
+    kind = next((kind for kind in (bool, float) if isinstance(value, kind)), np.int64)
+    return np.dtype(kind), value if isinstance(value, float) else _flat(value, {})[0]
+
+
 @cache
 def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
     """Look up a compiled function, and the one that calls it with what a program keeps.
@@ -268,13 +306,21 @@ def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
     Raises:
         TypeError: The function returns something else than a bool.
     """
-    arguments = tuple(map(type_of, forms))
+    arguments = tuple(map(_argument_type, forms))
     result = kernel.compiled(arguments).signature.return_type
     if result not in (types.none, types.boolean):
         raise TypeError(f"{kernel.__name__} returns {result}: a bool, or nothing, is needed")
     kind = types.TypeRef(types.Tuple((result, types.Tuple(arguments))))
     caller = cast(Dispatcher, _call)
     return kernel.address(arguments), caller.address((_WORD, kind))
+
+
+def _argument_type(form: Any) -> types.Type:
+    """Return numba's type of an argument, of which `is_nested` tells whether it is an address."""
+    kind = type_of(form)
+    is_record = isinstance(kind, types.NamedTuple)
+    nested = is_record and any(isinstance(part, TupleForm) for part in form.parts)
+    return InMemory(kind) if nested else kind
 
 
 def _load(context: Any, builder: Any, kind: types.Type, words: Any, k: int) -> tuple[Any, int]:
@@ -298,6 +344,8 @@ def _load(context: Any, builder: Any, kind: types.Type, words: Any, k: int) -> t
             meminfo=None,
         )
         return array._getvalue(), end
+    if isinstance(kind, InMemory):
+        return builder.inttoptr(word(k), cgutils.voidptr_t), k + 1
     if isinstance(kind, types.BaseTuple):
         parts = []
         for part in kind:

@@ -15,32 +15,40 @@ from bulletuav.contact.rest import Contact, wake_for_obstacles
 from bulletuav.contact.settling import settle
 from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, Swarm
+from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, DroneArrays, Swarm, TimeStep
 
 
 @func
 def remember(contact: Contact, swarm: Swarm, w: int) -> None:
     """Keep the state of a world at the beginning of a substep."""
     start = contact.start
-    for i in range(start.position.shape[1]):
+    # Where arrays are is read once, as what is written could be that for all the compiler knows
+    position, quaternion, velocity, rates = (
+        (start.position, swarm.position),
+        (start.quaternion, swarm.quaternion),
+        (start.velocity, swarm.velocity),
+        (start.rates, swarm.rates),
+    )
+    for i in range(position[0].shape[1]):
         for k in range(3):
-            start.position[w, i, k] = swarm.position[w, i, k]
-            start.velocity[w, i, k] = swarm.velocity[w, i, k]
-            start.rates[w, i, k] = swarm.rates[w, i, k]
+            position[0][w, i, k] = position[1][w, i, k]
+            velocity[0][w, i, k] = velocity[1][w, i, k]
+            rates[0][w, i, k] = rates[1][w, i, k]
         for k in range(4):
-            start.quaternion[w, i, k] = swarm.quaternion[w, i, k]
+            quaternion[0][w, i, k] = quaternion[1][w, i, k]
 
 
 @func
-def move_obstacles(contact: Contact, w: int, share: float, period: float) -> None:
-    """Put the obstacles of a world where they are after a share of the decision.
+def move_obstacles(contact: Contact, w: int, substep: int, step: TimeStep) -> None:
+    """Put the obstacles of a world where they are at the beginning of a substep.
 
     Args:
         contact: Its scenery is written.
         w: The world.
-        share: Of the decision, 0 to 1.
-        period: Length of the decision, s.
+        substep: Which substep of the decision it is.
+        step: How the decision is divided.
     """
+    share, period = substep / step.substeps, step.substeps * step.dt
     for k in range(contact.before.shape[1]):
         for m in range(3):
             change = contact.after[w, k, m] - contact.before[w, k, m]
@@ -49,75 +57,54 @@ def move_obstacles(contact: Contact, w: int, share: float, period: float) -> Non
 
 
 @kernel
-def place_obstacles(contact: Contact, share: float, period: float) -> None:
+def place_obstacles(contact: Contact, substep: int, step: TimeStep) -> None:
     """Do what `move_obstacles` does in all worlds in which any moves."""
     for w in range(contact.speed.shape[0]):
         if contact.speed[w] > 0.0:
-            move_obstacles(contact, w, share, period)
+            move_obstacles(contact, w, substep, step)
 
 
 @func
-def meet(
-    contact: Contact,
-    swarm: Swarm,
-    alive: np.ndarray,
-    parameters: np.ndarray,
-    w: int,
-    piece: int,
-    pieces: int,
-    dt: float,
-) -> bool:
+def meet(contact: Contact, drones: DroneArrays, w: int, substep: int, step: TimeStep) -> bool:
     """Let the drones of a world touch what they would have flown into in a substep.
 
     Args:
         contact: Of all worlds; `remember` was called at the beginning of the substep.
-        swarm: State at its end, as flown freely; changed.
-        alive: (W, N) bool, drones that fly.
-        parameters: (W, N) rows of `PARAMETERS`.
+        drones: All drones; their state is that at its end, as flown freely; changed.
         w: The world.
-        piece: Which substep of the decision it is.
-        pieces: How many there are.
-        dt: Length of a substep, s.
+        substep: Which substep of the decision it is.
+        step: How the decision is divided.
 
     Returns:
         Whether anything was touched.
     """
-    if not is_due(contact, swarm, alive, w, dt):
+    if not is_due(contact, drones.swarm, drones.alive, w, step.dt):
         return False
-    return _look(contact, swarm, alive, parameters, w, piece, pieces, dt)
+    return _look(contact, drones, w, substep, step)
 
 
 @kernel
-def _look(
-    contact: Contact,
-    swarm: Swarm,
-    alive: np.ndarray,
-    parameters: np.ndarray,
-    w: int,
-    piece: int,
-    pieces: int,
-    dt: float,
-) -> bool:
+def _look(contact: Contact, drones: DroneArrays, w: int, substep: int, step: TimeStep) -> bool:
     """Do what `meet` does in a world where drones are due."""
     contact = in_memory(contact)
-    move_obstacles(contact, w, piece / pieces, pieces * dt)
+    move_obstacles(contact, w, substep, step)
     world = in_memory(
         World(
             w,
-            dt,
-            contact.speed[w] * dt,
+            step.dt,
+            contact.speed[w] * step.dt,
             contact.friction,
             contact.restitution,
             contact.stops,
             contact.scenery,
             contact.start,
-            alive,
+            drones.alive,
             contact.asleep,
-            parameters,
+            drones.parameters,
             contact.memory,
         )
     )
-    swarm = in_memory(swarm)
+    swarm = in_memory(drones.swarm)
     if contact.sleeps and world.speed > 0.0:
         wake_for_obstacles(contact, world)
     eventful = resolve(
@@ -131,24 +118,16 @@ def _look(
         contact.touches,
     )
     if contact.sleeps:
-        settle(contact, world, swarm, piece + 1 == pieces)
+        settle(contact, world, swarm, substep + 1 == step.substeps)
     return eventful
 
 
 @kernel
-def meet_all(
-    contact: Contact,
-    swarm: Swarm,
-    alive: np.ndarray,
-    parameters: np.ndarray,
-    piece: int,
-    pieces: int,
-    dt: float,
-) -> bool:
+def meet_all(contact: Contact, drones: DroneArrays, substep: int, step: TimeStep) -> bool:
     """Do what `meet` does in all worlds; returns whether any state was changed."""
     eventful = False
-    for w in range(alive.shape[0]):
-        eventful |= meet(contact, swarm, alive, parameters, w, piece, pieces, dt)
+    for w in range(drones.alive.shape[0]):
+        eventful |= meet(contact, drones, w, substep, step)
     return eventful
 
 
@@ -309,16 +288,10 @@ def told(contact: Contact) -> Contacts:
 
 
 @allocating
-def _note_overlaps(
-    contact: Contact,
-    swarm: Swarm,
-    moved: np.ndarray,
-    alive: np.ndarray,
-    parameters: np.ndarray,
-) -> None:
-    """Tell what drones are in touch with that were put somewhere else; see `overlaps`."""
-    contact = in_memory(contact)
-    swarm = in_memory(swarm)
+def _note_overlaps(contact: Contact, drones: DroneArrays, moved: np.ndarray) -> None:
+    """Record the contacts of drones that were put somewhere else; see `overlaps`."""
+    contact, alive = in_memory(contact), drones.alive
+    swarm = in_memory(drones.swarm)
     space = contact.space
     for w in range(alive.shape[0]):
         world = in_memory(
@@ -333,7 +306,7 @@ def _note_overlaps(
                 swarm,
                 alive,
                 contact.asleep,
-                parameters,
+                drones.parameters,
                 contact.memory,
             )
         )
@@ -347,26 +320,18 @@ def _note_overlaps(
             tell_pair(space, world, pairs[p], contact.touches)
 
 
-def overlaps(
-    contact: Contact,
-    swarm: Swarm,
-    moved: np.ndarray,
-    alive: np.ndarray,
-    parameters: np.ndarray,
-) -> Contacts:
+def overlaps(contact: Contact, drones: DroneArrays, moved: np.ndarray) -> Contacts:
     """Find what drones touch that were put somewhere else.
 
     Args:
         contact: What contacts need; its touches are forgotten.
-        swarm: State of all drones; nothing is written.
+        drones: All drones; nothing is written.
         moved: (W, N) bool, drones that were moved.
-        alive: (W, N) bool, drones that fly.
-        parameters: (W, N) rows of `PARAMETERS`.
 
     Returns:
         The contacts of `moved` drones with others and what stands, without impulse.
     """
     contact.touches.number[:] = 0
-    _note_overlaps(contact, swarm, moved, alive, parameters)
+    _note_overlaps(contact, drones, moved)
     contact.budget[moved] = -1.0
     return told(contact)

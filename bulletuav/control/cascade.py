@@ -26,7 +26,7 @@ from bulletuav.control.lee import (
 )
 from bulletuav.control.observers import MEMORY, learned
 from bulletuav.control.pid import pid_rotors
-from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.control.setpoint import SetpointLevel, Setpoints
 from bulletuav.geometry.rotation import (
     Quat4,
     Quat4Like,
@@ -71,11 +71,7 @@ class Cascade(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        controller: str,
-        nominal: np.ndarray,
-        gains: np.ndarray,
-        integral: bool = False,
+        cls, controller: str, nominal: np.ndarray, gains: np.ndarray, integral: bool = False
     ) -> "Cascade":
         """Make a controller whose memory is empty.
 
@@ -167,11 +163,7 @@ def turn_by(
 
 
 @func
-def pid_errors(
-    level: int,
-    setpoint: Quat4Like,
-    state: State,
-) -> tuple[Vec3, Vec3]:
+def pid_errors(level: int, setpoint: Quat4Like, state: State) -> tuple[Vec3, Vec3]:
     """Compute the errors that the PID sees.
 
     Args:
@@ -331,12 +323,11 @@ def command_kinematic(
 
 @func
 def command_rotors(
-    levels: np.ndarray,
-    setpoint: np.ndarray,
+    cascade: Cascade,
+    setpoints: Setpoints,
+    swarm: Swarm,
     w: int,
     i: int,
-    swarm: Swarm,
-    cascade: Cascade,
     dt: float,
     gravity: float,
     command: np.ndarray,
@@ -344,29 +335,27 @@ def command_rotors(
     """Compute the rotor speeds of one drone, and advance its controller's memory.
 
     Args:
-        levels: (W, N) `SetpointLevel` of each drone's setpoint.
-        setpoint: (W, N, S) setpoints.
+        cascade: The controller.
+        setpoints: Setpoints of all drones.
+        swarm: State of all drones.
         w: Index of the world.
         i: Index of the drone.
-        swarm: State of all drones.
-        cascade: The controller.
         dt: Time since the last call, s.
         gravity: Gravitational acceleration, m/s^2.
         command: (R,) speed of each rotor, rad/s, which is written.
     """
     # What the controller believes: nominal parameters, not those that fly
-    controller, all_nominal, all_gains, memory, integral = cascade
-    nominal = all_nominal[w, i]
-    gain = all_gains[w, i]
-    level = levels[w, i]
+    nominal, gain, memory = cascade.nominal[w, i], cascade.gains[w, i], cascade.memory
+    level, setpoint = setpoints.level[w, i], setpoints.value
     state = get(swarm, w, i)
     if level == SetpointLevel.ROTOR:
         # The setpoint is the command, within what rotors can do.
         for r in range(nominal.num_rotors):
             command[r] = min(max(setpoint[w, i, r], 0.0), nominal.max_rotor_speed)
-    elif controller == PID:
+    elif cascade.controller == PID:
         target = quat4(setpoint, w, i)
         step_pid(level, target, state, memory, w, i, dt, gravity, nominal, gain, command)
     else:
         target, speeds, past = quat4(setpoint, w, i), swarm.rotor_speed[w, i], memory[w, i]
-        step_lee(level, target, state, speeds, past, integral, dt, gravity, nominal, gain, command)
+        learns = cascade.integral
+        step_lee(level, target, state, speeds, past, learns, dt, gravity, nominal, gain, command)

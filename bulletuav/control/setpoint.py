@@ -1,6 +1,9 @@
-"""Setpoint levels: the cascade that controllers go down, from an action to rotor speeds."""
+"""Setpoints, and their levels: the cascade that controllers go down, from an action to rotors."""
 
 from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
 
 
 class SetpointLevel(IntEnum):
@@ -23,3 +26,15 @@ class SetpointLevel(IntEnum):
     ATTITUDE = 3
     RATES = 4
     ROTOR = 5
+
+
+class Setpoints(NamedTuple):
+    """Setpoints of W worlds of N drones, held during a decision.
+
+    Attributes:
+        level: (W, N) `SetpointLevel` of each drone's setpoint.
+        value: (W, N, S) numbers of the setpoints, in the columns of their level.
+    """
+
+    level: np.ndarray
+    value: np.ndarray

@@ -25,13 +25,13 @@ from bulletuav.contact.contacts import (
 from bulletuav.contact.rest import make_contact
 from bulletuav.contact.start import start
 from bulletuav.control.cascade import Cascade
-from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.control.setpoint import SetpointLevel, Setpoints
 from bulletuav.dynamics.divergence import any_lost
 from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.c_extension import surface_below
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import vec3
-from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
+from bulletuav.vehicle.swarm import Contacts, DroneArrays, Motion, Swarm, TimeStep
 from bulletuav.vehicle.wrench import Around, with_wake
 
 
@@ -53,6 +53,24 @@ class Air(NamedTuple):
     force: np.ndarray
     torque: np.ndarray
     supply: np.ndarray
+
+
+class Decision(NamedTuple):
+    """The flight of one decision, as the compiled function of every dynamics takes it.
+
+    Attributes:
+        drones: All drones; their state is moved in place.
+        setpoints: Setpoints, held during the decision.
+        cascade: Controllers between these and the setpoints that the dynamics consumes.
+        air: What surrounds the drones, held during the decision.
+        step: How the decision is divided.
+    """
+
+    drones: DroneArrays
+    setpoints: Setpoints
+    cascade: Cascade
+    air: Air
+    step: TimeStep
 
 
 @func
@@ -240,8 +258,8 @@ class Dynamics(ABC):
         self.contact.after[:] = motion.after if given else stand
         program = Program()
         levels = np.array(np.broadcast_to(levels, alive.shape), dtype=np.int64)
-        self.add_to(program, swarm, alive, levels, setpoint, wind)
-        program.interpret()
+        self.add_to(program, swarm, alive, Setpoints(levels, setpoint), wind)
+        program.run()
         return self.touched()
 
     def look_around(self) -> bool:
@@ -257,8 +275,7 @@ class Dynamics(ABC):
         program: Program,
         swarm: Swarm,
         alive: np.ndarray,
-        levels: np.ndarray,
-        setpoint: np.ndarray,
+        setpoints: Setpoints,
         wind: np.ndarray,
     ) -> None:
         """Add the flight of a decision to a program; see `fly` for the arguments.
@@ -267,11 +284,14 @@ class Dynamics(ABC):
         """
         flight = self.flight
         program.call(begin_decision, self.contact, alive, flight.substeps * flight.dt)
+        drones = DroneArrays(swarm, alive, flight.parameters)
         surface = np.full(alive.shape, -np.inf)
         air = Air(wind, surface, flight.gravity, self.force, self.torque, self.supply)
+        step = TimeStep(flight.substeps, flight.dt)
+        decision = Decision(drones, setpoints, flight.cascade, air, step)
         if self._near_ground:
-            self._add_surface(program, swarm, alive, air.surface)
-        self.add_flight(program, swarm, alive, levels, setpoint, air)
+            self._add_surface(program, drones, air.surface)
+        self.add_flight(program, decision)
         lost = np.zeros(2, dtype=np.int64)
 
         def refuse() -> None:
@@ -285,26 +305,14 @@ class Dynamics(ABC):
 
         program.call(any_lost, swarm, alive, lost, otherwise=refuse)
 
-    def add_flight(
-        self,
-        program: Program,
-        swarm: Swarm,
-        alive: np.ndarray,
-        levels: np.ndarray,
-        setpoint: np.ndarray,
-        air: Air,
-    ) -> None:
+    def add_flight(self, program: Program, decision: Decision) -> None:
         """Add all substeps of a decision to a program, by default one by one in Python.
 
         Args:
             program: To be added to.
-            swarm: State of all drones, moved in place.
-            alive: (W, N) bool, drones that fly.
-            levels: (W, N) `SetpointLevel` of each drone, `consumes` or above.
-            setpoint: (W, N, S) setpoints, held during the decision.
-            air: What surrounds the drones, held during the decision.
+            decision: What is flown; setpoints are at the level `consumes` or above.
         """
-        program.turn(lambda: self._advance_decision(swarm, alive, levels, setpoint, air))
+        program.turn(lambda: self._advance_decision(decision))
 
     def touched(self) -> Contacts:
         """Tell what was touched in the last decision."""
@@ -312,47 +320,27 @@ class Dynamics(ABC):
 
     def overlaps(self, swarm: Swarm, moved: np.ndarray, alive: np.ndarray) -> Contacts:
         """Find what drones touch that were put somewhere else; see `contacts.overlaps`."""
-        return overlaps(self.contact, swarm, moved, alive, self.flight.parameters)
+        return overlaps(self.contact, DroneArrays(swarm, alive, self.flight.parameters), moved)
 
-    def _advance_decision(
-        self,
-        swarm: Swarm,
-        alive: np.ndarray,
-        levels: np.ndarray,
-        setpoint: np.ndarray,
-        air: Air,
-    ) -> None:
+    def _advance_decision(self, decision: Decision) -> None:
         """Fly all substeps of a decision, one by one."""
-        flight = self.flight
-        parameters = flight.parameters
-        contact = self.contact
-        for substep in range(flight.substeps):
+        drones, setpoints, cascade, air, step = decision
+        swarm, contact = drones.swarm, self.contact
+        for substep in range(step.substeps):
             remember_all(contact, swarm)
             before = swarm.copy()
-            flying = alive & ~contact.stopped
-            target = convert(
-                setpoint,
-                levels,
-                self.consumes,
-                swarm=swarm,
-                alive=flying,
-                cascade=flight.cascade,
-                dt=flight.dt,
-                gravity=flight.gravity,
-            )
+            flying = drones.alive & ~contact.stopped
+            moved = drones._replace(alive=flying)
+            target = convert(setpoints, self.consumes, moved, cascade, step.dt, air.gravity)
             self.advance_substep(swarm, flying, target, air)
             # Drones that do not fly are put back, so that authors need not mind them
             for array, old in zip(swarm, before, strict=True):
                 array[~flying] = old[~flying]
             self._require_finite(swarm)
-            meet_all(contact, swarm, alive, parameters, substep, flight.substeps, flight.dt)
+            meet_all(contact, drones, substep, step)
 
     def advance_substep(
-        self,
-        swarm: Swarm,
-        alive: np.ndarray,
-        setpoint: np.ndarray,
-        air: Air,
+        self, swarm: Swarm, alive: np.ndarray, setpoint: np.ndarray, air: Air
     ) -> None:
         """Move the drones through one substep of `flight.dt` seconds.
 
@@ -367,18 +355,16 @@ class Dynamics(ABC):
             f"dynamics {self.name!r} lacks advance_substep(swarm, alive, setpoint, air)"
         )
 
-    def _add_surface(
-        self, program: Program, swarm: Swarm, alive: np.ndarray, surface: np.ndarray
-    ) -> None:
+    def _add_surface(self, program: Program, drones: DroneArrays, surface: np.ndarray) -> None:
         """Add to a program that the height of the surface below drones is written once."""
-        engine = self.flight.engine
+        engine, position, alive = self.flight.engine, drones.swarm.position, drones.alive
         port = engine.surface_port
         if port is not None:
-            program.call(surface_below, port, swarm.position, alive, surface)
+            program.call(surface_below, port, position, alive, surface)
             return
 
         def look() -> None:
-            surface[:] = engine.surface_below(swarm.position, alive)
+            surface[:] = engine.surface_below(position, alive)
 
         program.turn(look)
 

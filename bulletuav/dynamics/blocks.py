@@ -18,7 +18,7 @@ from bulletuav.control.cascade import Cascade
 from bulletuav.dynamics.integration import stepped, turn_rotors
 from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
 from bulletuav.vehicle.aerodynamics import is_near_surface
-from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.swarm import DroneArrays, Swarm
 from bulletuav.vehicle.wakes import Wakes
 from bulletuav.vehicle.wrench import SMALL_TURN, with_wake
 
@@ -70,14 +70,14 @@ class Blocks(NamedTuple):
     steering: Steering
 
     @classmethod
-    def of(cls, swarm: Swarm, parameters: np.ndarray, cascade: Cascade) -> "Blocks":
+    def of(cls, drones: DroneArrays, cascade: Cascade) -> "Blocks":
         """Make room.
 
         Args:
-            swarm: State of all worlds.
-            parameters: (W, N) rows of `PARAMETERS`.
+            drones: Those of all worlds.
             cascade: Controllers of all worlds.
         """
+        swarm, _, parameters = drones
         assert all(array.flags.c_contiguous for array in (*swarm, parameters))
         num_worlds, num_drones, num_rotors = swarm.rotor_speed.shape
         worlds = min(max(DRONES // num_drones, 1), num_worlds)

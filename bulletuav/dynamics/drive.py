@@ -1,26 +1,48 @@
 """One substep of rotors and wrenches for `bullet`, before the engine's own step."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from bulletuav.compiled.kernel import borrowed, func, in_memory, kernel
-from bulletuav.control.cascade import Cascade, command_rotors
-from bulletuav.dynamics.base import Air, surroundings
+from bulletuav.compiled.kernel import func, in_memory, kernel
+from bulletuav.control.cascade import command_rotors
+from bulletuav.dynamics.base import Decision, surroundings
 from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
 from bulletuav.vehicle.aerodynamics import lifted_rotors
+from bulletuav.vehicle.airframe import MAX_ROTORS
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
-from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wakes import Wakes, sum_wakes
-from bulletuav.vehicle.wrench import SMALL_TURN, rate_slopes, spin_parts, wrench
+from bulletuav.vehicle.wrench import SMALL_TURN, Wrenches, rate_slopes, spin_parts, wrench
+
+
+class Scratch(NamedTuple):
+    """Arrays of W worlds of N drones that every substep of `bullet` writes first, and then reads.
+
+    Attributes:
+        wrenches: What the engine applies to the drones.
+        rotors: (2, `MAX_ROTORS`) commands and speeds of one drone's rotors, rad/s.
+        wakes: The wakes of all worlds.
+        driven: (W, N) bool, drones whose rotors turn.
+        flying: (W, N) bool, drones that the engine moves.
+    """
+
+    wrenches: Wrenches
+    rotors: np.ndarray
+    wakes: Wakes
+    driven: np.ndarray
+    flying: np.ndarray
+
+    @classmethod
+    def of(cls, num_worlds: int, num_drones: int) -> "Scratch":
+        """Make the arrays."""
+        shape = (num_worlds, num_drones)
+        wrenches, rotors = Wrenches(*np.zeros((2, *shape, 3))), np.zeros((2, MAX_ROTORS))
+        return cls(wrenches, rotors, Wakes.of(*shape), *np.zeros((2, *shape), dtype=bool))
 
 
 @func
 def engine_torque(
-    rates: Vec3,
-    torque: Vec3,
-    total_speed: float,
-    momentum: float,
-    dt: float,
-    row: np.record,
+    rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: np.record
 ) -> Vec3:
     """Return the torque M' with which Bullet's step of the rates lands on the RK4 solution for M.
 
@@ -68,48 +90,27 @@ def engine_torque(
 
 
 @kernel
-def drive(
-    swarm: Swarm,
-    alive: np.ndarray,
-    levels: np.ndarray,
-    setpoint: np.ndarray,
-    cascade: Cascade,
-    parameters: np.ndarray,
-    air: Air,
-    dt: float,
-    force: np.ndarray,
-    torque: np.ndarray,
-    room: np.ndarray,
-    wakes: Wakes,
-) -> None:
+def drive(decision: Decision, scratch: Scratch) -> None:
     """Run controllers and rotors of one substep, and fill in the wrenches for the engine.
 
     Args:
-        swarm: State before the substep; its rotor speeds are advanced.
-        alive: (W, N) bool, drones that fly.
-        levels: (W, N) `SetpointLevel` of each drone's setpoint.
-        setpoint: (W, N, S) setpoints.
-        cascade: The controllers.
-        parameters: (W, N) rows of `PARAMETERS`.
-        air: What surrounds the drones.
-        dt: Duration of the substep, s.
-        force: (W, N, 3) forces to be written, world axes, N.
-        torque: (W, N, 3) torques to be written, body axes, N m.
-        room: (2, `MAX_ROTORS`) room for commands and rotor speeds.
-        wakes: Room for the wakes of all worlds.
+        decision: The drones before the substep, whose rotor speeds are advanced, and the rest.
+        scratch: Of `driven` drones, the wrenches are written.
     """
-    swarm, cascade, air, room = borrowed((swarm, cascade, air, room))
-    wakes = in_memory(wakes)
-    command, speed = room[0], room[1]
+    decision, scratch = in_memory(decision), in_memory(scratch)
+    swarm, parameters, air = decision.drones.swarm, decision.drones.parameters, decision.air
+    setpoints, cascade, dt = decision.setpoints, decision.cascade, decision.step.dt
+    wrenches, wakes, alive = scratch.wrenches, scratch.wakes, scratch.driven
+    command, speed = scratch.rotors[0], scratch.rotors[1]
     # Downwash of all on all
-    sum_wakes(in_memory(swarm), alive, parameters, 0, alive.shape[0], False, 0.0, wakes)
+    sum_wakes(swarm, alive, parameters, 0, alive.shape[0], False, 0.0, wakes)
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             if alive[w, i]:
                 # Controllers, then the lag of the rotors
                 row = parameters[w, i]
                 decay = lag_decay(dt, row)
-                command_rotors(levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
+                command_rotors(cascade, setpoints, swarm, w, i, dt, air.gravity, command)
                 winding = 0.0
                 for rotor in range(row.num_rotors):
                     now = swarm.rotor_speed[w, i, rotor]
@@ -135,5 +136,5 @@ def drive(
                 rates = vec3(swarm.rates, w, i)
                 turn = engine_torque(rates, turn, rotors[2], rotors[3], dt, row)
                 for k in range(3):
-                    force[w, i, k] = push[k]
-                    torque[w, i, k] = turn[k]
+                    wrenches.force[w, i, k] = push[k]
+                    wrenches.torque[w, i, k] = turn[k]

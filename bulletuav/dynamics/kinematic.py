@@ -18,16 +18,16 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.compiled.functions import exp
-from bulletuav.compiled.kernel import allocating, borrowed, func, in_memory, kernel
+from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
 from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import meet, remember
 from bulletuav.contact.rest import Contact
-from bulletuav.control.cascade import Cascade, command_kinematic
+from bulletuav.control.cascade import command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Air, Dynamics
+from bulletuav.dynamics.base import Decision, Dynamics
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, plus, point, quat4, vec3
 from bulletuav.registry import register
-from bulletuav.vehicle.swarm import Swarm, get, put
+from bulletuav.vehicle.swarm import Swarm, TimeStep, get, put
 
 POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 
@@ -38,11 +38,7 @@ def limited(vector: Vec3, limit: float) -> Vec3:
     # The norm is limited, so the direction stays
     size = math.sqrt(dot(vector, vector))
     scale = limit / size if size > limit else 1.0
-    return (
-        scale * vector[0],
-        scale * vector[1],
-        scale * vector[2],
-    )
+    return (scale * vector[0], scale * vector[1], scale * vector[2])
 
 
 @func
@@ -172,12 +168,7 @@ def accelerated(velocity: Vec3, acceleration: Vec3, fastest: float, dt: float) -
 
 
 @func
-def _drag_rate(
-    swarm: Swarm,
-    w: int,
-    i: int,
-    row: np.record,
-) -> float:
+def _drag_rate(swarm: Swarm, w: int, i: int, row: np.record) -> float:
     """Return the drag of a drone's rotors at their present speeds, per mass, 1/s."""
     drag = 0.0
     for rotor in range(row.num_rotors):
@@ -208,21 +199,12 @@ def _advance_point(
     if kind == POINT_MASS:
         return lagged_velocity(velocity, command, wind, pull, lag, drag, most, dt)
     # A single integrator has the velocity at once
-    return command, (
-        command[0] * dt,
-        command[1] * dt,
-        command[2] * dt,
-    )
+    return command, (command[0] * dt, command[1] * dt, command[2] * dt)
 
 
 @func
 def _constants(
-    swarm: Swarm,
-    w: int,
-    i: int,
-    row: np.record,
-    gain: np.record,
-    gravity: float,
+    swarm: Swarm, w: int, i: int, row: np.record, gain: np.record, gravity: float
 ) -> tuple[float, float, float]:
     """Return a drone's velocity lag (s), rotor drag (1/s) and limit of acceleration (m/s^2)."""
     lag = 1.0 / (2.0 * gain.damping * gain.position_frequency)
@@ -244,44 +226,27 @@ def _pieces(kind: int, levels: np.ndarray, w: int, substeps: int) -> int:
 
 
 @allocating
-def advance(
-    kind: int,
-    swarm: Swarm,
-    alive: np.ndarray,
-    levels: np.ndarray,
-    setpoint: np.ndarray,
-    cascade: Cascade,
-    parameters: np.ndarray,
-    air: Air,
-    substeps: int,
-    length: float,
-    contact: Contact,
-) -> None:
+def advance(decision: Decision, contact: Contact, kind: int) -> None:
     """Fly all substeps of one decision in all worlds.
 
     Args:
-        kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR.
-        swarm: State of all drones, moved in place.
-        alive: (W, N) bool, drones that fly.
-        levels: (W, N) `SetpointLevel` of each drone's setpoint.
-        setpoint: (W, N, 4) setpoints, held during the decision.
-        cascade: The controllers, whose gains are used.
-        parameters: (W, N) rows of `PARAMETERS`.
-        air: What surrounds the drones.
-        substeps: Number of substeps.
-        length: Duration of a substep, s.
+        decision: What is flown; of its controllers, the gains are used.
         contact: What contacts need.
+        kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR.
     """
-    swarm, cascade, air = borrowed((swarm, cascade, air))
-    contact = in_memory(contact)
+    decision, contact = in_memory(decision), in_memory(contact)
+    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
+    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
+    air, step = decision.air, decision.step
     accelerates = kind == DOUBLE_INTEGRATOR
     constants = np.empty((alive.shape[1], 3))
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             gain = cascade.gains[w, i]
             constants[i] = _constants(swarm, w, i, parameters[w, i], gain, air.gravity)
-        pieces = _pieces(kind, levels, w, substeps)
-        dt = length * (substeps // pieces)
+        pieces = _pieces(kind, setpoints.level, w, step.substeps)
+        dt = step.dt * (step.substeps // pieces)
+        straight = in_memory(TimeStep(pieces, dt))
         for piece in range(pieces):
             remember(contact, swarm, w)
             for i in range(alive.shape[1]):
@@ -289,26 +254,22 @@ def advance(
                     continue
                 # Level, with the yaw that is asked for
                 position, quaternion, velocity, rates = get(swarm, w, i)
-                wanted = quat4(setpoint, w, i)
+                wanted = quat4(setpoints.value, w, i)
                 wind = vec3(air.wind, w, i)
                 pull = plus((0.0, 0.0, 0.0), 1.0 / parameters[w, i].mass, vec3(air.force, w, i))
                 quaternion = from_euler(0.0, 0.0, wanted[3])
 
                 # Down to the level that is consumed, then the integration
                 gain = cascade.gains[w, i]
-                level = levels[w, i]
+                level = setpoints.level[w, i]
                 target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
                 lag, drag, most = point(constants, i)
                 velocity, moved = _advance_point(
                     kind, target, velocity, wind, pull, gain.max_speed, lag, drag, most, dt
                 )
-                position = (
-                    position[0] + moved[0],
-                    position[1] + moved[1],
-                    position[2] + moved[2],
-                )
+                position = plus(position, 1.0, moved)
                 put(swarm, w, i, (position, quaternion, velocity, rates))
-            meet(contact, swarm, alive, parameters, w, piece, pieces, dt)
+            meet(contact, drones, w, piece, straight)
 
 
 @kernel
@@ -338,31 +299,9 @@ class Kinematic(Dynamics):
         program.call(_level, swarm.quaternion, swarm.rates, mask)
         super()._add_start(program, swarm, mask)
 
-    def add_flight(
-        self,
-        program: Program,
-        swarm: Swarm,
-        alive: np.ndarray,
-        levels: np.ndarray,
-        setpoint: np.ndarray,
-        air: Air,
-    ) -> None:
+    def add_flight(self, program: Program, decision: Decision) -> None:
         """Add all substeps as one compiled call; see the base class."""
-        flight = self.flight
-        program.call(
-            advance,
-            self.kind,
-            swarm,
-            alive,
-            levels,
-            setpoint,
-            flight.cascade,
-            flight.parameters,
-            air,
-            flight.substeps,
-            flight.dt,
-            self.contact,
-        )
+        program.call(advance, decision, self.contact, self.kind)
 
 
 @register("dynamics")

@@ -6,17 +6,15 @@ surface below is sampled once a decision. Over level ground that is exact; past 
 effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 """
 
-import numpy as np
-
-from bulletuav.compiled.kernel import borrowed, func, in_memory, kernel
+from bulletuav.compiled.kernel import func, in_memory, kernel
 from bulletuav.compiled.lanes import WIDTH
 from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import meet, remember
 from bulletuav.contact.rest import Contact, bears
 from bulletuav.contact.rest import wake as rouse
-from bulletuav.control.cascade import Cascade, command_rotors
+from bulletuav.control.cascade import command_rotors
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Air, Dynamics, surroundings
+from bulletuav.dynamics.base import Decision, Dynamics, surroundings
 from bulletuav.dynamics.blocks import (
     CALM,
     FEWEST,
@@ -31,25 +29,18 @@ from bulletuav.dynamics.steering import pack_steering
 from bulletuav.geometry.rotation import dot, vec3
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import lifted_rotors
-from bulletuav.vehicle.swarm import Swarm, get, put
+from bulletuav.vehicle.swarm import DroneArrays, get, put
 from bulletuav.vehicle.wakes import LEEWAY, sum_wakes
 from bulletuav.vehicle.wrench import SMALL_TURN, spin_parts
 
 
 @func
 def _fly_alone(
-    swarm: Swarm,
-    parameters: np.ndarray,
-    air: Air,
-    dt: float,
-    contact: Contact,
-    blocks: Blocks,
-    first: int,
-    w: int,
-    i: int,
+    decision: Decision, contact: Contact, blocks: Blocks, first: int, w: int, i: int
 ) -> None:
     """Move drone i of world w through a substep by itself; the group's first world is `first`."""
-    row = parameters[w, i]
+    swarm, row = decision.drones.swarm, decision.drones.parameters[w, i]
+    air, dt = decision.air, decision.step.dt
     alone = blocks.alone
     speeds = (alone[0], alone[1], alone[2])
     command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
@@ -73,23 +64,21 @@ def _fly_alone(
 
 @func
 def _mark(
-    swarm: Swarm,
-    alive: np.ndarray,
-    dt: float,
-    contact: Contact,
-    blocks: Blocks,
-    first: int,
-    last: int,
+    drones: DroneArrays, contact: Contact, blocks: Blocks, first: int, last: int, dt: float
 ) -> None:
     """Mark the drones of a group of worlds, from `first` to before `last`, that fly in blocks."""
+    # Where arrays are is read once: what is written could be that for all the compiler knows
+    alive, spin = drones.alive, drones.swarm.rates
+    stopped, asleep = contact.stopped, contact.asleep
+    together, alike = blocks.together, blocks.alike
     drone = 0
     for w in range(first, last):
         for i in range(alive.shape[1]):
-            rates = vec3(swarm.rates, w, i)
-            still = contact.stopped[w, i] | contact.asleep[w, i]
+            rates = vec3(spin, w, i)
+            still = stopped[w, i] | asleep[w, i]
             calm = dot(rates, rates) * dt * dt < CALM * CALM
             # Without branches, which would take longer
-            blocks.together[drone] = alive[w, i] & calm & (not still) & blocks.alike[drone // WIDTH]
+            together[drone] = alive[w, i] & calm & (not still) & alike[drone // WIDTH]
             drone += 1
     for k in range(drone, blocks.together.shape[0]):
         blocks.together[k] = False
@@ -98,58 +87,36 @@ def _mark(
 
 
 @kernel
-def advance(
-    swarm: Swarm,
-    alive: np.ndarray,
-    levels: np.ndarray,
-    setpoint: np.ndarray,
-    cascade: Cascade,
-    parameters: np.ndarray,
-    air: Air,
-    substeps: int,
-    dt: float,
-    contact: Contact,
-    blocks: Blocks,
-) -> None:
+def advance(decision: Decision, contact: Contact, blocks: Blocks) -> None:
     """Fly all substeps of one decision in all worlds.
 
     Args:
-        swarm: State of all drones, moved in place.
-        alive: (W, N) bool, drones that fly.
-        levels: (W, N) `SetpointLevel` of each drone's setpoint.
-        setpoint: (W, N, S) setpoints, held during the decision.
-        cascade: The controllers.
-        parameters: (W, N) rows of `PARAMETERS`.
-        air: What surrounds the drones.
-        substeps: Number of substeps.
-        dt: Duration of a substep, s.
+        decision: What is flown.
         contact: What contacts need.
         blocks: Room for a group of worlds.
     """
-    swarm, cascade, air = borrowed((swarm, cascade, air))
-    contact = in_memory(contact)
-    blocks = in_memory(blocks)
-    shared_air = in_memory(air)
-    shared_swarm = in_memory(swarm)
+    decision, contact, blocks = in_memory(decision), in_memory(contact), in_memory(blocks)
+    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
+    air, step = decision.air, decision.step
+    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
+    dt = step.dt
     num_drones = alive.shape[1]
     # Worlds by groups, whose drones share blocks
     worlds = blocks.command.shape[0]
-    leeway = LEEWAY if substeps > 1 else 0.0
+    leeway = LEEWAY if step.substeps > 1 else 0.0
     for first in range(0, alive.shape[0], worlds):
         last = min(first + worlds, alive.shape[0])
         # The same in all substeps
         for w in range(first, last):
             lag_stages(parameters, w, dt, blocks.decay[w - first])
         if alive.size >= FEWEST:
-            pack(blocks, shared_air, first * num_drones)
-            pack_steering(blocks.steering, levels, setpoint, first * num_drones)
-        for substep in range(substeps):
-            _mark(swarm, alive, dt, contact, blocks, first, last)
+            pack(blocks, air, first * num_drones)
+            pack_steering(blocks.steering, setpoints, first * num_drones)
+        for substep in range(step.substeps):
+            _mark(drones, contact, blocks, first, last, dt)
             # Wakes and commands of all drones come from the state before any of them moves
             if num_drones > 1:
-                sum_wakes(
-                    shared_swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes
-                )
+                sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
             for w in range(first, last):
                 remember(contact, swarm, w)
                 for i in range(num_drones):
@@ -158,7 +125,7 @@ def advance(
                         command = blocks.command[w - first, i]
                         if not is_steered(blocks, drone):
                             command_rotors(
-                                levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command
+                                cascade, setpoints, swarm, w, i, dt, air.gravity, command
                             )
 
             # From here on drones do not feel each other
@@ -169,11 +136,11 @@ def advance(
                 for i in range(num_drones):
                     moved = blocks.together[(w - first) * num_drones + i]
                     if alive[w, i] and not contact.stopped[w, i] and not moved:
-                        _fly_alone(swarm, parameters, air, dt, contact, blocks, first, w, i)
+                        _fly_alone(decision, contact, blocks, first, w, i)
 
             # What they would have flown into
             for w in range(first, last):
-                meet(contact, swarm, alive, parameters, w, substep, substeps, dt)
+                meet(contact, drones, w, substep, step)
 
 
 @register("dynamics")
@@ -188,28 +155,6 @@ class RigidBody(Dynamics):
     contacts = ("impulse", "stop")
     sleeps = True
 
-    def add_flight(
-        self,
-        program: Program,
-        swarm: Swarm,
-        alive: np.ndarray,
-        levels: np.ndarray,
-        setpoint: np.ndarray,
-        air: Air,
-    ) -> None:
+    def add_flight(self, program: Program, decision: Decision) -> None:
         """Add all substeps as one compiled call; see the base class."""
-        flight = self.flight
-        program.call(
-            advance,
-            swarm,
-            alive,
-            levels,
-            setpoint,
-            flight.cascade,
-            flight.parameters,
-            air,
-            flight.substeps,
-            flight.dt,
-            self.contact,
-            Blocks.of(swarm, flight.parameters, flight.cascade),
-        )
+        program.call(advance, decision, self.contact, Blocks.of(decision.drones, decision.cascade))

@@ -4,9 +4,9 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating
 from bulletuav.control.cascade import Cascade, command_kinematic, command_rotors
-from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.control.setpoint import SetpointLevel, Setpoints
 from bulletuav.geometry.rotation import quat4
-from bulletuav.vehicle.swarm import Swarm, get
+from bulletuav.vehicle.swarm import DroneArrays, get
 
 CONVERTED = (SetpointLevel.VELOCITY, SetpointLevel.ACCELERATION, SetpointLevel.ROTOR)
 """Levels that setpoints above them can be turned into"""
@@ -14,17 +14,16 @@ CONVERTED = (SetpointLevel.VELOCITY, SetpointLevel.ACCELERATION, SetpointLevel.R
 
 @allocating
 def _convert(
-    levels: np.ndarray,
+    setpoints: Setpoints,
     consumes: int,
-    setpoint: np.ndarray,
-    swarm: Swarm,
-    alive: np.ndarray,
+    drones: DroneArrays,
     cascade: Cascade,
     dt: float,
     gravity: float,
     converted: np.ndarray,
 ) -> None:
     """Fill `converted` for the living drones; see `convert`."""
+    swarm, alive = drones.swarm, drones.alive
     speed = np.empty(swarm.rotor_speed.shape[2])
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
@@ -32,16 +31,16 @@ def _convert(
                 continue
             if consumes == SetpointLevel.ROTOR:
                 # All the way down the cascade; rotors that the drone lacks stay at zero
-                command_rotors(levels, setpoint, w, i, swarm, cascade, dt, gravity, speed)
+                command_rotors(cascade, setpoints, swarm, w, i, dt, gravity, speed)
                 for rotor in range(cascade.nominal[w, i].num_rotors):
                     converted[w, i, rotor] = speed[rotor]
             else:
                 # Outer loops alone; the yaw is passed on
                 position, _, velocity, _ = get(swarm, w, i)
-                wanted = quat4(setpoint, w, i)
+                wanted = quat4(setpoints.value, w, i)
                 accelerates = consumes == SetpointLevel.ACCELERATION
                 gain = cascade.gains[w, i]
-                level = levels[w, i]
+                level = setpoints.level[w, i]
                 target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
                 for k in range(3):
                     converted[w, i, k] = target[k]
@@ -49,11 +48,9 @@ def _convert(
 
 
 def convert(
-    setpoint: np.ndarray,
-    levels: np.ndarray,
+    setpoints: Setpoints,
     consumes: SetpointLevel,
-    swarm: Swarm,
-    alive: np.ndarray,
+    drones: DroneArrays,
     cascade: Cascade,
     dt: float,
     gravity: float,
@@ -61,11 +58,9 @@ def convert(
     """Turn setpoints into those of the level that a dynamics consumes, once a substep.
 
     Args:
-        setpoint: (W, N, S) setpoints at `levels`, see `SetpointLevel` for their columns.
-        levels: (W, N) `SetpointLevel` of each drone's setpoint.
+        setpoints: Setpoints at any levels.
         consumes: Level that is wanted.
-        swarm: Present state.
-        alive: (W, N) bool, drones that fly; the others get zeros.
+        drones: Present state; drones that are not alive get zeros.
         cascade: The controllers; the PID's memory is written.
         dt: Time since the last call, s.
         gravity: m/s^2.
@@ -78,15 +73,15 @@ def convert(
         ValueError: No controller leads from one level to the other.
     """
     rotors = consumes == SetpointLevel.ROTOR
-    if (levels == consumes).all() and not rotors:
-        return setpoint
-    lowest = SetpointLevel(levels.max())
+    if (setpoints.level == consumes).all() and not rotors:
+        return setpoints.value
+    lowest = SetpointLevel(setpoints.level.max())
     if consumes not in CONVERTED or lowest > consumes:
         raise ValueError(
             f"{lowest.name.lower()} setpoints cannot be turned into {consumes.name.lower()}: "
             f"let the dynamics consume velocity, acceleration or rotor setpoints"
         )
-    width = swarm.rotor_speed.shape[2] if rotors else 4
-    converted = np.zeros((*alive.shape, width))
-    _convert(levels, int(consumes), setpoint, swarm, alive, cascade, dt, gravity, converted)
+    width = drones.swarm.rotor_speed.shape[2] if rotors else 4
+    converted = np.zeros((*drones.alive.shape, width))
+    _convert(setpoints, int(consumes), drones, cascade, dt, gravity, converted)
     return converted

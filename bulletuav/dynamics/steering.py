@@ -10,7 +10,7 @@ from bulletuav.compiled.lanes import WIDTH, lanes_of, lanes_row, room
 from bulletuav.control.cascade import LEE, Cascade, rates_of_motion, turn_by
 from bulletuav.control.lee import nose
 from bulletuav.control.observers import PUSHES, learned
-from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.control.setpoint import SetpointLevel, Setpoints
 from bulletuav.geometry.rotation import Quat4, Vec3
 from bulletuav.vehicle.rotors import rotor_wrench
 
@@ -88,15 +88,15 @@ def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
 
 
 @kernel
-def pack_steering(steering: Any, levels: np.ndarray, setpoint: np.ndarray, first: int) -> None:
+def pack_steering(steering: Any, setpoints: Setpoints, first: int) -> None:
     """Lay out what the controllers of a group have during a decision.
 
     Args:
         steering: `Steering`.
-        levels: (W, N) levels of setpoints.
-        setpoint: (W, N, S) setpoints.
+        setpoints: Setpoints of all drones.
         first: The group's first drone, counted on from world to world.
     """
+    levels = setpoints.level
     for b in range(steering.level.shape[0]):
         drone = first + b * WIDTH
         level = ALONE if drone >= levels.size else _common_level(steering, levels, drone)
@@ -106,7 +106,7 @@ def pack_steering(steering: Any, levels: np.ndarray, setpoint: np.ndarray, first
             copy_numbers(steering.gain_numbers, drone, steering.gain, b)
             goal = lanes_of(steering.goal, b)
             for k in range(4):
-                goal[k] = gathered(setpoint, drone, k)
+                goal[k] = gathered(setpoints.value, drone, k)
             # A sine once a decision
             for lane in range(WIDTH):
                 ahead = nose(steering.goal[b, 3, lane])

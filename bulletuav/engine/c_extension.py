@@ -22,6 +22,7 @@ from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.raycast import walk
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.wrench import Wrenches
 
 SWITCH = "BULLETUAV_BATCH"
 """Environment variable; 0 turns the extension off"""
@@ -129,12 +130,7 @@ class Port(NamedTuple):
 
 
 @allocating
-def surface_below(
-    port: Port,
-    position: np.ndarray,
-    mask: np.ndarray,
-    surface: np.ndarray,
-) -> None:
+def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: np.ndarray) -> None:
     """Write the height of the surface below drones, as `Engine.surface_below` does.
 
     Args:
@@ -174,19 +170,12 @@ def _cast_down(port: Port, position: np.ndarray, surface: np.ndarray, covered: i
 
 
 @kernel
-def substep(
-    port: Port,
-    force: np.ndarray,
-    torque: np.ndarray,
-    mask: np.ndarray,
-    swarm: Swarm,
-) -> None:
+def substep(port: Port, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm) -> None:
     """Do what `Engine.apply_wrenches`, `step` and `read_states` do, in one call.
 
     Args:
         port: Of the engine.
-        force: (W, N, 3) N, world axes.
-        torque: (W, N, 3) N m, body axes.
+        wrenches: Of all drones.
         mask: (W, N) bool, drones that fly.
         swarm: Whose positions, attitudes and velocities are written.
     """
@@ -194,8 +183,8 @@ def substep(
     port.substep(
         port.session,
         mask.ctypes,
-        force.ctypes,
-        torque.ctypes,
+        wrenches.force.ctypes,
+        wrenches.torque.ctypes,
         port.place.ctypes,
         swarm.quaternion.ctypes,
         swarm.velocity.ctypes,
@@ -206,11 +195,7 @@ def substep(
 
 
 @kernel
-def write_states(
-    port: Port,
-    swarm: Swarm,
-    mask: np.ndarray,
-) -> None:
+def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
     """Do what `Engine.write_states` does.
 
     Args:
@@ -231,12 +216,7 @@ def write_states(
 
 
 @kernel
-def bring_out(
-    port: Port,
-    swarm: Swarm,
-    mask: np.ndarray,
-    out: np.ndarray,
-) -> None:
+def bring_out(port: Port, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> None:
     """Write the states of drones of `mask` (W, N), and note that they are not parked any more."""
     write_states(port, swarm, mask)
     for w in range(mask.shape[0]):

@@ -19,7 +19,7 @@ from bulletuav.geometry.rotation import from_euler, heading, quat4
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Moment, Sensor
-from bulletuav.vehicle.swarm import CITY, GROUND, Swarm
+from bulletuav.vehicle.swarm import CITY, GROUND, DroneArrays, Swarm
 
 ALL = np.ones(1, dtype=bool)
 """Mask (1,) of the only world"""
@@ -132,7 +132,8 @@ class AirspaceWorld(Parts):
         """Raise ValueError if drones of `moved` (1, N) would overlap something."""
         contact = self.dynamics.contact._replace(scenery=scenery)
         kept = [array.copy() for array in contact.touches]
-        found = overlaps(contact, after, moved, self.state.alive, self.parameters)
+        drones = DroneArrays(after, self.state.alive, self.parameters)
+        found = overlaps(contact, drones, moved)
         for array, before in zip(contact.touches, kept, strict=True):
             array[:] = before
         deep = np.flatnonzero(found.depth > TOUCH)

@@ -31,12 +31,7 @@ class Swarm(NamedTuple):
     rotor_speed: np.ndarray
 
     @classmethod
-    def zeros(
-        cls,
-        num_worlds: int,
-        num_drones: int,
-        num_rotors: int,
-    ) -> "Swarm":
+    def zeros(cls, num_worlds: int, num_drones: int, num_rotors: int) -> "Swarm":
         """Make a swarm at rest at the origin, level, with stopped rotors.
 
         Args:
@@ -58,12 +53,34 @@ class Swarm(NamedTuple):
         return Swarm(*(array[index] for array in self))
 
 
+class DroneArrays(NamedTuple):
+    """The drones of W worlds of N drones: their state, and what they are.
+
+    Attributes:
+        swarm: State of all drones.
+        alive: (W, N) bool, drones that fly; the others neither move nor act.
+        parameters: (W, N) rows of `PARAMETERS`, with which they fly.
+    """
+
+    swarm: Swarm
+    alive: np.ndarray
+    parameters: np.ndarray
+
+
+class TimeStep(NamedTuple):
+    """How a decision is divided.
+
+    Attributes:
+        substeps: Number of substeps.
+        dt: Duration of a substep, s.
+    """
+
+    substeps: int
+    dt: float
+
+
 @func
-def get(
-    swarm: Swarm,
-    w: int,
-    i: int,
-) -> State:
+def get(swarm: Swarm, w: int, i: int) -> State:
     """Return the state of one drone as tuples."""
     return (
         vec3(swarm.position, w, i),
@@ -74,12 +91,7 @@ def get(
 
 
 @func
-def put(
-    swarm: Swarm,
-    w: int,
-    i: int,
-    state: State,
-) -> None:
+def put(swarm: Swarm, w: int, i: int, state: State) -> None:
     """Set the state of one drone, in the form that `get` returns."""
     position, quaternion, velocity, rates = state
     for k in range(3):
@@ -91,11 +103,7 @@ def put(
 
 
 @func
-def _turned_back(
-    velocity: float,
-    beyond: float,
-    rebound: float,
-) -> float:
+def _turned_back(velocity: float, beyond: float, rebound: float) -> float:
     """Return a velocity across a side, turned back if it leads further beyond that side."""
     return -rebound * velocity if velocity * beyond > 0.0 else velocity
 

@@ -1,6 +1,7 @@
 """The wrench on one drone (force and torque) that every six-degree-of-freedom dynamics shares."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,18 @@ MOST_PARTS = 64
 Around = tuple[Vec3, float, float, Vec3, Vec3]
 """Wind (m/s), height of the surface below (m), gravity (m/s^2), and what pushes from outside: a
 force (N, world axes) and a torque (N m, body axes)"""
+
+
+class Wrenches(NamedTuple):
+    """What moves and turns the drones of W worlds of N drones in a substep.
+
+    Attributes:
+        force: (W, N, 3) forces at the centres of mass, world axes, N.
+        torque: (W, N, 3) torques, body axes, N m.
+    """
+
+    force: np.ndarray
+    torque: np.ndarray
 
 
 @func

@@ -1,3 +1,5 @@
+import inspect
+
 import numpy as np
 import pytest
 from reference import Reference
@@ -5,6 +7,9 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav import load_airframe
+from bulletuav.compiled.program import Program
+from bulletuav.control.setpoint import Setpoints
+from bulletuav.dynamics import bullet, kinematic, rigid_body
 from bulletuav.vehicle.swarm import Swarm
 
 G = 9.80665
@@ -275,3 +280,26 @@ def test_drones_that_are_not_alive_neither_move_nor_act(make_bench, dynamics):
     for array, old in zip(bench.swarm, before, strict=True):
         np.testing.assert_array_equal(array[0, 1], old[0, 1])
     assert bench.swarm.velocity[0, 0, 2] == pytest.approx(0, abs=1e-9)  # no wake from above
+
+
+@pytest.mark.parametrize("module", [bullet, kinematic, rigid_body])
+def test_advance_takes_the_same_records_in_all_dynamics(module):
+    names = list(inspect.signature(module.advance.py_func).parameters)
+    assert names[:2] == ["decision", "contact"]
+    assert len(names) <= 5
+
+
+@pytest.mark.parametrize("dynamics", ["point_mass", "rigid_body", "bullet"])
+def test_a_decision_has_what_the_dynamics_is_built_from(make_bench, dynamics):
+    bench = make_bench(dynamics)
+    decisions = []
+    bench.dynamics.add_flight = lambda program, decision: decisions.append(decision)
+    setpoints = Setpoints(np.zeros(bench.alive.shape, int), np.zeros((*bench.alive.shape, 4)))
+    wind = np.zeros((*bench.alive.shape, 3))
+    bench.dynamics.add_to(Program(), bench.swarm, bench.alive, setpoints, wind)
+    decision, flight = decisions[0], bench.dynamics.flight
+    assert decision.drones == (bench.swarm, bench.alive, flight.parameters)
+    assert decision.step == (flight.substeps, flight.dt)
+    assert decision.setpoints is setpoints
+    assert decision.cascade is flight.cascade
+    assert decision.air.wind is wind

@@ -6,6 +6,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.program import Program
+from bulletuav.control.setpoint import Setpoints
 from bulletuav.envs.airspace_world import AirspaceWorld
 from bulletuav.envs.parts import add_obstacles
 from bulletuav.envs.stages.base import Stage
@@ -109,8 +110,8 @@ class FlyCommands(Stage):
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
         """Add the calls; see `Stage`."""
         state = worlds.state
-        flight = (state.levels, state.setpoint, state.wind)
-        worlds.dynamics.add_to(program, state.swarm, state.alive, *flight)
+        setpoints = Setpoints(state.levels, state.setpoint)
+        worlds.dynamics.add_to(program, state.swarm, state.alive, setpoints, state.wind)
         add_obstacles(program, worlds.engine, state.obstacle)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.program import Program
+from bulletuav.control.setpoint import Setpoints
 from bulletuav.envs.parts import add_obstacles, copy_vectors
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
@@ -24,8 +25,8 @@ class Fly(Stage):
         """Add the calls; see `Stage`."""
         state, task, dynamics = worlds.state, worlds.task, worlds.dynamics
         program.call(copy_vectors, state.scene.obstacle, dynamics.contact.after)
-        flight = (state.levels, state.setpoint, state.wind)
-        dynamics.add_to(program, state.swarm, state.flown, *flight)
+        setpoints = Setpoints(state.levels, state.setpoint)
+        dynamics.add_to(program, state.swarm, state.flown, setpoints, state.wind)
         add_obstacles(program, worlds.engine, state.scene.obstacle)
         if task.rebound is not None:
 
