@@ -101,12 +101,7 @@ class CrazyflieServer(DatagramServer):
                 return
             self._take(i, datagram, address[:2])
 
-    def _take(
-        self,
-        i: int,
-        datagram: bytes,
-        address: Address,
-    ) -> None:
+    def _take(self, i: int, datagram: bytes, address: Address) -> None:
         """Take one packet."""
         if datagram[:1] == NULL[:1]:
             # A client looks for drones: this is no connection.
@@ -132,13 +127,7 @@ class CrazyflieServer(DatagramServer):
         """Return True if a client has gone, as far as can be known."""
         return peer.left or self._clock() - peer.heard > self._limits.grace
 
-    def _refuse(
-        self,
-        i: int,
-        packet: Packet,
-        address: Address,
-        peer: Peer,
-    ) -> None:
+    def _refuse(self, i: int, packet: Packet, address: Address, peer: Peer) -> None:
         """Let a second client of a drone wait; its request to connect is kept."""
         self.refused += 1
         text = f"drone {i} is flown by port {peer.address[1]}"
@@ -149,12 +138,7 @@ class CrazyflieServer(DatagramServer):
             line = f"{text}\n".encode()[:MOST_DATA]
             self._send_to(i, Packet(Port.CONSOLE, 0, line).frame(), address)
 
-    def _connect(
-        self,
-        i: int,
-        address: Address,
-        packet: Packet,
-    ) -> None:
+    def _connect(self, i: int, address: Address, packet: Packet) -> None:
         """Take a packet of a drone's own client, or of a new one."""
         peer = self._peers[i]
         if peer is None or peer.address != address:

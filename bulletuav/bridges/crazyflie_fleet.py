@@ -36,10 +36,7 @@ class Fleet:
     """
 
     def __init__(
-        self,
-        drones: int | Sequence[Sequence[float]] = 1,
-        airframe: Any = "cf2x",
-        **options: Any,
+        self, drones: int | Sequence[Sequence[float]] = 1, airframe: Any = "cf2x", **options: Any
     ) -> None:
         """Put drones on the ground, and switch them on.
 

@@ -83,12 +83,7 @@ class Planner:
         place: list[float] = self._tracker.trajectory.at(now - self._start).position.tolist()
         return place
 
-    def take(
-        self,
-        data: bytes,
-        state: State,
-        now: float,
-    ) -> Errno:
+    def take(self, data: bytes, state: State, now: float) -> Errno:
         """Take a command.
 
         Args:
@@ -137,12 +132,7 @@ class Planner:
             np.array([*place, euler(quaternion)[2]]), np.array([*velocity, 0.0]), np.zeros(4)
         )
 
-    def _begin(
-        self,
-        plan: Trajectory,
-        now: float,
-        lands: bool = False,
-    ) -> Errno:
+    def _begin(self, plan: Trajectory, now: float, lands: bool = False) -> Errno:
         """Follow a plan from now on."""
         self._tracker, self._start, self._lands = Tracker(self._airframe, plan), now, lands
         end = plan.at(plan.end)
@@ -150,31 +140,15 @@ class Planner:
         self._end = Order(SetpointLevel.POSITION, numbers)
         return Errno.NONE
 
-    def _set_group(
-        self,
-        data: bytes,
-        begin: Pose,
-        now: float,
-    ) -> Errno:
+    def _set_group(self, data: bytes, begin: Pose, now: float) -> Errno:
         _, self._group = unpack("BB", data)
         return Errno.NONE
 
-    def _stop(
-        self,
-        data: bytes,
-        begin: Pose,
-        now: float,
-    ) -> Errno:
+    def _stop(self, data: bytes, begin: Pose, now: float) -> Errno:
         self.stop()
         return Errno.NONE
 
-    def _vertical(
-        self,
-        data: bytes,
-        begin: Pose,
-        now: float,
-        lands: bool,
-    ) -> Errno:
+    def _vertical(self, data: bytes, begin: Pose, now: float, lands: bool) -> Errno:
         """Rise or sink to a height."""
         _, _, height, yaw, keeps_yaw, duration = unpack("BBff?f", data)
         goal = begin.place.copy()
@@ -185,30 +159,15 @@ class Planner:
             return Errno.EINVAL
         return self._begin(smooth(begin, goal, duration), now, lands)
 
-    def _take_off(
-        self,
-        data: bytes,
-        begin: Pose,
-        now: float,
-    ) -> Errno:
+    def _take_off(self, data: bytes, begin: Pose, now: float) -> Errno:
         if self.flies:
             return Errno.EBUSY
         return self._vertical(data, Pose.still(begin.place), now, False)
 
-    def _land(
-        self,
-        data: bytes,
-        begin: Pose,
-        now: float,
-    ) -> Errno:
+    def _land(self, data: bytes, begin: Pose, now: float) -> Errno:
         return self._vertical(data, begin, now, True)
 
-    def _go_to(
-        self,
-        data: bytes,
-        begin: Pose,
-        now: float,
-    ) -> Errno:
+    def _go_to(self, data: bytes, begin: Pose, now: float) -> Errno:
         _, _, is_relative, is_linear, *goal, duration = unpack("BBBBfffff", data)
         place = np.array(goal)
         if is_relative:
@@ -221,12 +180,7 @@ class Planner:
             return self._begin(straight(begin.place, place, duration), now)
         return self._begin(smooth(begin, place, duration), now)
 
-    def _spiral(
-        self,
-        data: bytes,
-        begin: Pose,
-        now: float,
-    ) -> Errno:
+    def _spiral(self, data: bytes, begin: Pose, now: float) -> Errno:
         _, _, sideways, clockwise, angle, first, last, ascent, duration = unpack("BBBBfffff", data)
         limited = min(max(angle, -math.tau), math.tau)
         reach = np.array([first, last, ascent, 0.0])
@@ -235,12 +189,7 @@ class Planner:
         spiral = Spiral(limited, first, last, ascent, bool(sideways), bool(clockwise))
         return self._begin(spiral.plan(begin.place, duration), now)
 
-    def _define(
-        self,
-        data: bytes,
-        begin: Pose,
-        now: float,
-    ) -> Errno:
+    def _define(self, data: bytes, begin: Pose, now: float) -> Errno:
         _, number, location, kind, offset, count = unpack("BBBBIB", data)
         if location != 1 or kind not in (0, 1) or not count:
             return Errno.EINVAL
@@ -249,12 +198,7 @@ class Planner:
         self._stored[number] = (kind, offset, count)
         return Errno.NONE
 
-    def _follow(
-        self,
-        data: bytes,
-        begin: Pose,
-        now: float,
-    ) -> Errno:
+    def _follow(self, data: bytes, begin: Pose, now: float) -> Errno:
         _, _, along, turned, backwards, number, scale = unpack("BBBBBBf", data)
         if number not in self._stored:
             return Errno.ENOENT

@@ -52,11 +52,7 @@ class Pose(NamedTuple):
         return cls(place, np.zeros(4), np.zeros(4))
 
 
-def smooth(
-    begin: Pose,
-    goal: np.ndarray,
-    duration: float,
-) -> Trajectory:
+def smooth(begin: Pose, goal: np.ndarray, duration: float) -> Trajectory:
     """Plan a polynomial of 7th degree to a goal, where it ends at rest.
 
     Args:
@@ -82,11 +78,7 @@ def smooth(
     return Trajectory.polynomial([duration], (terms / _powers(duration)).T[None])
 
 
-def straight(
-    begin: np.ndarray,
-    goal: np.ndarray,
-    duration: float,
-) -> Trajectory:
+def straight(begin: np.ndarray, goal: np.ndarray, duration: float) -> Trajectory:
     """Plan a line (4,) to (4,) at one speed."""
     return Trajectory.polynomial(
         [duration], np.stack([begin, (goal - begin) / duration], axis=1)[None]
@@ -169,12 +161,7 @@ class Stored(NamedTuple):
                     )
         return Stored(self.durations[::-1], terms[::-1])
 
-    def moved(
-        self,
-        begin: np.ndarray,
-        along: bool,
-        turned: bool,
-    ) -> "Stored":
+    def moved(self, begin: np.ndarray, along: bool, turned: bool) -> "Stored":
         """Return it from another begin (4,).
 
         Args:
@@ -214,11 +201,7 @@ class Stored(NamedTuple):
         return Trajectory.polynomial(self.durations.tolist(), self.terms)
 
 
-def read_pieces(
-    content: bytes,
-    offset: int,
-    count: int,
-) -> Stored:
+def read_pieces(content: bytes, offset: int, count: int) -> Stored:
     """Read pieces of 7th degree from memory.
 
     Args:
@@ -237,11 +220,7 @@ def read_pieces(
     return Stored(rows[:, -1], rows[:, :-1].reshape(count, 4, POWERS)).checked()
 
 
-def read_compressed(
-    content: bytes,
-    offset: int,
-    count: int,
-) -> Stored:
+def read_compressed(content: bytes, offset: int, count: int) -> Stored:
     """Read compressed pieces: control points of Bezier curves, mm and tenths of degrees.
 
     Args:

@@ -41,12 +41,7 @@ MOST_MEMORY = 24
 class Table:
     """A table of contents, which clients read entry by entry."""
 
-    def __init__(
-        self,
-        port: Port,
-        entries: Sequence[tuple[int, str]],
-        tail: bytes = b"",
-    ) -> None:
+    def __init__(self, port: Port, entries: Sequence[tuple[int, str]], tail: bytes = b"") -> None:
         """Write the entries.
 
         Args:
@@ -140,13 +135,7 @@ class LogService:
         error = self._change(request, block, packet.data[2:], tick)
         return [packet._replace(data=pack("BBB", request, block, error))]
 
-    def _change(
-        self,
-        request: int,
-        block: int,
-        rest: bytes,
-        tick: int,
-    ) -> Errno:
+    def _change(self, request: int, block: int, rest: bytes, tick: int) -> Errno:
         """Create, delete, start, stop or extend a block."""
         # Create: a block of this number must be new, and there must be room
         if request == 6:
@@ -176,12 +165,7 @@ class LogService:
                 chosen.period = 0
         return error
 
-    def _extend(
-        self,
-        block: Block,
-        rest: bytes,
-        number: int,
-    ) -> Errno:
+    def _extend(self, block: Block, rest: bytes, number: int) -> Errno:
         """Add variables to a block, and keep it if they fit."""
         added = list(block.variables)
         for code, variable in struct.iter_unpack("<BH", rest[: len(rest) // 3 * 3]):
@@ -206,12 +190,7 @@ class LogService:
         ]
 
     @staticmethod
-    def write(
-        number: int,
-        block: Block,
-        tick: int,
-        told: Telemetry,
-    ) -> Packet:
+    def write(number: int, block: Block, tick: int, told: Telemetry) -> Packet:
         """Write a block's values as a packet."""
         values = b""
         for code, variable in block.variables:

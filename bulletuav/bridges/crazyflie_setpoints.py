@@ -77,12 +77,7 @@ class Commander:
         """Let the planner take over as soon as it has something to do."""
         self.released = True
 
-    def take(
-        self,
-        packet: Packet,
-        now: float,
-        rates: tuple[bool, bool],
-    ) -> None:
+    def take(self, packet: Packet, now: float, rates: tuple[bool, bool]) -> None:
         """Take a setpoint.
 
         Args:
@@ -138,11 +133,7 @@ class Commander:
         return Setpoint("body", velocity, "position", _within(d, FARTHEST), "rate", _turn(c))
 
     def _manual(
-        self,
-        angles: tuple[float, ...],
-        command: int,
-        is_rate: bool,
-        yaw_is_rate: bool,
+        self, angles: tuple[float, ...], command: int, is_rate: bool, yaw_is_rate: bool
     ) -> Setpoint:
         """Make a setpoint of roll, pitch, yaw and thrust."""
         roll, pitch, yaw = angles

@@ -116,10 +116,7 @@ class LogVariable(NamedTuple):
 
 
 def _axes(
-    group: str,
-    names: str,
-    read: Callable[[Telemetry, int], float],
-    code: int = FLOAT,
+    group: str, names: str, read: Callable[[Telemetry, int], float], code: int = FLOAT
 ) -> dict[str, LogVariable]:
     """Make a variable for each of the names, which takes the entry of that place."""
 
@@ -190,11 +187,7 @@ class Parameter(NamedTuple):
     persistent: bool = False
 
 
-def _gains(
-    group: str,
-    loops: str,
-    names: str,
-) -> dict[str, Parameter]:
+def _gains(group: str, loops: str, names: str) -> dict[str, Parameter]:
     """Make parameters for gains, which are kept and change nothing."""
     return {
         f"{group}.{loop}{name}": Parameter(P_FLOAT, 0.0, persistent=True)

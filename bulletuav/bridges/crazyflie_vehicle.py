@@ -83,11 +83,7 @@ class Vehicle:
         self.logs.clear()
 
     def sense(
-        self,
-        state: State,
-        acceleration: list[float],
-        rotor_speed: list[float],
-        now: float,
+        self, state: State, acceleration: list[float], rotor_speed: list[float], now: float
     ) -> None:
         """Take the body's state over, and look whether it lies upside down.
 

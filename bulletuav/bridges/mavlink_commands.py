@@ -52,11 +52,7 @@ class Request(NamedTuple):
 Does = Callable[[Vehicle, Streams, Request], Sequence[Told]]
 
 
-def _arm(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _arm(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Arm (1) or disarm (0)."""
     wanted = request.whole(1)
     if wanted not in (0, 1):
@@ -68,11 +64,7 @@ def _arm(
     return ()
 
 
-def _take_off(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _take_off(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Take off, to an altitude."""
     height = request.numbers[6]
     if not math.isfinite(height):
@@ -83,11 +75,7 @@ def _take_off(
     return ()
 
 
-def _reposition(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _reposition(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Fly to a place; what is left out stays as it is."""
     speed, _, _, yaw, latitude, longitude, altitude = request.numbers
     x, y, z = vehicle.pilot.state[0]
@@ -105,11 +93,7 @@ def _reposition(
     return ()
 
 
-def _change_speed(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _change_speed(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Change the speed of missions, m/s, from the next leg on."""
     if not 0 < request.numbers[1] < math.inf:
         raise RefusedError("speed: more than 0 m/s is needed")
@@ -117,11 +101,7 @@ def _change_speed(
     return ()
 
 
-def set_mode(
-    vehicle: Vehicle,
-    main: int,
-    sub: int,
-) -> None:
+def set_mode(vehicle: Vehicle, main: int, sub: int) -> None:
     """Change the mode, by PX4's numbers.
 
     Raises:
@@ -133,11 +113,7 @@ def set_mode(
     vehicle.pilot.enter(Mode(number))
 
 
-def _mode(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _mode(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Change the mode."""
     if not request.whole(1) & CUSTOM:
         raise RefusedError("mode: PX4's own (base mode 1) are needed")
@@ -148,32 +124,20 @@ def _mode(
 def _entering(mode: Mode) -> Does:
     """Make the function of a command that changes the mode."""
 
-    def does(
-        vehicle: Vehicle,
-        streams: Streams,
-        request: Request,
-    ) -> Sequence[Told]:
+    def does(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
         vehicle.pilot.enter(mode)
         return ()
 
     return does
 
 
-def _pause(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _pause(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Hold (0), or go on with the mission (1)."""
     vehicle.pilot.enter(Mode.MISSION if request.whole(1) else Mode.HOLD)
     return ()
 
 
-def _mission_start(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _mission_start(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Begin the mission, at an item."""
     first = request.numbers[0]
     if vehicle.pilot.route.items and first > 0:
@@ -182,52 +146,32 @@ def _mission_start(
     return ()
 
 
-def _set_current(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _set_current(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Go on with another item of the mission."""
     vehicle.pilot.jump(request.whole(1))
     return ()
 
 
-def _terminate(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _terminate(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Switch motors off, wherever it is."""
     if request.numbers[0] > 0.5:
         vehicle.pilot.disarm(by_force=True)
     return ()
 
 
-def _set_interval(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _set_interval(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Change how often a message is sent, us."""
     streams.set(request.whole(1), request.numbers[1])
     return ()
 
 
-def _get_interval(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _get_interval(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Tell how often a message is sent."""
     number = request.whole(1)
     return (Told("message_interval", (number, streams.interval(number))),)
 
 
-def _request(
-    vehicle: Vehicle,
-    streams: Streams,
-    request: Request,
-) -> Sequence[Told]:
+def _request(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
     """Send a message once."""
     return (tell(vehicle, request.whole(1)),)
 
@@ -235,11 +179,7 @@ def _request(
 def _requesting(number: int) -> Does:
     """Make the function of a command that asks for one message."""
 
-    def does(
-        vehicle: Vehicle,
-        streams: Streams,
-        request: Request,
-    ) -> Sequence[Told]:
+    def does(vehicle: Vehicle, streams: Streams, request: Request) -> Sequence[Told]:
         return (tell(vehicle, number),)
 
     return does

@@ -87,12 +87,7 @@ class MavlinkFleet:
         """Time since the start, s."""
         return self.tick / STEP_HZ
 
-    def take(
-        self,
-        drone: int,
-        message: Message,
-        sender: Sender,
-    ) -> list[Told]:
+    def take(self, drone: int, message: Message, sender: Sender) -> list[Told]:
         """Give a message to a vehicle; its answers are returned."""
         return self.services[drone].answer(message, sender)
 

@@ -31,11 +31,7 @@ class MissionError(RefusedError):
         self.code = code
 
 
-def place_of(
-    item: Item,
-    site: Site,
-    present: Sequence[float],
-) -> Place:
+def place_of(item: Item, site: Site, present: Sequence[float]) -> Place:
     """Tell where an item is.
 
     Args:
@@ -60,12 +56,7 @@ def place_of(
     return site.of_global(item.frame, item.x, item.y, item.z)
 
 
-def check_items(
-    items: Sequence[Item],
-    site: Site,
-    fence: Fence,
-    farthest: float,
-) -> None:
+def check_items(items: Sequence[Item], site: Site, fence: Fence, farthest: float) -> None:
     """Check a mission before it is taken.
 
     Args:

@@ -53,12 +53,7 @@ class MissionService:
         lists: Items by kind.
     """
 
-    def __init__(
-        self,
-        check: Check,
-        fence: Fence,
-        taken: Callable[[], None],
-    ) -> None:
+    def __init__(self, check: Check, fence: Fence, taken: Callable[[], None]) -> None:
         """Begin with empty lists.
 
         Args:
@@ -70,12 +65,7 @@ class MissionService:
         self.lists: dict[int, tuple[Item, ...]] = {MISSION: (), FENCE: ()}
         self._upload: Upload | None = None
 
-    def answer(
-        self,
-        message: Message,
-        sender: Sender,
-        now: float,
-    ) -> list[Told]:
+    def answer(self, message: Message, sender: Sender, now: float) -> list[Told]:
         """Answer a message about lists.
 
         Args:
@@ -113,12 +103,7 @@ class MissionService:
         """Tell whether it is this client that sends items."""
         return self._upload is not None and self._upload.sender == sender
 
-    def _begin(
-        self,
-        message: Message,
-        sender: Sender,
-        now: float,
-    ) -> list[Told]:
+    def _begin(self, message: Message, sender: Sender, now: float) -> list[Told]:
         """Begin an upload."""
         which = message.mission_type
         if self._upload is not None and not self._is_uploading(sender):
@@ -156,12 +141,7 @@ class MissionService:
         if kind == MISSION:
             self._taken()
 
-    def _take_item(
-        self,
-        message: Message,
-        sender: Sender,
-        now: float,
-    ) -> list[Told]:
+    def _take_item(self, message: Message, sender: Sender, now: float) -> list[Told]:
         """Take an item; one that was not asked for is answered by what is."""
         upload, which = self._upload, message.mission_type
         if upload is None or upload.sender != sender or upload.kind != which:
@@ -206,11 +186,7 @@ class MissionService:
         return self._go_on()
 
 
-def _ack(
-    sender: Sender,
-    code: int,
-    kind: int = MISSION,
-) -> Told:
+def _ack(sender: Sender, code: int, kind: int = MISSION) -> Told:
     """Answer a client."""
     return Told("mission_ack", (*sender[:2], code, kind))
 

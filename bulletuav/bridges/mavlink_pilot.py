@@ -35,11 +35,7 @@ class Pilot:
     """
 
     def __init__(
-        self,
-        airframe: Airframe,
-        site: Site,
-        parameters: ParameterService,
-        fence: Fence,
+        self, airframe: Airframe, site: Site, parameters: ParameterService, fence: Fence
     ) -> None:
         """Begin on the ground, disarmed."""
         self._airframe, self._site, self._fence = airframe, site, fence
@@ -59,12 +55,7 @@ class Pilot:
         self._changed = self._upright = 0.0
         self._touched, self._has_flown, self._is_inside = True, False, True
 
-    def sense(
-        self,
-        state: State,
-        now: float,
-        touches: bool,
-    ) -> None:
+    def sense(self, state: State, now: float, touches: bool) -> None:
         """Take the body's state over, and look what follows from it.
 
         Args:
@@ -335,11 +326,6 @@ class Pilot:
         self._next = go_on
         return self._leg((x, y, high), values["MPC_XY_CRUISE"], Heading())
 
-    def _leg(
-        self,
-        goal: tuple[float, float, float],
-        speed: float,
-        heading: Heading,
-    ) -> Path:
+    def _leg(self, goal: tuple[float, float, float], speed: float, heading: Heading) -> Path:
         """Fly straight to a place."""
         return self.route.leg(self.state, goal, speed, heading, self.now)

@@ -42,12 +42,7 @@ class Site(NamedTuple):
         x, y, z = (one - begin for one, begin in zip(place, self.start, strict=True))
         return y, x, -z
 
-    def of_ned(
-        self,
-        north: float,
-        east: float,
-        down: float,
-    ) -> tuple[float, float, float]:
+    def of_ned(self, north: float, east: float, down: float) -> tuple[float, float, float]:
         """Tell the place at north, east, down of the start, m.
 
         Raises:
@@ -57,11 +52,7 @@ class Site(NamedTuple):
         return _near((x + east, y + north, z - down))
 
     def of_global(
-        self,
-        frame: int,
-        latitude: float,
-        longitude: float,
-        altitude: float,
+        self, frame: int, latitude: float, longitude: float, altitude: float
     ) -> tuple[float, float, float]:
         """Tell the place at a latitude and a longitude, deg, and an altitude, m.
 

@@ -109,12 +109,7 @@ class Route:
         limit = way / speed + speed / ACCELERATION + PATIENCE
         return Path(state, [np.array(goal)], speed, heading, (now, limit), near)
 
-    def motion(
-        self,
-        state: State,
-        now: float,
-        has_landed: bool,
-    ) -> Motion | Mode | None:
+    def motion(self, state: State, now: float, has_landed: bool) -> Motion | Mode | None:
         """Tell what comes next.
 
         Args:
@@ -177,10 +172,7 @@ class Route:
             yield self._wait(LONGEST)
 
     def _leg(
-        self,
-        goal: tuple[float, float, float],
-        heading: Heading,
-        near: float = NEAREST,
+        self, goal: tuple[float, float, float], heading: Heading, near: float = NEAREST
     ) -> Path:
         """Fly straight to a place, at the mission's speed."""
         return self.leg(self._state, goal, self.speed, heading, self._now, near)

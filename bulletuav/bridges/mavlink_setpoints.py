@@ -24,11 +24,7 @@ STEEPEST = math.radians(60)
 """Greatest roll and pitch, rad"""
 
 
-def of_local(
-    message: Message,
-    site: Site,
-    state: State,
-) -> Setpoint | Order:
+def of_local(message: Message, site: Site, state: State) -> Setpoint | Order:
     """Read a SET_POSITION_TARGET_LOCAL_NED.
 
     Args:
@@ -50,11 +46,7 @@ def of_local(
     return _moving(message, mask, site.of_ned(*used), state, "body" if frame == BODY else "")
 
 
-def of_global(
-    message: Message,
-    site: Site,
-    state: State,
-) -> Setpoint | Order:
+def of_global(message: Message, site: Site, state: State) -> Setpoint | Order:
     """Read a SET_POSITION_TARGET_GLOBAL_INT; see `of_local`.
 
     Raises:
@@ -68,11 +60,7 @@ def of_global(
 
 
 def _moving(
-    message: Message,
-    mask: int,
-    place: tuple[float, float, float],
-    state: State,
-    body: str,
+    message: Message, mask: int, place: tuple[float, float, float], state: State, body: str
 ) -> Setpoint | Order:
     """Join what a message tells of place, velocity, acceleration and yaw."""
     if mask & IS_FORCE and mask & ACCELERATION != ACCELERATION:
@@ -98,12 +86,7 @@ def _moving(
     raise RefusedError(f"setpoint with mask {message.type_mask:#x} unsupported")
 
 
-def _vector(
-    message: Message,
-    prefix: str,
-    ignored: int,
-    most: float,
-) -> tuple[float, ...]:
+def _vector(message: Message, prefix: str, ignored: int, most: float) -> tuple[float, ...]:
     """Read a vector north, east, down as one east, north, up; what is ignored is 0."""
     north, east, down = (
         0.0 if ignored & 1 << k else _number(getattr(message, prefix + axis), most)

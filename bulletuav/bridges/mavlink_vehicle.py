@@ -26,11 +26,7 @@ class Vehicle:
     """
 
     def __init__(
-        self,
-        system: int,
-        airframe: Airframe,
-        site: Site,
-        locate: Callable[[], list[float]],
+        self, system: int, airframe: Airframe, site: Site, locate: Callable[[], list[float]]
     ) -> None:
         """Switch it on, on the ground, disarmed.
 
