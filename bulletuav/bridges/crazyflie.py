@@ -10,8 +10,8 @@ import logging
 import time
 from dataclasses import dataclass
 
-from bulletuav.bridges.crazyflie_fleet import Fleet
-from bulletuav.bridges.crtp import MOST_DATA, NULL, MalformedError, Packet, Port
+from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
+from bulletuav.bridges.crtp import MAX_DATA_SIZE, NULL_PACKET, CrtpPort, MalformedError, Packet
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
 from bulletuav.envs.connections import Clock, Limits
 from bulletuav.envs.refusals import Refusals
@@ -22,14 +22,14 @@ PORT = 19850
 LIMITS = Limits(max_clients=1, grace=0.5, max_idle=10.0)
 """Limits of a drone's client. Another one may have the drone after `grace` seconds of silence, as
 cflib pings at 10 Hz. After `max_idle` seconds it is sent no more logs."""
-SERVICES = frozenset(Port) - {Port.CONSOLE}
+SERVICES = frozenset(CrtpPort) - {CrtpPort.CONSOLE}
 """Ports that clients send to"""
-MOST_READ = 16
+MAX_PACKETS_PER_READ = 16
 """Most packets that are taken from a drone's socket in one go: others wait, or are dropped"""
 
 
 @dataclass
-class Peer:
+class CrazyflieClient:
     """The client of a drone.
 
     Attributes:
@@ -39,8 +39,8 @@ class Peer:
     """
 
     address: Address
-    heard: float
-    left: bool = False
+    last_heard: float
+    has_closed_link: bool = False
 
 
 class CrazyflieServer(DatagramServer):
@@ -55,7 +55,7 @@ class CrazyflieServer(DatagramServer):
 
     def __init__(
         self,
-        fleet: Fleet,
+        fleet: CrazyflieFleet,
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
@@ -81,9 +81,9 @@ class CrazyflieServer(DatagramServer):
         self.refused = 0
         self._limits, self._clock = limits, clock
         self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
-        self._peers: list[Peer | None] = [None] * len(fleet)
+        self._peers: list[CrazyflieClient | None] = [None] * len(fleet)
         self._waiting: dict[int, tuple[Address, Packet]] = {}
-        self.uris = [f"udp://{join_address(host, one)}" for one in self.ports]
+        self.uris = [f"udp://{join_address(host, port)}" for port in self.ports]
 
     def _step(self) -> None:
         """Fly for 10 ms, and send logs."""
@@ -93,20 +93,20 @@ class CrazyflieServer(DatagramServer):
 
     def _read(self, i: int) -> None:
         """Take the packets that have come for a drone, as many as may be in one go."""
-        for _ in range(MOST_READ):
+        for _ in range(MAX_PACKETS_PER_READ):
             try:
-                datagram, address = self._sockets[i].recvfrom(MOST_DATA + 2)
+                datagram, address = self._sockets[i].recvfrom(MAX_DATA_SIZE + 2)
             # Nothing is left; or, on Windows, a client that was sent something has gone.
             except OSError:
                 return
-            self._take(i, datagram, address[:2])
+            self._handle_datagram(i, datagram, address[:2])
 
-    def _take(self, i: int, datagram: bytes, address: Address) -> None:
+    def _handle_datagram(self, i: int, datagram: bytes, address: Address) -> None:
         """Take one packet."""
-        if datagram[:1] == NULL[:1]:
+        if datagram[:1] == NULL_PACKET[:1]:
             # A client looks for drones: this is no connection.
             if len(datagram) == 1:
-                self._send_to(i, NULL, address)
+                self._send_to(i, NULL_PACKET, address)
             return
         try:
             packet = Packet.parse(datagram)
@@ -118,37 +118,39 @@ class CrazyflieServer(DatagramServer):
             self.fleet.vehicles[i].malformed += 1
             return
         peer = self._peers[i]
-        if peer is not None and peer.address != address and not self._gone(peer):
-            self._refuse(i, packet, address, peer)
+        if peer is not None and peer.address != address and not self._is_gone(peer):
+            self._refuse_client(i, packet, address, peer)
             return
-        self._connect(i, address, packet)
+        self._serve_client(i, address, packet)
 
-    def _gone(self, peer: Peer) -> bool:
+    def _is_gone(self, peer: CrazyflieClient) -> bool:
         """Return True if a client has gone, as far as can be known."""
-        return peer.left or self._clock() - peer.heard > self._limits.grace
+        return peer.has_closed_link or self._clock() - peer.last_heard > self._limits.grace
 
-    def _refuse(self, i: int, packet: Packet, address: Address, peer: Peer) -> None:
+    def _refuse_client(
+        self, i: int, packet: Packet, address: Address, peer: CrazyflieClient
+    ) -> None:
         """Let a second client of a drone wait; its request to connect is kept."""
         self.refused += 1
         text = f"drone {i} is flown by port {peer.address[1]}"
         event = f"refused: {text}; close that link first"
         self._refusals.log_connection(join_address(*address), event)
-        if packet.port == Port.LINK and packet.channel == 1:
+        if packet.port == CrtpPort.LINK and packet.channel == 1:
             self._waiting[i] = (address, packet)
-            line = f"{text}\n".encode()[:MOST_DATA]
-            self._send_to(i, Packet(Port.CONSOLE, 0, line).frame(), address)
+            line = f"{text}\n".encode()[:MAX_DATA_SIZE]
+            self._send_to(i, Packet(CrtpPort.CONSOLE, 0, line).frame(), address)
 
-    def _connect(self, i: int, address: Address, packet: Packet) -> None:
+    def _serve_client(self, i: int, address: Address, packet: Packet) -> None:
         """Take a packet of a drone's own client, or of a new one."""
         peer = self._peers[i]
         if peer is None or peer.address != address:
-            self.fleet.vehicles[i].leave()
-        is_end = packet.port == Port.ATTITUDE_SETPOINT and not any(packet.data)
-        self._peers[i] = Peer(address, self._clock(), is_end)
+            self.fleet.vehicles[i].reset_client()
+        is_end = packet.port == CrtpPort.SETPOINT and not any(packet.data)
+        self._peers[i] = CrazyflieClient(address, self._clock(), is_end)
         for answer in self.fleet.take(i, packet):
             self._send(i, answer)
         if reason := self.fleet.vehicles[i].refusal:
-            port = Port(packet.port).name if packet.port in tuple(Port) else packet.port
+            port = CrtpPort(packet.port).name if packet.port in tuple(CrtpPort) else packet.port
             call = f"packet to {port}, channel {packet.channel}, of drone {i}"
             self._refusals.log(join_address(*address), call, reason)
 
@@ -156,17 +158,17 @@ class CrazyflieServer(DatagramServer):
         """Connect clients that waited, where the one before has gone."""
         for i, (address, packet) in list(self._waiting.items()):
             peer = self._peers[i]
-            if peer is None or self._gone(peer):
+            if peer is None or self._is_gone(peer):
                 del self._waiting[i]
-                self._connect(i, address, packet)
+                self._serve_client(i, address, packet)
 
     def _send(self, i: int, packet: Packet) -> None:
         """Send a packet to a drone's client, if it is there."""
         peer = self._peers[i]
         if peer is None:
             return
-        if self._clock() - peer.heard > self._limits.max_idle:
+        if self._clock() - peer.last_heard > self._limits.max_idle:
             self._peers[i] = None
-            self.fleet.vehicles[i].leave()
+            self.fleet.vehicles[i].reset_client()
             return
         self._send_to(i, packet.frame(), peer.address)

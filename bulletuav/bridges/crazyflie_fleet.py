@@ -4,9 +4,9 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-from bulletuav.bridges.crazyflie_services import TICK
-from bulletuav.bridges.crazyflie_tables import LOGS
-from bulletuav.bridges.crazyflie_vehicle import Vehicle
+from bulletuav.bridges.crazyflie_services import TICK_MS
+from bulletuav.bridges.crazyflie_toc import LOGS
+from bulletuav.bridges.crazyflie_vehicle import CrazyflieVehicle
 from bulletuav.bridges.crtp import Packet
 from bulletuav.bridges.setpoints import euler, give, make_airspace, states_of
 from bulletuav.bridges.starts import starts
@@ -14,7 +14,7 @@ from bulletuav.compiled.functions import cos, sin
 from bulletuav.earth import pressure
 from bulletuav.vehicle.airframes import load_airframe
 
-DECISION_HZ = 1000 // TICK
+DECISION_HZ = 1000 // TICK_MS
 """Steps a second: commands and logs have the firmware's unit of time"""
 PHYSICS_HZ = 500
 """Steps of physics, and of the loops of attitude and rates, a second"""
@@ -22,7 +22,7 @@ SPACING = 0.5
 """Distance between neighbours at the start, m"""
 
 
-class Fleet:
+class CrazyflieFleet:
     """N virtual Crazyflies whose bodies fly, and collide, in one airspace.
 
         fleet = Fleet(2)
@@ -52,14 +52,15 @@ class Fleet:
         places = starts(drones, frame.standing_height, SPACING)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {DECISION_HZ} in the firmware: leave it out")
-        known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
-        self.airspace = make_airspace(places, frame, **known)
+        settings = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
+        self.airspace = make_airspace(places, frame, **settings)
         self.vehicles = [
-            Vehicle(frame, functools.partial(self._stand_up, i)) for i in range(len(places))
+            CrazyflieVehicle(frame, functools.partial(self._set_upright, i))
+            for i in range(len(places))
         ]
         self.tick, self._starts = 0, places
         self._velocity = self.airspace.swarm.velocity.copy()
-        self._sense()
+        self._update_vehicles()
 
     def __len__(self) -> int:
         """Tell how many drones there are."""
@@ -68,7 +69,7 @@ class Fleet:
     @property
     def time(self) -> float:
         """Time since the start, s."""
-        return self.tick * TICK / 1000
+        return self.tick * TICK_MS / 1000
 
     def take(self, drone: int, packet: Packet) -> list[Packet]:
         """Give a packet to a drone; its answers are returned."""
@@ -83,14 +84,14 @@ class Fleet:
         Raises:
             RuntimeError: The flight diverged, or the airspace is closed.
         """
-        give(self.airspace, [one.order(self.airspace.period) for one in self.vehicles])
+        give(self.airspace, [vehicle.order(self.airspace.period) for vehicle in self.vehicles])
         self.airspace.step()
         self.tick += 1
-        self._sense()
+        self._update_vehicles()
         return [
             (i, packet)
             for i, vehicle in enumerate(self.vehicles)
-            for packet in self._logged(vehicle)
+            for packet in self._due_log_packets(vehicle)
         ]
 
     def warm_up(self) -> None:
@@ -100,32 +101,36 @@ class Fleet:
             variable.read(self.vehicles[0].telemetry(_pressure))
         self.airspace.place(None, self._starts)
 
-    def _sense(self) -> None:
+    def _update_vehicles(self) -> None:
         """Tell the drones how their bodies move."""
         swarm = self.airspace.swarm
         change = (swarm.velocity - self._velocity) / self.airspace.period
         self._velocity = swarm.velocity.copy()
-        rest = zip(change.tolist(), swarm.rotor_speed.tolist(), strict=True)
-        told = zip(self.vehicles, states_of(swarm), rest, strict=True)
-        for vehicle, state, (acceleration, speed) in told:
-            vehicle.sense(state, acceleration, speed, self.time)
+        motion = zip(change.tolist(), swarm.rotor_speed.tolist(), strict=True)
+        rows = zip(self.vehicles, states_of(swarm), motion, strict=True)
+        for vehicle, state, (acceleration, speed) in rows:
+            vehicle.update_state(state, acceleration, speed, self.time)
 
-    def _logged(self, vehicle: Vehicle) -> list[Packet]:
+    def _due_log_packets(self, vehicle: CrazyflieVehicle) -> list[Packet]:
         """Write the log blocks that are due."""
         due = vehicle.logs.due(self.tick)
         if not due:
             return []
-        told = vehicle.telemetry(_pressure)
-        return [vehicle.logs.write(number, block, self.tick, told) for number, block in due]
+        telemetry = vehicle.telemetry(_pressure)
+        return [
+            vehicle.logs.encode_block(number, block, self.tick, telemetry) for number, block in due
+        ]
 
-    def _stand_up(self, i: int) -> bool:
+    def _set_upright(self, i: int) -> bool:
         """Put a drone on its feet where it lies, if there is room."""
         swarm = self.airspace.swarm
         yaw = euler(swarm.quaternion[i].tolist())[2]
-        place = swarm.position[i].copy()
-        place[2] += self.airspace.airframes[i].standing_height
+        position = swarm.position[i].copy()
+        position[2] += self.airspace.airframes[i].standing_height
         try:
-            self.airspace.place(i, place, (0.0, 0.0, sin(yaw / 2), cos(yaw / 2)), rotor_speed=0.0)
+            self.airspace.place(
+                i, position, (0.0, 0.0, sin(yaw / 2), cos(yaw / 2)), rotor_speed=0.0
+            )
         except ValueError:
             return False
         return True

@@ -11,27 +11,27 @@ import struct
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-MOST_DATA = 30
+MAX_DATA_SIZE = 30
 """Greatest size of a packet's data, bytes"""
 RESERVED = 0x0C
 """Bits of the header that are always set"""
-NULL = b"\xff"
+NULL_PACKET = b"\xff"
 """Packet without meaning, by which clients look for drones"""
 PROTOCOL_VERSION = 12
 """Version that is told to clients; from 12 on they use the supervisor's port"""
 
 
-class Port(IntEnum):
+class CrtpPort(IntEnum):
     """Ports of CRTP, each of which belongs to a part of the firmware."""
 
     CONSOLE = 0
-    PARAMETERS = 2
-    ATTITUDE_SETPOINT = 3
-    MEMORY = 4
+    PARAM = 2
+    SETPOINT = 3
+    MEM = 4
     LOG = 5
     LOCALIZATION = 6
-    SETPOINT = 7
-    PLANNER = 8
+    SETPOINT_GENERIC = 7
+    SETPOINT_HL = 8
     SUPERVISOR = 9
     PLATFORM = 13
     LINK = 15
@@ -82,9 +82,9 @@ class Packet(NamedTuple):
         Raises:
             MalformedError: It is empty or too long.
         """
-        if not 1 <= len(datagram) <= 1 + MOST_DATA:
+        if not 1 <= len(datagram) <= 1 + MAX_DATA_SIZE:
             raise MalformedError(
-                f"a datagram of {len(datagram)} bytes: from 1 to {1 + MOST_DATA} are needed"
+                f"a datagram of {len(datagram)} bytes: from 1 to {1 + MAX_DATA_SIZE} are needed"
             )
         return cls(datagram[0] >> 4, datagram[0] & 0x03, datagram[1:])
 
@@ -93,7 +93,7 @@ class Packet(NamedTuple):
         return bytes([self.port << 4 | RESERVED | self.channel]) + self.data
 
 
-def unpack(layout: str, data: bytes) -> tuple[Any, ...]:
+def unpack_data(layout: str, data: bytes) -> tuple[Any, ...]:
     """Read numbers from the start of a packet's data; what follows them is left.
 
     Args:
@@ -106,17 +106,17 @@ def unpack(layout: str, data: bytes) -> tuple[Any, ...]:
     Raises:
         MalformedError: There are too few bytes, or a number is not finite.
     """
-    form = f"<{layout}"
-    size = struct.calcsize(form)
+    byte_layout = f"<{layout}"
+    size = struct.calcsize(byte_layout)
     if len(data) < size:
         raise MalformedError(f"data of {len(data)} bytes: {size} are needed")
-    numbers = struct.unpack_from(form, data)
-    if not all(map(math.isfinite, (one for one in numbers if isinstance(one, float)))):
+    numbers = struct.unpack_from(byte_layout, data)
+    if not all(map(math.isfinite, (number for number in numbers if isinstance(number, float)))):
         raise MalformedError("a number that is not finite")
     return numbers
 
 
-def pack(layout: str, *numbers: Any) -> bytes:
+def pack_data(layout: str, *numbers: Any) -> bytes:
     """Write numbers as bytes, little-endian."""
     packed: bytes = struct.pack(f"<{layout}", *numbers)
     return packed

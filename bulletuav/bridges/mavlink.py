@@ -12,8 +12,8 @@ import time
 from collections import deque
 
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-from bulletuav.bridges.mavlink_services import describe, packed, refusal_of
-from bulletuav.bridges.mavlink_wire import Message, Sender, Told, Wire, text
+from bulletuav.bridges.mavlink_protocol import MavlinkCodec, Message, OutgoingMessage, Sender, text
+from bulletuav.bridges.mavlink_services import describe_message, find_refusal_reason, join_frames
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
 from bulletuav.envs.connections import Clock, Connections, FullError, Limits
 from bulletuav.envs.refusals import Refusals
@@ -28,9 +28,9 @@ LIMITS = Limits(
     max_clients=8, max_pending=8, handshake=10.0, max_idle=10.0, grace=5.0, pending_grace=3.0
 )
 """Limits of the peers of a vehicle, which are pending while they send nothing but heartbeats"""
-MOST_DATAGRAM = 1400
+MAX_DATAGRAM_SIZE = 1400
 """Most bytes of a datagram; longer ones are cut"""
-MOST_READ = 32
+MAX_MESSAGES_PER_READ = 32
 """Most messages that are taken of a vehicle's socket in one go: others wait, or are dropped"""
 
 
@@ -76,7 +76,7 @@ class MavlinkServer(DatagramServer):
         """
         if client_port is not None:
             as_int("client_port", client_port, 1, 65536 - len(fleet))
-        self._wires = [Wire(k + 1) for k in range(len(fleet))]
+        self._codecs = [MavlinkCodec(k + 1) for k in range(len(fleet))]
         super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
         self.refused = self.received = self.sent = 0
@@ -86,77 +86,77 @@ class MavlinkServer(DatagramServer):
         ]
         # Messages of a datagram that had more than are taken in one go
         self._waiting: list[deque[tuple[Message, Address]]] = [deque() for _ in self.ports]
-        self._always: list[tuple[Address, ...]] = [
+        self._client_addresses: list[tuple[Address, ...]] = [
             () if client_port is None else ((host, client_port + k),) for k in range(len(fleet))
         ]
 
     @property
     def malformed(self) -> int:
         """Number of datagrams that held what is no frame of MAVLink."""
-        return sum(wire.malformed for wire in self._wires)
+        return sum(wire.malformed for wire in self._codecs)
 
     def _step(self) -> None:
         """Fly for 10 ms, and send what vehicles tell."""
-        for i, told in enumerate(self.fleet.step()):
-            if told:
-                self._send_all(i, told)
+        for i, messages in enumerate(self.fleet.step()):
+            if messages:
+                self._broadcast(i, messages)
 
     def _received(self) -> list[int]:
         """Return the vehicles that have messages which are received already, but not taken."""
         return [i for i, waiting in enumerate(self._waiting) if waiting]
 
-    def _send_all(self, i: int, told: list[Told]) -> None:
+    def _broadcast(self, i: int, messages: list[OutgoingMessage]) -> None:
         """Send messages of a vehicle to all its peers; those that have gone are forgotten."""
         connections = self.connections[i]
         for address in connections.overdue():
             connections.remove(address)
-        wanted = dict.fromkeys((*self._always[i], *connections.all()))
-        if not wanted:
+        addresses = dict.fromkeys((*self._client_addresses[i], *connections.all()))
+        if not addresses:
             return
-        self.sent += len(told)
-        frames = [self._wires[i].pack(one) for one in told]
-        for datagram in packed(frames, MOST_DATAGRAM):
-            for address in wanted:
+        self.sent += len(messages)
+        frames = [self._codecs[i].pack(message) for message in messages]
+        for datagram in join_frames(frames, MAX_DATAGRAM_SIZE):
+            for address in addresses:
                 self._send_to(i, datagram, address)
 
     def _read(self, i: int) -> None:
         """Take the messages that have come for a vehicle, as many as may be in one go."""
         waiting = self._waiting[i]
-        for _ in range(MOST_READ):
+        for _ in range(MAX_MESSAGES_PER_READ):
             if not waiting and not self._receive(i):
                 return
             if waiting:
-                self._take(i, *waiting.popleft())
+                self._handle_message(i, *waiting.popleft())
 
     def _receive(self, i: int) -> bool:
         """Receive a datagram, whose messages wait; return False if there is none."""
         try:
-            datagram, address = self._sockets[i].recvfrom(MOST_DATAGRAM)
+            datagram, address = self._sockets[i].recvfrom(MAX_DATAGRAM_SIZE)
         # Nothing is left; or, on Windows, a client that was sent something has gone.
         except OSError:
             return False
-        messages = self._wires[i].read(datagram)
+        messages = self._codecs[i].read(datagram)
         self._waiting[i].extend((message, address[:2]) for message in messages)
         return True
 
-    def _take(self, i: int, message: Message, address: Address) -> None:
+    def _handle_message(self, i: int, message: Message, address: Address) -> None:
         """Take a message, and send the answers."""
         if not self._admit(i, message, address):
             return
         sender = Sender(message.get_srcSystem(), message.get_srcComponent(), address)
-        told = self.fleet.take(i, message, sender)
-        if reason := refusal_of(told):
-            call = f"{describe(message)} to vehicle {i + 1}"
+        messages = self.fleet.take(i, message, sender)
+        if reason := find_refusal_reason(messages):
+            call = f"{describe_message(message)} to vehicle {i + 1}"
             self._refusals.log(join_address(*address), call, reason)
-        self._send_frames(i, told, address)
+        self._send_messages(i, messages, address)
         self.received += 1
 
-    def _send_frames(self, i: int, told: list[Told], address: Address) -> None:
+    def _send_messages(self, i: int, messages: list[OutgoingMessage], address: Address) -> None:
         """Send messages of a vehicle to one address."""
-        frames = [self._wires[i].pack(one) for one in told]
-        for datagram in packed(frames, MOST_DATAGRAM):
+        frames = [self._codecs[i].pack(message) for message in messages]
+        for datagram in join_frames(frames, MAX_DATAGRAM_SIZE):
             self._send_to(i, datagram, address)
-        self.sent += len(told)
+        self.sent += len(messages)
 
     def _admit(self, i: int, message: Message, address: Address) -> bool:
         """Record that a peer was heard; return False if there is no room for it.
@@ -175,6 +175,6 @@ class MavlinkServer(DatagramServer):
             self.refused += 1
             event = f"refused by vehicle {i + 1}: {error}; close one first"
             if self._refusals.log_connection(join_address(*address), event):
-                self._send_frames(i, [text("refused: too many clients, try later")], address)
+                self._send_messages(i, [text("refused: too many clients, try later")], address)
             return False
         return True

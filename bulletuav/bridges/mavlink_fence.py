@@ -4,16 +4,16 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from bulletuav.bridges.mavlink_places import Site
-from bulletuav.bridges.mavlink_wire import RefusedError
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_protocol import RefusedError
 
-INSIDE_POLYGON, OUTSIDE_POLYGON, INSIDE_CIRCLE, OUTSIDE_CIRCLE = range(5001, 5005)
+POLYGON_INCLUSION, POLYGON_EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION = range(5001, 5005)
 """Commands of the items of which fences are made"""
-FENCE_ITEMS = (INSIDE_POLYGON, OUTSIDE_POLYGON, INSIDE_CIRCLE, OUTSIDE_CIRCLE)
-Flat = tuple[float, float]
+FENCE_COMMANDS = (POLYGON_INCLUSION, POLYGON_EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION)
+Point = tuple[float, float]
 
 
-class Item(NamedTuple):
+class MissionItem(NamedTuple):
     """An item of a mission or of a fence, as clients upload it.
 
     Attributes:
@@ -27,14 +27,14 @@ class Item(NamedTuple):
 
     frame: int
     command: int
-    numbers: tuple[float, float, float, float]
+    params: tuple[float, float, float, float]
     x: float
     y: float
     z: float
-    goes_on: bool
+    autocontinue: bool
 
 
-class Area(NamedTuple):
+class FenceArea(NamedTuple):
     """A polygon or a circle, on the plane.
 
     Attributes:
@@ -43,15 +43,15 @@ class Area(NamedTuple):
         radius: Of a circle, m.
     """
 
-    keeps_in: bool
-    points: tuple[Flat, ...]
+    is_inclusion: bool
+    points: tuple[Point, ...]
     radius: float = 0.0
 
-    def holds(self, x: float, y: float) -> bool:
+    def contains(self, x: float, y: float) -> bool:
         """Tell whether a point is inside."""
         if len(self.points) == 1:
-            (middle,) = self.points
-            return math.dist(middle, (x, y)) <= self.radius
+            (center,) = self.points
+            return math.dist(center, (x, y)) <= self.radius
         inside = False
         # A ray to the east crosses the edges of what a point is in an odd number of times.
         for (ax, ay), (bx, by) in zip(self.points, self.points[1:] + self.points[:1], strict=True):
@@ -60,7 +60,7 @@ class Area(NamedTuple):
         return inside
 
 
-class Fence:
+class Geofence:
     """Areas that were uploaded, and distances from home that parameters tell."""
 
     def __init__(self, site: Site, values: Mapping[str, float]) -> None:
@@ -71,9 +71,9 @@ class Fence:
             values: Of the parameters.
         """
         self._site, self._values = site, values
-        self._areas: tuple[Area, ...] = ()
+        self._areas: tuple[FenceArea, ...] = ()
 
-    def take(self, items: Sequence[Item]) -> None:
+    def set_items(self, items: Sequence[MissionItem]) -> None:
         """Replace the areas.
 
         Raises:
@@ -82,49 +82,49 @@ class Fence:
         areas, k = [], 0
         while k < len(items):
             count = 1
-            if items[k].command in (INSIDE_POLYGON, OUTSIDE_POLYGON):
-                number = items[k].numbers[0]
+            if items[k].command in (POLYGON_INCLUSION, POLYGON_EXCLUSION):
+                number = items[k].params[0]
                 count = int(number) if 3 <= number <= len(items) - k else 0
-            areas.append(self._area(items[k : k + count]))
+            areas.append(self._make_area(items[k : k + count]))
             k += count
         self._areas = tuple(areas)
 
-    def _area(self, items: Sequence[Item]) -> Area:
+    def _make_area(self, items: Sequence[MissionItem]) -> FenceArea:
         """Make an area of its items, which are of one kind."""
-        if not items or len({(one.command, one.numbers[0]) for one in items}) > 1:
+        if not items or len({(item.command, item.params[0]) for item in items}) > 1:
             raise RefusedError("fence: each vertex tells how many there are, at least 3")
         first = items[0]
-        places = [self._site.of_global(one.frame, one.x, one.y, 0.0) for one in items]
-        keeps_in = first.command in (INSIDE_POLYGON, INSIDE_CIRCLE)
-        points = tuple((x, y) for x, y, _ in places)
+        positions = [self._site.from_global(item.frame, item.x, item.y, 0.0) for item in items]
+        is_inclusion = first.command in (POLYGON_INCLUSION, CIRCLE_INCLUSION)
+        points = tuple((x, y) for x, y, _ in positions)
         if len(points) > 1:
-            return Area(keeps_in, points)
-        if not first.numbers[0] > 0:
+            return FenceArea(is_inclusion, points)
+        if not first.params[0] > 0:
             raise RefusedError("fence: a circle needs a radius above 0")
-        return Area(keeps_in, points, first.numbers[0])
+        return FenceArea(is_inclusion, points, first.params[0])
 
-    def refusal(self, place: Sequence[float]) -> str | None:
+    def find_breach(self, position: Sequence[float]) -> str | None:
         """Tell why a place (3,), m, is not allowed, or None where it is."""
-        x, y, z = place
-        begin, most = self._site.start, self._values
-        flat = math.dist(begin[:2], (x, y))
-        if 0 < most["GF_MAX_HOR_DIST"] < flat:
-            return f"outside GF_MAX_HOR_DIST of {most['GF_MAX_HOR_DIST']:g} m"
-        if 0 < most["GF_MAX_VER_DIST"] < z - begin[2]:
-            return f"outside GF_MAX_VER_DIST of {most['GF_MAX_VER_DIST']:g} m"
-        inclusive = [area for area in self._areas if area.keeps_in]
-        if inclusive and not any(area.holds(x, y) for area in inclusive):
+        x, y, z = position
+        start, limits = self._site.start, self._values
+        distance = math.dist(start[:2], (x, y))
+        if 0 < limits["GF_MAX_HOR_DIST"] < distance:
+            return f"outside GF_MAX_HOR_DIST of {limits['GF_MAX_HOR_DIST']:g} m"
+        if 0 < limits["GF_MAX_VER_DIST"] < z - start[2]:
+            return f"outside GF_MAX_VER_DIST of {limits['GF_MAX_VER_DIST']:g} m"
+        inclusive = [area for area in self._areas if area.is_inclusion]
+        if inclusive and not any(area.contains(x, y) for area in inclusive):
             return "outside the fence"
-        if any(area.holds(x, y) for area in self._areas if not area.keeps_in):
+        if any(area.contains(x, y) for area in self._areas if not area.is_inclusion):
             return "in a forbidden area of the fence"
         return None
 
-    def check(self, what: str, place: Sequence[float]) -> None:
+    def require_inside(self, what: str, position: Sequence[float]) -> None:
         """Refuse a place that is not allowed.
 
         Raises:
             RefusedError: It is not.
         """
-        reason = self.refusal(place)
+        reason = self.find_breach(position)
         if reason is not None:
             raise RefusedError(f"{what} {reason}")

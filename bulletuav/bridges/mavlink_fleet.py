@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.mavlink_places import Site
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, Sender
 from bulletuav.bridges.mavlink_services import Services
 from bulletuav.bridges.mavlink_telemetry import STEP_HZ
-from bulletuav.bridges.mavlink_vehicle import Vehicle
-from bulletuav.bridges.mavlink_wire import Message, Sender, Told
+from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
 from bulletuav.bridges.setpoints import NORTH, give, make_airspace, states_of
 from bulletuav.bridges.starts import starts
 from bulletuav.earth import Origin, attitude_to_ned
@@ -23,9 +23,9 @@ HOME = (47.397742, 8.545594, 488.0)
 """Where PX4's simulated vehicles are: latitude, longitude (degrees), altitude (m)"""
 SPACING = 2.0
 """Distance between neighbours at the start, m"""
-MOST_VEHICLES = 250
+MAX_VEHICLES = 250
 """Numbers above it are those of ground stations"""
-UPWARD = 0.7
+MIN_SUPPORT_NORMAL = 0.7
 """Upward part of the normal from which on a drone stands on what it touches"""
 
 
@@ -64,19 +64,23 @@ class MavlinkFleet:
         """
         frame = load_airframe(airframe)
         places = starts(drones, frame.standing_height, SPACING)
-        as_int("number of drones", len(places), 1, MOST_VEHICLES)
+        as_int("number of drones", len(places), 1, MAX_VEHICLES)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {STEP_HZ} for clients of MAVLink: leave it out")
         self.origin = Origin(*as_sequence("home", home, 3))
-        known = {"physics_hz": PHYSICS_HZ, "decision_hz": STEP_HZ, **options}
-        self.airspace = make_airspace(places, frame, **known)
+        settings = {"physics_hz": PHYSICS_HZ, "decision_hz": STEP_HZ, **options}
+        self.airspace = make_airspace(places, frame, **settings)
         self.services = [
-            Services(Vehicle(k + 1, frame, Site.at(self.origin, place), partial(self._locate, k)))
+            Services(
+                MavlinkVehicle(
+                    k + 1, frame, Site.from_start(self.origin, place), partial(self._locate, k)
+                )
+            )
             for k, place in enumerate(places)
         ]
         self.tick, self._starts = 0, places
         self.airspace.place(None, places, NORTH)
-        self._sense()
+        self._update_vehicles()
 
     def __len__(self) -> int:
         """Tell how many vehicles there are."""
@@ -87,11 +91,11 @@ class MavlinkFleet:
         """Time since the start, s."""
         return self.tick / STEP_HZ
 
-    def take(self, drone: int, message: Message, sender: Sender) -> list[Told]:
+    def take(self, drone: int, message: Message, sender: Sender) -> list[OutgoingMessage]:
         """Give a message to a vehicle; its answers are returned."""
         return self.services[drone].answer(message, sender)
 
-    def step(self) -> list[list[Told]]:
+    def step(self) -> list[list[OutgoingMessage]]:
         """Fly for 10 ms.
 
         Returns:
@@ -101,33 +105,33 @@ class MavlinkFleet:
             RuntimeError: The flight diverged, or the airspace is closed.
         """
         period = self.airspace.period
-        give(self.airspace, [one.vehicle.pilot.order(period) for one in self.services])
+        give(self.airspace, [service.vehicle.pilot.order(period) for service in self.services])
         self.airspace.step()
         self.tick += 1
-        self._sense()
-        return [one.due(self.tick) for one in self.services]
+        self._update_vehicles()
+        return [service.due(self.tick) for service in self.services]
 
     def warm_up(self) -> None:
         """Compile what flies, which takes a minute the first time; drones stay where they are."""
         self.airspace.warm_up()
         self.airspace.place(None, self._starts, NORTH)
 
-    def _sense(self) -> None:
+    def _update_vehicles(self) -> None:
         """Tell the vehicles how their bodies move."""
         swarm, contacts = self.airspace.swarm, self.airspace.contacts
-        touching = set(contacts.drone[contacts.normal[:, 2] > UPWARD].tolist())
-        self._located: list[list[float]] | None = None
-        for i, (one, state) in enumerate(zip(self.services, states_of(swarm), strict=True)):
-            one.vehicle.pilot.sense(state, self.time, i in touching or self.tick == 0)
+        touching = set(contacts.drone[contacts.normal[:, 2] > MIN_SUPPORT_NORMAL].tolist())
+        self._geodetic_poses: list[list[float]] | None = None
+        for i, (service, state) in enumerate(zip(self.services, states_of(swarm), strict=True)):
+            service.vehicle.pilot.update_state(state, self.time, i in touching or self.tick == 0)
 
     def _locate(self, i: int) -> list[float]:
-        """Tell where a vehicle is, see `Vehicle.locate`; all are worked out at once."""
-        if self._located is None:
+        """Tell where a vehicle is, see `MavlinkVehicle.locate`; all are worked out at once."""
+        if self._geodetic_poses is None:
             swarm = self.airspace.swarm
             turns = attitude_to_ned(swarm.quaternion, scalar_first=True)
             places = self.origin.to_geodetic(swarm.position)
-            self._located = np.concatenate([places, turns], axis=1).tolist()
-        return self._located[i]
+            self._geodetic_poses = np.concatenate([places, turns], axis=1).tolist()
+        return self._geodetic_poses[i]
 
     def close(self) -> None:
         """Free the airspace."""

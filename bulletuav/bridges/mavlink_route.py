@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from bulletuav.bridges.mavlink_fence import Item
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_fence import MissionItem
 from bulletuav.bridges.mavlink_items import (
     CHANGE_SPEED,
     DELAY,
@@ -15,22 +16,21 @@ from bulletuav.bridges.mavlink_items import (
     RETURN,
     TAKEOFF,
     WAYPOINT,
-    place_of,
+    compute_item_position,
 )
-from bulletuav.bridges.mavlink_places import Site
-from bulletuav.bridges.mavlink_wire import Mode
+from bulletuav.bridges.mavlink_protocol import Mode
 from bulletuav.bridges.motions import ACCELERATION, Heading, Hold, Motion, Path
 from bulletuav.bridges.setpoints import Setpoint, State, euler
 
-LONGEST = 1e5
+MAX_WAIT = 1e5
 """Longest time to wait at an item, s"""
-SLOWEST, FASTEST = 0.1, 100.0
+MIN_SPEED, MAX_SPEED = 0.1, 100.0
 """Speeds that an item may ask for, m/s"""
-NEAR = 0.5
+SAME_POSITION_DISTANCE = 0.5
 """Distance across below which a place is where the vehicle is, m"""
-NEAREST = 0.1
+MIN_ACCEPTANCE_RADIUS = 0.1
 """Distance from a place at which it has arrived, unless an item allows more, m"""
-PATIENCE = 5.0
+LEG_TIMEOUT_MARGIN = 5.0
 """How long after its time a leg may arrive, s"""
 
 
@@ -56,16 +56,16 @@ class Route:
         self._now, self._has_landed = 0.0, True
         self.replace(())
 
-    def replace(self, items: tuple[Item, ...]) -> None:
+    def replace(self, items: tuple[MissionItem, ...]) -> None:
         """Take another mission."""
         self.items, self.reached = items, list[int]()
         self._speed: float | None = None
-        self.jump(0)
+        self.set_current_item(0)
 
-    def jump(self, number: int) -> None:
+    def set_current_item(self, number: int) -> None:
         """Go on with an item, from its beginning."""
         self.current = number
-        self._steps: Iterator[Motion | Mode] | None = None
+        self._motions: Iterator[Motion | Mode] | None = None
 
     @property
     def speed(self) -> float:
@@ -81,14 +81,14 @@ class Route:
         """Whether the last item is done."""
         return self.current >= len(self.items)
 
-    def leg(
+    def plan_leg(
         self,
         state: State,
         goal: tuple[float, float, float],
         speed: float,
         heading: Heading,
         now: float,
-        near: float = NEAREST,
+        acceptance_radius: float = MIN_ACCEPTANCE_RADIUS,
     ) -> Path:
         """Fly straight to a place, m, as fast as parameters allow.
 
@@ -101,15 +101,15 @@ class Route:
             near: Distance from the place at which it has arrived, m.
         """
         rise = goal[2] - state[0][2]
-        way = math.dist(goal, state[0])
-        most = self._values["MPC_Z_VEL_MAX_UP" if rise > 0 else "MPC_Z_VEL_MAX_DN"]
-        if speed * abs(rise) > most * way:
-            speed = most * way / abs(rise)
+        distance = math.dist(goal, state[0])
+        max_climb_rate = self._values["MPC_Z_VEL_MAX_UP" if rise > 0 else "MPC_Z_VEL_MAX_DN"]
+        if speed * abs(rise) > max_climb_rate * distance:
+            speed = max_climb_rate * distance / abs(rise)
         # A wind may keep it from arriving: it goes on all the same, a while later.
-        limit = way / speed + speed / ACCELERATION + PATIENCE
-        return Path(state, [np.array(goal)], speed, heading, (now, limit), near)
+        limit = distance / speed + speed / ACCELERATION + LEG_TIMEOUT_MARGIN
+        return Path(state, [np.array(goal)], speed, heading, (now, limit), acceptance_radius)
 
-    def motion(self, state: State, now: float, has_landed: bool) -> Motion | Mode | None:
+    def next_motion(self, state: State, now: float, has_landed: bool) -> Motion | Mode | None:
         """Tell what comes next.
 
         Args:
@@ -122,63 +122,72 @@ class Route:
         """
         self._state, self._now, self._has_landed = state, now, has_landed
         while not self.is_over:
-            if self._steps is None:
-                self._steps = self._of_item(self.items[self.current])
-            found = next(self._steps, None)
-            if found is not None:
-                return found
+            if self._motions is None:
+                self._motions = self._item_motions(self.items[self.current])
+            motion = next(self._motions, None)
+            if motion is not None:
+                return motion
             self.reached.append(self.current)
-            self.jump(self.current + 1)
+            self.set_current_item(self.current + 1)
         return None
 
-    def _of_item(self, item: Item) -> Iterator[Motion | Mode]:
+    def _item_motions(self, item: MissionItem) -> Iterator[Motion | Mode]:
         """Give what is to be done for an item, one after the other, from where the drone is."""
         if item.command == CHANGE_SPEED:
-            if item.numbers[1] > 0:
-                self.speed = min(max(item.numbers[1], SLOWEST), FASTEST)
+            if item.params[1] > 0:
+                self.speed = min(max(item.params[1], MIN_SPEED), MAX_SPEED)
         elif item.command == DELAY:
-            yield self._wait(item.numbers[0])
+            yield self._wait(item.params[0])
         elif item.command == RETURN:
             self.reached.append(self.current)
-            self.jump(len(self.items))
+            self.set_current_item(len(self.items))
             yield Mode.RETURN
         else:
-            yield from self._at_place(item)
+            yield from self._position_item_motions(item)
 
-    def _at_place(self, item: Item) -> Iterator[Motion | Mode]:
+    def _position_item_motions(self, item: MissionItem) -> Iterator[Motion | Mode]:
         """Fly to an item's place, and do there what it says."""
-        here = self._state[0]
-        goal = place_of(item, self._site, here)
-        is_far = math.dist(here[:2], goal[:2]) > NEAR
+        current_position = self._state[0]
+        goal = compute_item_position(item, self._site, current_position)
+        is_far = math.dist(current_position[:2], goal[:2]) > SAME_POSITION_DISTANCE
         if item.command == TAKEOFF or (self._has_landed and is_far):
             # Nobody flies along the ground: it rises first.
-            lift = self._site.start[2] + self._values["MIS_TAKEOFF_ALT"]
-            height = goal[2] if item.command == TAKEOFF else max(goal[2], lift, here[2])
-            yield self._leg((here[0], here[1], height), Heading())
+            takeoff_height = self._site.start[2] + self._values["MIS_TAKEOFF_ALT"]
+            height = (
+                goal[2]
+                if item.command == TAKEOFF
+                else max(goal[2], takeoff_height, current_position[2])
+            )
+            yield self._plan_leg((current_position[0], current_position[1], height), Heading())
         if item.command == LAND:
             if is_far:
-                yield self._leg((goal[0], goal[1], self._state[0][2]), Heading(forward=True))
+                yield self._plan_leg((goal[0], goal[1], self._state[0][2]), Heading(forward=True))
             yield Mode.LAND
             return
         if item.command != TAKEOFF or is_far:
-            yaw = item.numbers[3]
-            turn = math.remainder(math.pi / 2 - math.radians(yaw), math.tau)
-            heading = Heading("angle", turn) if math.isfinite(yaw) else Heading(forward=True)
-            near = item.numbers[1] if item.numbers[1] > NEAREST else NEAREST
-            yield self._leg(goal, heading, near)
-        if item.command in (WAYPOINT, LOITER_TIME) and item.numbers[0] > 0:
-            yield self._wait(item.numbers[0])
+            yaw = item.params[3]
+            yaw_enu = math.remainder(math.pi / 2 - math.radians(yaw), math.tau)
+            heading = Heading("angle", yaw_enu) if math.isfinite(yaw) else Heading(forward=True)
+            acceptance_radius = (
+                item.params[1] if item.params[1] > MIN_ACCEPTANCE_RADIUS else MIN_ACCEPTANCE_RADIUS
+            )
+            yield self._plan_leg(goal, heading, acceptance_radius)
+        if item.command in (WAYPOINT, LOITER_TIME) and item.params[0] > 0:
+            yield self._wait(item.params[0])
         while item.command == LOITER_UNLIMITED:
-            yield self._wait(LONGEST)
+            yield self._wait(MAX_WAIT)
 
-    def _leg(
-        self, goal: tuple[float, float, float], heading: Heading, near: float = NEAREST
+    def _plan_leg(
+        self,
+        goal: tuple[float, float, float],
+        heading: Heading,
+        acceptance_radius: float = MIN_ACCEPTANCE_RADIUS,
     ) -> Path:
         """Fly straight to a place, at the mission's speed."""
-        return self.leg(self._state, goal, self.speed, heading, self._now, near)
+        return self.plan_leg(self._state, goal, self.speed, heading, self._now, acceptance_radius)
 
     def _wait(self, seconds: float) -> Hold:
         """Stay for a time, s."""
-        (x, y, z), turn, _, _ = self._state
-        still = Setpoint("position", (x, y), "position", z, "angle", euler(turn)[2])
-        return Hold(self._now, min(max(seconds, 0.0), LONGEST), still)
+        (x, y, z), quaternion, _, _ = self._state
+        setpoint = Setpoint("position", (x, y), "position", z, "angle", euler(quaternion)[2])
+        return Hold(self._now, min(max(seconds, 0.0), MAX_WAIT), setpoint)

@@ -2,16 +2,16 @@
 
 from collections.abc import Callable
 
-from bulletuav.bridges.mavlink_fence import Fence, Item
-from bulletuav.bridges.mavlink_items import check_items
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
+from bulletuav.bridges.mavlink_items import check_mission
 from bulletuav.bridges.mavlink_missions import MISSION, MissionService
-from bulletuav.bridges.mavlink_parameters import ParameterService
+from bulletuav.bridges.mavlink_parameters import MavlinkParameterService
 from bulletuav.bridges.mavlink_pilot import Pilot
-from bulletuav.bridges.mavlink_places import Site
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 
-class Vehicle:
+class MavlinkVehicle:
     """One vehicle, without its body and without messages.
 
     Attributes:
@@ -26,7 +26,7 @@ class Vehicle:
     """
 
     def __init__(
-        self, system: int, airframe: Airframe, site: Site, locate: Callable[[], list[float]]
+        self, system_id: int, airframe: Airframe, site: Site, locate: Callable[[], list[float]]
     ) -> None:
         """Switch it on, on the ground, disarmed.
 
@@ -36,22 +36,22 @@ class Vehicle:
             site: Where it starts.
             locate: Function that tells where it is on the Earth, see `locate`.
         """
-        self.system, self.airframe, self.site, self.locate = system, airframe, site, locate
+        self.system_id, self.airframe, self.site, self.locate = system_id, airframe, site, locate
         hover = airframe.mass * STANDARD_GRAVITY / airframe.max_thrust
-        self.parameters = ParameterService(MAV_SYS_ID=system, MPC_THR_HOVER=hover)
-        self._fence = Fence(site, self.parameters.values)
+        self.parameters = MavlinkParameterService(MAV_SYS_ID=system_id, MPC_THR_HOVER=hover)
+        self._fence = Geofence(site, self.parameters.values)
         self.pilot = Pilot(airframe, site, self.parameters, self._fence)
-        self.missions = MissionService(self._check, self._fence, self._begin)
+        self.missions = MissionService(self._check, self._fence, self._start_motion)
 
-    def _check(self, items: tuple[Item, ...]) -> None:
+    def _check(self, items: tuple[MissionItem, ...]) -> None:
         """Check a mission that was uploaded."""
-        check_items(items, self.site, self._fence, self.parameters.values["MIS_DIST_1WP"])
+        check_mission(items, self.site, self._fence, self.parameters.values["MIS_DIST_1WP"])
 
-    def _begin(self) -> None:
+    def _start_motion(self) -> None:
         """Give the pilot another mission; one that flies the old one holds."""
-        self.pilot.take_mission(self.missions.lists[MISSION])
+        self.pilot.set_mission(self.missions.lists[MISSION])
 
     @property
-    def stamp(self) -> int:
+    def time_boot_ms(self) -> int:
         """Time since the start, ms."""
         return round(self.pilot.now * 1000)

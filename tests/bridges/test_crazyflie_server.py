@@ -138,9 +138,9 @@ def test_commands_without_effect_are_logged_once(serve, connect, caplog):
     disarmed = "it cannot fly: it is not armed; arm it first"
     locked = "an emergency stop locked it; restart the server"
     assert [record.getMessage() for record in caplog.records] == [
-        f"{mine}PLANNER, channel 0, of drone 0 refused: {disarmed}",
-        f"{mine}ATTITUDE_SETPOINT, channel 0, of drone 0 refused: {disarmed}",
-        f"{mine}PLANNER, channel 0, of drone 0 refused: command 99 is answered by ENOEXEC",
+        f"{mine}SETPOINT_HL, channel 0, of drone 0 refused: {disarmed}",
+        f"{mine}SETPOINT, channel 0, of drone 0 refused: {disarmed}",
+        f"{mine}SETPOINT_HL, channel 0, of drone 0 refused: command 99 is answered by ENOEXEC",
         f"{mine}SUPERVISOR, channel 1, of drone 0 refused: "
         f"command 9 to the supervisor: from 1 to 4 is needed",
         f"{mine}SUPERVISOR, channel 1, of drone 0 refused: it cannot be armed: {locked}",
@@ -157,7 +157,7 @@ def test_a_client_that_closes_its_link_leaves_the_drone_at_once(serve, connect):
     first.ask(15, 1, b"\0")
     assert first.ask(5, 1, b"\x06\x00" + struct.pack("<BH", 7, 0)) == b"\x06\0\0"
     first.send(b"\x3c" + bytes(14))
-    until(lambda: server._peers[0].left)
+    until(lambda: server._peers[0].has_closed_link)
     assert second.ask(15, 1, b"\0").startswith(b"Bitcraze")
     assert second.ask(5, 1, b"\x03\x00\x01")[2] == 2  # the log blocks went with the first
     assert server.refused == 0

@@ -23,14 +23,14 @@ from bridges.mavlink_client import (
 from scipy.spatial.transform import Rotation
 
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-from bulletuav.bridges.mavlink_wire import Mode
+from bulletuav.bridges.mavlink_protocol import Mode
 
 ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
 
 
 def test_numbers_are_those_of_the_dialect():
     """Modes by hand from PX4's px4_custom_mode.h: main mode in byte 2, sub-mode in byte 3."""
-    from bulletuav.bridges import mavlink_items, mavlink_telemetry, mavlink_wire
+    from bulletuav.bridges import mavlink_items, mavlink_protocol, mavlink_telemetry
 
     commands = {
         "RETURN": common.MAV_CMD_NAV_RETURN_TO_LAUNCH,
@@ -50,8 +50,8 @@ def test_numbers_are_those_of_the_dialect():
         "REQUEST_MESSAGE": common.MAV_CMD_REQUEST_MESSAGE,
         "REQUEST_CAPABILITIES": common.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
     }
-    assert {one.name: int(one) for one in mavlink_wire.Command} == commands
-    assert [int(one) for one in mavlink_wire.Result] == [
+    assert {one.name: int(one) for one in mavlink_protocol.Command} == commands
+    assert [int(one) for one in mavlink_protocol.CommandResult] == [
         common.MAV_RESULT_ACCEPTED,
         common.MAV_RESULT_TEMPORARILY_REJECTED,
         common.MAV_RESULT_DENIED,
@@ -63,7 +63,7 @@ def test_numbers_are_those_of_the_dialect():
     capabilities = common.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
     capabilities |= common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     assert mavlink_telemetry.CAPABILITIES & capabilities == capabilities
-    assert mavlink_items.ITEMS == (
+    assert mavlink_items.SUPPORTED_COMMANDS == (
         common.MAV_CMD_NAV_WAYPOINT,
         common.MAV_CMD_NAV_LOITER_UNLIM,
         common.MAV_CMD_NAV_LOITER_TIME,

@@ -18,8 +18,8 @@ from bridges.mavlink_client import (
 )
 
 from bulletuav.bridges.mavlink_parameters import PARAMETERS
+from bulletuav.bridges.mavlink_protocol import Mode
 from bulletuav.bridges.mavlink_telemetry import STREAMS
-from bulletuav.bridges.mavlink_wire import Mode
 
 FENCE = 1
 TAKEN, ERROR, BAD_FRAME, NOT_SUPPORTED, NO_SPACE, BAD_X, BAD_SEQUENCE, REFUSED, CANCELLED = (

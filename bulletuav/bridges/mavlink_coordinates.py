@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.bridges.mavlink_wire import RefusedError
+from bulletuav.bridges.mavlink_protocol import RefusedError
 from bulletuav.earth import Origin
 
-FARTHEST = 1e5
+MAX_DISTANCE = 1e5
 """How far from the origin places may be, m"""
 GLOBAL_FRAMES, RELATIVE_FRAMES = (0, 5), (3, 6)
 """MAVLink's frames of latitude and longitude: altitudes above the ellipsoid, or above home"""
@@ -28,7 +28,7 @@ class Site(NamedTuple):
     home: tuple[float, ...]
 
     @classmethod
-    def at(cls, origin: Origin, start: np.ndarray) -> "Site":
+    def from_start(cls, origin: Origin, start: np.ndarray) -> "Site":
         """Make the site of a vehicle that starts somewhere, (3,) m."""
         return cls(origin, tuple(start.tolist()), tuple(origin.to_geodetic(start).tolist()))
 
@@ -37,21 +37,21 @@ class Site(NamedTuple):
         """Altitude of the start, m."""
         return self.home[2]
 
-    def to_ned(self, place: list[float]) -> tuple[float, float, float]:
+    def to_ned(self, position: list[float]) -> tuple[float, float, float]:
         """Tell north, east, down of the start, m."""
-        x, y, z = (one - begin for one, begin in zip(place, self.start, strict=True))
+        x, y, z = (value - start for value, start in zip(position, self.start, strict=True))
         return y, x, -z
 
-    def of_ned(self, north: float, east: float, down: float) -> tuple[float, float, float]:
+    def from_ned(self, north: float, east: float, down: float) -> tuple[float, float, float]:
         """Tell the place at north, east, down of the start, m.
 
         Raises:
             RefusedError: A number is not finite, or too large.
         """
         x, y, z = self.start
-        return _near((x + east, y + north, z - down))
+        return _check_distance((x + east, y + north, z - down))
 
-    def of_global(
+    def from_global(
         self, frame: int, latitude: float, longitude: float, altitude: float
     ) -> tuple[float, float, float]:
         """Tell the place at a latitude and a longitude, deg, and an altitude, m.
@@ -72,11 +72,11 @@ class Site(NamedTuple):
             x, y, z = self.origin.to_local((latitude, longitude, height)).tolist()
         except ValueError:
             raise RefusedError("latitude, longitude, altitude: no place") from None
-        return _near((x, y, z))
+        return _check_distance((x, y, z))
 
 
-def _near(place: tuple[float, float, float]) -> tuple[float, float, float]:
+def _check_distance(position: tuple[float, float, float]) -> tuple[float, float, float]:
     """Check that a place is near enough to fly to."""
-    if not all(math.isfinite(one) and abs(one) <= FARTHEST for one in place):
-        raise RefusedError(f"a place is more than {FARTHEST:g} m away")
-    return place
+    if not all(math.isfinite(value) and abs(value) <= MAX_DISTANCE for value in position):
+        raise RefusedError(f"a place is more than {MAX_DISTANCE:g} m away")
+    return position

@@ -13,11 +13,11 @@ from bulletuav.errors import missing
 
 COMPONENT = 1
 """Number of the autopilot among the components of a vehicle"""
-MAGIC_1, MAGIC_2 = 0xFE, 0xFD
+MAVLINK_1_MAGIC, MAVLINK_2_MAGIC = 0xFE, 0xFD
 """First byte of a frame of MAVLink 1 and 2"""
-SIGNED = 1
+SIGNED_FLAG = 1
 """Flag of frames that carry a signature of 13 bytes"""
-MOST_TEXT = 50
+MAX_TEXT_LENGTH = 50
 """Most bytes of a text that clients show"""
 Message = Any
 """A message that pymavlink has read: attributes by the names of MAVLink"""
@@ -44,7 +44,7 @@ class Command(IntEnum):
     REQUEST_CAPABILITIES = 520
 
 
-class Result(IntEnum):
+class CommandResult(IntEnum):
     """How a command was answered."""
 
     ACCEPTED = 0
@@ -71,13 +71,13 @@ class RefusedError(ValueError):
         result: How a command that asked for it is answered.
     """
 
-    def __init__(self, text: str, result: Result = Result.DENIED) -> None:
+    def __init__(self, text: str, result: CommandResult = CommandResult.DENIED) -> None:
         """Tell why, in a text that clients show."""
         super().__init__(text)
         self.result = result
 
 
-class Told(NamedTuple):
+class OutgoingMessage(NamedTuple):
     """A message that a vehicle sends.
 
     Attributes:
@@ -97,14 +97,16 @@ class Sender(NamedTuple):
         link: Where it is; differs between clients with the same numbers.
     """
 
-    system: int
-    component: int
+    system_id: int
+    component_id: int
     link: Hashable = None
 
 
-def text(words: str, severity: int = 4) -> Told:
+def text(words: str, severity: int = 4) -> OutgoingMessage:
     """Make a text that clients show; 4 is a warning, 6 an information."""
-    return Told("statustext", (severity, words.encode("ascii", "replace")[:MOST_TEXT]))
+    return OutgoingMessage(
+        "statustext", (severity, words.encode("ascii", "replace")[:MAX_TEXT_LENGTH])
+    )
 
 
 @functools.cache
@@ -121,22 +123,22 @@ def dialect() -> Any:
     return common
 
 
-class Wire:
+class MavlinkCodec:
     """Packs and reads frames of one system.
 
     Attributes:
         malformed: How many datagrams held what is no frame.
     """
 
-    def __init__(self, system: int) -> None:
+    def __init__(self, system_id: int) -> None:
         """Take a number, from 1 to 254, as the system's own."""
         self._dialect = dialect()
-        self._packer = self._dialect.MAVLink(None, srcSystem=system, srcComponent=COMPONENT)
+        self._packer = self._dialect.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT)
         self.malformed = 0
 
-    def pack(self, told: Told) -> bytes:
+    def pack(self, outgoing: OutgoingMessage) -> bytes:
         """Pack a message into a frame of MAVLink 2."""
-        message = getattr(self._dialect, f"MAVLink_{told.name}_message")(*told.fields)
+        message = getattr(self._dialect, f"MAVLink_{outgoing.name}_message")(*outgoing.fields)
         frame = bytes(message.pack(self._packer))
         self._packer.seq = (self._packer.seq + 1) % 256
         return frame
@@ -146,19 +148,19 @@ class Wire:
 
         Messages of other dialects are left out: their checksums cannot be checked.
         """
-        found = []
-        for frame in _frames(datagram):
+        messages = []
+        for frame in _iterate_frames(datagram):
             try:
                 message = self._packer.decode(bytearray(frame))
             except self._dialect.MAVError:
                 self.malformed += 1
                 break
             if not isinstance(message, self._dialect.MAVLink_unknown):
-                found.append(message)
-        return found
+                messages.append(message)
+        return messages
 
 
-def whole_frames(data: bytes) -> tuple[bytes, bytes]:
+def split_frames(data: bytes) -> tuple[bytes, bytes]:
     """Split a stream into frames that are whole, and the beginning of the next.
 
     Args:
@@ -167,23 +169,25 @@ def whole_frames(data: bytes) -> tuple[bytes, bytes]:
     Returns:
         Whole frames, and what is left.
     """
-    *most, last = [b"", *_frames(data)]
-    is_whole = last[:1] not in (MAGIC_1.to_bytes(), MAGIC_2.to_bytes()) or len(last) == _size(last)
-    return (data, b"") if is_whole else (b"".join(most), last)
+    *whole, last = [b"", *_iterate_frames(data)]
+    is_whole = last[:1] not in (MAVLINK_1_MAGIC.to_bytes(), MAVLINK_2_MAGIC.to_bytes()) or len(
+        last
+    ) == _frame_size(last)
+    return (data, b"") if is_whole else (b"".join(whole), last)
 
 
-def _frames(data: bytes) -> Iterator[bytes]:
+def _iterate_frames(data: bytes) -> Iterator[bytes]:
     """Cut data into frames; a last one that is none holds all that could not be cut."""
     while data:
-        size = _size(data)
+        size = _frame_size(data)
         yield data[:size]
         data = data[size:]
 
 
-def _size(data: bytes) -> int:
+def _frame_size(data: bytes) -> int:
     """Tell how long the frame is that data begins with; more than all of it, if it is cut."""
-    if data[0] == MAGIC_1:
+    if data[0] == MAVLINK_1_MAGIC:
         return 8 + (data[1] if len(data) > 1 else 0)
-    if data[0] == MAGIC_2:
-        return 12 + (data[1] + (13 if data[2] & SIGNED else 0) if len(data) > 2 else 0)
+    if data[0] == MAVLINK_2_MAGIC:
+        return 12 + (data[1] + (13 if data[2] & SIGNED_FLAG else 0) if len(data) > 2 else 0)
     return len(data)
