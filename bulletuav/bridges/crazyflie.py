@@ -1,9 +1,9 @@
-"""Server of virtual Crazyflies: each drone is a UDP port that cflib connects to.
+"""UDP server of virtual Crazyflies: cflib connects to one port for each drone.
 
-    server = CrazyflieServer(Fleet(10))
+    server = CrazyflieServer(CrazyflieFleet(10))
     server.run()
 
-Clients open `udp://127.0.0.1:19850` and the ports after it, one for each drone.
+Clients open `udp://127.0.0.1:19850` and the following ports, one for each drone.
 """
 
 import logging
@@ -18,24 +18,25 @@ from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.viewer import join_address
 
 PORT = 19850
-"""Port of the first drone; cflib looks for drones at this one and the nine after it"""
+"""Port of the first drone; cflib scans this port and the nine after it"""
 LIMITS = Limits(max_clients=1, grace=0.5, max_idle=10.0)
-"""Limits of a drone's client. Another one may have the drone after `grace` seconds of silence, as
-cflib pings at 10 Hz. After `max_idle` seconds it is sent no more logs."""
+"""Limits of a drone's client. Another client may take the drone after `grace` seconds of silence
+(cflib pings at 10 Hz). After `max_idle` seconds the client receives no more logs."""
 SERVICES = frozenset(CrtpPort) - {CrtpPort.CONSOLE}
-"""Ports that clients send to"""
+"""Ports to which clients send"""
 MAX_PACKETS_PER_READ = 16
-"""Most packets that are taken from a drone's socket in one go: others wait, or are dropped"""
+"""Maximum number of packets that are read from a drone's socket in a row; others wait"""
 
 
 @dataclass
 class CrazyflieClient:
-    """The client of a drone.
+    """Client of a drone.
 
     Attributes:
-        address: Where it is.
-        heard: When it was heard last, by the clock, s.
-        left: Whether its last packet was a command of zero, with which clients close a link.
+        address: Address of the client.
+        last_heard: Time of the client's last packet by the server's clock, s.
+        has_closed_link: Whether the last packet was a thrust command of zero, with which cflib
+            closes a link.
     """
 
     address: Address
@@ -44,13 +45,13 @@ class CrazyflieClient:
 
 
 class CrazyflieServer(DatagramServer):
-    """Sockets, one a drone, around a fleet that flies in real time.
+    """Server with one UDP socket for each drone of a fleet, which flies in real time.
 
     Attributes:
         fleet: The drones.
-        uris: Addresses that clients open.
-        pacer: Keeps the time; tells how many steps were late.
-        refused: How many packets came from clients whose drone another one has.
+        uris: URIs that clients open.
+        pacer: Pacer of the real-time loop, which counts late steps.
+        refused: Number of packets from clients whose drone is in use by another client.
     """
 
     def __init__(
@@ -62,19 +63,19 @@ class CrazyflieServer(DatagramServer):
         limits: Limits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
-        """Open the ports; clients are answered once it runs.
+        """Open the ports; clients are answered once `run` is called.
 
         Args:
             fleet: The drones.
-            host: Address to listen at. Whoever can reach it can fly the drones.
-            port: Of the first drone; 0 for free ones.
-            speed: Simulated seconds in one of the clock.
+            host: Address to listen at. Anybody who can reach it can fly the drones.
+            port: Port of the first drone; 0 for free ports.
+            speed: Simulated seconds per second of real time.
             limits: Limits of each drone's client.
             clock: Function that returns the time by which clients are silent, s.
 
         Raises:
-            ValueError: The port or the speed cannot be.
-            OSError: A port is in use, or there is no such address.
+            ValueError: If the port or the speed is invalid.
+            OSError: If a port is in use, or the address does not exist.
         """
         super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
@@ -86,25 +87,25 @@ class CrazyflieServer(DatagramServer):
         self.uris = [f"udp://{join_address(host, port)}" for port in self.ports]
 
     def _step(self) -> None:
-        """Fly for 10 ms, and send logs."""
+        """Fly for one step of 10 ms, and send log packets."""
         for i, packet in self.fleet.step():
             self._send(i, packet)
         self._serve_waiting()
 
     def _read(self, i: int) -> None:
-        """Take the packets that have come for a drone, as many as may be in one go."""
+        """Read packets for a drone, up to `MAX_PACKETS_PER_READ`."""
         for _ in range(MAX_PACKETS_PER_READ):
             try:
                 datagram, address = self._sockets[i].recvfrom(MAX_DATA_SIZE + 2)
-            # Nothing is left; or, on Windows, a client that was sent something has gone.
+            # The socket is empty; or, on Windows, the receiver of an earlier datagram has gone
             except OSError:
                 return
             self._handle_datagram(i, datagram, address[:2])
 
     def _handle_datagram(self, i: int, datagram: bytes, address: Address) -> None:
-        """Take one packet."""
+        """Handle one datagram: a scan, or a packet from the drone's client or from another one."""
         if datagram[:1] == NULL_PACKET[:1]:
-            # A client looks for drones: this is no connection.
+            # A scan for drones does not connect
             if len(datagram) == 1:
                 self._send_to(i, NULL_PACKET, address)
             return
@@ -113,7 +114,7 @@ class CrazyflieServer(DatagramServer):
         except MalformedError:
             self.fleet.vehicles[i].malformed += 1
             return
-        # Such as those of WebRTC, which a page in a browser can send here
+        # For example WebRTC requests, which a page in a browser can send to this port
         if packet.port not in SERVICES:
             self.fleet.vehicles[i].malformed += 1
             return
@@ -124,15 +125,15 @@ class CrazyflieServer(DatagramServer):
         self._serve_client(i, address, packet)
 
     def _is_gone(self, peer: CrazyflieClient) -> bool:
-        """Return True if a client has gone, as far as can be known."""
+        """Return True if a client has closed its link or has been silent longer than `grace`."""
         return peer.has_closed_link or self._clock() - peer.last_heard > self._limits.grace
 
     def _refuse_client(
         self, i: int, packet: Packet, address: Address, peer: CrazyflieClient
     ) -> None:
-        """Let a second client of a drone wait; its request to connect is kept."""
+        """Refuse a second client of a drone; a request to connect waits until the drone is free."""
         self.refused += 1
-        text = f"drone {i} is flown by port {peer.address[1]}"
+        text = f"drone {i} is in use by port {peer.address[1]}"
         event = f"refused: {text}; close that link first"
         self._refusals.log_connection(join_address(*address), event)
         if packet.port == CrtpPort.LINK and packet.channel == 1:
@@ -141,7 +142,7 @@ class CrazyflieServer(DatagramServer):
             self._send_to(i, Packet(CrtpPort.CONSOLE, 0, line).frame(), address)
 
     def _serve_client(self, i: int, address: Address, packet: Packet) -> None:
-        """Take a packet of a drone's own client, or of a new one."""
+        """Handle a packet of a drone's present or new client, and send the answers."""
         peer = self._peers[i]
         if peer is None or peer.address != address:
             self.fleet.vehicles[i].reset_client()
@@ -155,7 +156,7 @@ class CrazyflieServer(DatagramServer):
             self._refusals.log(join_address(*address), call, reason)
 
     def _serve_waiting(self) -> None:
-        """Connect clients that waited, where the one before has gone."""
+        """Connect waiting clients to drones whose client has gone."""
         for i, (address, packet) in list(self._waiting.items()):
             peer = self._peers[i]
             if peer is None or self._is_gone(peer):
@@ -163,7 +164,7 @@ class CrazyflieServer(DatagramServer):
                 self._serve_client(i, address, packet)
 
     def _send(self, i: int, packet: Packet) -> None:
-        """Send a packet to a drone's client, if it is there."""
+        """Send a packet to a drone's client; disconnect the client if it is idle for too long."""
         peer = self._peers[i]
         if peer is None:
             return

@@ -1,6 +1,7 @@
-"""Virtual Crazyflies in one airspace, without sockets: packets in, packets out, step by step."""
+"""Fleet of virtual Crazyflies in one airspace, without sockets: CRTP packets in, packets out."""
 
 import functools
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,43 +16,43 @@ from bulletuav.earth import pressure
 from bulletuav.vehicle.airframes import load_airframe
 
 DECISION_HZ = 1000 // TICK_MS
-"""Steps a second: commands and logs have the firmware's unit of time"""
+"""Flight commands per second; the period equals the firmware's log tick"""
 PHYSICS_HZ = 500
-"""Steps of physics, and of the loops of attitude and rates, a second"""
+"""Physics steps per second, and steps of the attitude and rate controllers"""
 SPACING = 0.5
 """Distance between neighbours at the start, m"""
 
 
 class CrazyflieFleet:
-    """N virtual Crazyflies whose bodies fly, and collide, in one airspace.
+    """N virtual Crazyflies that fly, and collide, in one airspace.
 
-        fleet = Fleet(2)
+        fleet = CrazyflieFleet(2)
         fleet.take(0, packet)
-        answers = fleet.step()
+        packets = fleet.step()
 
     Attributes:
-        airspace: Where they fly.
-        vehicles: One for each drone.
-        tick: Steps flown, of 10 ms each.
+        airspace: Airspace in which they fly.
+        vehicles: Firmware of each drone.
+        tick: Number of steps, of 10 ms each.
     """
 
     def __init__(
         self, drones: int | Sequence[Sequence[float]] = 1, airframe: Any = "cf2x", **options: Any
     ) -> None:
-        """Put drones on the ground, and switch them on.
+        """Place the drones on the ground, and switch them on.
 
         Args:
-            drones: How many there are, in rows 0.5 m apart; or where they stand, (N, 2), m.
-            airframe: Their airframe.
-            **options: More options of `Airspace`, such as wind or obstacles.
+            drones: Number of drones, in rows 0.5 m apart; or their positions, (N, 2), m.
+            airframe: Airframe of all drones.
+            **options: Further options of `Airspace`, such as wind or obstacles.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
         frame = load_airframe(airframe)
         places = starts(drones, frame.standing_height, SPACING)
         if "decision_hz" in options:
-            raise ValueError(f"decision_hz is {DECISION_HZ} in the firmware: leave it out")
+            raise ValueError(f"decision_hz is {DECISION_HZ}, as in the firmware: omit the option")
         settings = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
         self.airspace = make_airspace(places, frame, **settings)
         self.vehicles = [
@@ -63,7 +64,7 @@ class CrazyflieFleet:
         self._update_vehicles()
 
     def __len__(self) -> int:
-        """Tell how many drones there are."""
+        """Return the number of drones."""
         return len(self.vehicles)
 
     @property
@@ -72,17 +73,17 @@ class CrazyflieFleet:
         return self.tick * TICK_MS / 1000
 
     def take(self, drone: int, packet: Packet) -> list[Packet]:
-        """Give a packet to a drone; its answers are returned."""
+        """Pass a packet to a drone, and return the drone's answers."""
         return self.vehicles[drone].answer(packet, self.tick)
 
     def step(self) -> list[tuple[int, Packet]]:
-        """Fly for 10 ms.
+        """Fly for one step of 10 ms.
 
         Returns:
-            Packets that drones send by themselves, each with the index of its drone.
+            Log packets, each with the index of its drone.
 
         Raises:
-            RuntimeError: The flight diverged, or the airspace is closed.
+            RuntimeError: If the flight diverged, or the airspace is closed.
         """
         give(self.airspace, [vehicle.order(self.airspace.period) for vehicle in self.vehicles])
         self.airspace.step()
@@ -95,14 +96,14 @@ class CrazyflieFleet:
         ]
 
     def warm_up(self) -> None:
-        """Compile what flies, which takes a minute the first time; drones stay where they are."""
+        """Compile the simulation, which takes a minute the first time; the drones do not move."""
         self.airspace.warm_up()
         for variable in LOGS.values():
             variable.read(self.vehicles[0].telemetry(_pressure))
         self.airspace.place(None, self._starts)
 
     def _update_vehicles(self) -> None:
-        """Tell the drones how their bodies move."""
+        """Pass the state of each body to its vehicle."""
         swarm = self.airspace.swarm
         change = (swarm.velocity - self._velocity) / self.airspace.period
         self._velocity = swarm.velocity.copy()
@@ -112,7 +113,6 @@ class CrazyflieFleet:
             vehicle.update_state(state, acceleration, speed, self.time)
 
     def _due_log_packets(self, vehicle: CrazyflieVehicle) -> list[Packet]:
-        """Write the log blocks that are due."""
         due = vehicle.logs.due(self.tick)
         if not due:
             return []
@@ -122,7 +122,7 @@ class CrazyflieFleet:
         ]
 
     def _set_upright(self, i: int) -> bool:
-        """Put a drone on its feet where it lies, if there is room."""
+        """Place a drone upright where it lies; return False if there is no space."""
         swarm = self.airspace.swarm
         yaw = euler(swarm.quaternion[i].tolist())[2]
         position = swarm.position[i].copy()
@@ -136,10 +136,22 @@ class CrazyflieFleet:
         return True
 
     def close(self) -> None:
-        """Free the airspace."""
+        """Close the airspace."""
         self.airspace.close()
 
 
 def _pressure(height: float) -> float:
-    """Tell the pressure of the air at a height above the ground, which is at sea level, Pa."""
+    """Return the air pressure at a height above the ground, which is at sea level, Pa."""
     return float(pressure(height))
+
+
+def __getattr__(name: str) -> Any:
+    """Return `CrazyflieFleet` for its former name `Fleet`, with a DeprecationWarning."""
+    if name == "Fleet":
+        warnings.warn(
+            "Fleet is now CrazyflieFleet; the old name will be removed in the next release",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return CrazyflieFleet
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

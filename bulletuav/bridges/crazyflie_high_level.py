@@ -1,4 +1,4 @@
-"""The planner of a virtual Crazyflie: takes off, lands, goes to places, follows trajectories."""
+"""High-level commander of a virtual Crazyflie: take-off, landing, go-to, spiral, trajectory."""
 
 import math
 
@@ -21,26 +21,25 @@ from bulletuav.control.trajectory import Tracker, Trajectory
 from bulletuav.vehicle.airframe import Airframe
 
 MIN_DURATION, MAX_DURATION = 0.01, 1000.0
-"""Least and greatest duration of a plan, s"""
+"""Minimum and maximum duration of a plan, s"""
 MAX_ACCELERATION = 1000.0
-"""Greatest acceleration that is commanded, m/s^2"""
+"""Limit of the commanded acceleration, m/s^2"""
 MAX_TRAJECTORIES = 10
-"""How many trajectories can be defined"""
+"""Maximum number of defined trajectories"""
 
 
 class HighLevelCommander:
-    """Plans of one drone. It holds the end of the last plan, but for that of a landing.
+    """High-level commander of one drone, which plans trajectories and follows them.
 
-    Attributes:
-        flies: Whether there is a plan to follow or to hold.
+    At the end of a plan the drone holds the last position; after a landing the plan is discarded.
     """
 
     def __init__(self, airframe: Airframe, memory: bytearray) -> None:
-        """Begin without a plan.
+        """Initialise without a plan.
 
         Args:
-            airframe: Of the drone.
-            memory: What trajectories are read from.
+            airframe: Airframe of the drone.
+            memory: Trajectory memory, from which uploaded trajectories are read.
         """
         self._airframe, self._memory = airframe, memory
         self._tracker: Tracker | None = None
@@ -52,19 +51,19 @@ class HighLevelCommander:
 
     @property
     def has_plan(self) -> bool:
-        """Whether there is a plan."""
+        """True if there is a plan to follow, or an end position to hold."""
         return self._tracker is not None
 
     def is_finished(self, now: float) -> bool:
-        """Tell whether there is no plan, or it has come to its end."""
+        """Return True if there is no plan, or if its end has been reached."""
         return self._tracker is None or now - self._start_time >= self._tracker.trajectory.end
 
     def stop(self) -> None:
-        """Forget the plan."""
+        """Discard the plan."""
         self._tracker = None
 
     def order(self, state: State, now: float) -> Order | None:
-        """Tell the command of a time, or None once a landing has ended."""
+        """Return the flight command at a time, or None without a plan or after a landing."""
         if self._is_landing and self.is_finished(now):
             self.stop()
         if self._tracker is None:
@@ -77,7 +76,7 @@ class HighLevelCommander:
         return Order(SetpointLevel.ACCELERATION, (*numbers, math.remainder(yaw, math.tau)))
 
     def target(self, now: float) -> list[float] | None:
-        """Tell where the plan is, (3,) m."""
+        """Return the planned position (3,) at a time, m, or None without a plan."""
         if self._tracker is None:
             return None
         position: list[float] = self._tracker.trajectory.at(
@@ -86,20 +85,20 @@ class HighLevelCommander:
         return position
 
     def handle_command(self, data: bytes, state: State, now: float) -> Errno:
-        """Take a command.
+        """Handle a command.
 
         Args:
-            data: Data of a packet to the port PLANNER.
+            data: Data of a packet to the port `CrtpPort.SETPOINT_HL`.
             state: State of the drone.
             now: Present time, s.
 
         Returns:
-            What is answered.
+            Error code to send back.
 
         Raises:
-            MalformedError: The packet is not what it should be; nothing has changed.
+            MalformedError: If the data does not have the layout of the command. Nothing is changed.
         """
-        # Numbers of the commands of the firmware's high-level commander
+        # Command numbers of the firmware (crtp_commander_high_level.c)
         (command,) = unpack_data("B", data)
         commands = {
             0: self._set_group,
@@ -113,15 +112,15 @@ class HighLevelCommander:
         }
         if command not in commands:
             return Errno.ENOEXEC
-        # Those to fly may be meant for a group of drones alone
+        # Flight commands may be addressed to a group of drones
         if command not in (0, 6):
             _, group = unpack_data("BB", data)
             if group and not group & self._group:
-                return Errno.NONE  # it is for others
+                return Errno.NONE
         return commands[command](data, self._start_state(state, now), now)
 
     def _start_state(self, state: State, now: float) -> TrajectoryStart:
-        """Tell where a new plan begins: where the present one is, or else the drone."""
+        """Return the start state of a new plan: on the present plan, or else the drone's state."""
         if self._tracker is not None:
             setpoint = self._tracker.trajectory.at(now - self._start_time)
             return TrajectoryStart(
@@ -135,7 +134,7 @@ class HighLevelCommander:
         )
 
     def _follow_plan(self, plan: Trajectory, now: float, is_landing: bool = False) -> Errno:
-        """Follow a plan from now on."""
+        """Start to follow a plan."""
         self._tracker, self._start_time, self._is_landing = (
             Tracker(self._airframe, plan),
             now,
@@ -155,7 +154,7 @@ class HighLevelCommander:
         return Errno.NONE
 
     def _vertical(self, data: bytes, start: TrajectoryStart, now: float, is_landing: bool) -> Errno:
-        """Rise or sink to a height."""
+        """Plan a climb or descent to a height."""
         _, _, height, yaw, keeps_yaw, duration = unpack_data("BBff?f", data)
         goal = start.position.copy()
         goal[2] = height
@@ -224,13 +223,13 @@ class HighLevelCommander:
             return self._follow_plan(
                 stored.moved(start.position, bool(is_relative), bool(is_yaw_relative)).plan(), now
             )
-        # What is in the memory is not this packet's fault.
+        # The packet is well-formed: only the memory's content is invalid
         except MalformedError:
             return Errno.EINVAL
 
 
 def _is_out_of_range(position: np.ndarray, duration: float) -> bool:
-    """Tell whether a goal is too far away, or to be reached in no time."""
+    """Return True if a goal is too far away, or if its duration is out of range."""
     return (
         bool((np.abs(position) > MAX_COORDINATE).any())
         or not MIN_DURATION <= duration <= MAX_DURATION

@@ -1,6 +1,7 @@
-"""Services of a virtual Crazyflie: tables of contents, logging, parameters, memory.
+"""CRTP services of a virtual Crazyflie: tables of contents, logging, parameters, memory.
 
-Each takes packets of one port and gives answers. Layouts are those of CRTP version 12.
+Each service handles the packets of one port and returns answers. Layouts are those of CRTP
+version 12.
 """
 
 import struct
@@ -21,47 +22,47 @@ from bulletuav.bridges.crazyflie_toc import (
 from bulletuav.bridges.crtp import CrtpPort, Errno, MalformedError, Packet, pack_data, unpack_data
 
 TOC_CHANNEL, CONTROL_CHANNEL, DATA_CHANNEL = 0, 1, 2
-"""Channels of the logging port"""
+"""Channels of the log port"""
 READ_CHANNEL, WRITE_CHANNEL, MISC_CHANNEL = 1, 2, 3
-"""Channels of the parameters' port, beside `TOC_CHANNEL`"""
+"""Channels of the parameter port, besides `TOC_CHANNEL`"""
 MAX_BLOCKS = 16
 MAX_VARIABLES = 128
 MAX_BLOCK_SIZE = 26
-"""Greatest size of a block's values, bytes"""
+"""Maximum size of the values of a log block, bytes"""
 TICK_MS = 10
 """Unit of log periods, ms"""
 TRAJECTORY_MEMORY = 0x12
-"""Type of the memory that trajectories are written to"""
+"""Memory type of the trajectory memory"""
 MEMORY_SIZE = 4096
-"""Size of that memory, bytes"""
+"""Size of the trajectory memory, bytes"""
 MAX_MEMORY_TRANSFER = 24
-"""Most bytes that a packet reads or writes"""
+"""Maximum number of bytes that one packet reads or writes"""
 
 
 class Toc:
-    """A table of contents, which clients read entry by entry."""
+    """Table of contents (TOC), which clients download entry by entry."""
 
     def __init__(
         self, port: CrtpPort, entries: Sequence[tuple[int, str]], tail: bytes = b""
     ) -> None:
-        """Write the entries.
+        """Encode the entries.
 
         Args:
             port: Port of the packets.
-            entries: Byte that describes it, and full name, of each entry.
-            tail: What follows count and checksum in the answer about the table.
+            entries: Type byte and full name of each entry.
+            tail: Bytes after count and CRC in the info reply.
         """
         self._port = port
         self._entries: list[bytes] = [bytes([code]) + encode_name(name) for code, name in entries]
         self._info = pack_data("BHI", 3, len(self._entries), compute_toc_crc(self._entries)) + tail
 
     def answer(self, data: bytes) -> bytes:
-        """Answer a request for the table's size, or for one entry."""
+        """Return the reply to an info request or to an item request."""
         (request,) = unpack_data("B", data)
         if request == 3:
             return self._info
         if request != 2:
-            raise MalformedError(f"request {request} to a table: 2 or 3 is needed")
+            raise MalformedError(f"TOC request {request}: 2 or 3 is needed")
         _, number = unpack_data("BH", data)
         if number >= len(self._entries):
             return pack_data("B", 2)
@@ -84,12 +85,12 @@ PARAMETER_NAMES = tuple(PARAMETERS)
 
 @dataclass
 class LogBlock:
-    """A block of variables that are logged together.
+    """Log block: variables that are sent together.
 
     Attributes:
-        variables: Each with the code of the type that it is sent in.
-        period: Time from one packet to the next, in ticks; 0 if it does not run.
-        start: Tick of the default packet.
+        variables: Data type code for the packet, and variable.
+        period: Period in ticks; 0 if the block is stopped.
+        start: Tick of the first packet.
     """
 
     variables: list[tuple[int, LogVariable]]
@@ -103,33 +104,33 @@ class LogBlock:
 
 
 class LogService:
-    """The log blocks of one drone."""
+    """Log blocks of one drone."""
 
     def __init__(self) -> None:
-        """Begin without blocks."""
+        """Initialise without blocks."""
         self._blocks: dict[int, LogBlock] = {}
 
     def clear(self) -> None:
-        """Forget all blocks."""
+        """Delete all blocks."""
         self._blocks.clear()
 
     def answer(self, packet: Packet, tick: int) -> list[Packet]:
-        """Answer a packet.
+        """Handle a packet to the port `CrtpPort.LOG`.
 
         Args:
-            packet: To the port LOG.
+            packet: Packet from the client.
             tick: Present time in units of `TICK_MS`.
 
         Returns:
-            The answers.
+            Packets to send back.
 
         Raises:
-            MalformedError: The packet is not what it should be.
+            MalformedError: If the data does not have the layout of the request.
         """
         if packet.channel == TOC_CHANNEL:
             return [packet._replace(data=LOG_TOC.answer(packet.data))]
         if packet.channel != CONTROL_CHANNEL:
-            raise MalformedError(f"channel {packet.channel} of logs takes no packets")
+            raise MalformedError(f"log channel {packet.channel} takes no packets")
         (request,) = unpack_data("B", packet.data)
         if request == 5:
             self.clear()
@@ -139,15 +140,15 @@ class LogService:
         return [packet._replace(data=pack_data("BBB", request, block, error))]
 
     def _change_block(self, request: int, block: int, payload: bytes, tick: int) -> Errno:
-        """Create, delete, start, stop or extend a block."""
-        # Create: a block of this number must be new, and there must be room
+        """Create, delete, start, stop or extend a block; return the error code."""
+        # Create a block: its ID must be unused
         if request == 6:
             if block in self._blocks:
                 return Errno.EEXIST
             if len(self._blocks) == MAX_BLOCKS:
                 return Errno.ENOMEM
             error = self._append_variables(LogBlock([]), payload, block)
-        # From here on the block must exist
+        # All other requests need an existing block
         elif request not in (2, 3, 4, 7):
             error = Errno.ENOEXEC
         elif block not in self._blocks:
@@ -158,7 +159,7 @@ class LogService:
         else:
             error = Errno.NONE
             log_block = self._blocks[block]
-            # Delete, start with a period in units of 10 ms, or stop
+            # Delete, start with a period in ticks, or stop
             if request == 2:
                 del self._blocks[block]
             elif request == 3:
@@ -169,7 +170,7 @@ class LogService:
         return error
 
     def _append_variables(self, block: LogBlock, payload: bytes, number: int) -> Errno:
-        """Add variables to a block, and keep it if they fit."""
+        """Append variables to a block, and store it if the variables fit; return the error code."""
         added = list(block.variables)
         for code, variable in struct.iter_unpack("<BH", payload[: len(payload) // 3 * 3]):
             if variable >= len(LOG_VARIABLES) or code & 0x0F not in LOG_TYPES:
@@ -185,7 +186,7 @@ class LogService:
         return Errno.NONE
 
     def due(self, tick: int) -> list[tuple[int, LogBlock]]:
-        """List the blocks that are to be sent at a tick, with their numbers."""
+        """Return the blocks to send at a tick, with their IDs."""
         return [
             (number, block)
             for number, block in self._blocks.items()
@@ -194,7 +195,14 @@ class LogService:
 
     @staticmethod
     def encode_block(number: int, block: LogBlock, tick: int, telemetry: Telemetry) -> Packet:
-        """Write a block's values as a packet."""
+        """Return the packet with the values of a block.
+
+        Args:
+            number: ID of the block.
+            block: The block.
+            tick: Present time in units of `TICK_MS`.
+            telemetry: Values of the log variables.
+        """
         values = b""
         for code, variable in block.variables:
             kind = LOG_TYPES[code]
@@ -207,22 +215,22 @@ class LogService:
 
 
 class CrtpParameterService:
-    """The parameters of one drone.
+    """Parameters of one drone.
 
     Attributes:
         values: Values by full name.
     """
 
     def __init__(self) -> None:
-        """Begin with the values of the table."""
+        """Initialise with the default values."""
         self.values = {name: parameter.value for name, parameter in PARAMETERS.items()}
         self._stored: dict[str, float] = {}
 
     def answer(self, packet: Packet) -> list[Packet]:
-        """Answer a packet to the port PARAMETERS.
+        """Handle a packet to the port `CrtpPort.PARAM`.
 
         Raises:
-            MalformedError: The packet is not what it should be.
+            MalformedError: If the data does not have the layout of the request.
         """
         if packet.channel == TOC_CHANNEL:
             data = PARAMETER_TOC.answer(packet.data)
@@ -241,13 +249,13 @@ class CrtpParameterService:
         return [packet._replace(data=data)]
 
     def _encode_value(self, name: str, value: float | None = None) -> bytes:
-        """Write the present value of a parameter, or a given one."""
+        """Encode the present value of a parameter, or a given one."""
         struct_format = PARAMETER_FORMATS[PARAMETERS[name].code]
         number = self.values[name] if value is None else value
         return pack_data(struct_format, number if struct_format in "efd" else int(number))
 
     def _write(self, data: bytes) -> bytes:
-        """Set the value of a parameter by its number; the answer tells the value as it is then."""
+        """Set a parameter by its ID, and return the reply with its new value."""
         (number,) = unpack_data("H", data)
         if number >= len(PARAMETER_NAMES):
             return pack_data("HB", number, Errno.ENOENT)
@@ -257,12 +265,12 @@ class CrtpParameterService:
         return pack_data("H", number) + self._encode_value(name)
 
     def _handle_misc(self, data: bytes) -> bytes:
-        """Answer what is rarer: setting by name, types, stored and default values."""
+        """Handle a request of the miscellaneous channel, such as set by name and stored values."""
         (request,) = unpack_data("B", data)
         if request == 0:
             return self._write_by_name(data)
         if request not in (2, 3, 4, 5, 6, 7, 8):
-            raise MalformedError(f"request {request} to parameters: from 0 to 8 is needed")
+            raise MalformedError(f"parameter request {request}: from 0 to 8 is needed")
         _, number = unpack_data("BH", data)
         if number >= len(PARAMETER_NAMES):
             return pack_data("BHB", request, number, Errno.ENOENT)
@@ -270,10 +278,10 @@ class CrtpParameterService:
         return pack_data("BH", request, number) + self._misc_reply(request, name)
 
     def _misc_reply(self, request: int, name: str) -> bytes:
-        """Tell what a rarer request asks about a parameter."""
+        """Handle a request about one parameter; return the reply after request and ID."""
         default = self._encode_value(name, PARAMETERS[name].value)
         persistent = PARAMETERS[name].persistent
-        # Kind, default value, and their later forms: these change nothing
+        # Extended type and default value, each in two versions of the request
         answers = {
             2: lambda: pack_data("B", persistent),
             6: lambda: default,
@@ -282,10 +290,10 @@ class CrtpParameterService:
         }
         if request in answers:
             return answers[request]()
-        # The rest is about stored values, which only some parameters have
+        # The remaining requests concern stored values of persistent parameters
         if not persistent:
             return pack_data("B", Errno.ENOENT)
-        # Store the present value, forget it, or tell both
+        # Store the present value, delete the stored value, or return stored and default value
         if request == 3:
             self._stored[name] = self.values[name]
         elif request == 5:
@@ -297,10 +305,10 @@ class CrtpParameterService:
         return pack_data("B", Errno.NONE)
 
     def _write_by_name(self, data: bytes) -> bytes:
-        """Set the value of a parameter by its group and name."""
+        """Set a parameter by its group and name."""
         parts = data[1:].split(b"\0", 2)
         if len(parts) != 3:
-            raise MalformedError("a parameter set by name needs group and name")
+            raise MalformedError("setting a parameter by name needs group and name")
         name = b".".join(parts[:2]).decode("latin-1")
         (code,) = unpack_data("B", parts[2])
         if name not in PARAMETERS:
@@ -316,28 +324,28 @@ class CrtpParameterService:
 
 
 class MemoryService:
-    """The memory of one drone that trajectories are written to.
+    """Trajectory memory of one drone.
 
     Attributes:
-        content: Its bytes.
+        content: Content of the memory.
     """
 
     def __init__(self) -> None:
-        """Begin with zeros."""
+        """Initialise with zeros."""
         self.content = bytearray(MEMORY_SIZE)
 
     def answer(self, packet: Packet) -> list[Packet]:
-        """Answer a packet to the port MEMORY.
+        """Handle a packet to the port `CrtpPort.MEM`.
 
         Raises:
-            MalformedError: The packet is not what it should be.
+            MalformedError: If the data does not have the layout of the request.
         """
-        # Channel 0 tells of memories, 1 reads, 2 writes
+        # Channel 0 describes memories, 1 reads, 2 writes
         if packet.channel == 0:
             return [packet._replace(data=self._describe_memory(packet.data))]
         if packet.channel not in (1, 2):
-            raise MalformedError(f"channel {packet.channel} of memories takes no packets")
-        # Only memory 0 exists, and nothing reaches beyond its end
+            raise MalformedError(f"memory channel {packet.channel} takes no packets")
+        # Only memory 0 exists; accesses beyond its end are errors
         memory, address = unpack_data("BI", packet.data)
         if packet.channel == 2:
             written = packet.data[5:]
@@ -354,7 +362,7 @@ class MemoryService:
 
     @staticmethod
     def _describe_memory(data: bytes) -> bytes:
-        """Tell how many memories there are, or what one is."""
+        """Return the reply with the number of memories, or with type and size of one."""
         (request,) = unpack_data("B", data)
         if request == 1:
             return pack_data("BB", 1, 1)

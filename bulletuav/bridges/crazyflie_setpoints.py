@@ -1,4 +1,4 @@
-"""Setpoints of a virtual Crazyflie: what its packets ask for, and for how long they hold.
+"""Low-level setpoints of a virtual Crazyflie: decoding, limits and timeouts.
 
 The firmware documents what each setpoint means. Its controller is a cascade of PIDs; here the
 same setpoints go to the package's own cascade (`bulletuav.control`).
@@ -14,24 +14,27 @@ from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.rotors import RPM
 
 MAX_COORDINATE = 1000.0
-"""Greatest coordinate that a setpoint may have, m"""
+"""Maximum coordinate of a setpoint, m"""
 MAX_SPEED = 100.0
-"""Greatest velocity (m/s) and acceleration (m/s^2) of a setpoint"""
+"""Maximum velocity (m/s) of a setpoint"""
 MAX_TILT = math.radians(60)
-"""Greatest roll and pitch of a setpoint, rad"""
+"""Maximum roll and pitch of a setpoint, rad"""
 MAX_RATE = 20.0
-"""Greatest rate of a setpoint, rad/s"""
+"""Maximum angular rate of a setpoint, rad/s"""
 MIN_THRUST_COMMAND, MAX_THRUST_COMMAND = 1000, 60000
-"""Commands of thrust below are none, and above are cut, as in the firmware"""
+"""Thrust commands below the minimum mean zero, those above the maximum are clipped (firmware)"""
 STABILIZE_TIMEOUT, SHUTDOWN_TIMEOUT = 0.5, 2.0
 """Time without setpoints until a drone levels out, and until its motors stop, s"""
 
 
 class ThrustMap:
-    """The map from the firmware's command of thrust, from 0 to 65535, to newtons."""
+    """Map from the firmware's thrust command, from 0 to 65535, to newtons."""
 
     def __init__(self, airframe: Airframe) -> None:
-        """Take the map of the airframe; without one, speeds grow in proportion to the command."""
+        """Initialise with the PWM map of the airframe.
+
+        An airframe without a PWM map has rotor speeds proportional to the command.
+        """
         self._max_speed = airframe.max_rotor_speed
         self._factor = len(airframe.rotors) * airframe.thrust_coefficient
         pwm = airframe.pwm
@@ -44,13 +47,13 @@ class ThrustMap:
     def thrust(self, command: float) -> float:
         """Convert a command from 0 to 65535 into a thrust, N."""
         speed = self._slope * max(command, self._min_command) + self._intercept
-        # Below its least command the map is not known: speeds go to zero in proportion.
+        # The map is unknown below its minimum command: the speed decreases linearly to zero
         if command < self._min_command:
             speed *= command / self._min_command
         return self._factor * min(speed, self._max_speed) ** 2
 
     def command(self, rotor_speed: list[float]) -> float:
-        """Tell the command of rotors at speeds, rad/s."""
+        """Return the command that leads to rotor speeds, rad/s."""
         speed = math.sqrt(sum(speed * speed for speed in rotor_speed) / len(rotor_speed))
         min_speed = self._slope * self._min_command + self._intercept
         if speed < min_speed:
@@ -59,10 +62,14 @@ class ThrustMap:
 
 
 class Commander:
-    """The low-level setpoints of one drone, and for how long they hold."""
+    """Low-level commander of one drone: the last setpoint and its timeouts.
+
+    Attributes:
+        is_released: Whether the high-level commander may take over.
+    """
 
     def __init__(self, thrust_map: ThrustMap) -> None:
-        """Begin without a setpoint, and with a lock on the thrust."""
+        """Initialise without a setpoint, with the thrust locked."""
         self._thrust_map = thrust_map
         self._setpoint: Setpoint | None = None
         self._received_time = 0.0
@@ -70,27 +77,28 @@ class Commander:
         self.is_released = True
 
     def clear(self) -> None:
-        """Forget the setpoint; thrust is locked until a command of zero."""
+        """Discard the setpoint, and lock the thrust until a command of zero."""
         self._setpoint, self._thrust_locked, self.is_released = None, True, True
 
     def release(self) -> None:
-        """Let the planner take over as soon as it has something to do."""
+        """Allow the high-level commander to take over as soon as it has a plan."""
         self.is_released = True
 
     def set_setpoint(self, packet: Packet, now: float, are_rates: tuple[bool, bool]) -> None:
-        """Take a setpoint.
+        """Decode a packet and set its setpoint.
 
         Args:
-            packet: To the ports ATTITUDE_SETPOINT or SETPOINT.
+            packet: Packet to the port `CrtpPort.SETPOINT` or `CrtpPort.SETPOINT_GENERIC`.
             now: Present time, s.
-            rates: Whether roll and pitch, and yaw, of ATTITUDE_SETPOINT are rates.
+            are_rates: Whether roll and pitch, and whether yaw, of `CrtpPort.SETPOINT` are rates.
 
         Raises:
-            MalformedError: The packet is not what it should be; nothing has changed.
+            MalformedError: If the data does not have the layout of the setpoint. The previous
+                setpoint remains.
         """
         if packet.port == CrtpPort.SETPOINT:
             *angles, command = unpack_data("fffH", packet.data)
-            # A command of zero unlocks what a client may have left at full thrust.
+            # Full thrust right after connecting would be dangerous: a command of zero unlocks it
             self._thrust_locked = self._thrust_locked and command > 0
             command = 0 if self._thrust_locked else command
             self._setpoint = self._make_manual(tuple(angles), command, *are_rates)
@@ -100,12 +108,12 @@ class Commander:
         self._received_time, self.is_released = now, self._setpoint is None
 
     def _decode_generic(self, kind: int, data: bytes) -> Setpoint | None:
-        """Read a setpoint of the port SETPOINT by its kind."""
-        # A stop; thrust by hand is locked until a command of zero
+        """Decode a setpoint of the port `CrtpPort.SETPOINT_GENERIC`; return None for a stop."""
+        # Stop; lock the thrust until a command of zero
         if kind == 0:
             self._thrust_locked = True
             return None
-        # By hand: angles and thrust; the yaw may be a rate
+        # Manual: roll, pitch and yaw rate with a thrust; roll and pitch may be rates
         if kind == 11:
             *angles, command, is_rate = unpack_data("fffHB", data)
             return self._make_manual(tuple(angles), command, bool(is_rate), True)._replace(
@@ -114,16 +122,16 @@ class Commander:
         if kind == 6:
             return _decode_full_state(data)
         if kind not in (7, 8, 9, 10):
-            raise MalformedError(f"setpoint of kind {kind}: 0 or from 6 to 11 is needed")
-        # The other kinds are four numbers each
+            raise MalformedError(f"setpoint type {kind}: 0 or from 6 to 11 is needed")
+        # The other types have four numbers each
         a, b, c, d = unpack_data("ffff", data)
-        # A place with a yaw
+        # Position and yaw
         if kind == 7:
             position = (_clamp(a, MAX_COORDINATE), _clamp(b, MAX_COORDINATE))
             return Setpoint(
                 "position", position, "position", _clamp(c, MAX_COORDINATE), "angle", _to_angle(d)
             )
-        # Angles at a height, with a rate of yaw
+        # Roll, pitch and yaw rate at a height (zdistance)
         if kind == 9:
             return Setpoint(
                 "attitude",
@@ -133,7 +141,7 @@ class Commander:
                 "rate",
                 _to_rate(c),
             )
-        # Velocity: in the world with a climb, or in the body at a height
+        # Velocity in the world frame, or in the body frame at a height (hover)
         velocity = (_clamp(a, MAX_SPEED), _clamp(b, MAX_SPEED))
         if kind == 8:
             return Setpoint(
@@ -146,12 +154,12 @@ class Commander:
     def _make_manual(
         self, angles: tuple[float, ...], command: int, is_rate: bool, yaw_is_rate: bool
     ) -> Setpoint:
-        """Make a setpoint of roll, pitch, yaw and thrust."""
+        """Return the setpoint for roll, pitch, yaw and a thrust command."""
         roll, pitch, yaw = angles
         thrust = 0.0
         if command >= MIN_THRUST_COMMAND:
             thrust = self._thrust_map.thrust(min(command, MAX_THRUST_COMMAND))
-        # Yaw of this port turns clockwise, as it always did.
+        # The firmware's legacy convention: yaw of this setpoint is positive clockwise
         turning, yaw = ("rate", -_to_rate(yaw)) if yaw_is_rate else ("angle", _to_angle(-yaw))
         if is_rate:
             return Setpoint(
@@ -160,7 +168,10 @@ class Commander:
         return Setpoint("attitude", _to_tilt(roll, pitch), "thrust", thrust, turning, yaw)
 
     def current(self, now: float) -> Setpoint | None:
-        """Tell the setpoint that holds at a time, if any; old ones level out, and then end."""
+        """Return the setpoint at a time, or None without one.
+
+        After `STABILIZE_TIMEOUT` the setpoint is levelled out, after `SHUTDOWN_TIMEOUT` discarded.
+        """
         if self._setpoint is None:
             return None
         age = now - self._received_time
@@ -171,27 +182,26 @@ class Commander:
 
 
 def _clamp(value: float, limit: float) -> float:
-    """Cut a number to a range about zero."""
     return min(max(value, -limit), limit)
 
 
 def _to_rate(degrees: float) -> float:
-    """Convert a rate from degrees, within what a drone can be asked for."""
+    """Convert a rate from degrees/s to rad/s, and clip it."""
     return _clamp(math.radians(degrees), MAX_RATE)
 
 
 def _to_angle(degrees: float) -> float:
-    """Convert an angle from degrees to within half a turn."""
+    """Convert an angle from degrees to rad, within [-pi, pi]."""
     return math.remainder(math.radians(degrees), math.tau)
 
 
 def _to_tilt(roll: float, pitch: float) -> tuple[float, float]:
-    """Convert roll and pitch (nose up) from degrees to radians, pitch nose down."""
+    """Convert roll and pitch (nose up) from degrees to rad, with pitch nose down."""
     return _clamp(math.radians(roll), MAX_TILT), _clamp(-math.radians(pitch), MAX_TILT)
 
 
 def _decode_full_state(data: bytes) -> Setpoint:
-    """Read a position with velocity, acceleration and attitude, of which the yaw is held."""
+    """Decode a full state: position, velocity, acceleration, and the yaw of its attitude."""
     numbers = unpack_data("9hI3h", data)
     x, y, z, *ahead = (number / 1000 for number in numbers[:9])
     _, _, yaw = euler(decompress_quaternion(numbers[9]))
@@ -199,16 +209,16 @@ def _decode_full_state(data: bytes) -> Setpoint:
 
 
 def decompress_quaternion(packed: int) -> tuple[float, ...]:
-    """Read a quaternion from 32 bits.
+    """Decompress a quaternion from 32 bits, as the firmware's `quatdecompress`.
 
-    Two bits tell which entry is the largest. It is left out, and positive. The others have a sign
-    and 9 bits each, in units of 1 / (511 sqrt(2)).
+    The upper two bits are the index of the largest entry, which is positive and omitted. Each other
+    entry has a sign bit and 9 bits of magnitude, in units of 1 / (511 sqrt(2)).
 
     Args:
-        packed: The bits.
+        packed: The 32 bits.
 
     Returns:
-        (4,) x, y, z, w, a unit quaternion.
+        (4,) unit quaternion x, y, z, w.
     """
     largest = packed >> 30
     entries = np.zeros(4)

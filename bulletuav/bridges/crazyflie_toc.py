@@ -1,7 +1,7 @@
-"""What a virtual Crazyflie logs, and its parameters: names, types, values.
+"""Tables of contents (TOC) of a virtual Crazyflie: log variables and parameters.
 
 Names and units are those of the firmware's documentation. Angles are in degrees, and pitch is
-positive when the nose is up, as the firmware has it.
+positive when the nose is up, as in the firmware.
 """
 
 import functools
@@ -17,13 +17,20 @@ from bulletuav.geometry.rotation import Vec3, axes, dot
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 
 BATTERY_VOLTAGE = 4.0
-"""Voltage that is told, V: batteries do not run empty"""
+"""Reported battery voltage, V: batteries do not discharge"""
 OUT_OF_RANGE = 32767
-"""Distance that ranging sensors tell where they see nothing, mm"""
+"""Distance that the multiranger reports without an object in range, mm"""
 
 
 class LogType(NamedTuple):
-    """A type of logged numbers: its number, its letter in `struct`, its least and its greatest."""
+    """Data type of a log variable.
+
+    Attributes:
+        code: Number of the type in CRTP.
+        struct_format: Format character of `struct`.
+        minimum: Smallest value.
+        maximum: Largest value.
+    """
 
     code: int
     struct_format: str
@@ -46,29 +53,28 @@ LOG_TYPES = MappingProxyType(
         )
     }
 )
-"""Types of logged numbers by their codes"""
+"""Data types of log variables by their codes"""
 U8, U16, U32, FLOAT = 1, 2, 3, 7
 PARAMETER_FORMATS = MappingProxyType(
     {0: "b", 1: "h", 2: "i", 3: "q", 5: "e", 6: "f", 7: "d", 8: "B", 9: "H", 10: "I", 11: "Q"}
 )
-"""Letters in `struct` of the types of parameters by their codes"""
+"""Format characters of `struct` for the data types of parameters, by their codes"""
 PARAM_U8, PARAM_U16, PARAM_U32, PARAM_I8, PARAM_FLOAT = 8, 9, 10, 0, 6
 
 
 class Telemetry:
-    """What a drone can log at one time.
+    """Values of all log variables of a drone at one time.
 
     Attributes:
         position: (3,) m, world.
         quaternion: (4,) body to world.
         velocity: (3,) m/s, world.
-        acceleration: (3,) m/s^2, world, of the last step.
+        acceleration: (3,) m/s^2, world, mean over the last step.
         rates: (3,) rad/s, body.
-        rotor_share: Speed of each rotor over its greatest.
-        thrust: Command of the motors, from 0 to 65535.
-        target: (3,) where the drone is told to be, m; where it is, if it is not told.
-        supervisor: Bits of the supervisor.
-        pressure: Of the air, Pa.
+        rotor_speed_fraction: (R,) rotor speeds as fractions of the maximum speed.
+        thrust: Thrust command, from 0 to 65535.
+        target: (3,) target position, m; the present position without a target.
+        supervisor: Bit field of the supervisor's state.
     """
 
     def __init__(
@@ -79,7 +85,15 @@ class Telemetry:
         outputs: tuple[float, list[float], int],
         pressure: Callable[[float], float],
     ) -> None:
-        """Keep the numbers: position, quaternion, velocity, rates; thrust, target, bits."""
+        """Initialise the values.
+
+        Args:
+            state: Position, quaternion, velocity and rates.
+            acceleration: (3,) mean acceleration over the last step, m/s^2.
+            rotor_speed_fraction: (R,) rotor speeds as fractions of the maximum speed.
+            outputs: Thrust command, target position and supervisor bits.
+            pressure: Function that returns the air pressure (Pa) at a height (m).
+        """
         self.position, self.quaternion, self.velocity, self.rates = state
         self.acceleration, self.rotor_speed_fraction = acceleration, rotor_speed_fraction
         self.thrust, self.target, self.supervisor = outputs
@@ -93,23 +107,28 @@ class Telemetry:
 
     @functools.cached_property
     def specific_force(self) -> tuple[float, float, float]:
-        """What an accelerometer measures, body axes, multiples of gravity."""
+        """Specific force in the body frame, as an accelerometer measures it, in units of g."""
         x, y, z = (value / STANDARD_GRAVITY for value in self.acceleration)
         return self.to_body((x, y, z + 1.0))
 
     def to_body(self, vector: Vec3) -> Vec3:
-        """Turn a vector from world axes into body axes."""
+        """Rotate a vector from world axes into body axes."""
         x, y, z, w = self.quaternion
         forward, left, up = axes((x, y, z, w))
         return dot(forward, vector), dot(left, vector), dot(up, vector)
 
     def pressure(self) -> float:
-        """Tell the pressure of the air, hPa."""
+        """Return the air pressure, hPa."""
         return self._pressure(self.position[2]) / 100
 
 
 class LogVariable(NamedTuple):
-    """Something that can be logged: the type that it is kept in, and how it is read."""
+    """Log variable.
+
+    Attributes:
+        code: Code of its data type, see `LOG_TYPES`.
+        read: Function that returns its value.
+    """
 
     code: int
     read: Callable[[Telemetry], float]
@@ -118,7 +137,7 @@ class LogVariable(NamedTuple):
 def _axis_variables(
     group: str, names: str, read: Callable[[Telemetry, int], float], code: int = FLOAT
 ) -> dict[str, LogVariable]:
-    """Make a variable for each of the names, which takes the entry of that place."""
+    """Make one log variable for each of the names; name k reads entry k."""
 
     def make_variable(k: int) -> LogVariable:
         return LogVariable(code, lambda data: read(data, k))
@@ -127,7 +146,6 @@ def _axis_variables(
 
 
 def _height_mm(telemetry: Telemetry) -> float:
-    """Read the height above the ground, mm."""
     return 1000 * telemetry.position[2]
 
 
@@ -140,27 +158,19 @@ LOGS: Mapping[str, LogVariable] = MappingProxyType(
             "ax ay az",
             lambda data, k: data.acceleration[k] / STANDARD_GRAVITY,
         ),
-        **_axis_variables(
-            "stateEstimate", "roll pitch yaw", lambda data, k: data.euler[k]
-        ),
-        **_axis_variables(
-            "stateEstimate", "qx qy qz qw", lambda data, k: data.quaternion[k]
-        ),
+        **_axis_variables("stateEstimate", "roll pitch yaw", lambda data, k: data.euler[k]),
+        **_axis_variables("stateEstimate", "qx qy qz qw", lambda data, k: data.quaternion[k]),
         **_axis_variables("stabilizer", "roll pitch yaw", lambda data, k: data.euler[k]),
         "stabilizer.thrust": LogVariable(FLOAT, lambda data: data.thrust),
-        **_axis_variables(
-            "kalman", "stateX stateY stateZ", lambda data, k: data.position[k]
-        ),
+        **_axis_variables("kalman", "stateX stateY stateZ", lambda data, k: data.position[k]),
         **_axis_variables(
             "kalman",
             "statePX statePY statePZ",
-            lambda data, k: data.to_body(
-                (data.velocity[0], data.velocity[1], data.velocity[2])
-            )[k],
+            lambda data, k: data.to_body((data.velocity[0], data.velocity[1], data.velocity[2]))[k],
         ),
         **_axis_variables("kalman", "q1 q2 q3", lambda data, k: data.quaternion[k]),
         "kalman.q0": LogVariable(FLOAT, lambda data: data.quaternion[3]),
-        # The position is known: it does not vary.
+        # The position is exact: report a negligible variance
         **_axis_variables("kalman", "varPX varPY varPZ", lambda data, k: 1e-6),
         **_axis_variables("gyro", "x y z", lambda data, k: math.degrees(data.rates[k])),
         **_axis_variables("acc", "x y z", lambda data, k: data.specific_force[k]),
@@ -190,11 +200,18 @@ LOGS: Mapping[str, LogVariable] = MappingProxyType(
         "sys.isTumbled": LogVariable(U8, lambda data: data.supervisor >> 5 & 1),
     }
 )
-"""What can be logged, by full name; the place in this table is the number on the wire"""
+"""Log variables by full name; the index in this mapping is the variable's ID in the TOC"""
 
 
 class CrtpParameter(NamedTuple):
-    """A parameter: its type, its first value, and whether it can be written and stored."""
+    """Parameter of the firmware.
+
+    Attributes:
+        code: Code of its data type, see `PARAMETER_FORMATS`.
+        value: Default value.
+        read_only: Whether clients cannot set it.
+        persistent: Whether clients can store its value.
+    """
 
     code: int
     value: float
@@ -203,7 +220,7 @@ class CrtpParameter(NamedTuple):
 
 
 def _gain_parameters(group: str, loops: str, names: str) -> dict[str, CrtpParameter]:
-    """Make parameters for gains, which are kept and change nothing."""
+    """Make parameters for controller gains, which are stored but have no effect."""
     return {
         f"{group}.{loop}{name}": CrtpParameter(PARAM_FLOAT, 0.0, persistent=True)
         for loop in loops.split()
@@ -249,20 +266,20 @@ PARAMETERS: Mapping[str, CrtpParameter] = MappingProxyType(
         "system.selftestPassed": CrtpParameter(PARAM_I8, 1, read_only=True),
     }
 )
-"""Parameters by full name; the place in this table is the number on the wire"""
+"""Parameters by full name; the index in this mapping is the parameter's ID in the TOC"""
 
 
 def encode_name(full_name: str) -> bytes:
-    """Write a full name such as "stabilizer.roll" as the table of contents has it."""
+    """Encode a full name such as "stabilizer.roll" as group and name of a TOC entry."""
     group, name = full_name.split(".")
     return group.encode() + b"\0" + name.encode() + b"\0"
 
 
 def encode_parameter_type(parameter: CrtpParameter) -> int:
-    """Tell the byte by which the table of contents describes a parameter."""
+    """Return the type byte of a parameter's TOC entry."""
     return parameter.code | parameter.persistent << 4 | parameter.read_only << 6
 
 
 def compute_toc_crc(entries: list[bytes]) -> int:
-    """Compute the number by which clients find a table of contents that they have kept."""
+    """Compute the CRC by which clients recognise a TOC that they have cached."""
     return zlib.crc32(pack_data("I", len(entries)) + b"".join(entries))

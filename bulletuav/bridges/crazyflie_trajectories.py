@@ -1,4 +1,4 @@
-"""Trajectories of a virtual Crazyflie's planner: polynomials, spirals, and those of its memory."""
+"""Trajectories of the high-level commander: 7th-degree polynomials, spirals and uploaded ones."""
 
 import math
 from typing import NamedTuple
@@ -17,29 +17,30 @@ END_CONDITION_INVERSE = np.array(
         [-20, 10, -2, 1 / 6],
     ]
 )
-"""Coefficients of s^4 to s^7 from what is missing at s = 1 of value, and first to third derivative:
-the inverse of ((1, 1, 1, 1), (4, 5, 6, 7), (12, 20, 30, 42), (24, 60, 120, 210))"""
+"""Matrix that maps residuals of the end conditions at s = 1 (of the value and of its first to third
+derivative) to the coefficients of s^4 to s^7: the inverse of ((1, 1, 1, 1), (4, 5, 6, 7),
+(12, 20, 30, 42), (24, 60, 120, 210))"""
 NUM_COEFFICIENTS = 8
-"""Coefficients of a polynomial"""
+"""Number of coefficients of a polynomial"""
 PIECE_SIZE = 4 * (4 * NUM_COEFFICIENTS + 1)
-"""Size of a piece of a trajectory in memory, bytes"""
+"""Size of a trajectory piece in memory, bytes"""
 NUM_SPIRAL_POINTS = 49
-"""Points that a spiral is laid through"""
+"""Number of sample points through which a spiral is interpolated"""
 COMPRESSED_DEGREES = (0, 1, 3, 7)
-"""Degrees of compressed pieces, by the two bits that tell them"""
+"""Degrees of compressed pieces, by the two bits that encode the degree"""
 MAX_COORDINATE = 10_000.0
-"""Greatest coordinate (m) and yaw (rad) that a trajectory may reach"""
+"""Maximum coordinate (m) and yaw (rad) that a trajectory may reach"""
 MAX_PIECE_DURATION = 10_000.0
-"""Longest that a piece may take, s"""
+"""Maximum duration of a piece, s"""
 
 
 class TrajectoryStart(NamedTuple):
-    """Where a plan begins.
+    """State at the start of a trajectory.
 
     Attributes:
-        place: (4,) x, y, z (m) and yaw (rad).
-        speed: (4,) the first derivative.
-        gain: (4,) the second derivative.
+        position: (4,) x, y, z (m) and yaw (rad).
+        velocity: (4,) first derivative of `position`.
+        acceleration: (4,) second derivative of `position`.
     """
 
     position: np.ndarray
@@ -48,17 +49,17 @@ class TrajectoryStart(NamedTuple):
 
     @classmethod
     def at_rest(cls, position: np.ndarray) -> "TrajectoryStart":
-        """Make one without motion."""
+        """Return the start state at a position (4,) without motion."""
         return cls(position, np.zeros(4), np.zeros(4))
 
 
 def plan_polynomial(start: TrajectoryStart, goal: np.ndarray, duration: float) -> Trajectory:
-    """Plan a polynomial of 7th degree to a goal, where it ends at rest.
+    """Plan a 7th-degree polynomial to a goal, where it ends at rest.
 
     Args:
-        begin: Where, and how fast, it begins; jerk is zero at both ends.
-        goal: (4,) x, y, z, yaw.
-        duration: s.
+        start: State at the start. The jerk is zero at both ends.
+        goal: (4,) x, y, z (m) and yaw (rad).
+        duration: Duration, s.
 
     Returns:
         The trajectory, from time 0.
@@ -86,27 +87,36 @@ def plan_polynomial(start: TrajectoryStart, goal: np.ndarray, duration: float) -
 
 
 def plan_line(start: np.ndarray, goal: np.ndarray, duration: float) -> Trajectory:
-    """Plan a line (4,) to (4,) at one speed."""
+    """Plan a straight line at constant speed.
+
+    Args:
+        start: (4,) x, y, z (m) and yaw (rad).
+        goal: (4,) x, y, z (m) and yaw (rad).
+        duration: Duration, s.
+
+    Returns:
+        The trajectory, from time 0.
+    """
     return Trajectory.polynomial(
         [duration], np.stack([start, (goal - start) / duration], axis=1)[None]
     )
 
 
 def _powers(duration: float) -> np.ndarray:
-    """Return the powers of a duration, (8, 1)."""
+    """Return the powers 0 to 7 of a duration, (8, 1)."""
     return np.cumprod([1.0, *[duration] * (NUM_COEFFICIENTS - 1)])[:, None]
 
 
 class Spiral(NamedTuple):
-    """A part of a spiral.
+    """Segment of a spiral.
 
     Attributes:
-        angle: How far it turns, rad; below 0 backwards.
-        first: Radius at its begin, m.
-        last: Radius at its end, m.
-        ascent: m.
-        sideways: Whether the nose points to the centre, and not along the path.
-        clockwise: Whether it turns to the right.
+        angle: Angle of the segment, rad; a negative angle reverses the direction.
+        start_radius: Radius at the start, m.
+        end_radius: Radius at the end, m.
+        ascent: Change of height, m.
+        is_sideways: Whether the nose points to the centre instead of along the path.
+        is_clockwise: Whether the drone turns to the right.
     """
 
     angle: float
@@ -117,7 +127,15 @@ class Spiral(NamedTuple):
     is_clockwise: bool
 
     def plan(self, start: np.ndarray, duration: float) -> Trajectory:
-        """Plan it from a pose (4,), from rest to rest."""
+        """Plan the spiral from rest to rest.
+
+        Args:
+            start: (4,) x, y, z (m) and yaw (rad).
+            duration: Duration, s.
+
+        Returns:
+            The trajectory, from time 0.
+        """
         time = np.linspace(0.0, 1.0, NUM_SPIRAL_POINTS)
         progress = (
             (END_CONDITION_INVERSE[:, 0] * time[:, None] ** np.arange(4, NUM_COEFFICIENTS)).sum(
@@ -126,7 +144,7 @@ class Spiral(NamedTuple):
         )[:, None]
         side = -1.0 if self.is_clockwise else 1.0
         turned_angle = side * self.angle * progress
-        # From the centre to the drone: the centre is ahead, or beside it on the inner side.
+        # Direction from the centre to the drone: the centre is ahead of the nose, or at its side
         outwards = start[3] + (math.pi if self.is_sideways else -side * math.pi / 2)
         radius = self.start_radius + (self.end_radius - self.start_radius) * progress
         offset = np.array([cos(outwards), sin(outwards)])
@@ -139,29 +157,30 @@ class Spiral(NamedTuple):
 
 
 class StoredTrajectory(NamedTuple):
-    """A trajectory that was written to memory.
+    """Piecewise polynomial trajectory that a client uploaded to the trajectory memory.
 
     Attributes:
-        durations: (P,) s.
-        terms: (P, 4, 8) coefficients of x, y, z, yaw by the time since the piece began.
+        durations: (P,) duration of each piece, s.
+        coefficients: (P, 4, 8) coefficients of x, y, z, yaw as polynomials of the time since the
+            start of the piece.
     """
 
     durations: np.ndarray
     coefficients: np.ndarray
 
     def evaluate(self, piece: int, time: float) -> np.ndarray:
-        """Tell where a piece is, (4,)."""
+        """Return the position (4,) of a piece at a time since its start, s."""
         return np.asarray((self.coefficients[piece] * _powers(time).T).sum(axis=1))
 
     def scaled(self, factor: float) -> "StoredTrajectory":
-        """Return it slower by a factor."""
+        """Return the trajectory with all durations multiplied by a factor."""
         return StoredTrajectory(self.durations * factor, self.coefficients / _powers(factor).T)
 
     def reverse(self) -> "StoredTrajectory":
-        """Return it from its end to its begin."""
+        """Return the trajectory flown backwards, from its end to its start."""
         coefficients = np.zeros_like(self.coefficients)
         for piece, duration in enumerate(self.durations):
-            # p(T - t): the binomial expansion of each power.
+            # Binomial expansion of the powers of p(T - t)
             for k in range(NUM_COEFFICIENTS):
                 for m in range(k + 1):
                     coefficients[piece, :, m] += (
@@ -175,12 +194,12 @@ class StoredTrajectory(NamedTuple):
     def moved(
         self, start: np.ndarray, is_relative: bool, is_yaw_relative: bool
     ) -> "StoredTrajectory":
-        """Return it from another begin (4,).
+        """Return the trajectory moved to another start.
 
         Args:
-            begin: x, y, z, yaw.
-            along: Whether it begins at that place.
-            turned_angle: Whether it is turned_angle to begin with that yaw.
+            start: (4,) x, y, z (m) and yaw (rad).
+            is_relative: Whether to shift the trajectory to the position of `start`.
+            is_yaw_relative: Whether to rotate the trajectory to the yaw of `start`.
         """
         coefficients = self.coefficients.copy()
         first = self.evaluate(0, 0.0)
@@ -195,41 +214,41 @@ class StoredTrajectory(NamedTuple):
         return StoredTrajectory(self.durations, coefficients)
 
     def checked(self) -> "StoredTrajectory":
-        """Return itself, if it stays near enough.
+        """Return the trajectory itself if its numbers are within the limits.
 
         Raises:
-            MalformedError: A number is not finite, or it goes too far, or too long.
+            MalformedError: If a duration or a coefficient is not finite or exceeds its limit.
         """
         durations = self.durations
         if not ((durations > 0) & (durations < MAX_PIECE_DURATION)).all():
-            raise MalformedError("a trajectory with a duration that cannot be")
+            raise MalformedError(f"trajectory has a duration outside 0 to {MAX_PIECE_DURATION:g} s")
         with np.errstate(over="ignore", invalid="ignore"):
             reach = (
                 np.abs(self.coefficients)
                 * np.array([_powers(duration)[:, 0] for duration in durations])[:, None]
             )
         if not (reach < MAX_COORDINATE).all():
-            raise MalformedError(f"a trajectory that may reach farther than {MAX_COORDINATE:g} m")
+            raise MalformedError(f"trajectory may reach farther than {MAX_COORDINATE:g} m")
         return self
 
     def plan(self) -> Trajectory:
-        """Make the trajectory, from time 0."""
+        """Return the `Trajectory` to follow, from time 0."""
         return Trajectory.polynomial(self.durations.tolist(), self.coefficients)
 
 
 def read_pieces(content: bytes, offset: int, count: int) -> StoredTrajectory:
-    """Read pieces of 7th degree from memory.
+    """Read uncompressed pieces (7th-degree polynomials) from the trajectory memory.
 
     Args:
-        content: The memory.
-        offset: Where they begin, bytes.
-        count: How many pieces.
+        content: Content of the memory.
+        offset: Address of the first piece, bytes.
+        count: Number of pieces.
 
     Returns:
         The trajectory.
 
     Raises:
-        MalformedError: They lie beyond the memory, or cannot be.
+        MalformedError: If the pieces extend beyond the memory, or exceed the limits.
     """
     numbers = unpack_data(f"{count * PIECE_SIZE // 4}f", content[offset:])
     rows = np.array(numbers).reshape(count, 4 * NUM_COEFFICIENTS + 1)
@@ -237,46 +256,46 @@ def read_pieces(content: bytes, offset: int, count: int) -> StoredTrajectory:
 
 
 def read_compressed(content: bytes, offset: int, count: int) -> StoredTrajectory:
-    """Read compressed pieces: control points of Bezier curves, mm and tenths of degrees.
+    """Read compressed pieces: control points of Bezier curves, in mm and tenths of degrees.
 
     Args:
-        content: The memory.
-        offset: Where they begin, bytes.
-        count: How many pieces.
+        content: Content of the memory.
+        offset: Address of the first piece, bytes.
+        count: Number of pieces.
 
     Returns:
         The trajectory.
 
     Raises:
-        MalformedError: They lie beyond the memory, or cannot be.
+        MalformedError: If the pieces extend beyond the memory, or exceed the limits.
     """
-    # The first point, of which each piece needs only what follows
+    # The start point, which is stored once; pieces store their other control points only
     units = np.array([1e-3, 1e-3, 1e-3, math.radians(0.1)])
     last = np.array(unpack_data("4h", content[offset:])) * units
     offset += 8
     durations, coefficients = np.zeros(count), np.zeros((count, 4, NUM_COEFFICIENTS))
     for piece in range(count):
-        # Two bits an axis tell the degree of its curve
+        # Two bits per axis encode the degree of its curve
         degree_bits, duration_ms = unpack_data("BH", content[offset:])
         durations[piece], offset = duration_ms / 1000, offset + 3
         for axis in range(4):
             degree = COMPRESSED_DEGREES[degree_bits >> 2 * axis & 3]
             points = unpack_data(f"{degree}h", content[offset:])
             offset += 2 * degree
-            # Each curve begins where the one before ended
+            # Each curve starts at the end of the previous one
             control = [last[axis], *(point * units[axis] for point in points)]
             coefficients[piece, axis, : degree + 1] = _bezier_to_monomials(control)
             last[axis] = control[-1]
     if not durations.all():
-        raise MalformedError("a piece of a trajectory that takes no time")
-    # Terms are by the progress of the time; trajectories want them by seconds
+        raise MalformedError("trajectory has a piece with a duration of zero")
+    # Convert from normalised time s in [0, 1] to seconds
     return StoredTrajectory(
         durations, coefficients / np.array([_powers(duration).T for duration in durations])
     ).checked()
 
 
 def _bezier_to_monomials(control: list[float]) -> list[float]:
-    """Convert the control points of a Bezier curve into coefficients by powers of s in [0, 1]."""
+    """Convert control points of a Bezier curve into coefficients of powers of s in [0, 1]."""
     degree = len(control) - 1
     return [
         math.comb(degree, k)

@@ -1,4 +1,4 @@
-"""One virtual Crazyflie: its supervisor, its services, and who decides what it does."""
+"""One virtual Crazyflie without its body: supervisor, services, and priority of its commanders."""
 
 from collections.abc import Callable
 from enum import IntFlag
@@ -21,19 +21,19 @@ from bulletuav.bridges.setpoints import Guide, Order, State
 from bulletuav.vehicle.airframe import Airframe
 
 LINK_NAME = b"Bitcraze Crazyflie"
-"""What the link's source tells; clients go on only if it is this"""
+"""Reply on the link's source channel; clients connect only if it is this text"""
 TUMBLE_TIMEOUT = 1.0
-"""How long a drone is upside down until its motors stop, s"""
+"""Time upside down after which a drone counts as tumbled and its motors stop, s"""
 WATCHDOG_TIMEOUT = 1.0
-"""Longest time between packets of the emergency watchdog, once there was one, s"""
+"""Maximum time between packets of the emergency-stop watchdog, after the first of them, s"""
 MOTION_COMMANDS = (7, 8, 11, 12, 13)
-"""Commands of the planner that move the drone"""
+"""Commands of the high-level commander that move the drone"""
 MIN_FLYING_SPEED_FRACTION = 0.1
-"""Share of the greatest rotor speed from which on a drone is said to fly"""
+"""Fraction of the maximum rotor speed above which a drone counts as flying"""
 
 
 class SupervisorBits(IntFlag):
-    """What the supervisor tells."""
+    """Bit field of the supervisor's state, as in the firmware (`supervisor.info`)."""
 
     CAN_BE_ARMED = 1
     ARMED = 2
@@ -49,21 +49,23 @@ class SupervisorBits(IntFlag):
 
 
 class CrazyflieVehicle:
-    """One virtual Crazyflie, without its body: packets in, commands and packets out.
+    """Firmware of one virtual Crazyflie: takes CRTP packets, returns answers and flight commands.
+
+    The body flies in the airspace of a `CrazyflieFleet`, which passes its state to `update_state`.
 
     Attributes:
-        parameters: Its parameters.
-        logs: Its log blocks.
-        malformed: How many packets could not be read.
-        refusal: Why the last packet's command was refused, with the remedy; empty if it was not.
+        parameters: Parameter service.
+        logs: Log service with the client's log blocks.
+        malformed: Number of packets that could not be parsed.
+        refusal: Reason why the last packet had no effect, with a remedy; empty if it had one.
     """
 
     def __init__(self, airframe: Airframe, set_upright: Callable[[], bool]) -> None:
-        """Switch it on, armed, as those without a need for arming are.
+        """Initialise the drone as armed, as firmware does that needs no arming.
 
         Args:
-            airframe: Of its body.
-            recover: Function that puts the body on its feet, and tells whether it could.
+            airframe: Airframe of the body.
+            set_upright: Function that places the body upright and returns True if there was space.
         """
         self._airframe, self._set_upright = airframe, set_upright
         self.parameters, self.logs, self._memory = (
@@ -83,18 +85,18 @@ class CrazyflieVehicle:
         self.malformed, self.refusal = 0, ""
 
     def reset_client(self) -> None:
-        """Forget what belongs to a client that has gone."""
+        """Delete the log blocks of a client that has disconnected."""
         self.logs.clear()
 
     def update_state(
         self, state: State, acceleration: list[float], rotor_speed: list[float], now: float
     ) -> None:
-        """Take the body's state over, and look whether it lies upside down.
+        """Set the measured state, and update the supervisor: tumble, crash and watchdog.
 
         Args:
             state: State of the body.
-            acceleration: (3,) of the last step, m/s^2.
-            rotor_speed: (R,) rad/s.
+            acceleration: (3,) mean acceleration over the last step, m/s^2.
+            rotor_speed: (R,) rotor speeds, rad/s.
             now: Time, s.
         """
         self._state, self._acceleration, self._now = state, acceleration, now
@@ -109,22 +111,22 @@ class CrazyflieVehicle:
 
     @property
     def _is_tumbled(self) -> bool:
-        """Whether it has been upside down for a while."""
+        """True if the drone has been upside down for longer than `TUMBLE_TIMEOUT`."""
         return self._now - self._last_upright_time > TUMBLE_TIMEOUT
 
     @property
     def _is_flying(self) -> bool:
-        """Whether its rotors turn."""
+        """True if any rotor turns faster than an idle motor."""
         return max(self._rotor_speed) > MIN_FLYING_SPEED_FRACTION * self._airframe.max_rotor_speed
 
     @property
     def _can_fly(self) -> bool:
-        """Whether its motors may turn."""
+        """True if the supervisor allows the motors to turn."""
         return self._is_armed and not (self._is_locked or self._is_crashed or self._is_tumbled)
 
     @property
     def supervisor_bits(self) -> SupervisorBits:
-        """What the supervisor tells."""
+        """State of the supervisor."""
         ready = not (self._is_locked or self._is_crashed or self._is_tumbled)
         flags = {
             SupervisorBits.CAN_BE_ARMED: ready,
@@ -143,7 +145,14 @@ class CrazyflieVehicle:
         return SupervisorBits(sum(bit for bit, is_set in flags.items() if is_set))
 
     def order(self, period: float) -> Order | None:
-        """Tell the command of the next step, or None for motors off."""
+        """Return the flight command of the next step, or None for motors off.
+
+        A low-level setpoint takes priority over the high-level commander until the client releases
+        control or the setpoint times out.
+
+        Args:
+            period: Duration of the step, s.
+        """
         setpoint = self._commander.current(self._now)
         if not self._can_fly:
             self._commander.clear()
@@ -159,7 +168,11 @@ class CrazyflieVehicle:
         return self._guide.order(setpoint, self._state, period)
 
     def telemetry(self, pressure: Callable[[float], float]) -> Telemetry:
-        """Tell what can be logged now."""
+        """Return the present values of all log variables.
+
+        Args:
+            pressure: Function that returns the air pressure (Pa) at a height (m).
+        """
         max_speed = self._airframe.max_rotor_speed
         target = self._high_level.target(self._now) or self._state[0]
         return Telemetry(
@@ -171,14 +184,14 @@ class CrazyflieVehicle:
         )
 
     def answer(self, packet: Packet, tick: int) -> list[Packet]:
-        """Take a packet.
+        """Handle a packet from the client.
 
         Args:
-            packet: From the client.
+            packet: Packet from the client.
             tick: Present time in units of 10 ms.
 
         Returns:
-            The answers; none to a packet that cannot be read, which is counted.
+            Packets to send back. A malformed packet is counted and has no answer.
         """
         self.refusal = ""
         try:
@@ -189,7 +202,7 @@ class CrazyflieVehicle:
             return []
 
     def _answer(self, packet: Packet, tick: int) -> list[Packet]:
-        """Pass a packet to the part that it is for."""
+        """Dispatch a packet to the service of its port."""
         if packet.port == CrtpPort.LOG:
             return self.logs.answer(packet, tick)
         if packet.port == CrtpPort.PARAM:
@@ -204,7 +217,7 @@ class CrazyflieVehicle:
             if packet.data[0] in MOTION_COMMANDS:
                 self._record_unless_flyable()
             if error:
-                self.refusal = f"command {packet.data[0]} is answered by {Errno(error).name}"
+                self.refusal = f"command {packet.data[0]} returned {Errno(error).name}"
             return [packet._replace(data=packet.data[:3] + bytes([error]))]
         if packet.port == CrtpPort.SUPERVISOR:
             return self._handle_supervisor(packet)
@@ -212,32 +225,32 @@ class CrazyflieVehicle:
             return self._handle_platform(packet)
         if packet.port == CrtpPort.LINK:
             return self._handle_link(packet)
-        # Positions from outside are not needed: the drone knows its own.
+        # External positions (localization port) are ignored: the drone knows its position
         return []
 
     @property
     def _blocking_reason(self) -> str:
-        """What keeps its motors from turning, with the remedy."""
+        """Reason why the motors may not turn, with a remedy."""
         if self._is_locked:
-            return "an emergency stop locked it; restart the server"
+            return "it is locked by an emergency stop; restart the server"
         if self._is_crashed or self._is_tumbled:
             return "it has crashed; send the supervisor's request to recover"
         return "it is not armed; arm it first"
 
     def _record_unless_flyable(self) -> None:
-        """Note that a command will have no effect, as with the firmware, if motors may not turn."""
+        """Record a refusal if the motors may not turn; as in the firmware the command is kept."""
         if not self._can_fly:
             self.refusal = f"it cannot fly: {self._blocking_reason}"
 
     def _handle_setpoint(self, packet: Packet) -> None:
-        """Take a low-level setpoint, which ends plans, or its end."""
+        """Handle a low-level setpoint, which discards the plan, or a request to release control."""
         if packet.port == CrtpPort.SETPOINT_GENERIC and packet.channel == 1:
             (request,) = unpack_data("B", packet.data)
             if request:
-                raise MalformedError(f"request {request} about setpoints: 0 is needed")
+                raise MalformedError(f"setpoint request {request}: 0 is needed")
             self._commander.release()
             return
-        # Zeros stop motors that stand still anyway
+        # A setpoint of zeros stops the motors, which is allowed in any state
         if any(packet.data):
             self._record_unless_flyable()
         values = self.parameters.values
@@ -248,16 +261,16 @@ class CrazyflieVehicle:
         self._high_level.stop()
 
     def _handle_supervisor(self, packet: Packet) -> list[Packet]:
-        """Answer the supervisor's port."""
+        """Handle a packet to the supervisor port."""
         (request,) = unpack_data("B", packet.data)
-        # Channel 0 asks for the state, which is told as bits
+        # Channel 0 requests the state
         if packet.channel == 0:
             if request != 0x0C:
-                raise MalformedError(f"request {request} to the supervisor: 12 is needed")
+                raise MalformedError(f"supervisor request {request}: 12 is needed")
             return [
                 packet._replace(data=pack_data("BH", request | 0x80, int(self.supervisor_bits)))
             ]
-        # The other channel commands: arm, stand up, stop at once, feed the watchdog
+        # Commands on the other channel: arm, recover, emergency stop, feed the watchdog
         success = 1
         if request == 1:
             (_, arms) = unpack_data("BB", packet.data)
@@ -270,24 +283,26 @@ class CrazyflieVehicle:
         elif request == 2:
             outcome = success = self._recover_from_crash()
             if not success:
-                self.refusal = f"it cannot recover: {self._blocking_reason}, or there is no room to stand"
+                self.refusal = (
+                    f"it cannot recover: {self._blocking_reason}, or there is no space to stand"
+                )
         elif request == 3:
             self._is_locked = outcome = True
         elif request == 4:
             self._watchdog_time, outcome = self._now, not self._is_locked
         else:
-            raise MalformedError(f"command {request} to the supervisor: from 1 to 4 is needed")
+            raise MalformedError(f"supervisor command {request}: from 1 to 4 is needed")
         return [packet._replace(data=pack_data("BBB", request | 0x80, success, outcome))]
 
     def _recover_from_crash(self) -> bool:
-        """Recover from a crash: the body is put on its feet, as somebody would."""
+        """Place a tumbled body upright and clear the crash; return True on success."""
         if self._is_locked or (self._is_tumbled and not self._set_upright()):
             return False
         self._is_crashed, self._last_upright_time = False, self._now
         return True
 
     def _handle_platform(self, packet: Packet) -> list[Packet]:
-        """Answer the platform's port: versions; and arming as older clients ask for it."""
+        """Handle a packet to the platform port: versions, and arming requests of older clients."""
         (request,) = unpack_data("B", packet.data)
         if packet.channel == 0:
             if request in (1, 2):
@@ -296,11 +311,11 @@ class CrazyflieVehicle:
         if packet.channel == 1 and request in (0, 1):
             reply = bytes([PROTOCOL_VERSION]) if request == 0 else b"bulletuav\0"
             return [packet._replace(data=bytes([request]) + reply)]
-        raise MalformedError(f"request {request} on channel {packet.channel} of the platform")
+        raise MalformedError(f"unknown platform request {request} on channel {packet.channel}")
 
     @staticmethod
     def _handle_link(packet: Packet) -> list[Packet]:
-        """Answer the link: an echo, its source, or nothing for its sink."""
+        """Handle a packet to the link port: echo, source, or sink, which has no answer."""
         if packet.channel == 1:
             return [packet._replace(data=LINK_NAME.ljust(MAX_DATA_SIZE, b"\0"))]
         return [packet] if packet.channel == 0 else []

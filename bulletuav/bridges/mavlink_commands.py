@@ -1,4 +1,4 @@
-"""MAVLink's commands: what each does with a vehicle."""
+"""MAVLink commands: handlers of COMMAND_LONG and COMMAND_INT."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -10,19 +10,19 @@ from bulletuav.bridges.mavlink_telemetry import TelemetryRates, make_message
 from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
 
 FORCE_DISARM_MAGIC = 21196
-"""Second parameter of a disarming in the air"""
+"""Second parameter of a command that disarms in the air"""
 UNSET_INT32 = 2**31 - 1
 AUTOPILOT_VERSION, HOME_POSITION = 148, 242
 CUSTOM_MODE_ENABLED = 1
-"""Bit of a base mode that says that numbers of PX4's modes follow"""
+"""Bit of a base mode that announces PX4's custom modes (MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)"""
 
 
 class CommandRequest(NamedTuple):
-    """A command, as a client sends it.
+    """Parameters of a command.
 
     Attributes:
-        frame: Of its place.
-        numbers: (7,) parameters; the fifth and sixth are latitude and longitude, deg.
+        frame: MAVLink frame of the position.
+        params: (7,) parameters; the fifth and sixth are latitude and longitude, deg.
     """
 
     frame: int
@@ -30,7 +30,7 @@ class CommandRequest(NamedTuple):
 
     @classmethod
     def from_message(cls, message: Message) -> "CommandRequest":
-        """Read a COMMAND_LONG or a COMMAND_INT."""
+        """Convert a COMMAND_LONG or a COMMAND_INT."""
         first = tuple(getattr(message, f"param{k}") for k in range(1, 5))
         if message.get_type() == "COMMAND_LONG":
             return cls(GLOBAL_FRAMES[0], (*first, message.param5, message.param6, message.param7))
@@ -40,14 +40,14 @@ class CommandRequest(NamedTuple):
         return cls(message.frame, (*first, *coordinates, message.z))
 
     def get_int(self, k: int) -> int:
-        """Tell a parameter, from 1 to 7, that is to be a whole number.
+        """Return parameter k, from 1 to 7, as an integer.
 
         Raises:
-            RefusedError: It is none.
+            RefusedError: If the parameter is not an integer.
         """
         number = self.params[k - 1]
         if not math.isfinite(number) or number != int(number):
-            raise RefusedError(f"parameter {k}: a whole number is needed")
+            raise RefusedError(f"parameter {k}: an integer is needed")
         return int(number)
 
 
@@ -73,7 +73,7 @@ def _arm(
 def _take_off(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Take off, to an altitude."""
+    """Take off to an altitude, or to the default height without one."""
     height = request.params[6]
     if not math.isfinite(height):
         vehicle.pilot.take_off(None)
@@ -86,7 +86,7 @@ def _take_off(
 def _reposition(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Fly to a place; what is left out stays as it is."""
+    """Fly to a position; unset coordinates keep the vehicle's present ones."""
     speed, _, _, yaw, latitude, longitude, altitude = request.params
     x, y, z = vehicle.pilot.state[0]
     if math.isfinite(latitude + longitude):
@@ -106,7 +106,7 @@ def _reposition(
 def _change_speed(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Change the speed of missions, m/s, from the next leg on."""
+    """Set the speed of missions, m/s, from the next leg on."""
     if not 0 < request.params[1] < math.inf:
         raise RefusedError("speed: more than 0 m/s is needed")
     vehicle.pilot.route.speed = request.params[1]
@@ -114,10 +114,10 @@ def _change_speed(
 
 
 def set_mode(vehicle: MavlinkVehicle, main: int, sub: int) -> None:
-    """Change the mode, by PX4's numbers.
+    """Change the flight mode, by PX4's main mode and sub-mode.
 
     Raises:
-        RefusedError: There is no such mode, or it cannot begin.
+        RefusedError: If the mode does not exist, or cannot be entered.
     """
     number = main << 16 | sub << 24 if 0 <= main < 256 and 0 <= sub < 256 else -1
     if number not in tuple(Mode):
@@ -128,15 +128,15 @@ def set_mode(vehicle: MavlinkVehicle, main: int, sub: int) -> None:
 def _do_set_mode(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Change the mode."""
+    """Change the flight mode."""
     if not request.get_int(1) & CUSTOM_MODE_ENABLED:
-        raise RefusedError("mode: PX4's own (base mode 1) are needed")
+        raise RefusedError("mode: PX4's custom modes (base mode 1) are needed")
     set_mode(vehicle, request.get_int(2), request.get_int(3))
     return ()
 
 
 def _make_mode_handler(mode: Mode) -> CommandHandler:
-    """Make the function of a command that changes the mode."""
+    """Return the handler of a command that enters a flight mode."""
 
     def handler(
         vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
@@ -150,7 +150,7 @@ def _make_mode_handler(mode: Mode) -> CommandHandler:
 def _pause(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Hold (0), or go on with the mission (1)."""
+    """Hold (0), or continue the mission (1)."""
     vehicle.pilot.enter_mode(Mode.MISSION if request.get_int(1) else Mode.HOLD)
     return ()
 
@@ -158,7 +158,7 @@ def _pause(
 def _mission_start(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Begin the mission, at an item."""
+    """Start the mission, at an item if given."""
     first = request.params[0]
     if vehicle.pilot.route.items and first > 0:
         vehicle.pilot.set_current_item(request.get_int(1))
@@ -169,7 +169,7 @@ def _mission_start(
 def _set_current(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Go on with another item of the mission."""
+    """Continue the mission at another item."""
     vehicle.pilot.set_current_item(request.get_int(1))
     return ()
 
@@ -177,7 +177,7 @@ def _set_current(
 def _terminate(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Switch motors off, wherever it is."""
+    """Switch the motors off, even in the air."""
     if request.params[0] > 0.5:
         vehicle.pilot.disarm(force=True)
     return ()
@@ -186,7 +186,7 @@ def _terminate(
 def _set_interval(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Change how often a message is sent, us."""
+    """Set the interval of a message, us."""
     streams.set_interval(request.get_int(1), request.params[1])
     return ()
 
@@ -194,7 +194,7 @@ def _set_interval(
 def _get_interval(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Tell how often a message is sent."""
+    """Return the interval of a message."""
     number = request.get_int(1)
     return (OutgoingMessage("message_interval", (number, streams.get_interval(number))),)
 
@@ -202,12 +202,12 @@ def _get_interval(
 def _request_message(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Send a message once."""
+    """Return a message once."""
     return (make_message(vehicle, request.get_int(1)),)
 
 
 def _make_message_handler(number: int) -> CommandHandler:
-    """Make the function of a command that asks for one message."""
+    """Return the handler of a command that requests a message."""
 
     def handler(
         vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
@@ -235,4 +235,4 @@ COMMANDS: Mapping[int, CommandHandler] = {
     Command.REQUEST_MESSAGE: _request_message,
     Command.REQUEST_CAPABILITIES: _make_message_handler(AUTOPILOT_VERSION),
 }
-"""Commands by their numbers; others are answered as unsupported"""
+"""Handlers by command; other commands are acknowledged as unsupported"""

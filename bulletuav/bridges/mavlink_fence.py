@@ -1,4 +1,4 @@
-"""A geofence: where a MAVLink vehicle may be."""
+"""Geofence of a MAVLink vehicle, and the mission items by which clients upload it."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,21 +8,21 @@ from bulletuav.bridges.mavlink_coordinates import Site
 from bulletuav.bridges.mavlink_protocol import RefusedError
 
 POLYGON_INCLUSION, POLYGON_EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION = range(5001, 5005)
-"""Commands of the items of which fences are made"""
+"""Commands of fence items (MAV_CMD_NAV_FENCE_...)"""
 FENCE_COMMANDS = (POLYGON_INCLUSION, POLYGON_EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION)
 Point = tuple[float, float]
 
 
 class MissionItem(NamedTuple):
-    """An item of a mission or of a fence, as clients upload it.
+    """Item of a mission or of a geofence, as clients upload it.
 
     Attributes:
-        frame: MAVLink's frame.
-        command: What to do, or what part of a fence it is.
-        numbers: (4,) parameters; NaN for left out.
-        x, y: Latitude and longitude, deg, in frames of the Earth.
+        frame: MAVLink frame.
+        command: Command, or kind of fence area.
+        params: (4,) parameters; NaN if unset.
+        x, y: Latitude and longitude, deg, in global frames.
         z: Altitude, m.
-        goes_on: Whether the next item follows by itself.
+        autocontinue: Whether to continue with the next item automatically.
     """
 
     frame: int
@@ -35,12 +35,12 @@ class MissionItem(NamedTuple):
 
 
 class FenceArea(NamedTuple):
-    """A polygon or a circle, on the plane.
+    """Polygon or circle in the horizontal plane.
 
     Attributes:
-        keeps_in: Whether the vehicle is to stay inside; else outside.
-        points: Corners, or a circle's centre, m, east and north.
-        radius: Of a circle, m.
+        is_inclusion: Whether the vehicle must stay inside; otherwise it must stay outside.
+        points: Vertices of a polygon, or centre of a circle, east and north, m.
+        radius: Radius of a circle, m.
     """
 
     is_inclusion: bool
@@ -48,12 +48,12 @@ class FenceArea(NamedTuple):
     radius: float = 0.0
 
     def contains(self, x: float, y: float) -> bool:
-        """Tell whether a point is inside."""
+        """Return True if a point is inside the area."""
         if len(self.points) == 1:
             (center,) = self.points
             return math.dist(center, (x, y)) <= self.radius
         inside = False
-        # A ray to the east crosses the edges of what a point is in an odd number of times.
+        # Ray casting: a ray from an inside point crosses the edges an odd number of times
         for (ax, ay), (bx, by) in zip(self.points, self.points[1:] + self.points[:1], strict=True):
             if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * (bx - ax):
                 inside = not inside
@@ -61,23 +61,23 @@ class FenceArea(NamedTuple):
 
 
 class Geofence:
-    """Areas that were uploaded, and distances from home that parameters tell."""
+    """Geofence: uploaded areas, and maximum distances from home as parameters."""
 
     def __init__(self, site: Site, values: Mapping[str, float]) -> None:
-        """Begin without areas.
+        """Initialise without areas.
 
         Args:
-            site: Where the vehicle's coordinates begin.
-            values: Of the parameters.
+            site: Start position of the vehicle.
+            values: Values of the parameters.
         """
         self._site, self._values = site, values
         self._areas: tuple[FenceArea, ...] = ()
 
     def set_items(self, items: Sequence[MissionItem]) -> None:
-        """Replace the areas.
+        """Replace the areas by uploaded items.
 
         Raises:
-            RefusedError: Items make no areas; those from before stay.
+            RefusedError: If the items do not form valid areas. The previous areas remain.
         """
         areas, k = [], 0
         while k < len(items):
@@ -90,9 +90,9 @@ class Geofence:
         self._areas = tuple(areas)
 
     def _make_area(self, items: Sequence[MissionItem]) -> FenceArea:
-        """Make an area of its items, which are of one kind."""
+        """Make an area of its items, which must be of one kind."""
         if not items or len({(item.command, item.params[0]) for item in items}) > 1:
-            raise RefusedError("fence: each vertex tells how many there are, at least 3")
+            raise RefusedError("fence: need 3 or more vertices with equal counts")
         first = items[0]
         positions = [self._site.from_global(item.frame, item.x, item.y, 0.0) for item in items]
         is_inclusion = first.command in (POLYGON_INCLUSION, CIRCLE_INCLUSION)
@@ -104,7 +104,7 @@ class Geofence:
         return FenceArea(is_inclusion, points, first.params[0])
 
     def find_breach(self, position: Sequence[float]) -> str | None:
-        """Tell why a place (3,), m, is not allowed, or None where it is."""
+        """Return the reason why a position (3,), m, breaches the fence, or None if it does not."""
         x, y, z = position
         start, limits = self._site.start, self._values
         distance = math.dist(start[:2], (x, y))
@@ -116,14 +116,18 @@ class Geofence:
         if inclusive and not any(area.contains(x, y) for area in inclusive):
             return "outside the fence"
         if any(area.contains(x, y) for area in self._areas if not area.is_inclusion):
-            return "in a forbidden area of the fence"
+            return "in an exclusion area of the fence"
         return None
 
     def require_inside(self, what: str, position: Sequence[float]) -> None:
-        """Refuse a place that is not allowed.
+        """Check that a position does not breach the fence.
+
+        Args:
+            what: Start of the error message, such as "setpoint is".
+            position: (3,) position, m.
 
         Raises:
-            RefusedError: It is not.
+            RefusedError: If the position breaches the fence.
         """
         reason = self.find_breach(position)
         if reason is not None:

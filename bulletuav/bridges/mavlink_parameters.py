@@ -7,16 +7,16 @@ from typing import Any, NamedTuple
 from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, RefusedError
 
 INT32, REAL32 = 6, 9
-"""Types of parameters on the wire: 32 bits, whole or not"""
+"""Parameter types (MAV_PARAM_TYPE)"""
 MAX_INT32 = 2**31 - 1
 
 
 class MavlinkParameter(NamedTuple):
-    """One parameter.
+    """Parameter of PX4.
 
     Attributes:
-        value: At the start; whole numbers are told as such.
-        least, most: Bounds.
+        value: Default value; an int for INT32 parameters.
+        minimum, maximum: Bounds.
     """
 
     value: float
@@ -44,35 +44,35 @@ PARAMETERS = {
     "RTL_DESCEND_ALT": MavlinkParameter(30.0, 0.0, 100.0),
     "RTL_RETURN_ALT": MavlinkParameter(60.0, 0.0, 150.0),
 }
-"""What there is, in the order of their numbers"""
+"""Supported parameters"""
 READ_ONLY = ("MAV_SYS_ID", "MPC_THR_HOVER")
 NAMES = sorted(PARAMETERS)
 
 
 class MavlinkParameterService:
-    """Values of the parameters, and the messages about them.
+    """Parameter values of one vehicle, and the messages of the parameter protocol.
 
     Attributes:
-        values: By name.
+        values: Values by name.
     """
 
     def __init__(self, **overrides: float) -> None:
-        """Begin with the defaults, but for those that are known of this vehicle."""
+        """Initialise with the default values, and with the given values of this vehicle."""
         self.values = {name: parameter.value for name, parameter in PARAMETERS.items()} | overrides
 
     def make_value_message(self, name: str) -> OutgoingMessage:
-        """Tell the value of a parameter."""
+        """Return the PARAM_VALUE message of a parameter."""
         value, kind = self.values[name], _parameter_type(name)
-        # PX4 puts whole numbers into the field of a float as they are, bit by bit.
+        # PX4 encodes integers bytewise in the float field (MAV_PARAM_ENCODE_BYTEWISE)
         encoded = struct.unpack("<f", struct.pack("<i", int(value)))[0] if kind == INT32 else value
         fields = (name.encode(), encoded, kind, len(NAMES), NAMES.index(name))
         return OutgoingMessage("param_value", fields)
 
     def answer(self, message: Message) -> list[OutgoingMessage]:
-        """Answer a message about parameters.
+        """Handle a message of the parameter protocol.
 
         Raises:
-            RefusedError: There is no such parameter, or the value cannot be.
+            RefusedError: If there is no such parameter.
         """
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
@@ -81,13 +81,13 @@ class MavlinkParameterService:
             index = message.param_index
             if index >= 0:
                 if index >= len(NAMES):
-                    raise RefusedError(f"there is no parameter {index}: {len(NAMES)} are")
+                    raise RefusedError(f"no parameter {index}: there are {len(NAMES)}")
                 return [self.make_value_message(NAMES[index])]
             return [self.make_value_message(_check_name(message.param_id))]
         return [self._set_value(message)]
 
     def _set_value(self, message: Message) -> OutgoingMessage:
-        """Set a parameter; what cannot be is answered with the value that stays."""
+        """Set a parameter. An invalid value is ignored: the answer contains the value in effect."""
         name = _check_name(message.param_id)
         value = message.param_value
         if message.param_type == INT32:
@@ -100,12 +100,11 @@ class MavlinkParameterService:
 
 
 def _parameter_type(name: str) -> int:
-    """Tell the type of a parameter on the wire."""
     return INT32 if isinstance(PARAMETERS[name].value, int) else REAL32
 
 
 def _check_name(name: Any) -> str:
-    """Check that there is a parameter of a name."""
+    """Return the name of a parameter; raise RefusedError if there is none."""
     if name not in PARAMETERS:
         raise RefusedError(f"no parameter {str(name)[:16]}")
     return str(name)

@@ -1,4 +1,4 @@
-"""Who flies a MAVLink vehicle: arming, modes, and the motion of each."""
+"""Arming, flight modes and motions of a MAVLink vehicle."""
 
 import math
 from collections.abc import Callable
@@ -14,30 +14,30 @@ from bulletuav.bridges.setpoints import Guide, Order, Setpoint, State, euler
 from bulletuav.vehicle.airframe import Airframe
 
 CONTACT_DEBOUNCE_TIME = 0.1
-"""How long it touches the ground, or does not, until it has landed, or flies, s"""
+"""Time with or without ground contact until the vehicle counts as landed or flying, s"""
 TUMBLE_TIMEOUT = 1.0
-"""How long it is upside down until it is disarmed, s"""
+"""Time upside down after which the vehicle is disarmed, s"""
 WARN, HOLD, RETURN, LAND = 1, 2, 3, 5
-"""What GF_ACTION asks for beyond the fence"""
+"""Values of GF_ACTION, the reaction to a breach of the geofence"""
 
 
 class Pilot:
-    """Arming, modes and motions of one vehicle, without messages.
+    """State machine of one vehicle: arming, flight modes, and the motion of each mode.
 
     Attributes:
         mode: Flight mode.
-        is_armed: Whether motors may turn.
-        has_landed: Whether it stands on something.
+        is_armed: Whether the motors may turn.
+        has_landed: Whether the vehicle stands on something.
         state: State of the body.
         now: Time, s.
-        route: The mission.
-        said: Texts that clients are to be shown.
+        route: Progress of the mission.
+        status_texts: Texts to send to all clients.
     """
 
     def __init__(
         self, airframe: Airframe, site: Site, parameters: MavlinkParameterService, fence: Geofence
     ) -> None:
-        """Begin on the ground, disarmed."""
+        """Initialise on the ground, disarmed."""
         self._airframe, self._site, self._fence = airframe, site, fence
         self._values = parameters.values
         self._guide = Guide(airframe)
@@ -56,12 +56,12 @@ class Pilot:
         self._is_touching, self._has_flown, self._is_inside = True, False, True
 
     def update_state(self, state: State, now: float, is_touching: bool) -> None:
-        """Take the body's state over, and look what follows from it.
+        """Set the measured state, and update landing, tumble, geofence, motion and auto-disarm.
 
         Args:
             state: State of the body.
             now: Time, s.
-            touches: Whether it touches what it can stand on.
+            is_touching: Whether the body touches something that supports it.
         """
         self.state, self.now = state, now
         self._update_contact(is_touching)
@@ -76,7 +76,7 @@ class Pilot:
             self._check_auto_disarm()
 
     def _update_contact(self, is_touching: bool) -> None:
-        """Note whether it stands, once it has done so for a while."""
+        """Update `has_landed`, with debounced ground contact."""
         if is_touching == self.has_landed:
             self._is_touching = is_touching
         elif is_touching != self._is_touching:
@@ -87,11 +87,11 @@ class Pilot:
 
     @property
     def has_tumbled(self) -> bool:
-        """Whether it has been upside down for a while."""
+        """True if the vehicle has been upside down for longer than `TUMBLE_TIMEOUT`."""
         return self.now - self._last_upright_time > TUMBLE_TIMEOUT
 
     def _check_fence(self) -> None:
-        """Do what GF_ACTION asks for, where the fence has been crossed."""
+        """React to a breach of the geofence as GF_ACTION requires, once per breach."""
         reason = self._fence.find_breach(self.state[0])
         was_inside, self._is_inside = self._is_inside, reason is None
         action = self._values["GF_ACTION"]
@@ -103,7 +103,7 @@ class Pilot:
             self.enter_mode(modes[int(action)])
 
     def _advance_motion(self) -> None:
-        """Look whether the motion has come to its end, and what comes next."""
+        """Start the next motion if the present one has ended; hold if setpoints are lost."""
         if self.mode == Mode.OFFBOARD:
             if not self.has_recent_setpoint:
                 self.status_texts.append("no offboard setpoints: hold")
@@ -119,28 +119,28 @@ class Pilot:
             self.mode = Mode.HOLD
 
     def _check_auto_disarm(self) -> None:
-        """Disarm who has landed, or does not take off."""
+        """Disarm after a landing, or without a take-off, after the time of a COM_DISARM parameter."""
         wait = self._values["COM_DISARM_LAND" if self._has_flown else "COM_DISARM_PRFLT"]
         if self.has_landed and 0 < wait < self.now - self._contact_change_time:
             self._disarm("disarmed after landing" if self._has_flown else "disarmed: no take-off")
 
     @property
     def has_recent_setpoint(self) -> bool:
-        """Whether an offboard setpoint has come lately."""
+        """True if an offboard setpoint has arrived within COM_OF_LOSS_T."""
         return self.now - self._last_setpoint_time <= self._values["COM_OF_LOSS_T"]
 
     def set_offboard_setpoint(self, setpoint: Setpoint | Order) -> None:
-        """Take an offboard setpoint, which is followed in mode OFFBOARD.
+        """Set the offboard setpoint, which is followed in mode OFFBOARD.
 
         Raises:
-            RefusedError: It is a place beyond the fence.
+            RefusedError: If the setpoint is a position that breaches the geofence.
         """
         if isinstance(setpoint, Setpoint) and setpoint.across == "position":
             self._fence.require_inside("setpoint is", (*setpoint.xy, setpoint.z))
         self._offboard_setpoint, self._last_setpoint_time = setpoint, self.now
 
     def order(self, period: float) -> Order | None:
-        """Tell the command of the next step, or None for motors off."""
+        """Return the flight command of the next step, or None for motors off."""
         setpoint: Setpoint | Order | None = None
         if self.is_armed and self.mode == Mode.OFFBOARD:
             setpoint = self._offboard_setpoint
@@ -155,7 +155,7 @@ class Pilot:
         return setpoint
 
     def _limit_yaw_rate(self, setpoint: Setpoint, period: float) -> Setpoint:
-        """Turn to the yaw of a motion by and by: at once, it would disturb the flight."""
+        """Limit the yaw rate to MPC_YAWRAUTO_MAX, as a step of the yaw would disturb the flight."""
         max_step = math.radians(self._values["MPC_YAWRAUTO_MAX"]) * period
         yaw = euler(self.state[1])[2] if self._yaw is None else self._yaw
         error = math.remainder(setpoint.yaw - yaw, math.tau)
@@ -163,15 +163,15 @@ class Pilot:
         return setpoint._replace(yaw=self._yaw)
 
     def arm(self) -> None:
-        """Arm, and do what the mode asks for.
+        """Arm, and start the motion of the mode.
 
         Raises:
-            RefusedError: It lies upside down, or the mode cannot begin.
+            RefusedError: If the vehicle lies upside down, or the mode cannot be entered.
         """
         if self.is_armed:
             return
         if self.has_tumbled:
-            reason = "arming refused: upside down; restart the server"
+            reason = "arming denied: upside down; restart the server"
             raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
         self.is_armed, self._has_flown, self._contact_change_time = (
             True,
@@ -185,28 +185,33 @@ class Pilot:
             raise
 
     def disarm(self, force: bool) -> None:
-        """Switch motors off.
+        """Switch the motors off.
+
+        Args:
+            force: Whether to disarm in the air.
 
         Raises:
-            RefusedError: It flies, and there was no word of force.
+            RefusedError: If the vehicle flies, unless forced.
         """
         if self.is_armed and not self.has_landed and not force:
-            raise RefusedError("disarming refused: it flies", CommandResult.TEMPORARILY_REJECTED)
+            raise RefusedError(
+                "disarming denied: vehicle is flying", CommandResult.TEMPORARILY_REJECTED
+            )
         self._disarm("")
 
     def _disarm(self, reason: str) -> None:
-        """Switch motors off, and tell why."""
+        """Switch the motors off, and send the reason to the clients."""
         self.is_armed, self.mode, self._motion = False, Mode.HOLD, Off()
         self.status_texts += [reason] if reason else []
 
     def take_off(self, height: float | None) -> None:
-        """Rise straight up, as soon as it is armed.
+        """Climb vertically, as soon as the vehicle is armed.
 
         Args:
-            height: m; left out, MIS_TAKEOFF_ALT above home.
+            height: Height in the airspace, m; None for MIS_TAKEOFF_ALT above home.
 
         Raises:
-            RefusedError: It is beyond the fence.
+            RefusedError: If the goal breaches the geofence.
         """
         x, y, z = self.state[0]
         if height is None:
@@ -217,31 +222,31 @@ class Pilot:
         self.enter_mode(Mode.TAKEOFF)
 
     def go_to(self, position: tuple[float, float, float], yaw: float | None) -> None:
-        """Fly straight to a place, m, and hold there; look to a yaw, rad, or forward.
+        """Fly straight to a position, m, and hold there, facing a yaw (rad) or forward.
 
         Raises:
-            RefusedError: It is beyond the fence, or the vehicle does not fly.
+            RefusedError: If the position breaches the geofence, or the vehicle does not fly.
         """
-        self._fence.require_inside("place is", position)
+        self._fence.require_inside("position is", position)
         if not self.is_armed or self.has_landed:
             raise RefusedError(
-                "it does not fly: arm it and take off first", CommandResult.TEMPORARILY_REJECTED
+                "not flying: arm and take off first", CommandResult.TEMPORARILY_REJECTED
             )
         heading = Heading(forward=True) if yaw is None else Heading("angle", yaw)
         self.mode, self._next_motion = Mode.HOLD, lambda: None
         self._motion = self._leg(position, self.route.speed, heading)
 
     def set_mission(self, items: tuple[MissionItem, ...]) -> None:
-        """Take another mission; who flies the old one holds."""
+        """Replace the mission; a vehicle in mode MISSION holds."""
         self.route.replace(items)
         if self.mode == Mode.MISSION:
             self.enter_mode(Mode.HOLD)
 
     def set_current_item(self, number: int) -> None:
-        """Go on with another item of the mission.
+        """Continue the mission at another item.
 
         Raises:
-            RefusedError: There is no such item.
+            RefusedError: If there is no such item.
         """
         if not 0 <= number < len(self.route.items):
             raise RefusedError(f"item {number}: there are {len(self.route.items)}")
@@ -250,13 +255,13 @@ class Pilot:
             self.enter_mode(Mode.MISSION)
 
     def enter_mode(self, mode: Mode) -> None:
-        """Change the mode; who is disarmed begins when it is armed.
+        """Change the flight mode; if disarmed, the motion starts with arming.
 
         Raises:
-            RefusedError: The mode cannot begin.
+            RefusedError: If the mode cannot be entered.
         """
         if mode == Mode.OFFBOARD and not self.has_recent_setpoint:
-            reason = "offboard refused: send setpoints first"
+            reason = "offboard denied: send setpoints first"
             raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
         if mode == Mode.MISSION:
             self._check_mission()
@@ -269,24 +274,24 @@ class Pilot:
             self._motion = self._start_motion(mode)
 
     def _check_mission(self) -> None:
-        """Look whether the mission can begin: the fence may have changed since it came."""
+        """Validate the mission again before its start, as the geofence may have changed."""
         if not self.route.items:
             raise RefusedError("no mission: upload one first", CommandResult.TEMPORARILY_REJECTED)
         max_distance = self._values["MIS_DIST_1WP"]
         check_mission(self.route.items, self._site, self._fence, max_distance)
 
     def _start_motion(self, mode: Mode) -> Motion:
-        """Begin the motion of a mode."""
+        """Return the first motion of a mode."""
         if mode == Mode.TAKEOFF:
             goal, self._takeoff_goal = self._takeoff_goal, None
             assert goal is not None  # as `enter_mode` sees to it
             return self._leg(goal, self._values["MPC_TKO_SPEED"], Heading())
-        # A mission that is over begins again
+        # A finished mission starts again
         if mode == Mode.MISSION:
             self.route.set_current_item(0 if self.route.is_over else self.route.current)
             self._next_motion = self._next_mission_motion
             return self._next_mission_motion() or Stay(self.state)
-        # On the ground other modes leave the motors off
+        # On the ground all other modes keep the motors off
         if self.has_landed:
             return Off()
         if mode == Mode.LAND:
@@ -296,7 +301,7 @@ class Pilot:
         return Stay(self.state, self.now)
 
     def _next_mission_motion(self) -> Motion | None:
-        """Go on with the mission; None when it is over."""
+        """Return the next motion of the mission, or None at its end."""
         motion = self.route.next_motion(self.state, self.now, self.has_landed)
         if motion == Mode.RETURN:
             self.mode = Mode.RETURN
@@ -307,14 +312,14 @@ class Pilot:
         return motion
 
     def _land(self) -> Motion:
-        """Sink until something is touched."""
+        """Return the motion that descends until ground contact."""
         return Land(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
 
     def _return(self) -> Motion:
-        """Rise, fly to above home, sink, and land."""
+        """Return the first leg of a return: climb, fly above home, descend, and land."""
         x, y, z = self.state[0]
         home, values = self._site.start, self._values
-        # PX4's heights above home; never down before it is there
+        # PX4's heights are above home; the vehicle never descends before it is above home
         return_height = max(z, home[2] + values["RTL_RETURN_ALT"])
         descent_height = min(return_height, home[2] + values["RTL_DESCEND_ALT"])
         waypoints = iter([(home[0], home[1], return_height), (home[0], home[1], descent_height)])
@@ -326,10 +331,9 @@ class Pilot:
                 return self._land()
             return self._leg(goal, values["MPC_XY_CRUISE"], Heading(forward=True))
 
-        # Rise where it is, then one leg after the other
+        # First climb at the present position; further legs follow by `next_leg`
         self._next_motion = next_leg
         return self._leg((x, y, return_height), values["MPC_XY_CRUISE"], Heading())
 
     def _leg(self, goal: tuple[float, float, float], speed: float, heading: Heading) -> Path:
-        """Fly straight to a place."""
         return self.route.plan_leg(self.state, goal, speed, heading, self.now)

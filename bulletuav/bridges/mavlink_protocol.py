@@ -1,4 +1,4 @@
-"""MAVLink on the wire, by pymavlink's dialect `common`: frames in, messages out, and back.
+"""MAVLink frames and messages, by pymavlink's dialect `common`.
 
 Numbers of commands, results and modes are those of MAVLink's `common` and of PX4.
 Source: https://mavlink.io/en/messages/common.html.
@@ -12,19 +12,19 @@ from typing import Any, NamedTuple
 from bulletuav.errors import missing
 
 COMPONENT = 1
-"""Number of the autopilot among the components of a vehicle"""
+"""Component ID of the autopilot"""
 MAVLINK_1_MAGIC, MAVLINK_2_MAGIC = 0xFE, 0xFD
-"""First byte of a frame of MAVLink 1 and 2"""
+"""First byte of a MAVLink 1 and of a MAVLink 2 frame"""
 SIGNED_FLAG = 1
-"""Flag of frames that carry a signature of 13 bytes"""
+"""Incompatibility flag of frames with a signature of 13 bytes"""
 MAX_TEXT_LENGTH = 50
-"""Most bytes of a text that clients show"""
+"""Maximum length of a STATUSTEXT, bytes"""
 Message = Any
-"""A message that pymavlink has read: attributes by the names of MAVLink"""
+"""Message that pymavlink has decoded, with MAVLink's field names as attributes"""
 
 
 class Command(IntEnum):
-    """Commands that vehicles know."""
+    """Supported commands (MAV_CMD)."""
 
     RETURN = 20
     LAND = 21
@@ -45,7 +45,7 @@ class Command(IntEnum):
 
 
 class CommandResult(IntEnum):
-    """How a command was answered."""
+    """Result of a command in its COMMAND_ACK (MAV_RESULT)."""
 
     ACCEPTED = 0
     TEMPORARILY_REJECTED = 1
@@ -54,7 +54,7 @@ class CommandResult(IntEnum):
 
 
 class Mode(IntEnum):
-    """PX4's flight modes, as heartbeats tell them: main mode << 16 | sub-mode << 24."""
+    """PX4's flight modes as in HEARTBEAT.custom_mode: main mode << 16 | sub-mode << 24."""
 
     TAKEOFF = 4 << 16 | 2 << 24
     HOLD = 4 << 16 | 3 << 24
@@ -65,24 +65,24 @@ class Mode(IntEnum):
 
 
 class RefusedError(ValueError):
-    """A request that cannot be done.
+    """Error for a request that the vehicle denies.
 
     Attributes:
-        result: How a command that asked for it is answered.
+        result: Result in the COMMAND_ACK, if the request is a command.
     """
 
     def __init__(self, text: str, result: CommandResult = CommandResult.DENIED) -> None:
-        """Tell why, in a text that clients show."""
+        """Initialise with a text that is sent as STATUSTEXT."""
         super().__init__(text)
         self.result = result
 
 
 class OutgoingMessage(NamedTuple):
-    """A message that a vehicle sends.
+    """Message that a vehicle sends.
 
     Attributes:
-        name: In small letters, such as "heartbeat".
-        fields: Values in MAVLink's order.
+        name: Message name in lower case, such as "heartbeat".
+        fields: Values in the order of pymavlink's message class.
     """
 
     name: str
@@ -90,11 +90,11 @@ class OutgoingMessage(NamedTuple):
 
 
 class Sender(NamedTuple):
-    """Who sent a message.
+    """Sender of a message.
 
     Attributes:
-        system, component: Numbers that it gives itself.
-        link: Where it is; differs between clients with the same numbers.
+        system_id, component_id: MAVLink IDs in the message's header.
+        link: Address; distinguishes clients with the same IDs.
     """
 
     system_id: int
@@ -103,7 +103,7 @@ class Sender(NamedTuple):
 
 
 def text(words: str, severity: int = 4) -> OutgoingMessage:
-    """Make a text that clients show; 4 is a warning, 6 an information."""
+    """Return a STATUSTEXT message; severity 4 is a warning, 6 an information."""
     return OutgoingMessage(
         "statustext", (severity, words.encode("ascii", "replace")[:MAX_TEXT_LENGTH])
     )
@@ -111,10 +111,10 @@ def text(words: str, severity: int = 4) -> OutgoingMessage:
 
 @functools.cache
 def dialect() -> Any:
-    """Load pymavlink's dialect.
+    """Import pymavlink's dialect `common`.
 
     Raises:
-        ImportError: pymavlink is not installed.
+        ImportError: If pymavlink is not installed.
     """
     try:
         from pymavlink.dialects.v20 import common
@@ -124,29 +124,29 @@ def dialect() -> Any:
 
 
 class MavlinkCodec:
-    """Packs and reads frames of one system.
+    """Encoder and decoder of the frames of one system.
 
     Attributes:
-        malformed: How many datagrams held what is no frame.
+        malformed: Number of datagrams with bytes that are not a frame.
     """
 
     def __init__(self, system_id: int) -> None:
-        """Take a number, from 1 to 254, as the system's own."""
+        """Initialise with the system's ID, from 1 to 254."""
         self._dialect = dialect()
         self._packer = self._dialect.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT)
         self.malformed = 0
 
     def pack(self, outgoing: OutgoingMessage) -> bytes:
-        """Pack a message into a frame of MAVLink 2."""
+        """Encode a message as a MAVLink 2 frame."""
         message = getattr(self._dialect, f"MAVLink_{outgoing.name}_message")(*outgoing.fields)
         frame = bytes(message.pack(self._packer))
         self._packer.seq = (self._packer.seq + 1) % 256
         return frame
 
     def read(self, datagram: bytes) -> list[Message]:
-        """Read the messages of a datagram; what follows something broken is dropped.
+        """Decode the messages of a datagram; bytes after a malformed frame are ignored.
 
-        Messages of other dialects are left out: their checksums cannot be checked.
+        Messages of other dialects are skipped, as their checksums cannot be verified.
         """
         messages = []
         for frame in _iterate_frames(datagram):
@@ -161,13 +161,13 @@ class MavlinkCodec:
 
 
 def split_frames(data: bytes) -> tuple[bytes, bytes]:
-    """Split a stream into frames that are whole, and the beginning of the next.
+    """Split a byte stream into complete frames and the start of an incomplete one.
 
     Args:
-        data: What has come so far, from the beginning of a frame on.
+        data: Bytes received so far, from the start of a frame on.
 
     Returns:
-        Whole frames, and what is left.
+        Complete frames, and the remaining bytes.
     """
     *whole, last = [b"", *_iterate_frames(data)]
     is_whole = last[:1] not in (MAVLINK_1_MAGIC.to_bytes(), MAVLINK_2_MAGIC.to_bytes()) or len(
@@ -177,7 +177,7 @@ def split_frames(data: bytes) -> tuple[bytes, bytes]:
 
 
 def _iterate_frames(data: bytes) -> Iterator[bytes]:
-    """Cut data into frames; a last one that is none holds all that could not be cut."""
+    """Split data into frames; if the rest is not a frame, the last item contains all of it."""
     while data:
         size = _frame_size(data)
         yield data[:size]
@@ -185,7 +185,7 @@ def _iterate_frames(data: bytes) -> Iterator[bytes]:
 
 
 def _frame_size(data: bytes) -> int:
-    """Tell how long the frame is that data begins with; more than all of it, if it is cut."""
+    """Return the size of the first frame in data, which may exceed the data if the frame is cut."""
     if data[0] == MAVLINK_1_MAGIC:
         return 8 + (data[1] if len(data) > 1 else 0)
     if data[0] == MAVLINK_2_MAGIC:

@@ -1,4 +1,4 @@
-"""A mission on its way: which item is next, and the motion for it."""
+"""Progress of a mission: the current item, and the motions for each item."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -23,33 +23,33 @@ from bulletuav.bridges.motions import ACCELERATION, Heading, Hold, Motion, Path
 from bulletuav.bridges.setpoints import Setpoint, State, euler
 
 MAX_WAIT = 1e5
-"""Longest time to wait at an item, s"""
+"""Maximum time to wait at an item, s"""
 MIN_SPEED, MAX_SPEED = 0.1, 100.0
-"""Speeds that an item may ask for, m/s"""
+"""Limits of the speed that an item may set, m/s"""
 SAME_POSITION_DISTANCE = 0.5
-"""Distance across below which a place is where the vehicle is, m"""
+"""Horizontal distance below which an item is at the vehicle's present position, m"""
 MIN_ACCEPTANCE_RADIUS = 0.1
-"""Distance from a place at which it has arrived, unless an item allows more, m"""
+"""Distance from a position at which it counts as reached, unless an item sets a larger one, m"""
 LEG_TIMEOUT_MARGIN = 5.0
-"""How long after its time a leg may arrive, s"""
+"""Time after the planned arrival at which a leg ends in any case, s"""
 
 
 class Route:
-    """The items of a mission, and how far it is.
+    """Items of a mission, and its progress.
 
     Attributes:
-        items: The mission.
-        current: Number of the item that is flown to.
-        reached: Numbers of items that have been reached, and nobody was told of yet.
-        speed: At which it flies, m/s.
+        items: Items of the mission.
+        current: Index of the current item.
+        reached: Indices of reached items that have not been reported to clients.
+        speed: Speed of the legs, m/s.
     """
 
     def __init__(self, site: Site, values: Mapping[str, float]) -> None:
-        """Begin without items.
+        """Initialise without items.
 
         Args:
-            site: Where the vehicle's coordinates begin.
-            values: Of the parameters.
+            site: Start position of the vehicle.
+            values: Values of the parameters.
         """
         self._site, self._values = site, values
         self._state: State = ([0.0] * 3, [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
@@ -57,19 +57,19 @@ class Route:
         self.replace(())
 
     def replace(self, items: tuple[MissionItem, ...]) -> None:
-        """Take another mission."""
+        """Replace the mission, and restart at its first item."""
         self.items, self.reached = items, list[int]()
         self._speed: float | None = None
         self.set_current_item(0)
 
     def set_current_item(self, number: int) -> None:
-        """Go on with an item, from its beginning."""
+        """Continue with an item, from its start."""
         self.current = number
         self._motions: Iterator[Motion | Mode] | None = None
 
     @property
     def speed(self) -> float:
-        """Speed along pieces, m/s."""
+        """Speed of the legs, m/s."""
         return self._values["MPC_XY_CRUISE"] if self._speed is None else self._speed
 
     @speed.setter
@@ -78,7 +78,7 @@ class Route:
 
     @property
     def is_over(self) -> bool:
-        """Whether the last item is done."""
+        """True if the last item is done."""
         return self.current >= len(self.items)
 
     def plan_leg(
@@ -90,35 +90,35 @@ class Route:
         now: float,
         acceptance_radius: float = MIN_ACCEPTANCE_RADIUS,
     ) -> Path:
-        """Fly straight to a place, m, as fast as parameters allow.
+        """Plan a straight leg to a position, with the vertical speed limited by the parameters.
 
         Args:
             state: State of the drone.
-            goal: Where to go, m.
-            speed: m/s.
-            heading: Where to look.
+            goal: (3,) goal, m.
+            speed: Speed, m/s.
+            heading: Heading during the leg.
             now: Time, s.
-            near: Distance from the place at which it has arrived, m.
+            acceptance_radius: Distance from the goal at which it counts as reached, m.
         """
         rise = goal[2] - state[0][2]
         distance = math.dist(goal, state[0])
         max_climb_rate = self._values["MPC_Z_VEL_MAX_UP" if rise > 0 else "MPC_Z_VEL_MAX_DN"]
         if speed * abs(rise) > max_climb_rate * distance:
             speed = max_climb_rate * distance / abs(rise)
-        # A wind may keep it from arriving: it goes on all the same, a while later.
+        # Wind may keep the drone away from the goal: end the leg after a timeout
         limit = distance / speed + speed / ACCELERATION + LEG_TIMEOUT_MARGIN
         return Path(state, [np.array(goal)], speed, heading, (now, limit), acceptance_radius)
 
     def next_motion(self, state: State, now: float, has_landed: bool) -> Motion | Mode | None:
-        """Tell what comes next.
+        """Return the next motion of the mission.
 
         Args:
             state: State of the drone.
             now: Time, s.
-            has_landed: Whether it stands.
+            has_landed: Whether the drone stands on the ground.
 
         Returns:
-            A motion; a mode for what is done as in that mode; None when the mission is over.
+            A motion; a mode whose motion follows; or None at the end of the mission.
         """
         self._state, self._now, self._has_landed = state, now, has_landed
         while not self.is_over:
@@ -132,7 +132,7 @@ class Route:
         return None
 
     def _item_motions(self, item: MissionItem) -> Iterator[Motion | Mode]:
-        """Give what is to be done for an item, one after the other, from where the drone is."""
+        """Yield the motions of an item, one by one, from the drone's present position."""
         if item.command == CHANGE_SPEED:
             if item.params[1] > 0:
                 self.speed = min(max(item.params[1], MIN_SPEED), MAX_SPEED)
@@ -146,12 +146,12 @@ class Route:
             yield from self._position_item_motions(item)
 
     def _position_item_motions(self, item: MissionItem) -> Iterator[Motion | Mode]:
-        """Fly to an item's place, and do there what it says."""
+        """Yield the motions of an item with a position."""
         current_position = self._state[0]
         goal = compute_item_position(item, self._site, current_position)
         is_far = math.dist(current_position[:2], goal[:2]) > SAME_POSITION_DISTANCE
         if item.command == TAKEOFF or (self._has_landed and is_far):
-            # Nobody flies along the ground: it rises first.
+            # Climb before a leg that starts on the ground
             takeoff_height = self._site.start[2] + self._values["MIS_TAKEOFF_ALT"]
             height = (
                 goal[2]
@@ -183,11 +183,11 @@ class Route:
         heading: Heading,
         acceptance_radius: float = MIN_ACCEPTANCE_RADIUS,
     ) -> Path:
-        """Fly straight to a place, at the mission's speed."""
+        """Plan a straight leg at the mission's speed."""
         return self.plan_leg(self._state, goal, self.speed, heading, self._now, acceptance_radius)
 
     def _wait(self, seconds: float) -> Hold:
-        """Stay for a time, s."""
+        """Return a motion that holds the position for a time, s."""
         (x, y, z), quaternion, _, _ = self._state
         setpoint = Setpoint("position", (x, y), "position", z, "angle", euler(quaternion)[2])
         return Hold(self._now, min(max(seconds, 0.0), MAX_WAIT), setpoint)

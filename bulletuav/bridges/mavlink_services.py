@@ -1,4 +1,4 @@
-"""Messages to and from one MAVLink vehicle, without sockets."""
+"""Message handling of one MAVLink vehicle, without sockets."""
 
 import math
 from collections.abc import Sequence
@@ -38,40 +38,41 @@ MISSIONS = (
 PARAMETERS = ("PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET")
 COMMAND_MESSAGES = ("COMMAND_LONG", "COMMAND_INT")
 COMPLAINT_INTERVAL = 1.0
-"""How long a text about setpoints is not told again, s"""
+"""Minimum time between texts about denied setpoints, s"""
 MISSION_CURRENT = 42
 
 
 class Services:
-    """Answers clients of one vehicle, and tells what is due.
+    """Message handler of one vehicle: answers clients, and sends telemetry.
 
     Attributes:
         vehicle: The vehicle.
-        streams: How often each message is sent.
+        streams: Intervals of the telemetry streams.
     """
 
     def __init__(self, vehicle: MavlinkVehicle) -> None:
-        """Serve a vehicle."""
+        """Initialise the handler of a vehicle."""
         self.vehicle, self.streams = vehicle, TelemetryRates(vehicle.system_id)
         self._setpoint_sender: Sender | None = None
         self._last_complaint_time = -math.inf
 
     def answer(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
-        """Take a message.
+        """Handle a message from a client.
 
         Args:
-            message: From a client.
-            sender: Who sent it.
+            message: Message from a client.
+            sender: Sender of the message.
 
         Returns:
-            Answers to this client; none to a message that is for others, or not known.
+            Messages to send back to this client; none if the message is addressed to another
+            system or is not supported.
         """
-        # 0 is for all; messages to others are not answered
+        # ID 0 is broadcast; messages to other systems and components are ignored
         if getattr(message, "target_system", 0) not in (0, self.vehicle.system_id):
             return []
         if getattr(message, "target_component", 0) not in (0, COMPONENT):
             return []
-        # By kind: commands, setpoints, missions, and the rest
+        # Commands, setpoints and missions have answers of their own
         kind = message.get_type()
         if kind in COMMAND_MESSAGES:
             return self._handle_command(message, sender)
@@ -85,7 +86,7 @@ class Services:
             return [text(str(error))]
 
     def _handle_other(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
-        """Answer what is neither a command nor a setpoint nor about missions."""
+        """Handle parameters, modes, the current item, time synchronisation and pings."""
         kind = message.get_type()
         if kind in PARAMETERS:
             return self.vehicle.parameters.answer(message)
@@ -101,7 +102,7 @@ class Services:
         return []
 
     def _handle_command(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
-        """Do what a command says, and acknowledge it."""
+        """Run a command, and return its COMMAND_ACK and further messages."""
         result, replies = CommandResult.UNSUPPORTED, list[OutgoingMessage]()
         if message.command in COMMANDS:
             try:
@@ -116,13 +117,13 @@ class Services:
         ]
 
     def _handle_setpoint(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
-        """Take a setpoint; those of a second client are refused while the first sends some."""
+        """Handle a setpoint; a second client's are denied while the first one sends setpoints."""
         pilot, vehicle, kind = self.vehicle.pilot, self.vehicle, message.get_type()
         try:
-            # Two clients at once would make the vehicle jump to and fro
+            # Setpoints of two clients would make the vehicle jump back and forth
             if self._setpoint_sender not in (None, sender) and pilot.has_recent_setpoint:
-                raise RefusedError("setpoints refused: another client sends some")
-            # Each message has frames and masks of its own
+                raise RefusedError("setpoints denied: another client sends setpoints")
+            # Frames and type masks differ between the messages
             setpoint: Setpoint | Order
             if kind == "SET_ATTITUDE_TARGET":
                 setpoint = mavlink_setpoints.parse_attitude_target(message, vehicle.airframe)
@@ -132,7 +133,7 @@ class Services:
                 setpoint = mavlink_setpoints.parse_global_target(message, vehicle.site, pilot.state)
             pilot.set_offboard_setpoint(setpoint)
             self._setpoint_sender = sender
-        # Setpoints come many times a second: the same complaint is told seldom
+        # Setpoints arrive many times per second: limit the rate of error texts
         except RefusedError as error:
             if pilot.now - self._last_complaint_time < COMPLAINT_INTERVAL:
                 return []
@@ -141,7 +142,7 @@ class Services:
         return []
 
     def due(self, tick: int) -> list[OutgoingMessage]:
-        """Tell all clients what is due in a step."""
+        """Return the messages to send to all clients at a step."""
         vehicle, pilot = self.vehicle, self.vehicle.pilot
         messages = [make_message(vehicle, number) for number in self.streams.due(tick)]
         messages += vehicle.missions.due(pilot.now)
@@ -157,7 +158,7 @@ class Services:
 
 
 def find_refusal_reason(answers: Sequence[OutgoingMessage]) -> str:
-    """Return why a client's message was refused, by its answers; empty if it was not."""
+    """Return the reason for which a message was denied, from its answers; empty if it was not."""
     reasons = []
     for answer in answers:
         if answer.name == "statustext":
@@ -170,7 +171,7 @@ def find_refusal_reason(answers: Sequence[OutgoingMessage]) -> str:
 
 
 def describe_message(message: Message) -> str:
-    """Name a message, and its command if it has one."""
+    """Return a message's name, with its command if there is one."""
     kind: str = message.get_type()
     if kind not in COMMAND_MESSAGES:
         return kind
@@ -179,7 +180,7 @@ def describe_message(message: Message) -> str:
 
 
 def join_frames(frames: Sequence[bytes], max_size: int) -> list[bytes]:
-    """Join frames to datagrams of at most some bytes."""
+    """Join frames into datagrams of a maximum size, bytes."""
     datagrams = [b""]
     for frame in frames:
         if len(datagrams[-1]) + len(frame) > max_size:

@@ -1,4 +1,4 @@
-"""Offboard setpoints: positions, velocities, accelerations and attitudes as clients send them."""
+"""Offboard setpoints: decoding of position, velocity, acceleration and attitude targets."""
 
 import math
 
@@ -10,33 +10,33 @@ from bulletuav.earth import attitude_to_enu
 from bulletuav.vehicle.airframe import Airframe
 
 LOCAL_NED, BODY_NED = 1, 8
-"""Frames of local setpoints: north-east-down of the start; velocities turned by the yaw"""
+"""MAV_FRAME of local setpoints: NED from the start, and velocities relative to the heading"""
 IGNORE_XY, IGNORE_Z = 0b11, 0b100
 IGNORE_VXY, IGNORE_VZ = 0b11 << 3, 0b100 << 3
 IGNORE_ACCELERATION = 0b111 << 6
 FORCE_SET, IGNORE_YAW, IGNORE_YAW_RATE = 1 << 9, 1 << 10, 1 << 11
-"""Bits of a mask of what is to be ignored"""
+"""Bits of the type mask of position targets (POSITION_TARGET_TYPEMASK)"""
 IGNORE_RATES, IGNORE_THRUST, IGNORE_ATTITUDE = 0b111, 1 << 6, 1 << 7
-"""The same for attitudes"""
+"""Bits of the type mask of attitude targets (ATTITUDE_TARGET_TYPEMASK)"""
 MAX_SPEED, MAX_ACCELERATION, MAX_RATE = 100.0, 100.0, 20.0
-"""Greatest velocity (m/s), acceleration (m/s^2) and rate (rad/s) that are taken"""
+"""Limits of velocity (m/s), acceleration (m/s^2) and angular rate (rad/s)"""
 MAX_TILT = math.radians(60)
-"""Greatest roll and pitch, rad"""
+"""Limit of roll and pitch, rad"""
 
 
 def parse_local_target(message: Message, site: Site, state: State) -> Setpoint | Order:
-    """Read a SET_POSITION_TARGET_LOCAL_NED.
+    """Convert a SET_POSITION_TARGET_LOCAL_NED into a setpoint.
 
     Args:
         message: The message.
-        site: Where the vehicle's coordinates begin.
-        state: Its state.
+        site: Start position of the vehicle.
+        state: State of the vehicle.
 
     Returns:
-        What the drone is to do.
+        The setpoint, or a flight command for an acceleration.
 
     Raises:
-        RefusedError: The frame or the mask is not supported, or a number cannot be.
+        RefusedError: If the frame or the type mask is not supported, or a number is not finite.
     """
     frame = message.coordinate_frame
     if frame not in (LOCAL_NED, BODY_NED):
@@ -49,10 +49,10 @@ def parse_local_target(message: Message, site: Site, state: State) -> Setpoint |
 
 
 def parse_global_target(message: Message, site: Site, state: State) -> Setpoint | Order:
-    """Read a SET_POSITION_TARGET_GLOBAL_INT; see `of_local`.
+    """Convert a SET_POSITION_TARGET_GLOBAL_INT into a setpoint; see `parse_local_target`.
 
     Raises:
-        RefusedError: The frame or the mask is not supported, or a number cannot be.
+        RefusedError: If the frame or the type mask is not supported, or a number is not finite.
     """
     mask, position = message.type_mask, (0.0, 0.0, 0.0)
     if mask & (IGNORE_XY | IGNORE_Z) != IGNORE_XY | IGNORE_Z:
@@ -64,7 +64,7 @@ def parse_global_target(message: Message, site: Site, state: State) -> Setpoint 
 def _make_setpoint(
     message: Message, mask: int, position: tuple[float, float, float], state: State, body: str
 ) -> Setpoint | Order:
-    """Join what a message tells of place, velocity, acceleration and yaw."""
+    """Combine the fields that the type mask selects: position, velocity, acceleration and yaw."""
     if mask & FORCE_SET and mask & IGNORE_ACCELERATION != IGNORE_ACCELERATION:
         raise RefusedError("setpoint: forces are not supported")
     velocity = _read_enu_vector(message, "v", mask >> 3, MAX_SPEED)
@@ -77,7 +77,7 @@ def _make_setpoint(
             ahead = (*velocity, *_read_enu_vector(message, "af", mask >> 6, MAX_ACCELERATION))
         return Setpoint("position", position[:2], "position", position[2], turning, yaw, ahead)
     if has_velocity and (has_height or climbs):
-        # Forward, right of the body into forward, left.
+        # From forward, right to forward, left
         xy = (velocity[1], -velocity[0]) if body else velocity[:2]
         upward, z = ("position", position[2]) if has_height else ("velocity", velocity[2])
         return Setpoint(body or "velocity", (xy[0], xy[1]), upward, z, turning, yaw)
@@ -91,7 +91,7 @@ def _make_setpoint(
 def _read_enu_vector(
     message: Message, prefix: str, ignored: int, limit: float
 ) -> tuple[float, ...]:
-    """Read a vector north, east, down as one east, north, up; what is ignored is 0."""
+    """Read a NED vector and return it as east, north, up; ignored components are 0."""
     north, east, down = (
         0.0 if ignored & 1 << k else _clamp_finite(getattr(message, prefix + axis), limit)
         for k, axis in enumerate("xyz")
@@ -100,14 +100,14 @@ def _read_enu_vector(
 
 
 def _clamp_finite(value: float, limit: float) -> float:
-    """Check that a number is finite, and cut it."""
+    """Clip a number; raise RefusedError if it is not finite."""
     if not math.isfinite(value):
         raise RefusedError("setpoint: finite numbers are needed")
     return min(max(value, -limit), limit)
 
 
 def _read_yaw(message: Message, mask: int) -> tuple[str, float]:
-    """Read the yaw, or its rate; without both the yaw is held."""
+    """Read the yaw (rad, ENU) or the yaw rate; without both the present yaw is held."""
     if not mask & IGNORE_YAW:
         return "angle", math.remainder(math.pi / 2 - _clamp_finite(message.yaw, 1e3), math.tau)
     if not mask & IGNORE_YAW_RATE:
@@ -116,19 +116,19 @@ def _read_yaw(message: Message, mask: int) -> tuple[str, float]:
 
 
 def parse_attitude_target(message: Message, airframe: Airframe) -> Setpoint:
-    """Read a SET_ATTITUDE_TARGET; thrust is a share of the greatest.
+    """Convert a SET_ATTITUDE_TARGET, whose thrust is a fraction of the maximum thrust.
 
     Args:
         message: The message.
-        airframe: Of the vehicle.
+        airframe: Airframe of the vehicle.
 
     Returns:
-        What the drone is to do.
+        The setpoint.
 
     Raises:
-        RefusedError: The mask is not supported, or a number cannot be.
+        RefusedError: If the type mask is not supported, or a number is not finite.
     """
-    # Bits of the mask name what to leave out
+    # Set bits of the mask mark ignored fields
     mask = message.type_mask
     if mask & IGNORE_THRUST:
         raise RefusedError("attitude setpoint: a thrust is needed")
@@ -137,17 +137,17 @@ def parse_attitude_target(message: Message, airframe: Airframe) -> Setpoint:
         0.0 if mask & 1 << k else _clamp_finite(getattr(message, f"body_{axis}_rate"), MAX_RATE)
         for k, axis in enumerate(("roll", "pitch", "yaw"))
     ]
-    # Rates alone; from forward, right, down to forward, left, up
+    # Rates without an attitude; from forward, right, down (FRD) to forward, left, up (FLU)
     if mask & IGNORE_ATTITUDE:
         if mask & IGNORE_RATES == IGNORE_RATES:
             raise RefusedError("attitude setpoint: an attitude or rates are needed")
         return Setpoint("rates", (rates[0], -rates[1]), "thrust", thrust, "rate", -rates[2])
-    # Clients' quaternions have lengths near 1; the attitude is from north, east, down
+    # Normalise, as clients' quaternions have a norm near 1; convert from FRD to NED
     norm = math.sqrt(sum(_clamp_finite(value, 1e3) ** 2 for value in message.q))
     if norm < 1e-3:
-        raise RefusedError("attitude setpoint: the quaternion has no length")
+        raise RefusedError("attitude setpoint: the quaternion has norm 0")
     w, x, y, z = (value / norm for value in message.q)
     roll, pitch, yaw = euler(attitude_to_enu((x, y, z, w)).tolist())
-    # Tilt stays within what a client may ask for
+    # Limit the tilt
     tilt = [min(max(angle, -MAX_TILT), MAX_TILT) for angle in (roll, pitch)]
     return Setpoint("attitude", (tilt[0], tilt[1]), "thrust", thrust, "angle", yaw)

@@ -1,4 +1,4 @@
-"""One MAVLink vehicle: who flies it, its parameters, its missions and its fence."""
+"""One MAVLink vehicle: pilot, parameters, missions and geofence."""
 
 from collections.abc import Callable
 
@@ -12,43 +12,43 @@ from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 
 class MavlinkVehicle:
-    """One vehicle, without its body and without messages.
+    """Autopilot of one vehicle, without its body and without message handling.
 
     Attributes:
-        system: Number of the system, from 1 on.
-        airframe: Of its body.
-        site: Where its coordinates begin.
-        parameters: Its parameters.
-        pilot: Who flies it.
-        missions: Lists of items.
-        locate: Function that tells latitude and longitude, deg, and altitude, m; then the
-            attitude w, x, y, z, from forward, right, down to north, east, down.
+        system_id: System ID, from 1 on.
+        airframe: Airframe of the body.
+        site: Start position, which is home.
+        parameters: Parameters.
+        pilot: Arming, flight modes and motions.
+        missions: Mission and geofence lists.
+        locate: Function that returns latitude and longitude (deg), altitude (m), and the attitude
+            w, x, y, z from FRD body axes to NED.
     """
 
     def __init__(
         self, system_id: int, airframe: Airframe, site: Site, locate: Callable[[], list[float]]
     ) -> None:
-        """Switch it on, on the ground, disarmed.
+        """Initialise on the ground, disarmed.
 
         Args:
-            system: Number of the system.
-            airframe: Of its body.
-            site: Where it starts.
-            locate: Function that tells where it is on the Earth, see `locate`.
+            system_id: System ID.
+            airframe: Airframe of the body.
+            site: Start position.
+            locate: Function that returns the geodetic pose, see the attribute `locate`.
         """
         self.system_id, self.airframe, self.site, self.locate = system_id, airframe, site, locate
         hover = airframe.mass * STANDARD_GRAVITY / airframe.max_thrust
         self.parameters = MavlinkParameterService(MAV_SYS_ID=system_id, MPC_THR_HOVER=hover)
         self._fence = Geofence(site, self.parameters.values)
         self.pilot = Pilot(airframe, site, self.parameters, self._fence)
-        self.missions = MissionService(self._check, self._fence, self._start_motion)
+        self.missions = MissionService(self._check_mission, self._fence, self._update_mission)
 
-    def _check(self, items: tuple[MissionItem, ...]) -> None:
-        """Check a mission that was uploaded."""
+    def _check_mission(self, items: tuple[MissionItem, ...]) -> None:
+        """Validate an uploaded mission."""
         check_mission(items, self.site, self._fence, self.parameters.values["MIS_DIST_1WP"])
 
-    def _start_motion(self) -> None:
-        """Give the pilot another mission; one that flies the old one holds."""
+    def _update_mission(self) -> None:
+        """Pass the changed mission to the pilot."""
         self.pilot.set_mission(self.missions.lists[MISSION])
 
     @property

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bulletuav import load_airframe
+from bulletuav.bridges import crazyflie_fleet
 from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.crazyflie_setpoints import Commander, ThrustMap, decompress_quaternion
 from bulletuav.bridges.crtp import Packet
@@ -83,7 +84,14 @@ def test_places_of_drones_lie_apart():
             starts(wrong, 0.1, 0.5)
 
 
-# The planner
+def test_the_former_name_of_the_fleet_warns():
+    with pytest.warns(DeprecationWarning, match="Fleet is now CrazyflieFleet; .* next release"):
+        assert crazyflie_fleet.Fleet is CrazyflieFleet
+    with pytest.raises(AttributeError, match="no attribute 'Flotilla'"):
+        _ = crazyflie_fleet.Flotilla
+
+
+# The high-level commander
 
 
 def test_it_takes_off_goes_somewhere_and_lands(drone, fly):

@@ -110,7 +110,7 @@ def test_what_is_denied_is_logged_once(serve, connect, caplog):
     port = link.port.getsockname()[1]
     told = [
         "COMMAND_LONG REPOSITION to vehicle 1 refused: result TEMPORARILY_REJECTED; "
-        "it does not fly: arm it and take off first",
+        "not flying: arm and take off first",
         "COMMAND_LONG 31000 to vehicle 1 refused: result UNSUPPORTED",
         "MISSION_REQUEST_INT to vehicle 1 refused: mission result 13",
         "PARAM_REQUEST_READ to vehicle 1 refused: no parameter NO_SUCH\\n",
@@ -171,7 +171,7 @@ def test_two_clients_both_hear_it_and_only_one_flies_it(serve, connect):
     time.sleep(0.1)
     second.mav.set_position_target_local_ned_send(*fields)
     told = expect(second, "STATUSTEXT")
-    assert told.text == "setpoints refused: another client sends some"
+    assert told.text == "setpoints denied: another client sends setpoints"
     assert command(second, 512, 242) == 0  # commands are everybody's
 
 
