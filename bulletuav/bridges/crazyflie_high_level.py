@@ -197,12 +197,12 @@ class HighLevelCommander:
         return self._follow_plan(spiral.plan(start.position, duration), now)
 
     def _define_trajectory(self, data: bytes, start: TrajectoryStart, now: float) -> Errno:
-        _, number, location, kind, offset, count = unpack_data("BBBBIB", data)
-        if location != 1 or kind not in (0, 1) or not count:
+        _, number, location, trajectory_type, offset, count = unpack_data("BBBBIB", data)
+        if location != 1 or trajectory_type not in (0, 1) or not count:
             return Errno.EINVAL
         if number not in self._definitions and len(self._definitions) == MAX_TRAJECTORIES:
             return Errno.ENOMEM
-        self._definitions[number] = (kind, offset, count)
+        self._definitions[number] = (trajectory_type, offset, count)
         return Errno.NONE
 
     def _start_trajectory(self, data: bytes, start: TrajectoryStart, now: float) -> Errno:
@@ -211,8 +211,8 @@ class HighLevelCommander:
         )
         if number not in self._definitions:
             return Errno.ENOENT
-        kind, offset, count = self._definitions[number]
-        read = read_compressed if kind else read_pieces
+        trajectory_type, offset, count = self._definitions[number]
+        read = read_compressed if trajectory_type else read_pieces
         try:
             stored: StoredTrajectory = read(bytes(self._memory), offset, count)
             if not 0.01 <= scale <= 100.0:

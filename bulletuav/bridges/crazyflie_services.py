@@ -205,10 +205,10 @@ class LogService:
         """
         values = b""
         for code, variable in block.variables:
-            kind = LOG_TYPES[code]
-            value = min(max(variable.read(telemetry), kind.minimum), kind.maximum)
+            log_type = LOG_TYPES[code]
+            value = min(max(variable.read(telemetry), log_type.minimum), log_type.maximum)
             values += pack_data(
-                kind.struct_format, value if kind.struct_format in "fe" else int(value)
+                log_type.struct_format, value if log_type.struct_format in "fe" else int(value)
             )
         stamp = pack_data("I", tick * TICK_MS & 0xFFFFFF)[:3]
         return Packet(CrtpPort.LOG, DATA_CHANNEL, bytes([number]) + stamp + values)

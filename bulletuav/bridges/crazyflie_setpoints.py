@@ -103,36 +103,36 @@ class Commander:
             command = 0 if self._thrust_locked else command
             self._setpoint = self._make_manual(tuple(angles), command, *are_rates)
         else:
-            (kind,) = unpack_data("B", packet.data)
-            self._setpoint = self._decode_generic(kind, packet.data[1:])
+            (setpoint_type,) = unpack_data("B", packet.data)
+            self._setpoint = self._decode_generic(setpoint_type, packet.data[1:])
         self._received_time, self.is_released = now, self._setpoint is None
 
-    def _decode_generic(self, kind: int, data: bytes) -> Setpoint | None:
+    def _decode_generic(self, setpoint_type: int, data: bytes) -> Setpoint | None:
         """Decode a setpoint of the port `CrtpPort.SETPOINT_GENERIC`; return None for a stop."""
         # Stop; lock the thrust until a command of zero
-        if kind == 0:
+        if setpoint_type == 0:
             self._thrust_locked = True
             return None
         # Manual: roll, pitch and yaw rate with a thrust; roll and pitch may be rates
-        if kind == 11:
+        if setpoint_type == 11:
             *angles, command, is_rate = unpack_data("fffHB", data)
             return self._make_manual(tuple(angles), command, bool(is_rate), True)._replace(
                 yaw=_to_rate(angles[2])
             )
-        if kind == 6:
+        if setpoint_type == 6:
             return _decode_full_state(data)
-        if kind not in (7, 8, 9, 10):
-            raise MalformedError(f"setpoint type {kind}: 0 or from 6 to 11 is needed")
+        if setpoint_type not in (7, 8, 9, 10):
+            raise MalformedError(f"setpoint type {setpoint_type}: 0 or from 6 to 11 is needed")
         # The other types have four numbers each
         a, b, c, d = unpack_data("ffff", data)
         # Position and yaw
-        if kind == 7:
+        if setpoint_type == 7:
             position = (_clamp(a, MAX_COORDINATE), _clamp(b, MAX_COORDINATE))
             return Setpoint(
                 "position", position, "position", _clamp(c, MAX_COORDINATE), "angle", _to_angle(d)
             )
         # Roll, pitch and yaw rate at a height (zdistance)
-        if kind == 9:
+        if setpoint_type == 9:
             return Setpoint(
                 "attitude",
                 _to_tilt(a, b),
@@ -143,7 +143,7 @@ class Commander:
             )
         # Velocity in the world frame, or in the body frame at a height (hover)
         velocity = (_clamp(a, MAX_SPEED), _clamp(b, MAX_SPEED))
-        if kind == 8:
+        if setpoint_type == 8:
             return Setpoint(
                 "velocity", velocity, "velocity", _clamp(c, MAX_SPEED), "rate", _to_rate(d)
             )

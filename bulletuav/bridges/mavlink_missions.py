@@ -76,30 +76,30 @@ class MissionService:
         Returns:
             Messages to send back.
         """
-        kind = message.get_type()
+        message_type = message.get_type()
         # A client that answers a request by MISSION_ACK cancels its upload
-        if kind == "MISSION_ACK":
+        if message_type == "MISSION_ACK":
             if self._is_uploading(sender):
                 self._upload = None
             return []
-        if kind in ("MISSION_ITEM_INT", "MISSION_ITEM"):
+        if message_type in ("MISSION_ITEM_INT", "MISSION_ITEM"):
             return self._add_item(message, sender, now)
         # Missions, geofences and rally points are separate lists
         mission_type = message.mission_type
-        if kind == "MISSION_CLEAR_ALL":
+        if message_type == "MISSION_CLEAR_ALL":
             return self._clear(mission_type, sender)
         # Unsupported lists (rally points) are reported as empty, and cannot be uploaded
         if mission_type not in self.lists:
-            if kind == "MISSION_REQUEST_LIST":
+            if message_type == "MISSION_REQUEST_LIST":
                 return [OutgoingMessage("mission_count", (*sender[:2], 0, mission_type))]
             return [_ack(sender, UNSUPPORTED, mission_type)]
-        if kind == "MISSION_REQUEST_LIST":
+        if message_type == "MISSION_REQUEST_LIST":
             return [
                 OutgoingMessage(
                     "mission_count", (*sender[:2], len(self.lists[mission_type]), mission_type)
                 )
             ]
-        if kind == "MISSION_COUNT":
+        if message_type == "MISSION_COUNT":
             return self._start_upload(message, sender, now)
         return self._send_item(message, sender)
 

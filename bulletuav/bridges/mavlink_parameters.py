@@ -62,10 +62,14 @@ class MavlinkParameterService:
 
     def make_value_message(self, name: str) -> OutgoingMessage:
         """Return the PARAM_VALUE message of a parameter."""
-        value, kind = self.values[name], _parameter_type(name)
+        value, parameter_type = self.values[name], _parameter_type(name)
         # PX4 encodes integers bytewise in the float field (MAV_PARAM_ENCODE_BYTEWISE)
-        encoded = struct.unpack("<f", struct.pack("<i", int(value)))[0] if kind == INT32 else value
-        fields = (name.encode(), encoded, kind, len(NAMES), NAMES.index(name))
+        encoded = (
+            struct.unpack("<f", struct.pack("<i", int(value)))[0]
+            if parameter_type == INT32
+            else value
+        )
+        fields = (name.encode(), encoded, parameter_type, len(NAMES), NAMES.index(name))
         return OutgoingMessage("param_value", fields)
 
     def answer(self, message: Message) -> list[OutgoingMessage]:
@@ -74,10 +78,10 @@ class MavlinkParameterService:
         Raises:
             RefusedError: If there is no such parameter.
         """
-        kind = message.get_type()
-        if kind == "PARAM_REQUEST_LIST":
+        message_type = message.get_type()
+        if message_type == "PARAM_REQUEST_LIST":
             return [self.make_value_message(name) for name in NAMES]
-        if kind == "PARAM_REQUEST_READ":
+        if message_type == "PARAM_REQUEST_READ":
             index = message.param_index
             if index >= 0:
                 if index >= len(NAMES):

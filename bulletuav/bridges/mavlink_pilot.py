@@ -119,7 +119,7 @@ class Pilot:
             self.mode = Mode.HOLD
 
     def _check_auto_disarm(self) -> None:
-        """Disarm after a landing, or without a take-off, after the time of a COM_DISARM parameter."""
+        """Disarm after a landing, or without a take-off, after the time that parameters set."""
         wait = self._values["COM_DISARM_LAND" if self._has_flown else "COM_DISARM_PRFLT"]
         if self.has_landed and 0 < wait < self.now - self._contact_change_time:
             self._disarm("disarmed after landing" if self._has_flown else "disarmed: no take-off")
@@ -284,7 +284,7 @@ class Pilot:
         """Return the first motion of a mode."""
         if mode == Mode.TAKEOFF:
             goal, self._takeoff_goal = self._takeoff_goal, None
-            assert goal is not None  # as `enter_mode` sees to it
+            assert goal is not None  # set by `enter_mode`
             return self._leg(goal, self._values["MPC_TKO_SPEED"], Heading())
         # A finished mission starts again
         if mode == Mode.MISSION:

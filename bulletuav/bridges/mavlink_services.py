@@ -73,12 +73,12 @@ class Services:
         if getattr(message, "target_component", 0) not in (0, COMPONENT):
             return []
         # Commands, setpoints and missions have answers of their own
-        kind = message.get_type()
-        if kind in COMMAND_MESSAGES:
+        message_type = message.get_type()
+        if message_type in COMMAND_MESSAGES:
             return self._handle_command(message, sender)
-        if kind in SETPOINTS:
+        if message_type in SETPOINTS:
             return self._handle_setpoint(message, sender)
-        if kind in MISSIONS:
+        if message_type in MISSIONS:
             return self.vehicle.missions.answer(message, sender, self.vehicle.pilot.now)
         try:
             return self._handle_other(message, sender)
@@ -87,17 +87,17 @@ class Services:
 
     def _handle_other(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
         """Handle parameters, modes, the current item, time synchronisation and pings."""
-        kind = message.get_type()
-        if kind in PARAMETERS:
+        message_type = message.get_type()
+        if message_type in PARAMETERS:
             return self.vehicle.parameters.answer(message)
-        if kind == "SET_MODE":
+        if message_type == "SET_MODE":
             set_mode(self.vehicle, message.custom_mode >> 16 & 255, message.custom_mode >> 24)
-        elif kind == "MISSION_SET_CURRENT":
+        elif message_type == "MISSION_SET_CURRENT":
             self.vehicle.pilot.set_current_item(message.seq)
             return [make_message(self.vehicle, MISSION_CURRENT)]
-        elif kind == "TIMESYNC" and message.tc1 == 0:
+        elif message_type == "TIMESYNC" and message.tc1 == 0:
             return [OutgoingMessage("timesync", (self.vehicle.time_boot_ms * 10**6, message.ts1))]
-        elif kind == "PING" and message.target_system == 0:
+        elif message_type == "PING" and message.target_system == 0:
             return [OutgoingMessage("ping", (message.time_usec, message.seq, *sender[:2]))]
         return []
 
@@ -118,16 +118,16 @@ class Services:
 
     def _handle_setpoint(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
         """Handle a setpoint; a second client's are denied while the first one sends setpoints."""
-        pilot, vehicle, kind = self.vehicle.pilot, self.vehicle, message.get_type()
+        pilot, vehicle, message_type = self.vehicle.pilot, self.vehicle, message.get_type()
         try:
             # Setpoints of two clients would make the vehicle jump back and forth
             if self._setpoint_sender not in (None, sender) and pilot.has_recent_setpoint:
                 raise RefusedError("setpoints denied: another client sends setpoints")
             # Frames and type masks differ between the messages
             setpoint: Setpoint | Order
-            if kind == "SET_ATTITUDE_TARGET":
+            if message_type == "SET_ATTITUDE_TARGET":
                 setpoint = mavlink_setpoints.parse_attitude_target(message, vehicle.airframe)
-            elif kind == "SET_POSITION_TARGET_LOCAL_NED":
+            elif message_type == "SET_POSITION_TARGET_LOCAL_NED":
                 setpoint = mavlink_setpoints.parse_local_target(message, vehicle.site, pilot.state)
             else:
                 setpoint = mavlink_setpoints.parse_global_target(message, vehicle.site, pilot.state)
@@ -172,11 +172,11 @@ def find_refusal_reason(answers: Sequence[OutgoingMessage]) -> str:
 
 def describe_message(message: Message) -> str:
     """Return a message's name, with its command if there is one."""
-    kind: str = message.get_type()
-    if kind not in COMMAND_MESSAGES:
-        return kind
+    message_type: str = message.get_type()
+    if message_type not in COMMAND_MESSAGES:
+        return message_type
     is_known = message.command in tuple(Command)
-    return f"{kind} {Command(message.command).name if is_known else message.command}"
+    return f"{message_type} {Command(message.command).name if is_known else message.command}"
 
 
 def join_frames(frames: Sequence[bytes], max_size: int) -> list[bytes]:

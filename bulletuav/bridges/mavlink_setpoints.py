@@ -69,9 +69,9 @@ def _make_setpoint(
         raise RefusedError("setpoint: forces are not supported")
     velocity = _read_enu_vector(message, "v", mask >> 3, MAX_SPEED)
     turning, yaw = _read_yaw(message, mask)
-    has_place, has_velocity = not mask & IGNORE_XY, not mask & IGNORE_VXY
+    has_position, has_velocity = not mask & IGNORE_XY, not mask & IGNORE_VXY
     has_height, climbs = not mask & IGNORE_Z, not mask & IGNORE_VZ
-    if has_place and has_height:
+    if has_position and has_height:
         ahead: tuple[float, ...] = ()
         if has_velocity and climbs:
             ahead = (*velocity, *_read_enu_vector(message, "af", mask >> 6, MAX_ACCELERATION))
