@@ -41,11 +41,11 @@ import msgpack
 import psutil
 from pymavlink.dialects.v20 import common
 
-from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.crtp import Packet
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-from bulletuav.bridges.mavlink_services import packed
-from bulletuav.bridges.mavlink_wire import Sender, Wire
+from bulletuav.bridges.mavlink_protocol import MavlinkCodec, Sender
+from bulletuav.bridges.mavlink_services import join_frames
 from bulletuav.files import replace_file
 
 PORT = 20850
@@ -124,7 +124,7 @@ def echo(link: socket.socket, times: int) -> float:
 
 def unbound(drones: int, steps: int) -> float:
     """Tell simulated seconds in one of the clock for a fleet that nobody waits for."""
-    fleet = Fleet(drones, seed=0)
+    fleet = CrazyflieFleet(drones, seed=0)
     fleet.warm_up()
     for k in range(drones):
         fleet.take(k, Packet(8, 0, struct.pack("<BBff?f", 7, 0, HEIGHT, 0.0, True, 1.0)))
@@ -345,7 +345,7 @@ def unbound_mavlink(drones: int, steps: int) -> float:
     """Tell simulated seconds in one of the clock for vehicles that nobody waits for."""
     fleet, sender = MavlinkFleet(drones, seed=0), Sender(255, 190)
     fleet.warm_up()
-    wires = [Wire(k + 1) for k in range(drones)]
+    wires = [MavlinkCodec(k + 1) for k in range(drones)]
     for k, wire in enumerate(wires):
         (take_off,) = wire.read(frame(k, "command_long", k + 1, 1, 22, 0, *[math.nan] * 7))
         (arm,) = wire.read(frame(k, "command_long", k + 1, 1, 400, 0, 1, *[0.0] * 6))
@@ -354,7 +354,7 @@ def unbound_mavlink(drones: int, steps: int) -> float:
     begin = time.perf_counter()
     for _ in range(steps):
         for wire, told in zip(wires, fleet.step(), strict=True):
-            packed([wire.pack(one) for one in told], 1400)
+            join_frames([wire.pack(one) for one in told], 1400)
     lasted = time.perf_counter() - begin
     fleet.close()
     return steps * fleet.airspace.period / lasted

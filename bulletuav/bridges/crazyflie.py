@@ -1,188 +1,175 @@
-"""Server of virtual Crazyflies: each drone is a UDP port that cflib connects to.
+"""UDP server of virtual Crazyflies: cflib connects to one port for each drone.
 
-    server = CrazyflieServer(Fleet(10))
+    server = CrazyflieServer(CrazyflieFleet(10))
     server.run()
 
-Clients open `udp://127.0.0.1:19850` and the ports after it, one for each drone.
+Clients open `udp://127.0.0.1:19850` and the following ports, one for each drone.
 """
 
 import logging
 import time
 from dataclasses import dataclass
 
-from bulletuav.bridges.crazyflie_fleet import Fleet
-from bulletuav.bridges.crtp import MOST_DATA, NULL, MalformedError, Packet, Port
+from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
+from bulletuav.bridges.crtp import MAX_DATA_SIZE, NULL_PACKET, CrtpPort, MalformedError, Packet
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
 from bulletuav.envs.viewer import join_address
 from bulletuav.serving.connections import Clock, Limits
 from bulletuav.serving.refusals import Refusals
 
 PORT = 19850
-"""Port of the first drone; cflib looks for drones at this one and the nine after it"""
+"""Port of the first drone; cflib scans this port and the nine after it"""
 LIMITS = Limits(max_clients=1, grace=0.5, max_idle=10.0)
-"""Limits of a drone's client. Another one may have the drone after `grace` seconds of silence, as
-cflib pings at 10 Hz. After `max_idle` seconds it is sent no more logs."""
-SERVICES = frozenset(Port) - {Port.CONSOLE}
-"""Ports that clients send to"""
-MOST_READ = 16
-"""Most packets that are taken from a drone's socket in one go: others wait, or are dropped"""
+"""Limits of a drone's client. Another client may take the drone after `grace` seconds of silence
+(cflib pings at 10 Hz). After `max_idle` seconds the client receives no more logs."""
+SERVICES = frozenset(CrtpPort) - {CrtpPort.CONSOLE}
+"""Ports to which clients send"""
+MAX_PACKETS_PER_READ = 16
+"""Maximum number of packets that are read from a drone's socket in a row; others wait"""
 
 
 @dataclass
-class Peer:
-    """The client of a drone.
+class CrazyflieClient:
+    """Client of a drone.
 
     Attributes:
-        address: Where it is.
-        heard: When it was heard last, by the clock, s.
-        left: Whether its last packet was a command of zero, with which clients close a link.
+        address: Address of the client.
+        last_heard: Time of the client's last packet by the server's clock, s.
+        has_closed_link: Whether the last packet was a thrust command of zero, with which cflib
+            closes a link.
     """
 
     address: Address
-    heard: float
-    left: bool = False
+    last_heard: float
+    has_closed_link: bool = False
 
 
 class CrazyflieServer(DatagramServer):
-    """Sockets, one a drone, around a fleet that flies in real time.
+    """Server with one UDP socket for each drone of a fleet, which flies in real time.
 
     Attributes:
         fleet: The drones.
-        uris: Addresses that clients open.
-        pacer: Keeps the time; tells how many steps were late.
-        refused: How many packets came from clients whose drone another one has.
+        uris: URIs that clients open.
+        pacer: Pacer of the real-time loop, which counts late steps.
+        refused: Number of packets from clients whose drone is in use by another client.
     """
 
     def __init__(
         self,
-        fleet: Fleet,
+        fleet: CrazyflieFleet,
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
         limits: Limits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
-        """Open the ports; clients are answered once it runs.
+        """Open the ports; clients are answered once `run` is called.
 
         Args:
             fleet: The drones.
-            host: Address to listen at. Whoever can reach it can fly the drones.
-            port: Of the first drone; 0 for free ones.
-            speed: Simulated seconds in one of the clock.
+            host: Address to listen at. Anybody who can reach it can fly the drones.
+            port: Port of the first drone; 0 for free ports.
+            speed: Simulated seconds per second of real time.
             limits: Limits of each drone's client.
             clock: Function that returns the time by which clients are silent, s.
 
         Raises:
-            ValueError: The port or the speed cannot be.
-            OSError: A port is in use, or there is no such address.
+            ValueError: If the port or the speed is invalid.
+            OSError: If a port is in use, or the address does not exist.
         """
         super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
         self.refused = 0
         self._limits, self._clock = limits, clock
         self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
-        self._peers: list[Peer | None] = [None] * len(fleet)
+        self._peers: list[CrazyflieClient | None] = [None] * len(fleet)
         self._waiting: dict[int, tuple[Address, Packet]] = {}
-        self.uris = [f"udp://{join_address(host, one)}" for one in self.ports]
+        self.uris = [f"udp://{join_address(host, port)}" for port in self.ports]
 
     def _step(self) -> None:
-        """Fly for 10 ms, and send logs."""
+        """Fly for one step of 10 ms, and send log packets."""
         for i, packet in self.fleet.step():
             self._send(i, packet)
         self._serve_waiting()
 
     def _read(self, i: int) -> None:
-        """Take the packets that have come for a drone, as many as may be in one go."""
-        for _ in range(MOST_READ):
+        """Read packets for a drone, up to `MAX_PACKETS_PER_READ`."""
+        for _ in range(MAX_PACKETS_PER_READ):
             try:
-                datagram, address = self._sockets[i].recvfrom(MOST_DATA + 2)
-            # Nothing is left; or, on Windows, a client that was sent something has gone.
+                datagram, address = self._sockets[i].recvfrom(MAX_DATA_SIZE + 2)
+            # The socket is empty; or, on Windows, the receiver of an earlier datagram has gone
             except OSError:
                 return
-            self._take(i, datagram, address[:2])
+            self._handle_datagram(i, datagram, address[:2])
 
-    def _take(
-        self,
-        i: int,
-        datagram: bytes,
-        address: Address,
-    ) -> None:
-        """Take one packet."""
-        if datagram[:1] == NULL[:1]:
-            # A client looks for drones: this is no connection.
+    def _handle_datagram(self, i: int, datagram: bytes, address: Address) -> None:
+        """Handle one datagram: a scan, or a packet from the drone's client or from another one."""
+        if datagram[:1] == NULL_PACKET[:1]:
+            # A scan for drones does not connect
             if len(datagram) == 1:
-                self._send_to(i, NULL, address)
+                self._send_to(i, NULL_PACKET, address)
             return
         try:
             packet = Packet.parse(datagram)
         except MalformedError:
             self.fleet.vehicles[i].malformed += 1
             return
-        # Such as those of WebRTC, which a page in a browser can send here
+        # For example WebRTC requests, which a page in a browser can send to this port
         if packet.port not in SERVICES:
             self.fleet.vehicles[i].malformed += 1
             return
         peer = self._peers[i]
-        if peer is not None and peer.address != address and not self._gone(peer):
-            self._refuse(i, packet, address, peer)
+        if peer is not None and peer.address != address and not self._is_gone(peer):
+            self._refuse_client(i, packet, address, peer)
             return
-        self._connect(i, address, packet)
+        self._serve_client(i, address, packet)
 
-    def _gone(self, peer: Peer) -> bool:
-        """Return True if a client has gone, as far as can be known."""
-        return peer.left or self._clock() - peer.heard > self._limits.grace
+    def _is_gone(self, peer: CrazyflieClient) -> bool:
+        """Return True if a client has closed its link or has been silent longer than `grace`."""
+        return peer.has_closed_link or self._clock() - peer.last_heard > self._limits.grace
 
-    def _refuse(
-        self,
-        i: int,
-        packet: Packet,
-        address: Address,
-        peer: Peer,
+    def _refuse_client(
+        self, i: int, packet: Packet, address: Address, peer: CrazyflieClient
     ) -> None:
-        """Let a second client of a drone wait; its request to connect is kept."""
+        """Refuse a second client of a drone; a request to connect waits until the drone is free."""
         self.refused += 1
-        text = f"drone {i} is flown by port {peer.address[1]}"
+        text = f"drone {i} is in use by port {peer.address[1]}"
         event = f"refused: {text}; close that link first"
         self._refusals.log_connection(join_address(*address), event)
-        if packet.port == Port.LINK and packet.channel == 1:
+        if packet.port == CrtpPort.LINK and packet.channel == 1:
             self._waiting[i] = (address, packet)
-            line = f"{text}\n".encode()[:MOST_DATA]
-            self._send_to(i, Packet(Port.CONSOLE, 0, line).frame(), address)
+            line = f"{text}\n".encode()[:MAX_DATA_SIZE]
+            self._send_to(i, Packet(CrtpPort.CONSOLE, 0, line).frame(), address)
 
-    def _connect(
-        self,
-        i: int,
-        address: Address,
-        packet: Packet,
-    ) -> None:
-        """Take a packet of a drone's own client, or of a new one."""
+    def _serve_client(self, i: int, address: Address, packet: Packet) -> None:
+        """Handle a packet of a drone's present or new client, and send the answers."""
         peer = self._peers[i]
         if peer is None or peer.address != address:
-            self.fleet.vehicles[i].leave()
-        is_end = packet.port == Port.ATTITUDE_SETPOINT and not any(packet.data)
-        self._peers[i] = Peer(address, self._clock(), is_end)
+            self.fleet.vehicles[i].reset_client()
+        is_end = packet.port == CrtpPort.SETPOINT and not any(packet.data)
+        self._peers[i] = CrazyflieClient(address, self._clock(), is_end)
         for answer in self.fleet.take(i, packet):
             self._send(i, answer)
         if reason := self.fleet.vehicles[i].refusal:
-            port = Port(packet.port).name if packet.port in tuple(Port) else packet.port
+            port = CrtpPort(packet.port).name if packet.port in tuple(CrtpPort) else packet.port
             call = f"packet to {port}, channel {packet.channel}, of drone {i}"
             self._refusals.log(join_address(*address), call, reason)
 
     def _serve_waiting(self) -> None:
-        """Connect clients that waited, where the one before has gone."""
+        """Connect waiting clients to drones whose client has gone."""
         for i, (address, packet) in list(self._waiting.items()):
             peer = self._peers[i]
-            if peer is None or self._gone(peer):
+            if peer is None or self._is_gone(peer):
                 del self._waiting[i]
-                self._connect(i, address, packet)
+                self._serve_client(i, address, packet)
 
     def _send(self, i: int, packet: Packet) -> None:
-        """Send a packet to a drone's client, if it is there."""
+        """Send a packet to a drone's client; disconnect the client if it is idle for too long."""
         peer = self._peers[i]
         if peer is None:
             return
-        if self._clock() - peer.heard > self._limits.max_idle:
+        if self._clock() - peer.last_heard > self._limits.max_idle:
             self._peers[i] = None
-            self.fleet.vehicles[i].leave()
+            self.fleet.vehicles[i].reset_client()
             return
         self._send_to(i, packet.frame(), peer.address)

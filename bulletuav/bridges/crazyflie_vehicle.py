@@ -1,39 +1,39 @@
-"""One virtual Crazyflie: its supervisor, its services, and who decides what it does."""
+"""One virtual Crazyflie without its body: supervisor, services, and priority of its commanders."""
 
 from collections.abc import Callable
 from enum import IntFlag
 
-from bulletuav.bridges.crazyflie_planner import Planner
-from bulletuav.bridges.crazyflie_services import LogService, MemoryService, ParameterService
-from bulletuav.bridges.crazyflie_setpoints import Commander, Motors
-from bulletuav.bridges.crazyflie_tables import Telemetry
+from bulletuav.bridges.crazyflie_high_level import HighLevelCommander
+from bulletuav.bridges.crazyflie_services import CrtpParameterService, LogService, MemoryService
+from bulletuav.bridges.crazyflie_setpoints import Commander, ThrustMap
+from bulletuav.bridges.crazyflie_toc import Telemetry
 from bulletuav.bridges.crtp import (
-    MOST_DATA,
+    MAX_DATA_SIZE,
     PROTOCOL_VERSION,
+    CrtpPort,
     Errno,
     MalformedError,
     Packet,
-    Port,
-    pack,
-    unpack,
+    pack_data,
+    unpack_data,
 )
 from bulletuav.bridges.setpoints import Guide, Order, State
 from bulletuav.vehicle.airframe import Airframe
 
 LINK_NAME = b"Bitcraze Crazyflie"
-"""What the link's source tells; clients go on only if it is this"""
-TUMBLED_AFTER = 1.0
-"""How long a drone is upside down until its motors stop, s"""
-WATCHDOG = 1.0
-"""Longest time between packets of the emergency watchdog, once there was one, s"""
-MOTIONS = (7, 8, 11, 12, 13)
-"""Commands of the planner that move the drone"""
-TURNING = 0.1
-"""Share of the greatest rotor speed from which on a drone is said to fly"""
+"""Reply on the link's source channel; clients connect only if it is this text"""
+TUMBLE_TIMEOUT = 1.0
+"""Time upside down after which a drone counts as tumbled and its motors stop, s"""
+WATCHDOG_TIMEOUT = 1.0
+"""Maximum time between packets of the emergency-stop watchdog, after the first of them, s"""
+MOTION_COMMANDS = (7, 8, 11, 12, 13)
+"""Commands of the high-level commander that move the drone"""
+MIN_FLYING_SPEED_FRACTION = 0.1
+"""Fraction of the maximum rotor speed above which a drone counts as flying"""
 
 
-class Bits(IntFlag):
-    """What the supervisor tells."""
+class SupervisorBits(IntFlag):
+    """Bit field of the supervisor's state, as in the firmware (`supervisor.info`)."""
 
     CAN_BE_ARMED = 1
     ARMED = 2
@@ -43,141 +43,155 @@ class Bits(IntFlag):
     TUMBLED = 32
     LOCKED = 64
     CRASHED = 128
-    PLANNER_ACTIVE = 256
-    PLANNER_FINISHED = 512
-    PLANNER_DISABLED = 1024
+    HL_CONTROL_ACTIVE = 256
+    HL_TRAJECTORY_FINISHED = 512
+    HL_CONTROL_DISABLED = 1024
 
 
-class Vehicle:
-    """One virtual Crazyflie, without its body: packets in, commands and packets out.
+class CrazyflieVehicle:
+    """Firmware of one virtual Crazyflie: takes CRTP packets, returns answers and flight commands.
+
+    The body flies in the airspace of a `CrazyflieFleet`, which passes its state to `update_state`.
 
     Attributes:
-        parameters: Its parameters.
-        logs: Its log blocks.
-        malformed: How many packets could not be read.
-        refusal: Why the last packet's command was refused, with the remedy; empty if it was not.
+        parameters: Parameter service.
+        logs: Log service with the client's log blocks.
+        malformed: Number of packets that could not be parsed.
+        refusal: Reason why the last packet had no effect, with a remedy; empty if it had one.
     """
 
-    def __init__(self, airframe: Airframe, recover: Callable[[], bool]) -> None:
-        """Switch it on, armed, as those without a need for arming are.
+    def __init__(self, airframe: Airframe, set_upright: Callable[[], bool]) -> None:
+        """Initialise the drone as armed, as firmware does that needs no arming.
 
         Args:
-            airframe: Of its body.
-            recover: Function that puts the body on its feet, and tells whether it could.
+            airframe: Airframe of the body.
+            set_upright: Function that places the body upright and returns True if there was space.
         """
-        self._airframe, self._recover = airframe, recover
-        self.parameters, self.logs, self._memory = ParameterService(), LogService(), MemoryService()
-        self._motors, self._guide = Motors(airframe), Guide(airframe)
-        self._commander = Commander(self._motors)
-        self._planner = Planner(airframe, self._memory.content)
-        self._armed, self._locked, self._crashed = True, False, False
-        self._upright_at, self._now = 0.0, 0.0
-        self._watchdog: float | None = None
+        self._airframe, self._set_upright = airframe, set_upright
+        self.parameters, self.logs, self._memory = (
+            CrtpParameterService(),
+            LogService(),
+            MemoryService(),
+        )
+        self._thrust_map, self._guide = ThrustMap(airframe), Guide(airframe)
+        self._commander = Commander(self._thrust_map)
+        self._high_level = HighLevelCommander(airframe, self._memory.content)
+        self._is_armed, self._is_locked, self._is_crashed = True, False, False
+        self._last_upright_time, self._now = 0.0, 0.0
+        self._watchdog_time: float | None = None
         self._state: State = ([0.0] * 3, [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
         self._rotor_speed = [0.0] * len(airframe.rotors)
         self._acceleration = [0.0] * 3
         self.malformed, self.refusal = 0, ""
 
-    def leave(self) -> None:
-        """Forget what belongs to a client that has gone."""
+    def reset_client(self) -> None:
+        """Delete the log blocks of a client that has disconnected."""
         self.logs.clear()
 
-    def sense(
-        self,
-        state: State,
-        acceleration: list[float],
-        rotor_speed: list[float],
-        now: float,
+    def update_state(
+        self, state: State, acceleration: list[float], rotor_speed: list[float], now: float
     ) -> None:
-        """Take the body's state over, and look whether it lies upside down.
+        """Set the measured state, and update the supervisor: tumble, crash and watchdog.
 
         Args:
             state: State of the body.
-            acceleration: (3,) of the last step, m/s^2.
-            rotor_speed: (R,) rad/s.
+            acceleration: (3,) mean acceleration over the last step, m/s^2.
+            rotor_speed: (R,) rotor speeds, rad/s.
             now: Time, s.
         """
         self._state, self._acceleration, self._now = state, acceleration, now
         self._rotor_speed = rotor_speed[: len(self._airframe.rotors)]
         x, y, _, _ = state[1]
         if 1 - 2 * (x * x + y * y) > 0:
-            self._upright_at = now
-        if self._tumbled and self._flies:
-            self._crashed = True
-        if self._watchdog is not None and now - self._watchdog > WATCHDOG:
-            self._locked = True
+            self._last_upright_time = now
+        if self._is_tumbled and self._is_flying:
+            self._is_crashed = True
+        if self._watchdog_time is not None and now - self._watchdog_time > WATCHDOG_TIMEOUT:
+            self._is_locked = True
 
     @property
-    def _tumbled(self) -> bool:
-        """Whether it has been upside down for a while."""
-        return self._now - self._upright_at > TUMBLED_AFTER
+    def _is_tumbled(self) -> bool:
+        """True if the drone has been upside down for longer than `TUMBLE_TIMEOUT`."""
+        return self._now - self._last_upright_time > TUMBLE_TIMEOUT
 
     @property
-    def _flies(self) -> bool:
-        """Whether its rotors turn."""
-        return max(self._rotor_speed) > TURNING * self._airframe.max_rotor_speed
+    def _is_flying(self) -> bool:
+        """True if any rotor turns faster than an idle motor."""
+        return max(self._rotor_speed) > MIN_FLYING_SPEED_FRACTION * self._airframe.max_rotor_speed
 
     @property
     def _can_fly(self) -> bool:
-        """Whether its motors may turn."""
-        return self._armed and not (self._locked or self._crashed or self._tumbled)
+        """True if the supervisor allows the motors to turn."""
+        return self._is_armed and not (self._is_locked or self._is_crashed or self._is_tumbled)
 
     @property
-    def bits(self) -> Bits:
-        """What the supervisor tells."""
-        ready = not (self._locked or self._crashed or self._tumbled)
-        told = {
-            Bits.CAN_BE_ARMED: ready,
-            Bits.ARMED: self._armed,
-            Bits.AUTO_ARMED: True,
-            Bits.CAN_FLY: self._can_fly,
-            Bits.FLYING: self._flies,
-            Bits.TUMBLED: self._tumbled,
-            Bits.LOCKED: self._locked,
-            Bits.CRASHED: self._crashed,
-            Bits.PLANNER_ACTIVE: self._planner.flies and self._commander.released,
-            Bits.PLANNER_FINISHED: self._planner.finished(self._now),
-            Bits.PLANNER_DISABLED: not self._planner.flies,
+    def supervisor_bits(self) -> SupervisorBits:
+        """State of the supervisor."""
+        ready = not (self._is_locked or self._is_crashed or self._is_tumbled)
+        flags = {
+            SupervisorBits.CAN_BE_ARMED: ready,
+            SupervisorBits.ARMED: self._is_armed,
+            SupervisorBits.AUTO_ARMED: True,
+            SupervisorBits.CAN_FLY: self._can_fly,
+            SupervisorBits.FLYING: self._is_flying,
+            SupervisorBits.TUMBLED: self._is_tumbled,
+            SupervisorBits.LOCKED: self._is_locked,
+            SupervisorBits.CRASHED: self._is_crashed,
+            SupervisorBits.HL_CONTROL_ACTIVE: self._high_level.has_plan
+            and self._commander.is_released,
+            SupervisorBits.HL_TRAJECTORY_FINISHED: self._high_level.is_finished(self._now),
+            SupervisorBits.HL_CONTROL_DISABLED: not self._high_level.has_plan,
         }
-        return Bits(sum(bit for bit, is_set in told.items() if is_set))
+        return SupervisorBits(sum(bit for bit, is_set in flags.items() if is_set))
 
     def order(self, period: float) -> Order | None:
-        """Tell the command of the next step, or None for motors off."""
+        """Return the flight command of the next step, or None for motors off.
+
+        A low-level setpoint takes priority over the high-level commander until the client releases
+        control or the setpoint times out.
+
+        Args:
+            period: Duration of the step, s.
+        """
         setpoint = self._commander.current(self._now)
         if not self._can_fly:
-            self._commander.drop()
-            self._planner.stop()
+            self._commander.clear()
+            self._high_level.stop()
             return None
-        if self._planner.flies and (setpoint is None or self._commander.released):
-            self._commander.drop()
+        if self._high_level.has_plan and (setpoint is None or self._commander.is_released):
+            self._commander.clear()
             self._guide.rest()
-            return self._planner.order(self._state, self._now)
+            return self._high_level.order(self._state, self._now)
         if setpoint is None or (setpoint.upward == "thrust" and setpoint.z == 0):
             self._guide.rest()
             return None
         return self._guide.order(setpoint, self._state, period)
 
     def telemetry(self, pressure: Callable[[float], float]) -> Telemetry:
-        """Tell what can be logged now."""
-        most = self._airframe.max_rotor_speed
-        target = self._planner.target(self._now) or self._state[0]
+        """Return the present values of all log variables.
+
+        Args:
+            pressure: Function that returns the air pressure (Pa) at a height (m).
+        """
+        max_speed = self._airframe.max_rotor_speed
+        target = self._high_level.target(self._now) or self._state[0]
         return Telemetry(
             self._state,
             self._acceleration,
-            [one / most for one in self._rotor_speed],
-            (self._motors.command(self._rotor_speed), target, int(self.bits)),
+            [speed / max_speed for speed in self._rotor_speed],
+            (self._thrust_map.command(self._rotor_speed), target, int(self.supervisor_bits)),
             pressure,
         )
 
     def answer(self, packet: Packet, tick: int) -> list[Packet]:
-        """Take a packet.
+        """Handle a packet from the client.
 
         Args:
-            packet: From the client.
+            packet: Packet from the client.
             tick: Present time in units of 10 ms.
 
         Returns:
-            The answers; none to a packet that cannot be read, which is counted.
+            Packets to send back. A malformed packet is counted and has no answer.
         """
         self.refusal = ""
         try:
@@ -188,114 +202,120 @@ class Vehicle:
             return []
 
     def _answer(self, packet: Packet, tick: int) -> list[Packet]:
-        """Pass a packet to the part that it is for."""
-        if packet.port == Port.LOG:
+        """Dispatch a packet to the service of its port."""
+        if packet.port == CrtpPort.LOG:
             return self.logs.answer(packet, tick)
-        if packet.port == Port.PARAMETERS:
+        if packet.port == CrtpPort.PARAM:
             return self.parameters.answer(packet)
-        if packet.port == Port.MEMORY:
+        if packet.port == CrtpPort.MEM:
             return self._memory.answer(packet)
-        if packet.port in (Port.ATTITUDE_SETPOINT, Port.SETPOINT):
-            self._take_setpoint(packet)
+        if packet.port in (CrtpPort.SETPOINT, CrtpPort.SETPOINT_GENERIC):
+            self._handle_setpoint(packet)
             return []
-        if packet.port == Port.PLANNER:
-            error = self._planner.take(packet.data, self._state, self._now)
-            if packet.data[0] in MOTIONS:
-                self._require_flight()
+        if packet.port == CrtpPort.SETPOINT_HL:
+            error = self._high_level.handle_command(packet.data, self._state, self._now)
+            if packet.data[0] in MOTION_COMMANDS:
+                self._record_unless_flyable()
             if error:
-                self.refusal = f"command {packet.data[0]} is answered by {Errno(error).name}"
+                self.refusal = f"command {packet.data[0]} returned {Errno(error).name}"
             return [packet._replace(data=packet.data[:3] + bytes([error]))]
-        if packet.port == Port.SUPERVISOR:
-            return self._supervise(packet)
-        if packet.port == Port.PLATFORM:
-            return self._about(packet)
-        if packet.port == Port.LINK:
-            return self._link(packet)
-        # Positions from outside are not needed: the drone knows its own.
+        if packet.port == CrtpPort.SUPERVISOR:
+            return self._handle_supervisor(packet)
+        if packet.port == CrtpPort.PLATFORM:
+            return self._handle_platform(packet)
+        if packet.port == CrtpPort.LINK:
+            return self._handle_link(packet)
+        # External positions (localization port) are ignored: the drone knows its position
         return []
 
     @property
-    def _obstacle(self) -> str:
-        """What keeps its motors from turning, with the remedy."""
-        if self._locked:
-            return "an emergency stop locked it; restart the server"
-        if self._crashed or self._tumbled:
+    def _blocking_reason(self) -> str:
+        """Reason why the motors may not turn, with a remedy."""
+        if self._is_locked:
+            return "it is locked by an emergency stop; restart the server"
+        if self._is_crashed or self._is_tumbled:
             return "it has crashed; send the supervisor's request to recover"
         return "it is not armed; arm it first"
 
-    def _require_flight(self) -> None:
-        """Note that a command will have no effect, as with the firmware, if motors may not turn."""
+    def _record_unless_flyable(self) -> None:
+        """Record a refusal if the motors may not turn; as in the firmware the command is kept."""
         if not self._can_fly:
-            self.refusal = f"it cannot fly: {self._obstacle}"
+            self.refusal = f"it cannot fly: {self._blocking_reason}"
 
-    def _take_setpoint(self, packet: Packet) -> None:
-        """Take a low-level setpoint, which ends plans, or its end."""
-        if packet.port == Port.SETPOINT and packet.channel == 1:
-            (request,) = unpack("B", packet.data)
+    def _handle_setpoint(self, packet: Packet) -> None:
+        """Handle a low-level setpoint, which discards the plan, or a request to release control."""
+        if packet.port == CrtpPort.SETPOINT_GENERIC and packet.channel == 1:
+            (request,) = unpack_data("B", packet.data)
             if request:
-                raise MalformedError(f"request {request} about setpoints: 0 is needed")
+                raise MalformedError(f"setpoint request {request}: 0 is needed")
             self._commander.release()
             return
-        # Zeros stop motors that stand still anyway
+        # A setpoint of zeros stops the motors, which is allowed in any state
         if any(packet.data):
-            self._require_flight()
+            self._record_unless_flyable()
         values = self.parameters.values
         is_rate = not values["flightmode.stabModeRoll"] and not values["flightmode.stabModePitch"]
-        self._commander.take(packet, self._now, (is_rate, not values["flightmode.stabModeYaw"]))
-        self._planner.stop()
+        self._commander.set_setpoint(
+            packet, self._now, (is_rate, not values["flightmode.stabModeYaw"])
+        )
+        self._high_level.stop()
 
-    def _supervise(self, packet: Packet) -> list[Packet]:
-        """Answer the supervisor's port."""
-        (request,) = unpack("B", packet.data)
-        # Channel 0 asks for the state, which is told as bits
+    def _handle_supervisor(self, packet: Packet) -> list[Packet]:
+        """Handle a packet to the supervisor port."""
+        (request,) = unpack_data("B", packet.data)
+        # Channel 0 requests the state
         if packet.channel == 0:
             if request != 0x0C:
-                raise MalformedError(f"request {request} to the supervisor: 12 is needed")
-            return [packet._replace(data=pack("BH", request | 0x80, int(self.bits)))]
-        # The other channel commands: arm, stand up, stop at once, feed the watchdog
+                raise MalformedError(f"supervisor request {request}: 12 is needed")
+            return [
+                packet._replace(data=pack_data("BH", request | 0x80, int(self.supervisor_bits)))
+            ]
+        # Commands on the other channel: arm, recover, emergency stop, feed the watchdog
         success = 1
         if request == 1:
-            (_, arms) = unpack("BB", packet.data)
-            success = not arms or Bits.CAN_BE_ARMED in self.bits
+            (_, arms) = unpack_data("BB", packet.data)
+            success = not arms or SupervisorBits.CAN_BE_ARMED in self.supervisor_bits
             if success:
-                self._armed = bool(arms)
+                self._is_armed = bool(arms)
             else:
-                self.refusal = f"it cannot be armed: {self._obstacle}"
-            outcome = self._armed
+                self.refusal = f"it cannot be armed: {self._blocking_reason}"
+            outcome = self._is_armed
         elif request == 2:
-            outcome = success = self._stand_up()
+            outcome = success = self._recover_from_crash()
             if not success:
-                self.refusal = f"it cannot recover: {self._obstacle}, or there is no room to stand"
+                self.refusal = (
+                    f"it cannot recover: {self._blocking_reason}, or there is no space to stand"
+                )
         elif request == 3:
-            self._locked = outcome = True
+            self._is_locked = outcome = True
         elif request == 4:
-            self._watchdog, outcome = self._now, not self._locked
+            self._watchdog_time, outcome = self._now, not self._is_locked
         else:
-            raise MalformedError(f"command {request} to the supervisor: from 1 to 4 is needed")
-        return [packet._replace(data=pack("BBB", request | 0x80, success, outcome))]
+            raise MalformedError(f"supervisor command {request}: from 1 to 4 is needed")
+        return [packet._replace(data=pack_data("BBB", request | 0x80, success, outcome))]
 
-    def _stand_up(self) -> bool:
-        """Recover from a crash: the body is put on its feet, as somebody would."""
-        if self._locked or (self._tumbled and not self._recover()):
+    def _recover_from_crash(self) -> bool:
+        """Place a tumbled body upright and clear the crash; return True on success."""
+        if self._is_locked or (self._is_tumbled and not self._set_upright()):
             return False
-        self._crashed, self._upright_at = False, self._now
+        self._is_crashed, self._last_upright_time = False, self._now
         return True
 
-    def _about(self, packet: Packet) -> list[Packet]:
-        """Answer the platform's port: versions; and arming as older clients ask for it."""
-        (request,) = unpack("B", packet.data)
+    def _handle_platform(self, packet: Packet) -> list[Packet]:
+        """Handle a packet to the platform port: versions, and arming requests of older clients."""
+        (request,) = unpack_data("B", packet.data)
         if packet.channel == 0:
             if request in (1, 2):
-                self._supervise(Packet(Port.SUPERVISOR, 1, packet.data))
+                self._handle_supervisor(Packet(CrtpPort.SUPERVISOR, 1, packet.data))
             return [packet]
         if packet.channel == 1 and request in (0, 1):
-            told = bytes([PROTOCOL_VERSION]) if request == 0 else b"bulletuav\0"
-            return [packet._replace(data=bytes([request]) + told)]
-        raise MalformedError(f"request {request} on channel {packet.channel} of the platform")
+            reply = bytes([PROTOCOL_VERSION]) if request == 0 else b"bulletuav\0"
+            return [packet._replace(data=bytes([request]) + reply)]
+        raise MalformedError(f"unknown platform request {request} on channel {packet.channel}")
 
     @staticmethod
-    def _link(packet: Packet) -> list[Packet]:
-        """Answer the link: an echo, its source, or nothing for its sink."""
+    def _handle_link(packet: Packet) -> list[Packet]:
+        """Handle a packet to the link port: echo, source, or sink, which has no answer."""
         if packet.channel == 1:
-            return [packet._replace(data=LINK_NAME.ljust(MOST_DATA, b"\0"))]
+            return [packet._replace(data=LINK_NAME.ljust(MAX_DATA_SIZE, b"\0"))]
         return [packet] if packet.channel == 0 else []

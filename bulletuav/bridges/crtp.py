@@ -1,7 +1,7 @@
-"""Packets of CRTP, the protocol by which programs talk to a Crazyflie.
+"""Packets of CRTP (Crazy RealTime Protocol), which clients and a Crazyflie exchange.
 
-A packet is a header and up to 30 bytes. The header has a port, two reserved bits and a channel.
-Numbers are little-endian. Over `udp://` each datagram is one packet.
+A packet consists of a header byte and up to 30 bytes of data. The header contains the port, two
+reserved bits and the channel. Numbers are little-endian. Over `udp://` each datagram is one packet.
 
 Source: Bitcraze, "CRTP - Communication with the Crazyflie", and what cflib 0.1.34 sends.
 """
@@ -11,34 +11,38 @@ import struct
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-MOST_DATA = 30
-"""Greatest size of a packet's data, bytes"""
+MAX_DATA_SIZE = 30
+"""Maximum size of a packet's data, bytes"""
 RESERVED = 0x0C
-"""Bits of the header that are always set"""
-NULL = b"\xff"
-"""Packet without meaning, by which clients look for drones"""
+"""Reserved bits of the header, which are always set"""
+NULL_PACKET = b"\xff"
+"""Null packet, which clients send to scan for drones"""
 PROTOCOL_VERSION = 12
-"""Version that is told to clients; from 12 on they use the supervisor's port"""
+"""CRTP version that the drone reports; clients use the supervisor port from version 12 on"""
 
 
-class Port(IntEnum):
-    """Ports of CRTP, each of which belongs to a part of the firmware."""
+class CrtpPort(IntEnum):
+    """Ports of CRTP, by the names of the firmware; each port belongs to one subsystem.
+
+    `SETPOINT` carries roll, pitch, yaw and thrust. `SETPOINT_GENERIC` carries all other low-level
+    setpoints, `SETPOINT_HL` the commands of the high-level commander.
+    """
 
     CONSOLE = 0
-    PARAMETERS = 2
-    ATTITUDE_SETPOINT = 3
-    MEMORY = 4
+    PARAM = 2
+    SETPOINT = 3
+    MEM = 4
     LOG = 5
     LOCALIZATION = 6
-    SETPOINT = 7
-    PLANNER = 8
+    SETPOINT_GENERIC = 7
+    SETPOINT_HL = 8
     SUPERVISOR = 9
     PLATFORM = 13
     LINK = 15
 
 
 class Errno(IntEnum):
-    """Numbers by which the firmware tells errors, as in C."""
+    """Error codes of the firmware, which are those of C's errno.h."""
 
     NONE = 0
     ENOENT = 2
@@ -53,16 +57,16 @@ class Errno(IntEnum):
 
 
 class MalformedError(ValueError):
-    """Error for a packet whose data is not what its port needs."""
+    """Error for a packet whose data does not have the layout that its port requires."""
 
 
 class Packet(NamedTuple):
-    """One packet.
+    """One CRTP packet.
 
     Attributes:
-        port: Number from 0 to 15.
-        channel: Number from 0 to 3.
-        data: At most 30 bytes.
+        port: Port, from 0 to 15.
+        channel: Channel, from 0 to 3.
+        data: Data, at most 30 bytes.
     """
 
     port: int
@@ -71,7 +75,7 @@ class Packet(NamedTuple):
 
     @classmethod
     def parse(cls, datagram: bytes) -> "Packet":
-        """Read a packet.
+        """Parse a datagram into a packet.
 
         Args:
             datagram: Header and data.
@@ -80,43 +84,45 @@ class Packet(NamedTuple):
             The packet.
 
         Raises:
-            MalformedError: It is empty or too long.
+            MalformedError: If the datagram is empty or longer than 31 bytes.
         """
-        if not 1 <= len(datagram) <= 1 + MOST_DATA:
+        if not 1 <= len(datagram) <= 1 + MAX_DATA_SIZE:
             raise MalformedError(
-                f"a datagram of {len(datagram)} bytes: from 1 to {1 + MOST_DATA} are needed"
+                f"datagram has {len(datagram)} bytes: from 1 to {1 + MAX_DATA_SIZE} are needed"
             )
         return cls(datagram[0] >> 4, datagram[0] & 0x03, datagram[1:])
 
     def frame(self) -> bytes:
-        """Write the packet as a datagram."""
+        """Return the packet as a datagram: header and data."""
         return bytes([self.port << 4 | RESERVED | self.channel]) + self.data
 
 
-def unpack(layout: str, data: bytes) -> tuple[Any, ...]:
-    """Read numbers from the start of a packet's data; what follows them is left.
+def unpack_data(layout: str, data: bytes) -> tuple[Any, ...]:
+    """Unpack numbers from the start of a packet's data.
+
+    Bytes after the last number are ignored.
 
     Args:
-        layout: Format of `struct`, without the byte order.
-        data: The bytes.
+        layout: Format string of `struct`, without the byte order.
+        data: Data of the packet.
 
     Returns:
         The numbers.
 
     Raises:
-        MalformedError: There are too few bytes, or a number is not finite.
+        MalformedError: If there are too few bytes, or if a number is not finite.
     """
-    form = f"<{layout}"
-    size = struct.calcsize(form)
+    byte_layout = f"<{layout}"
+    size = struct.calcsize(byte_layout)
     if len(data) < size:
-        raise MalformedError(f"data of {len(data)} bytes: {size} are needed")
-    numbers = struct.unpack_from(form, data)
-    if not all(map(math.isfinite, (one for one in numbers if isinstance(one, float)))):
-        raise MalformedError("a number that is not finite")
+        raise MalformedError(f"data has {len(data)} bytes: {size} are needed")
+    numbers = struct.unpack_from(byte_layout, data)
+    if not all(map(math.isfinite, (number for number in numbers if isinstance(number, float)))):
+        raise MalformedError("data contains a number that is not finite")
     return numbers
 
 
-def pack(layout: str, *numbers: Any) -> bytes:
-    """Write numbers as bytes, little-endian."""
+def pack_data(layout: str, *numbers: Any) -> bytes:
+    """Pack numbers into little-endian bytes."""
     packed: bytes = struct.pack(f"<{layout}", *numbers)
     return packed

@@ -17,7 +17,14 @@ from collections.abc import Callable
 from typing import Any
 
 from bulletuav.bridges.hil_bodies import STEP_HZ, HilBodies
-from bulletuav.bridges.mavlink_wire import Command, Message, Told, Wire, text, whole_frames
+from bulletuav.bridges.mavlink_protocol import (
+    Command,
+    MavlinkCodec,
+    Message,
+    OutgoingMessage,
+    split_frames,
+    text,
+)
 from bulletuav.bridges.sockets import LOG_NAME, listening
 from bulletuav.envs.pacer import Pacer
 from bulletuav.envs.viewer import join_address
@@ -69,13 +76,13 @@ class Link:
         """Take over a connection from an address."""
         self.peer = peer
         self.begun: float | None = None
-        self.socket, self.wire, self._rest = one, Wire(SIMULATOR), b""
+        self.socket, self.wire, self._rest = one, MavlinkCodec(SIMULATOR), b""
         self.answers = self.waits = self.wants_truth = False
         self.asked = time.perf_counter()
         one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         one.setblocking(False)
 
-    def send(self, told: list[Told]) -> None:
+    def send(self, told: list[OutgoingMessage]) -> None:
         """Send messages.
 
         Raises:
@@ -94,7 +101,7 @@ class Link:
         data = self.socket.recv(MOST_READ)
         if not data:
             raise ConnectionError("an autopilot has gone")
-        frames, self._rest = whole_frames(self._rest + data)
+        frames, self._rest = split_frames(self._rest + data)
         found = self.wire.read(frames)
         if self.wire.malformed or len(self._rest) > MOST_WAITING:
             raise ConnectionError("an autopilot sends what is no MAVLink")
@@ -139,7 +146,7 @@ class HilServer:
         """
         # Bad options, and a missing pymavlink, are told before a port is open
         as_int("port", port, 0, 65536 - len(bodies) if port else 0)
-        Wire(SIMULATOR)
+        MavlinkCodec(SIMULATOR)
         self.bodies, self._patience = bodies, finite("patience", patience, 0.0)
         self.pacer = Pacer(bodies.airspace.period, speed, _sleep=self._listen_for)
         self._selector = selectors.DefaultSelector()

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.bridges.mavlink_fleet import HOME, SPACING
-from bulletuav.bridges.mavlink_wire import Message, Told
+from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage
 from bulletuav.bridges.setpoints import NORTH, Order, corner_speeds, give, make_airspace
 from bulletuav.bridges.starts import starts
 from bulletuav.control.setpoint import SetpointLevel
@@ -124,7 +124,7 @@ class HilBodies:
         """Time that autopilots are told, us."""
         return self.tick * (10**6 // STEP_HZ)
 
-    def measure(self) -> list[list[Told]]:
+    def measure(self) -> list[list[OutgoingMessage]]:
         """Measure; the autopilots' clock goes on.
 
         Returns:
@@ -134,7 +134,7 @@ class HilBodies:
         noise = self._rng.standard_normal((len(self), 10)) * self._noise
         return [self._measured(i, noise[i]) for i in range(len(self))]
 
-    def _measured(self, i: int, noise: np.ndarray) -> list[Told]:
+    def _measured(self, i: int, noise: np.ndarray) -> list[OutgoingMessage]:
         """Make the messages of one body."""
         swarm = self.airspace.swarm
         x, y, z = self._acceleration[i].tolist()
@@ -150,12 +150,12 @@ class HilBodies:
         # Bits of what is new: slow sensors measure in some steps only
         updated = INERTIAL | (SLOW if self.tick % SLOW_STEPS == 0 else 0)
         felt = (*force.tolist(), *rates.tolist(), *field.tolist(), *air, *above)
-        told = [Told("hil_sensor", (self.stamp, *felt, updated))]
+        told = [OutgoingMessage("hil_sensor", (self.stamp, *felt, updated))]
         if self.tick % GPS_STEPS == 0:
             told.append(self._located(i))
         return told
 
-    def _located(self, i: int) -> Told:
+    def _located(self, i: int) -> OutgoingMessage:
         """Tell what a satellite receiver measures, without noise: cm, cm/s and 1e-7 degrees."""
         swarm = self.airspace.swarm
         latitude, longitude, altitude = self.origin.to_geodetic(swarm.position[i]).tolist()
@@ -163,9 +163,11 @@ class HilBodies:
         flat = math.hypot(north, east)
         course = round(math.degrees(math.atan2(east, north)) * 100) % 36000
         where = (round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1000), 30, 40)
-        return Told("hil_gps", (self.stamp, 3, *where, round(flat), north, east, down, course, 12))
+        return OutgoingMessage(
+            "hil_gps", (self.stamp, 3, *where, round(flat), north, east, down, course, 12)
+        )
 
-    def truth(self, i: int) -> Told:
+    def truth(self, i: int) -> OutgoingMessage:
         """Tell how a body truly moves: HIL_STATE_QUATERNION."""
         swarm = self.airspace.swarm
         latitude, longitude, altitude = self.origin.to_geodetic(swarm.position[i]).tolist()
@@ -178,7 +180,7 @@ class HilBodies:
         where = (round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1000))
         rates = flu_to_frd(swarm.rates[i]).tolist()
         rest = (*where, *velocity, speed, speed, *milli.tolist())
-        return Told("hil_state_quaternion", (self.stamp, turn, *rates, *rest))
+        return OutgoingMessage("hil_state_quaternion", (self.stamp, turn, *rates, *rest))
 
     def command(self, i: int, message: Message) -> None:
         """Take HIL_ACTUATOR_CONTROLS: shares of the greatest rotor speed.

@@ -1,10 +1,10 @@
-"""Server of MAVLink vehicles: each is a UDP port, and sends to the port where clients listen.
+"""UDP server of MAVLink vehicles: one port for each vehicle.
 
     server = MavlinkServer(MavlinkFleet(10))
     server.run()
 
-Vehicle k is system k + 1. It sends to port 14540 + k, as PX4 does, and to whoever speaks to it at
-its own port, 18570 + k.
+Vehicle k is system k + 1. It sends to port 14540 + k, as PX4 does, and to all clients that send
+messages to its own port, 18570 + k.
 """
 
 import logging
@@ -12,8 +12,8 @@ import time
 from collections import deque
 
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-from bulletuav.bridges.mavlink_services import describe, packed, refusal_of
-from bulletuav.bridges.mavlink_wire import Message, Sender, Told, Wire, text
+from bulletuav.bridges.mavlink_protocol import MavlinkCodec, Message, OutgoingMessage, Sender, text
+from bulletuav.bridges.mavlink_services import describe_message, find_refusal_reason, join_frames
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import as_int
@@ -23,28 +23,28 @@ from bulletuav.serving.refusals import Refusals
 PORT = 18570
 """Port of the first vehicle"""
 CLIENT_PORT = 14540
-"""Port to which the first vehicle sends without being asked: MAVSDK listens there"""
+"""Port to which the first vehicle sends unasked, at which MAVSDK listens"""
 LIMITS = Limits(
     max_clients=8, max_pending=8, handshake=10.0, max_idle=10.0, grace=5.0, pending_grace=3.0
 )
-"""Limits of the peers of a vehicle, which are pending while they send nothing but heartbeats"""
-MOST_DATAGRAM = 1400
-"""Most bytes of a datagram; longer ones are cut"""
-MOST_READ = 32
-"""Most messages that are taken of a vehicle's socket in one go: others wait, or are dropped"""
+"""Limits of a vehicle's clients; a client is pending while it has sent nothing but heartbeats"""
+MAX_DATAGRAM_SIZE = 1400
+"""Maximum size of a datagram, bytes; longer datagrams are truncated"""
+MAX_MESSAGES_PER_READ = 32
+"""Maximum number of messages of a vehicle that are handled in a row; others wait"""
 
 
 class MavlinkServer(DatagramServer):
-    """Sockets, one a vehicle, around a fleet that flies in real time.
+    """Server with one UDP socket for each vehicle of a fleet, which flies in real time.
 
     Attributes:
         fleet: The vehicles.
-        pacer: Keeps the time; tells how many steps were late.
-        ports: Of each vehicle.
-        malformed: How many datagrams held what is no frame of MAVLink.
-        refused: How many came from peers for which there was no room.
-        connections: Peers of each vehicle.
-        received, sent: How many messages.
+        pacer: Pacer of the real-time loop, which counts late steps.
+        ports: Port of each vehicle.
+        malformed: Number of datagrams with bytes that are not a MAVLink frame.
+        refused: Number of messages from clients beyond the limit.
+        connections: Clients of each vehicle.
+        received, sent: Numbers of messages.
     """
 
     def __init__(
@@ -57,26 +57,26 @@ class MavlinkServer(DatagramServer):
         limits: Limits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
-        """Open the ports; clients are answered once it runs.
+        """Open the ports; clients are answered once `run` is called.
 
         Args:
             fleet: The vehicles.
-            host: Address to listen at. Whoever can reach it can fly the vehicles.
-            port: Of the first vehicle; 0 for free ones.
-            speed: Simulated seconds in one of the clock.
-            client_port: Port at the same address to which the first vehicle sends without being
-                asked, the others to those after it; None for nowhere.
-            limits: Limits of the peers of each vehicle.
-            clock: Function that returns the time by which peers are idle, s.
+            host: Address to listen at. Anybody who can reach it can fly the vehicles.
+            port: Port of the first vehicle; 0 for free ports.
+            speed: Simulated seconds per second of real time.
+            client_port: Port at the same address to which the first vehicle sends unasked. Further
+                vehicles send to the following ports. None for no such ports.
+            limits: Limits of the clients of each vehicle.
+            clock: Function that returns the time by which clients are idle, s.
 
         Raises:
-            ValueError: A port or the speed cannot be.
-            OSError: A port is in use, or there is no such address.
-            ImportError: pymavlink is not installed.
+            ValueError: If a port or the speed is invalid.
+            OSError: If a port is in use, or the address does not exist.
+            ImportError: If pymavlink is not installed.
         """
         if client_port is not None:
             as_int("client_port", client_port, 1, 65536 - len(fleet))
-        self._wires = [Wire(k + 1) for k in range(len(fleet))]
+        self._codecs = [MavlinkCodec(k + 1) for k in range(len(fleet))]
         super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
         self.refused = self.received = self.sent = 0
@@ -84,84 +84,85 @@ class MavlinkServer(DatagramServer):
         self.connections: list[Connections[Address]] = [
             Connections(limits, clock) for _ in self.ports
         ]
-        # Messages of a datagram that had more than are taken in one go
+        # Received messages beyond the limit per read
         self._waiting: list[deque[tuple[Message, Address]]] = [deque() for _ in self.ports]
-        self._always: list[tuple[Address, ...]] = [
+        self._client_addresses: list[tuple[Address, ...]] = [
             () if client_port is None else ((host, client_port + k),) for k in range(len(fleet))
         ]
 
     @property
     def malformed(self) -> int:
-        """Number of datagrams that held what is no frame of MAVLink."""
-        return sum(wire.malformed for wire in self._wires)
+        """Number of datagrams with bytes that are not a MAVLink frame."""
+        return sum(wire.malformed for wire in self._codecs)
 
     def _step(self) -> None:
-        """Fly for 10 ms, and send what vehicles tell."""
-        for i, told in enumerate(self.fleet.step()):
-            if told:
-                self._send_all(i, told)
+        """Fly for one step of 10 ms, and send telemetry."""
+        for i, messages in enumerate(self.fleet.step()):
+            if messages:
+                self._broadcast(i, messages)
 
     def _received(self) -> list[int]:
-        """Return the vehicles that have messages which are received already, but not taken."""
+        """Return the vehicles with received messages that have not been handled."""
         return [i for i, waiting in enumerate(self._waiting) if waiting]
 
-    def _send_all(self, i: int, told: list[Told]) -> None:
-        """Send messages of a vehicle to all its peers; those that have gone are forgotten."""
+    def _broadcast(self, i: int, messages: list[OutgoingMessage]) -> None:
+        """Send messages of a vehicle to all its clients, and remove idle clients."""
         connections = self.connections[i]
         for address in connections.overdue():
             connections.remove(address)
-        wanted = dict.fromkeys((*self._always[i], *connections.all()))
-        if not wanted:
+        addresses = dict.fromkeys((*self._client_addresses[i], *connections.all()))
+        if not addresses:
             return
-        self.sent += len(told)
-        frames = [self._wires[i].pack(one) for one in told]
-        for datagram in packed(frames, MOST_DATAGRAM):
-            for address in wanted:
+        self.sent += len(messages)
+        frames = [self._codecs[i].pack(message) for message in messages]
+        for datagram in join_frames(frames, MAX_DATAGRAM_SIZE):
+            for address in addresses:
                 self._send_to(i, datagram, address)
 
     def _read(self, i: int) -> None:
-        """Take the messages that have come for a vehicle, as many as may be in one go."""
+        """Handle messages for a vehicle, up to `MAX_MESSAGES_PER_READ`."""
         waiting = self._waiting[i]
-        for _ in range(MOST_READ):
+        for _ in range(MAX_MESSAGES_PER_READ):
             if not waiting and not self._receive(i):
                 return
             if waiting:
-                self._take(i, *waiting.popleft())
+                self._handle_message(i, *waiting.popleft())
 
     def _receive(self, i: int) -> bool:
-        """Receive a datagram, whose messages wait; return False if there is none."""
+        """Receive a datagram and queue its messages; return False if there is none."""
         try:
-            datagram, address = self._sockets[i].recvfrom(MOST_DATAGRAM)
-        # Nothing is left; or, on Windows, a client that was sent something has gone.
+            datagram, address = self._sockets[i].recvfrom(MAX_DATAGRAM_SIZE)
+        # The socket is empty; or, on Windows, the receiver of an earlier datagram has gone
         except OSError:
             return False
-        messages = self._wires[i].read(datagram)
+        messages = self._codecs[i].read(datagram)
         self._waiting[i].extend((message, address[:2]) for message in messages)
         return True
 
-    def _take(self, i: int, message: Message, address: Address) -> None:
-        """Take a message, and send the answers."""
+    def _handle_message(self, i: int, message: Message, address: Address) -> None:
+        """Handle a message, and send the answers to its sender."""
         if not self._admit(i, message, address):
             return
         sender = Sender(message.get_srcSystem(), message.get_srcComponent(), address)
-        told = self.fleet.take(i, message, sender)
-        if reason := refusal_of(told):
-            call = f"{describe(message)} to vehicle {i + 1}"
+        messages = self.fleet.take(i, message, sender)
+        if reason := find_refusal_reason(messages):
+            call = f"{describe_message(message)} to vehicle {i + 1}"
             self._refusals.log(join_address(*address), call, reason)
-        self._send_frames(i, told, address)
+        self._send_messages(i, messages, address)
         self.received += 1
 
-    def _send_frames(self, i: int, told: list[Told], address: Address) -> None:
+    def _send_messages(self, i: int, messages: list[OutgoingMessage], address: Address) -> None:
         """Send messages of a vehicle to one address."""
-        frames = [self._wires[i].pack(one) for one in told]
-        for datagram in packed(frames, MOST_DATAGRAM):
+        frames = [self._codecs[i].pack(message) for message in messages]
+        for datagram in join_frames(frames, MAX_DATAGRAM_SIZE):
             self._send_to(i, datagram, address)
-        self.sent += len(told)
+        self.sent += len(messages)
 
     def _admit(self, i: int, message: Message, address: Address) -> bool:
-        """Record that a peer was heard; return False if there is no room for it.
+        """Register activity of a client; return False if the vehicle has too many clients.
 
-        Heartbeats alone take no client's place: they come from any number of ports in a flood.
+        Clients that send heartbeats alone have a limit of their own, so that a flood of heartbeats
+        from many ports cannot displace a client that commands the vehicle.
         """
         connections = self.connections[i]
         try:
@@ -175,6 +176,6 @@ class MavlinkServer(DatagramServer):
             self.refused += 1
             event = f"refused by vehicle {i + 1}: {error}; close one first"
             if self._refusals.log_connection(join_address(*address), event):
-                self._send_frames(i, [text("refused: too many clients, try later")], address)
+                self._send_messages(i, [text("refused: too many clients, try later")], address)
             return False
         return True

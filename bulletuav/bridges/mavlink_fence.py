@@ -1,130 +1,134 @@
-"""A geofence: where a MAVLink vehicle may be."""
+"""Geofence of a MAVLink vehicle, and the mission items by which clients upload it."""
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from bulletuav.bridges.mavlink_places import Site
-from bulletuav.bridges.mavlink_wire import RefusedError
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_protocol import RefusedError
 
-INSIDE_POLYGON, OUTSIDE_POLYGON, INSIDE_CIRCLE, OUTSIDE_CIRCLE = range(5001, 5005)
-"""Commands of the items of which fences are made"""
-FENCE_ITEMS = (INSIDE_POLYGON, OUTSIDE_POLYGON, INSIDE_CIRCLE, OUTSIDE_CIRCLE)
-Flat = tuple[float, float]
+POLYGON_INCLUSION, POLYGON_EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION = range(5001, 5005)
+"""Commands of fence items (MAV_CMD_NAV_FENCE_...)"""
+FENCE_COMMANDS = (POLYGON_INCLUSION, POLYGON_EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION)
+Point = tuple[float, float]
 
 
-class Item(NamedTuple):
-    """An item of a mission or of a fence, as clients upload it.
+class MissionItem(NamedTuple):
+    """Item of a mission or of a geofence, as clients upload it.
 
     Attributes:
-        frame: MAVLink's frame.
-        command: What to do, or what part of a fence it is.
-        numbers: (4,) parameters; NaN for left out.
-        x, y: Latitude and longitude, deg, in frames of the Earth.
+        frame: MAVLink frame.
+        command: Command, or kind of fence area.
+        params: (4,) parameters; NaN if unset.
+        x, y: Latitude and longitude, deg, in global frames.
         z: Altitude, m.
-        goes_on: Whether the next item follows by itself.
+        autocontinue: Whether to continue with the next item automatically.
     """
 
     frame: int
     command: int
-    numbers: tuple[float, float, float, float]
+    params: tuple[float, float, float, float]
     x: float
     y: float
     z: float
-    goes_on: bool
+    autocontinue: bool
 
 
-class Area(NamedTuple):
-    """A polygon or a circle, on the plane.
+class FenceArea(NamedTuple):
+    """Polygon or circle in the horizontal plane.
 
     Attributes:
-        keeps_in: Whether the vehicle is to stay inside; else outside.
-        points: Corners, or a circle's centre, m, east and north.
-        radius: Of a circle, m.
+        is_inclusion: Whether the vehicle must stay inside; otherwise it must stay outside.
+        points: Vertices of a polygon, or centre of a circle, east and north, m.
+        radius: Radius of a circle, m.
     """
 
-    keeps_in: bool
-    points: tuple[Flat, ...]
+    is_inclusion: bool
+    points: tuple[Point, ...]
     radius: float = 0.0
 
-    def holds(self, x: float, y: float) -> bool:
-        """Tell whether a point is inside."""
+    def contains(self, x: float, y: float) -> bool:
+        """Return True if a point is inside the area."""
         if len(self.points) == 1:
-            (middle,) = self.points
-            return math.dist(middle, (x, y)) <= self.radius
+            (center,) = self.points
+            return math.dist(center, (x, y)) <= self.radius
         inside = False
-        # A ray to the east crosses the edges of what a point is in an odd number of times.
+        # Ray casting: a ray from an inside point crosses the edges an odd number of times
         for (ax, ay), (bx, by) in zip(self.points, self.points[1:] + self.points[:1], strict=True):
             if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * (bx - ax):
                 inside = not inside
         return inside
 
 
-class Fence:
-    """Areas that were uploaded, and distances from home that parameters tell."""
+class Geofence:
+    """Geofence: uploaded areas, and maximum distances from home as parameters."""
 
     def __init__(self, site: Site, values: Mapping[str, float]) -> None:
-        """Begin without areas.
+        """Initialise without areas.
 
         Args:
-            site: Where the vehicle's coordinates begin.
-            values: Of the parameters.
+            site: Start position of the vehicle.
+            values: Values of the parameters.
         """
         self._site, self._values = site, values
-        self._areas: tuple[Area, ...] = ()
+        self._areas: tuple[FenceArea, ...] = ()
 
-    def take(self, items: Sequence[Item]) -> None:
-        """Replace the areas.
+    def set_items(self, items: Sequence[MissionItem]) -> None:
+        """Replace the areas by uploaded items.
 
         Raises:
-            RefusedError: Items make no areas; those from before stay.
+            RefusedError: If the items do not form valid areas. The previous areas remain.
         """
         areas, k = [], 0
         while k < len(items):
             count = 1
-            if items[k].command in (INSIDE_POLYGON, OUTSIDE_POLYGON):
-                number = items[k].numbers[0]
+            if items[k].command in (POLYGON_INCLUSION, POLYGON_EXCLUSION):
+                number = items[k].params[0]
                 count = int(number) if 3 <= number <= len(items) - k else 0
-            areas.append(self._area(items[k : k + count]))
+            areas.append(self._make_area(items[k : k + count]))
             k += count
         self._areas = tuple(areas)
 
-    def _area(self, items: Sequence[Item]) -> Area:
-        """Make an area of its items, which are of one kind."""
-        if not items or len({(one.command, one.numbers[0]) for one in items}) > 1:
-            raise RefusedError("fence: each vertex tells how many there are, at least 3")
+    def _make_area(self, items: Sequence[MissionItem]) -> FenceArea:
+        """Make an area of its items, which must be of one kind."""
+        if not items or len({(item.command, item.params[0]) for item in items}) > 1:
+            raise RefusedError("fence: need 3 or more vertices with equal counts")
         first = items[0]
-        places = [self._site.of_global(one.frame, one.x, one.y, 0.0) for one in items]
-        keeps_in = first.command in (INSIDE_POLYGON, INSIDE_CIRCLE)
-        points = tuple((x, y) for x, y, _ in places)
+        positions = [self._site.from_global(item.frame, item.x, item.y, 0.0) for item in items]
+        is_inclusion = first.command in (POLYGON_INCLUSION, CIRCLE_INCLUSION)
+        points = tuple((x, y) for x, y, _ in positions)
         if len(points) > 1:
-            return Area(keeps_in, points)
-        if not first.numbers[0] > 0:
+            return FenceArea(is_inclusion, points)
+        if not first.params[0] > 0:
             raise RefusedError("fence: a circle needs a radius above 0")
-        return Area(keeps_in, points, first.numbers[0])
+        return FenceArea(is_inclusion, points, first.params[0])
 
-    def refusal(self, place: Sequence[float]) -> str | None:
-        """Tell why a place (3,), m, is not allowed, or None where it is."""
-        x, y, z = place
-        begin, most = self._site.start, self._values
-        flat = math.dist(begin[:2], (x, y))
-        if 0 < most["GF_MAX_HOR_DIST"] < flat:
-            return f"outside GF_MAX_HOR_DIST of {most['GF_MAX_HOR_DIST']:g} m"
-        if 0 < most["GF_MAX_VER_DIST"] < z - begin[2]:
-            return f"outside GF_MAX_VER_DIST of {most['GF_MAX_VER_DIST']:g} m"
-        inclusive = [area for area in self._areas if area.keeps_in]
-        if inclusive and not any(area.holds(x, y) for area in inclusive):
+    def find_breach(self, position: Sequence[float]) -> str | None:
+        """Return the reason why a position (3,), m, breaches the fence, or None if it does not."""
+        x, y, z = position
+        start, limits = self._site.start, self._values
+        distance = math.dist(start[:2], (x, y))
+        if 0 < limits["GF_MAX_HOR_DIST"] < distance:
+            return f"outside GF_MAX_HOR_DIST of {limits['GF_MAX_HOR_DIST']:g} m"
+        if 0 < limits["GF_MAX_VER_DIST"] < z - start[2]:
+            return f"outside GF_MAX_VER_DIST of {limits['GF_MAX_VER_DIST']:g} m"
+        inclusive = [area for area in self._areas if area.is_inclusion]
+        if inclusive and not any(area.contains(x, y) for area in inclusive):
             return "outside the fence"
-        if any(area.holds(x, y) for area in self._areas if not area.keeps_in):
-            return "in a forbidden area of the fence"
+        if any(area.contains(x, y) for area in self._areas if not area.is_inclusion):
+            return "in an exclusion area of the fence"
         return None
 
-    def check(self, what: str, place: Sequence[float]) -> None:
-        """Refuse a place that is not allowed.
+    def require_inside(self, what: str, position: Sequence[float]) -> None:
+        """Check that a position does not breach the fence.
+
+        Args:
+            what: Start of the error message, such as "setpoint is".
+            position: (3,) position, m.
 
         Raises:
-            RefusedError: It is not.
+            RefusedError: If the position breaches the fence.
         """
-        reason = self.refusal(place)
+        reason = self.find_breach(position)
         if reason is not None:
             raise RefusedError(f"{what} {reason}")

@@ -1,4 +1,4 @@
-"""MAVLink vehicles in one airspace, without sockets: messages in, messages out, step by step."""
+"""Fleet of MAVLink vehicles in one airspace, without sockets: messages in, messages out."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.mavlink_places import Site
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, Sender
 from bulletuav.bridges.mavlink_services import Services
 from bulletuav.bridges.mavlink_telemetry import STEP_HZ
-from bulletuav.bridges.mavlink_vehicle import Vehicle
-from bulletuav.bridges.mavlink_wire import Message, Sender, Told
+from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
 from bulletuav.bridges.setpoints import NORTH, give, make_airspace, states_of
 from bulletuav.bridges.starts import starts
 from bulletuav.earth import Origin, attitude_to_ned
@@ -18,29 +18,29 @@ from bulletuav.errors import as_int, as_sequence
 from bulletuav.vehicle.airframes import load_airframe
 
 PHYSICS_HZ = 500
-"""Steps of physics, and of the loops of attitude and rates, a second"""
+"""Physics steps per second, and steps of the attitude and rate controllers"""
 HOME = (47.397742, 8.545594, 488.0)
-"""Where PX4's simulated vehicles are: latitude, longitude (degrees), altitude (m)"""
+"""Default home of PX4's simulated vehicles: latitude, longitude (degrees), altitude (m)"""
 SPACING = 2.0
 """Distance between neighbours at the start, m"""
-MOST_VEHICLES = 250
-"""Numbers above it are those of ground stations"""
-UPWARD = 0.7
-"""Upward part of the normal from which on a drone stands on what it touches"""
+MAX_VEHICLES = 250
+"""Maximum number of vehicles; higher system IDs belong to ground stations"""
+MIN_SUPPORT_NORMAL = 0.7
+"""Minimum upward component of a contact normal for a contact that supports the vehicle"""
 
 
 class MavlinkFleet:
-    """N vehicles whose bodies fly, and collide, in one airspace; they look north at the start.
+    """N vehicles that fly, and collide, in one airspace; they face north at the start.
 
         fleet = MavlinkFleet(2)
         answers = fleet.take(0, message, sender)
-        told = fleet.step()
+        messages = fleet.step()
 
     Attributes:
-        airspace: Where they fly.
-        services: One for each vehicle.
-        origin: Place on the Earth of the airspace's origin.
-        tick: Steps flown, of 10 ms each.
+        airspace: Airspace in which they fly.
+        services: Message handler of each vehicle.
+        origin: Geodetic position of the airspace's origin.
+        tick: Number of steps, of 10 ms each.
     """
 
     def __init__(
@@ -51,35 +51,39 @@ class MavlinkFleet:
         home: Sequence[float] = HOME,
         **options: Any,
     ) -> None:
-        """Put vehicles on the ground, and switch them on.
+        """Place the vehicles on the ground, and switch them on.
 
         Args:
-            drones: How many there are, in rows 2 m apart; or where they stand, (N, 2), m.
-            airframe: Their airframe.
-            home: Latitude, longitude (degrees) and altitude (m) of the origin.
-            **options: More options of `Airspace`, such as wind or obstacles.
+            drones: Number of vehicles, in rows 2 m apart; or their positions, (N, 2), m.
+            airframe: Airframe of all vehicles.
+            home: Latitude, longitude (degrees) and altitude (m) of the airspace's origin.
+            **options: Further options of `Airspace`, such as wind or obstacles.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
         frame = load_airframe(airframe)
         places = starts(drones, frame.standing_height, SPACING)
-        as_int("number of drones", len(places), 1, MOST_VEHICLES)
+        as_int("number of drones", len(places), 1, MAX_VEHICLES)
         if "decision_hz" in options:
-            raise ValueError(f"decision_hz is {STEP_HZ} for clients of MAVLink: leave it out")
+            raise ValueError(f"decision_hz is {STEP_HZ} for MAVLink clients: omit the option")
         self.origin = Origin(*as_sequence("home", home, 3))
-        known = {"physics_hz": PHYSICS_HZ, "decision_hz": STEP_HZ, **options}
-        self.airspace = make_airspace(places, frame, **known)
+        settings = {"physics_hz": PHYSICS_HZ, "decision_hz": STEP_HZ, **options}
+        self.airspace = make_airspace(places, frame, **settings)
         self.services = [
-            Services(Vehicle(k + 1, frame, Site.at(self.origin, place), partial(self._locate, k)))
+            Services(
+                MavlinkVehicle(
+                    k + 1, frame, Site.from_start(self.origin, place), partial(self._locate, k)
+                )
+            )
             for k, place in enumerate(places)
         ]
         self.tick, self._starts = 0, places
         self.airspace.place(None, places, NORTH)
-        self._sense()
+        self._update_vehicles()
 
     def __len__(self) -> int:
-        """Tell how many vehicles there are."""
+        """Return the number of vehicles."""
         return len(self.services)
 
     @property
@@ -87,53 +91,51 @@ class MavlinkFleet:
         """Time since the start, s."""
         return self.tick / STEP_HZ
 
-    def take(
-        self,
-        drone: int,
-        message: Message,
-        sender: Sender,
-    ) -> list[Told]:
-        """Give a message to a vehicle; its answers are returned."""
+    def take(self, drone: int, message: Message, sender: Sender) -> list[OutgoingMessage]:
+        """Pass a message to a vehicle, and return the vehicle's answers."""
         return self.services[drone].answer(message, sender)
 
-    def step(self) -> list[list[Told]]:
-        """Fly for 10 ms.
+    def step(self) -> list[list[OutgoingMessage]]:
+        """Fly for one step of 10 ms.
 
         Returns:
-            What each vehicle tells all its clients.
+            Messages of each vehicle to all its clients.
 
         Raises:
-            RuntimeError: The flight diverged, or the airspace is closed.
+            RuntimeError: If the flight diverged, or the airspace is closed.
         """
         period = self.airspace.period
-        give(self.airspace, [one.vehicle.pilot.order(period) for one in self.services])
+        give(self.airspace, [service.vehicle.pilot.order(period) for service in self.services])
         self.airspace.step()
         self.tick += 1
-        self._sense()
-        return [one.due(self.tick) for one in self.services]
+        self._update_vehicles()
+        return [service.due(self.tick) for service in self.services]
 
     def warm_up(self) -> None:
-        """Compile what flies, which takes a minute the first time; drones stay where they are."""
+        """Compile the simulation, which takes a minute the first time; the vehicles do not move."""
         self.airspace.warm_up()
         self.airspace.place(None, self._starts, NORTH)
 
-    def _sense(self) -> None:
-        """Tell the vehicles how their bodies move."""
+    def _update_vehicles(self) -> None:
+        """Pass the state of each body to its vehicle."""
         swarm, contacts = self.airspace.swarm, self.airspace.contacts
-        touching = set(contacts.drone[contacts.normal[:, 2] > UPWARD].tolist())
-        self._located: list[list[float]] | None = None
-        for i, (one, state) in enumerate(zip(self.services, states_of(swarm), strict=True)):
-            one.vehicle.pilot.sense(state, self.time, i in touching or self.tick == 0)
+        touching = set(contacts.drone[contacts.normal[:, 2] > MIN_SUPPORT_NORMAL].tolist())
+        self._geodetic_poses: list[list[float]] | None = None
+        for i, (service, state) in enumerate(zip(self.services, states_of(swarm), strict=True)):
+            service.vehicle.pilot.update_state(state, self.time, i in touching or self.tick == 0)
 
     def _locate(self, i: int) -> list[float]:
-        """Tell where a vehicle is, see `Vehicle.locate`; all are worked out at once."""
-        if self._located is None:
+        """Return the geodetic pose of a vehicle, see `MavlinkVehicle.locate`.
+
+        All poses of a step are computed together, when the first one is requested.
+        """
+        if self._geodetic_poses is None:
             swarm = self.airspace.swarm
             turns = attitude_to_ned(swarm.quaternion, scalar_first=True)
             places = self.origin.to_geodetic(swarm.position)
-            self._located = np.concatenate([places, turns], axis=1).tolist()
-        return self._located[i]
+            self._geodetic_poses = np.concatenate([places, turns], axis=1).tolist()
+        return self._geodetic_poses[i]
 
     def close(self) -> None:
-        """Free the airspace."""
+        """Close the airspace."""
         self.airspace.close()

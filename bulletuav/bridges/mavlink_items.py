@@ -1,97 +1,91 @@
-"""What the items of a mission ask for: places, speeds, times."""
+"""Mission items: supported commands, positions, and validation of a mission."""
 
 import math
 from collections.abc import Sequence
 
-from bulletuav.bridges.mavlink_fence import Fence, Item
-from bulletuav.bridges.mavlink_places import GLOBAL_FRAMES, RELATIVE_FRAMES, Site
-from bulletuav.bridges.mavlink_wire import RefusedError
+from bulletuav.bridges.mavlink_coordinates import GLOBAL_FRAMES, RELATIVE_FRAMES, Site
+from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
+from bulletuav.bridges.mavlink_protocol import RefusedError
 
 WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 19, 20, 21, 22
 DELAY, CHANGE_SPEED = 93, 178
-PLACES = (WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, LAND, TAKEOFF)
-"""Items that tell a place"""
-ITEMS = (*PLACES, RETURN, DELAY, CHANGE_SPEED)
-"""Items that are supported"""
-UNSUPPORTED, BAD_FRAME, BAD_PLACE, DENIED = 3, 2, 10, 14
-"""How a mission is answered that cannot be taken"""
-Place = tuple[float, float, float]
+POSITION_COMMANDS = (WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, LAND, TAKEOFF)
+"""Commands of items with a position"""
+SUPPORTED_COMMANDS = (*POSITION_COMMANDS, RETURN, DELAY, CHANGE_SPEED)
+"""Commands of supported items"""
+UNSUPPORTED, UNSUPPORTED_FRAME, INVALID_PARAM5_X, DENIED = 3, 2, 10, 14
+"""Error codes of a MISSION_ACK (MAV_MISSION_RESULT)"""
+Position = tuple[float, float, float]
 
 
 class MissionError(RefusedError):
-    """A mission that cannot be taken.
+    """Error for an invalid mission.
 
     Attributes:
-        code: How MAVLink says so.
+        code: Error code in the MISSION_ACK.
     """
 
     def __init__(self, text: str, code: int) -> None:
-        """Tell why."""
+        """Initialise with a text for a STATUSTEXT, and the error code."""
         super().__init__(text)
         self.code = code
 
 
-def place_of(
-    item: Item,
-    site: Site,
-    present: Sequence[float],
-) -> Place:
-    """Tell where an item is.
+def compute_item_position(item: MissionItem, site: Site, current: Sequence[float]) -> Position:
+    """Compute the position of an item.
 
     Args:
-        item: One of `PLACES`. Take-offs and landings at latitude and longitude 0, or without
-            them, are where the vehicle is.
-        site: Where the vehicle's coordinates begin.
-        present: (3,) where the vehicle is, m.
+        item: Item with one of the `POSITION_COMMANDS`. Take-offs and landings at latitude and
+            longitude 0, or without them, are at the vehicle's present horizontal position.
+        site: Start position of the vehicle.
+        current: (3,) present position of the vehicle, m.
 
     Returns:
-        The place, m.
+        The position, m.
 
     Raises:
-        RefusedError: It cannot be.
+        RefusedError: If the position is invalid.
     """
-    is_here = item.x == item.y == 0 or not math.isfinite(item.x + item.y)
-    if is_here and item.command in (TAKEOFF, LAND):
-        lifted = item.z + (site.altitude if item.frame in RELATIVE_FRAMES else 0.0)
-        height = site.start[2] + lifted - site.altitude
+    is_at_vehicle = item.x == item.y == 0 or not math.isfinite(item.x + item.y)
+    if is_at_vehicle and item.command in (TAKEOFF, LAND):
+        altitude = item.z + (site.altitude if item.frame in RELATIVE_FRAMES else 0.0)
+        height = site.start[2] + altitude - site.altitude
         if not math.isfinite(height):
-            raise RefusedError("an altitude is no number")
-        return present[0], present[1], height
-    return site.of_global(item.frame, item.x, item.y, item.z)
+            raise RefusedError("altitude is not a finite number")
+        return current[0], current[1], height
+    return site.from_global(item.frame, item.x, item.y, item.z)
 
 
-def check_items(
-    items: Sequence[Item],
-    site: Site,
-    fence: Fence,
-    farthest: float,
+def check_mission(
+    items: Sequence[MissionItem], site: Site, fence: Geofence, max_distance: float
 ) -> None:
-    """Check a mission before it is taken.
+    """Validate a mission.
 
     Args:
-        items: The mission.
-        site: Where the vehicle's coordinates begin.
-        fence: Where the vehicle may be.
-        farthest: How far from home the first place may be, m; 0 or less for anywhere.
+        items: Items of the mission.
+        site: Start position of the vehicle.
+        fence: Geofence.
+        max_distance: Maximum distance of the first position from home, m (MIS_DIST_1WP); 0 or less
+            for no limit.
 
     Raises:
-        MissionError: An item is not supported, or beyond the fence.
+        MissionError: If an item is not supported, or breaches the geofence.
     """
     is_first = True
     for number, item in enumerate(items):
-        if item.command not in ITEMS:
+        if item.command not in SUPPORTED_COMMANDS:
             raise MissionError(f"item {number}: command {item.command} unknown", UNSUPPORTED)
-        # Commands without a place need no frame and no fence
-        if item.command not in PLACES:
+        # Commands without a position have neither frame nor fence to check
+        if item.command not in POSITION_COMMANDS:
             continue
         if item.frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
-            raise MissionError(f"item {number}: frame {item.frame} unknown", BAD_FRAME)
+            raise MissionError(f"item {number}: frame {item.frame} unknown", UNSUPPORTED_FRAME)
         try:
-            place = place_of(item, site, site.start)
-            fence.check(f"item {number} is", place)
+            position = compute_item_position(item, site, site.start)
+            fence.require_inside(f"item {number} is", position)
         except RefusedError as error:
-            raise MissionError(str(error), BAD_PLACE) from None
-        # As PX4 does: a first place far away is likely of another mission
-        if is_first and 0 < farthest < math.dist(place[:2], site.start[:2]):
-            raise MissionError("first item is beyond MIS_DIST_1WP", BAD_PLACE)
+            raise MissionError(str(error), INVALID_PARAM5_X) from None
+        # As in PX4: a distant first waypoint suggests a mission for another site
+        if is_first and 0 < max_distance < math.dist(position[:2], site.start[:2]):
+            raise MissionError("first item is beyond MIS_DIST_1WP", INVALID_PARAM5_X)
         is_first = False

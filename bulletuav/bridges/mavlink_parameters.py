@@ -4,108 +4,111 @@ import math
 import struct
 from typing import Any, NamedTuple
 
-from bulletuav.bridges.mavlink_wire import Message, RefusedError, Told
+from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, RefusedError
 
-INTEGER, REAL = 6, 9
-"""Types of parameters on the wire: 32 bits, whole or not"""
-MOST = 2**31 - 1
+INT32, REAL32 = 6, 9
+"""Parameter types (MAV_PARAM_TYPE)"""
+MAX_INT32 = 2**31 - 1
 
 
-class Parameter(NamedTuple):
-    """One parameter.
+class MavlinkParameter(NamedTuple):
+    """Parameter of PX4.
 
     Attributes:
-        value: At the start; whole numbers are told as such.
-        least, most: Bounds.
+        value: Default value; an int for INT32 parameters.
+        minimum, maximum: Bounds.
     """
 
     value: float
-    least: float
-    most: float
+    minimum: float
+    maximum: float
 
 
 PARAMETERS = {
-    "COM_DISARM_LAND": Parameter(2.0, -1.0, 20.0),
-    "COM_DISARM_PRFLT": Parameter(10.0, -1.0, 60.0),
-    "COM_OF_LOSS_T": Parameter(1.0, 0.1, 60.0),
-    "GF_ACTION": Parameter(2, 0, 5),
-    "GF_MAX_HOR_DIST": Parameter(0.0, 0.0, 10000.0),
-    "GF_MAX_VER_DIST": Parameter(0.0, 0.0, 10000.0),
-    "MAV_SYS_ID": Parameter(1, 1, 250),
-    "MIS_DIST_1WP": Parameter(900.0, -1.0, 100000.0),
-    "MIS_TAKEOFF_ALT": Parameter(2.5, 0.0, 80.0),
-    "MPC_LAND_SPEED": Parameter(0.7, 0.2, 5.0),
-    "MPC_THR_HOVER": Parameter(0.5, 0.0, 1.0),
-    "MPC_TKO_SPEED": Parameter(1.5, 0.2, 5.0),
-    "MPC_XY_CRUISE": Parameter(5.0, 0.2, 20.0),
-    "MPC_YAWRAUTO_MAX": Parameter(60.0, 5.0, 360.0),
-    "MPC_Z_VEL_MAX_DN": Parameter(1.5, 0.2, 10.0),
-    "MPC_Z_VEL_MAX_UP": Parameter(3.0, 0.2, 10.0),
-    "RTL_DESCEND_ALT": Parameter(30.0, 0.0, 100.0),
-    "RTL_RETURN_ALT": Parameter(60.0, 0.0, 150.0),
+    "COM_DISARM_LAND": MavlinkParameter(2.0, -1.0, 20.0),
+    "COM_DISARM_PRFLT": MavlinkParameter(10.0, -1.0, 60.0),
+    "COM_OF_LOSS_T": MavlinkParameter(1.0, 0.1, 60.0),
+    "GF_ACTION": MavlinkParameter(2, 0, 5),
+    "GF_MAX_HOR_DIST": MavlinkParameter(0.0, 0.0, 10000.0),
+    "GF_MAX_VER_DIST": MavlinkParameter(0.0, 0.0, 10000.0),
+    "MAV_SYS_ID": MavlinkParameter(1, 1, 250),
+    "MIS_DIST_1WP": MavlinkParameter(900.0, -1.0, 100000.0),
+    "MIS_TAKEOFF_ALT": MavlinkParameter(2.5, 0.0, 80.0),
+    "MPC_LAND_SPEED": MavlinkParameter(0.7, 0.2, 5.0),
+    "MPC_THR_HOVER": MavlinkParameter(0.5, 0.0, 1.0),
+    "MPC_TKO_SPEED": MavlinkParameter(1.5, 0.2, 5.0),
+    "MPC_XY_CRUISE": MavlinkParameter(5.0, 0.2, 20.0),
+    "MPC_YAWRAUTO_MAX": MavlinkParameter(60.0, 5.0, 360.0),
+    "MPC_Z_VEL_MAX_DN": MavlinkParameter(1.5, 0.2, 10.0),
+    "MPC_Z_VEL_MAX_UP": MavlinkParameter(3.0, 0.2, 10.0),
+    "RTL_DESCEND_ALT": MavlinkParameter(30.0, 0.0, 100.0),
+    "RTL_RETURN_ALT": MavlinkParameter(60.0, 0.0, 150.0),
 }
-"""What there is, in the order of their numbers"""
+"""Supported parameters"""
 READ_ONLY = ("MAV_SYS_ID", "MPC_THR_HOVER")
 NAMES = sorted(PARAMETERS)
 
 
-class ParameterService:
-    """Values of the parameters, and the messages about them.
+class MavlinkParameterService:
+    """Parameter values of one vehicle, and the messages of the parameter protocol.
 
     Attributes:
-        values: By name.
+        values: Values by name.
     """
 
-    def __init__(self, **known: float) -> None:
-        """Begin with the defaults, but for those that are known of this vehicle."""
-        self.values = {name: one.value for name, one in PARAMETERS.items()} | known
+    def __init__(self, **overrides: float) -> None:
+        """Initialise with the default values, and with the given values of this vehicle."""
+        self.values = {name: parameter.value for name, parameter in PARAMETERS.items()} | overrides
 
-    def tell(self, name: str) -> Told:
-        """Tell the value of a parameter."""
-        value, kind = self.values[name], _kind(name)
-        # PX4 puts whole numbers into the field of a float as they are, bit by bit.
-        shown = struct.unpack("<f", struct.pack("<i", int(value)))[0] if kind == INTEGER else value
-        fields = (name.encode(), shown, kind, len(NAMES), NAMES.index(name))
-        return Told("param_value", fields)
+    def make_value_message(self, name: str) -> OutgoingMessage:
+        """Return the PARAM_VALUE message of a parameter."""
+        value, parameter_type = self.values[name], _parameter_type(name)
+        # PX4 encodes integers bytewise in the float field (MAV_PARAM_ENCODE_BYTEWISE)
+        encoded = (
+            struct.unpack("<f", struct.pack("<i", int(value)))[0]
+            if parameter_type == INT32
+            else value
+        )
+        fields = (name.encode(), encoded, parameter_type, len(NAMES), NAMES.index(name))
+        return OutgoingMessage("param_value", fields)
 
-    def answer(self, message: Message) -> list[Told]:
-        """Answer a message about parameters.
+    def answer(self, message: Message) -> list[OutgoingMessage]:
+        """Handle a message of the parameter protocol.
 
         Raises:
-            RefusedError: There is no such parameter, or the value cannot be.
+            RefusedError: If there is no such parameter.
         """
-        kind = message.get_type()
-        if kind == "PARAM_REQUEST_LIST":
-            return [self.tell(name) for name in NAMES]
-        if kind == "PARAM_REQUEST_READ":
+        message_type = message.get_type()
+        if message_type == "PARAM_REQUEST_LIST":
+            return [self.make_value_message(name) for name in NAMES]
+        if message_type == "PARAM_REQUEST_READ":
             index = message.param_index
             if index >= 0:
                 if index >= len(NAMES):
-                    raise RefusedError(f"there is no parameter {index}: {len(NAMES)} are")
-                return [self.tell(NAMES[index])]
-            return [self.tell(_known(message.param_id))]
-        return [self._set(message)]
+                    raise RefusedError(f"no parameter {index}: there are {len(NAMES)}")
+                return [self.make_value_message(NAMES[index])]
+            return [self.make_value_message(_check_name(message.param_id))]
+        return [self._set_value(message)]
 
-    def _set(self, message: Message) -> Told:
-        """Set a parameter; what cannot be is answered with the value that stays."""
-        name = _known(message.param_id)
+    def _set_value(self, message: Message) -> OutgoingMessage:
+        """Set a parameter. An invalid value is ignored: the answer contains the value in effect."""
+        name = _check_name(message.param_id)
         value = message.param_value
-        if message.param_type == INTEGER:
+        if message.param_type == INT32:
             value = struct.unpack("<i", struct.pack("<f", value))[0]
-        one = PARAMETERS[name]
-        allowed = math.isfinite(value) and one.least <= value <= one.most
-        if allowed and name not in READ_ONLY and message.param_type == _kind(name):
+        parameter = PARAMETERS[name]
+        allowed = math.isfinite(value) and parameter.minimum <= value <= parameter.maximum
+        if allowed and name not in READ_ONLY and message.param_type == _parameter_type(name):
             self.values[name] = value
-        return self.tell(name)
+        return self.make_value_message(name)
 
 
-def _kind(name: str) -> int:
-    """Tell the type of a parameter on the wire."""
-    return INTEGER if isinstance(PARAMETERS[name].value, int) else REAL
+def _parameter_type(name: str) -> int:
+    return INT32 if isinstance(PARAMETERS[name].value, int) else REAL32
 
 
-def _known(name: Any) -> str:
-    """Check that there is a parameter of a name."""
+def _check_name(name: Any) -> str:
+    """Return the name of a parameter; raise RefusedError if there is none."""
     if name not in PARAMETERS:
         raise RefusedError(f"no parameter {str(name)[:16]}")
     return str(name)

@@ -1,47 +1,43 @@
-"""Who flies a MAVLink vehicle: arming, modes, and the motion of each."""
+"""Arming, flight modes and motions of a MAVLink vehicle."""
 
 import math
 from collections.abc import Callable
 
-from bulletuav.bridges.mavlink_fence import Fence, Item
-from bulletuav.bridges.mavlink_items import check_items
-from bulletuav.bridges.mavlink_parameters import ParameterService
-from bulletuav.bridges.mavlink_places import Site
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
+from bulletuav.bridges.mavlink_items import check_mission
+from bulletuav.bridges.mavlink_parameters import MavlinkParameterService
+from bulletuav.bridges.mavlink_protocol import CommandResult, Mode, RefusedError
 from bulletuav.bridges.mavlink_route import Route
-from bulletuav.bridges.mavlink_wire import Mode, RefusedError, Result
 from bulletuav.bridges.motions import Heading, Land, Motion, Off, Path, Stay
 from bulletuav.bridges.setpoints import Guide, Order, Setpoint, State, euler
 from bulletuav.vehicle.airframe import Airframe
 
-STANDS_AFTER = 0.1
-"""How long it touches the ground, or does not, until it has landed, or flies, s"""
-TUMBLED_AFTER = 1.0
-"""How long it is upside down until it is disarmed, s"""
+CONTACT_DEBOUNCE_TIME = 0.1
+"""Time with or without ground contact until the vehicle counts as landed or flying, s"""
+TUMBLE_TIMEOUT = 1.0
+"""Time upside down after which the vehicle is disarmed, s"""
 WARN, HOLD, RETURN, LAND = 1, 2, 3, 5
-"""What GF_ACTION asks for beyond the fence"""
+"""Values of GF_ACTION, the reaction to a breach of the geofence"""
 
 
 class Pilot:
-    """Arming, modes and motions of one vehicle, without messages.
+    """State machine of one vehicle: arming, flight modes, and the motion of each mode.
 
     Attributes:
         mode: Flight mode.
-        is_armed: Whether motors may turn.
-        has_landed: Whether it stands on something.
+        is_armed: Whether the motors may turn.
+        has_landed: Whether the vehicle stands on something.
         state: State of the body.
         now: Time, s.
-        route: The mission.
-        said: Texts that clients are to be shown.
+        route: Progress of the mission.
+        status_texts: Texts to send to all clients.
     """
 
     def __init__(
-        self,
-        airframe: Airframe,
-        site: Site,
-        parameters: ParameterService,
-        fence: Fence,
+        self, airframe: Airframe, site: Site, parameters: MavlinkParameterService, fence: Geofence
     ) -> None:
-        """Begin on the ground, disarmed."""
+        """Initialise on the ground, disarmed."""
         self._airframe, self._site, self._fence = airframe, site, fence
         self._values = parameters.values
         self._guide = Guide(airframe)
@@ -49,249 +45,253 @@ class Pilot:
         self.state: State = (list(site.start), [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
         self.now = 0.0
         self.route = Route(site, self._values)
-        self.said: list[str] = []
+        self.status_texts: list[str] = []
         self._motion: Motion = Off()
-        self._next: Callable[[], Motion | None] = lambda: None
-        self._goal: tuple[float, float, float] | None = None
-        self._offboard: Setpoint | Order | None = None
-        self._heard = -math.inf
+        self._next_motion: Callable[[], Motion | None] = lambda: None
+        self._takeoff_goal: tuple[float, float, float] | None = None
+        self._offboard_setpoint: Setpoint | Order | None = None
+        self._last_setpoint_time = -math.inf
         self._yaw: float | None = None
-        self._changed = self._upright = 0.0
-        self._touched, self._has_flown, self._is_inside = True, False, True
+        self._contact_change_time = self._last_upright_time = 0.0
+        self._is_touching, self._has_flown, self._is_inside = True, False, True
 
-    def sense(
-        self,
-        state: State,
-        now: float,
-        touches: bool,
-    ) -> None:
-        """Take the body's state over, and look what follows from it.
+    def update_state(self, state: State, now: float, is_touching: bool) -> None:
+        """Set the measured state, and update landing, tumble, geofence, motion and auto-disarm.
 
         Args:
             state: State of the body.
             now: Time, s.
-            touches: Whether it touches what it can stand on.
+            is_touching: Whether the body touches something that supports it.
         """
         self.state, self.now = state, now
-        self._feel(touches)
+        self._update_contact(is_touching)
         x, y, _, _ = state[1]
         if 1 - 2 * (x * x + y * y) > 0:
-            self._upright = now
+            self._last_upright_time = now
         elif self.is_armed and self.has_tumbled:
             self._disarm("upside down: disarmed")
         if self.is_armed:
-            self._watch_fence()
-            self._look()
-            self._watch_ground()
+            self._check_fence()
+            self._advance_motion()
+            self._check_auto_disarm()
 
-    def _feel(self, touches: bool) -> None:
-        """Note whether it stands, once it has done so for a while."""
-        if touches == self.has_landed:
-            self._touched = touches
-        elif touches != self._touched:
-            self._touched, self._changed = touches, self.now
-        elif self.now - self._changed >= STANDS_AFTER - 1e-9:
-            self.has_landed, self._changed = touches, self.now
-            self._has_flown = self._has_flown or not touches
+    def _update_contact(self, is_touching: bool) -> None:
+        """Update `has_landed`, with debounced ground contact."""
+        if is_touching == self.has_landed:
+            self._is_touching = is_touching
+        elif is_touching != self._is_touching:
+            self._is_touching, self._contact_change_time = is_touching, self.now
+        elif self.now - self._contact_change_time >= CONTACT_DEBOUNCE_TIME - 1e-9:
+            self.has_landed, self._contact_change_time = is_touching, self.now
+            self._has_flown = self._has_flown or not is_touching
 
     @property
     def has_tumbled(self) -> bool:
-        """Whether it has been upside down for a while."""
-        return self.now - self._upright > TUMBLED_AFTER
+        """True if the vehicle has been upside down for longer than `TUMBLE_TIMEOUT`."""
+        return self.now - self._last_upright_time > TUMBLE_TIMEOUT
 
-    def _watch_fence(self) -> None:
-        """Do what GF_ACTION asks for, where the fence has been crossed."""
-        reason = self._fence.refusal(self.state[0])
+    def _check_fence(self) -> None:
+        """React to a breach of the geofence as GF_ACTION requires, once per breach."""
+        reason = self._fence.find_breach(self.state[0])
         was_inside, self._is_inside = self._is_inside, reason is None
         action = self._values["GF_ACTION"]
         if reason is None or not was_inside or action < WARN:
             return
-        self.said.append(f"vehicle is {reason}")
+        self.status_texts.append(f"vehicle is {reason}")
         modes = {HOLD: Mode.HOLD, RETURN: Mode.RETURN, LAND: Mode.LAND}
         if action in modes and self.mode != Mode.LAND:
-            self.enter(modes[int(action)])
+            self.enter_mode(modes[int(action)])
 
-    def _look(self) -> None:
-        """Look whether the motion has come to its end, and what comes next."""
+    def _advance_motion(self) -> None:
+        """Start the next motion if the present one has ended; hold if setpoints are lost."""
         if self.mode == Mode.OFFBOARD:
-            if not self.hears:
-                self.said.append("no offboard setpoints: hold")
-                self.enter(Mode.HOLD)
+            if not self.has_recent_setpoint:
+                self.status_texts.append("no offboard setpoints: hold")
+                self.enter_mode(Mode.HOLD)
             return
         if isinstance(self._motion, Off | Stay):
             return
-        if self._motion.outcome(self.state, self.now, self._touched) is None:
+        if self._motion.outcome(self.state, self.now, self._is_touching) is None:
             return
-        was = self._motion
-        self._motion = self._next() or was.after(self.state)
+        previous = self._motion
+        self._motion = self._next_motion() or previous.after(self.state)
         if self.mode in (Mode.TAKEOFF, Mode.MISSION) and isinstance(self._motion, Stay):
             self.mode = Mode.HOLD
 
-    def _watch_ground(self) -> None:
-        """Disarm who has landed, or does not take off."""
+    def _check_auto_disarm(self) -> None:
+        """Disarm after a landing, or without a take-off, after the time that parameters set."""
         wait = self._values["COM_DISARM_LAND" if self._has_flown else "COM_DISARM_PRFLT"]
-        if self.has_landed and 0 < wait < self.now - self._changed:
+        if self.has_landed and 0 < wait < self.now - self._contact_change_time:
             self._disarm("disarmed after landing" if self._has_flown else "disarmed: no take-off")
 
     @property
-    def hears(self) -> bool:
-        """Whether an offboard setpoint has come lately."""
-        return self.now - self._heard <= self._values["COM_OF_LOSS_T"]
+    def has_recent_setpoint(self) -> bool:
+        """True if an offboard setpoint has arrived within COM_OF_LOSS_T."""
+        return self.now - self._last_setpoint_time <= self._values["COM_OF_LOSS_T"]
 
-    def follow(self, wanted: Setpoint | Order) -> None:
-        """Take an offboard setpoint, which is followed in mode OFFBOARD.
+    def set_offboard_setpoint(self, setpoint: Setpoint | Order) -> None:
+        """Set the offboard setpoint, which is followed in mode OFFBOARD.
 
         Raises:
-            RefusedError: It is a place beyond the fence.
+            RefusedError: If the setpoint is a position that breaches the geofence.
         """
-        if isinstance(wanted, Setpoint) and wanted.across == "position":
-            self._fence.check("setpoint is", (*wanted.xy, wanted.z))
-        self._offboard, self._heard = wanted, self.now
+        if isinstance(setpoint, Setpoint) and setpoint.across == "position":
+            self._fence.require_inside("setpoint is", (*setpoint.xy, setpoint.z))
+        self._offboard_setpoint, self._last_setpoint_time = setpoint, self.now
 
     def order(self, period: float) -> Order | None:
-        """Tell the command of the next step, or None for motors off."""
-        wanted: Setpoint | Order | None = None
+        """Return the flight command of the next step, or None for motors off."""
+        setpoint: Setpoint | Order | None = None
         if self.is_armed and self.mode == Mode.OFFBOARD:
-            wanted = self._offboard
+            setpoint = self._offboard_setpoint
         elif self.is_armed:
-            wanted = self._motion.order(self.state, self.now)
-            if isinstance(wanted, Setpoint) and wanted.turning == "angle":
-                return self._guide.order(self._slowed(wanted, period), self.state, period)
+            setpoint = self._motion.order(self.state, self.now)
+            if isinstance(setpoint, Setpoint) and setpoint.turning == "angle":
+                return self._guide.order(self._limit_yaw_rate(setpoint, period), self.state, period)
         self._yaw = None
-        if isinstance(wanted, Setpoint):
-            return self._guide.order(wanted, self.state, period)
+        if isinstance(setpoint, Setpoint):
+            return self._guide.order(setpoint, self.state, period)
         self._guide.rest()
-        return wanted
+        return setpoint
 
-    def _slowed(self, wanted: Setpoint, period: float) -> Setpoint:
-        """Turn to the yaw of a motion by and by: at once, it would disturb the flight."""
-        most = math.radians(self._values["MPC_YAWRAUTO_MAX"]) * period
+    def _limit_yaw_rate(self, setpoint: Setpoint, period: float) -> Setpoint:
+        """Limit the yaw rate to MPC_YAWRAUTO_MAX, as a step of the yaw would disturb the flight."""
+        max_step = math.radians(self._values["MPC_YAWRAUTO_MAX"]) * period
         yaw = euler(self.state[1])[2] if self._yaw is None else self._yaw
-        away = math.remainder(wanted.yaw - yaw, math.tau)
-        self._yaw = math.remainder(yaw + min(max(away, -most), most), math.tau)
-        return wanted._replace(yaw=self._yaw)
+        error = math.remainder(setpoint.yaw - yaw, math.tau)
+        self._yaw = math.remainder(yaw + min(max(error, -max_step), max_step), math.tau)
+        return setpoint._replace(yaw=self._yaw)
 
     def arm(self) -> None:
-        """Arm, and do what the mode asks for.
+        """Arm, and start the motion of the mode.
 
         Raises:
-            RefusedError: It lies upside down, or the mode cannot begin.
+            RefusedError: If the vehicle lies upside down, or the mode cannot be entered.
         """
         if self.is_armed:
             return
         if self.has_tumbled:
-            words = "arming refused: upside down; restart the server"
-            raise RefusedError(words, Result.TEMPORARILY_REJECTED)
-        self.is_armed, self._has_flown, self._changed = True, not self.has_landed, self.now
+            reason = "arming denied: upside down; restart the server"
+            raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
+        self.is_armed, self._has_flown, self._contact_change_time = (
+            True,
+            not self.has_landed,
+            self.now,
+        )
         try:
-            self.enter(self.mode)
+            self.enter_mode(self.mode)
         except RefusedError:
             self.is_armed = False
             raise
 
-    def disarm(self, by_force: bool) -> None:
-        """Switch motors off.
-
-        Raises:
-            RefusedError: It flies, and there was no word of force.
-        """
-        if self.is_armed and not self.has_landed and not by_force:
-            raise RefusedError("disarming refused: it flies", Result.TEMPORARILY_REJECTED)
-        self._disarm("")
-
-    def _disarm(self, words: str) -> None:
-        """Switch motors off, and tell why."""
-        self.is_armed, self.mode, self._motion = False, Mode.HOLD, Off()
-        self.said += [words] if words else []
-
-    def take_off(self, height: float | None) -> None:
-        """Rise straight up, as soon as it is armed.
+    def disarm(self, force: bool) -> None:
+        """Switch the motors off.
 
         Args:
-            height: m; left out, MIS_TAKEOFF_ALT above home.
+            force: Whether to disarm in the air.
 
         Raises:
-            RefusedError: It is beyond the fence.
+            RefusedError: If the vehicle flies, unless forced.
+        """
+        if self.is_armed and not self.has_landed and not force:
+            raise RefusedError(
+                "disarming denied: vehicle is flying", CommandResult.TEMPORARILY_REJECTED
+            )
+        self._disarm("")
+
+    def _disarm(self, reason: str) -> None:
+        """Switch the motors off, and send the reason to the clients."""
+        self.is_armed, self.mode, self._motion = False, Mode.HOLD, Off()
+        self.status_texts += [reason] if reason else []
+
+    def take_off(self, height: float | None) -> None:
+        """Climb vertically, as soon as the vehicle is armed.
+
+        Args:
+            height: Height in the airspace, m; None for MIS_TAKEOFF_ALT above home.
+
+        Raises:
+            RefusedError: If the goal breaches the geofence.
         """
         x, y, z = self.state[0]
         if height is None:
             height = self._site.start[2] + self._values["MIS_TAKEOFF_ALT"]
         goal = (x, y, max(z, height))
-        self._fence.check("take-off is", goal)
-        self._goal = goal
-        self.enter(Mode.TAKEOFF)
+        self._fence.require_inside("take-off is", goal)
+        self._takeoff_goal = goal
+        self.enter_mode(Mode.TAKEOFF)
 
-    def go_to(self, place: tuple[float, float, float], yaw: float | None) -> None:
-        """Fly straight to a place, m, and hold there; look to a yaw, rad, or forward.
+    def go_to(self, position: tuple[float, float, float], yaw: float | None) -> None:
+        """Fly straight to a position, m, and hold there, facing a yaw (rad) or forward.
 
         Raises:
-            RefusedError: It is beyond the fence, or the vehicle does not fly.
+            RefusedError: If the position breaches the geofence, or the vehicle does not fly.
         """
-        self._fence.check("place is", place)
+        self._fence.require_inside("position is", position)
         if not self.is_armed or self.has_landed:
             raise RefusedError(
-                "it does not fly: arm it and take off first", Result.TEMPORARILY_REJECTED
+                "not flying: arm and take off first", CommandResult.TEMPORARILY_REJECTED
             )
         heading = Heading(forward=True) if yaw is None else Heading("angle", yaw)
-        self.mode, self._next = Mode.HOLD, lambda: None
-        self._motion = self._leg(place, self.route.speed, heading)
+        self.mode, self._next_motion = Mode.HOLD, lambda: None
+        self._motion = self._leg(position, self.route.speed, heading)
 
-    def take_mission(self, items: tuple[Item, ...]) -> None:
-        """Take another mission; who flies the old one holds."""
+    def set_mission(self, items: tuple[MissionItem, ...]) -> None:
+        """Replace the mission; a vehicle in mode MISSION holds."""
         self.route.replace(items)
         if self.mode == Mode.MISSION:
-            self.enter(Mode.HOLD)
+            self.enter_mode(Mode.HOLD)
 
-    def jump(self, number: int) -> None:
-        """Go on with another item of the mission.
+    def set_current_item(self, number: int) -> None:
+        """Continue the mission at another item.
 
         Raises:
-            RefusedError: There is no such item.
+            RefusedError: If there is no such item.
         """
         if not 0 <= number < len(self.route.items):
             raise RefusedError(f"item {number}: there are {len(self.route.items)}")
-        self.route.jump(number)
+        self.route.set_current_item(number)
         if self.mode == Mode.MISSION:
-            self.enter(Mode.MISSION)
+            self.enter_mode(Mode.MISSION)
 
-    def enter(self, mode: Mode) -> None:
-        """Change the mode; who is disarmed begins when it is armed.
+    def enter_mode(self, mode: Mode) -> None:
+        """Change the flight mode; if disarmed, the motion starts with arming.
 
         Raises:
-            RefusedError: The mode cannot begin.
+            RefusedError: If the mode cannot be entered.
         """
-        if mode == Mode.OFFBOARD and not self.hears:
-            words = "offboard refused: send setpoints first"
-            raise RefusedError(words, Result.TEMPORARILY_REJECTED)
+        if mode == Mode.OFFBOARD and not self.has_recent_setpoint:
+            reason = "offboard denied: send setpoints first"
+            raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
         if mode == Mode.MISSION:
-            self._check_route()
-        if mode == Mode.TAKEOFF and self._goal is None:
+            self._check_mission()
+        if mode == Mode.TAKEOFF and self._takeoff_goal is None:
             self.take_off(None)
             return
         self.mode = mode
         if self.is_armed:
-            self._next = lambda: None
-            self._motion = self._begin(mode)
+            self._next_motion = lambda: None
+            self._motion = self._start_motion(mode)
 
-    def _check_route(self) -> None:
-        """Look whether the mission can begin: the fence may have changed since it came."""
+    def _check_mission(self) -> None:
+        """Validate the mission again before its start, as the geofence may have changed."""
         if not self.route.items:
-            raise RefusedError("no mission: upload one first", Result.TEMPORARILY_REJECTED)
-        farthest = self._values["MIS_DIST_1WP"]
-        check_items(self.route.items, self._site, self._fence, farthest)
+            raise RefusedError("no mission: upload one first", CommandResult.TEMPORARILY_REJECTED)
+        max_distance = self._values["MIS_DIST_1WP"]
+        check_mission(self.route.items, self._site, self._fence, max_distance)
 
-    def _begin(self, mode: Mode) -> Motion:
-        """Begin the motion of a mode."""
+    def _start_motion(self, mode: Mode) -> Motion:
+        """Return the first motion of a mode."""
         if mode == Mode.TAKEOFF:
-            goal, self._goal = self._goal, None
-            assert goal is not None  # as `enter` sees to it
+            goal, self._takeoff_goal = self._takeoff_goal, None
+            assert goal is not None  # set by `enter_mode`
             return self._leg(goal, self._values["MPC_TKO_SPEED"], Heading())
-        # A mission that is over begins again
+        # A finished mission starts again
         if mode == Mode.MISSION:
-            self.route.jump(0 if self.route.is_over else self.route.current)
-            self._next = self._go_on
-            return self._go_on() or Stay(self.state)
-        # On the ground other modes leave the motors off
+            self.route.set_current_item(0 if self.route.is_over else self.route.current)
+            self._next_motion = self._next_mission_motion
+            return self._next_mission_motion() or Stay(self.state)
+        # On the ground all other modes keep the motors off
         if self.has_landed:
             return Off()
         if mode == Mode.LAND:
@@ -300,46 +300,40 @@ class Pilot:
             return self._return()
         return Stay(self.state, self.now)
 
-    def _go_on(self) -> Motion | None:
-        """Go on with the mission; None when it is over."""
-        found = self.route.motion(self.state, self.now, self.has_landed)
-        if found == Mode.RETURN:
+    def _next_mission_motion(self) -> Motion | None:
+        """Return the next motion of the mission, or None at its end."""
+        motion = self.route.next_motion(self.state, self.now, self.has_landed)
+        if motion == Mode.RETURN:
             self.mode = Mode.RETURN
             return Off() if self.has_landed else self._return()
-        if found == Mode.LAND:
+        if motion == Mode.LAND:
             return self._land()
-        assert found is None or isinstance(found, Motion)
-        return found
+        assert motion is None or isinstance(motion, Motion)
+        return motion
 
     def _land(self) -> Motion:
-        """Sink until something is touched."""
+        """Return the motion that descends until ground contact."""
         return Land(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
 
     def _return(self) -> Motion:
-        """Rise, fly to above home, sink, and land."""
+        """Return the first leg of a return: climb, fly above home, descend, and land."""
         x, y, z = self.state[0]
         home, values = self._site.start, self._values
-        # PX4's heights above home; never down before it is there
-        high = max(z, home[2] + values["RTL_RETURN_ALT"])
-        low = min(high, home[2] + values["RTL_DESCEND_ALT"])
-        ways = iter([(home[0], home[1], high), (home[0], home[1], low)])
+        # PX4's heights are above home; the vehicle never descends before it is above home
+        return_height = max(z, home[2] + values["RTL_RETURN_ALT"])
+        descent_height = min(return_height, home[2] + values["RTL_DESCEND_ALT"])
+        waypoints = iter([(home[0], home[1], return_height), (home[0], home[1], descent_height)])
 
-        def go_on() -> Motion | None:
-            goal = next(ways, None)
+        def next_leg() -> Motion | None:
+            goal = next(waypoints, None)
             if goal is None:
-                self._next = lambda: None
+                self._next_motion = lambda: None
                 return self._land()
             return self._leg(goal, values["MPC_XY_CRUISE"], Heading(forward=True))
 
-        # Rise where it is, then one leg after the other
-        self._next = go_on
-        return self._leg((x, y, high), values["MPC_XY_CRUISE"], Heading())
+        # First climb at the present position; further legs follow by `next_leg`
+        self._next_motion = next_leg
+        return self._leg((x, y, return_height), values["MPC_XY_CRUISE"], Heading())
 
-    def _leg(
-        self,
-        goal: tuple[float, float, float],
-        speed: float,
-        heading: Heading,
-    ) -> Path:
-        """Fly straight to a place."""
-        return self.route.leg(self.state, goal, speed, heading, self.now)
+    def _leg(self, goal: tuple[float, float, float], speed: float, heading: Heading) -> Path:
+        return self.route.plan_leg(self.state, goal, speed, heading, self.now)

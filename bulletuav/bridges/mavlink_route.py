@@ -1,11 +1,12 @@
-"""A mission on its way: which item is next, and the motion for it."""
+"""Progress of a mission: the current item, and the motions for each item."""
 
 import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from bulletuav.bridges.mavlink_fence import Item
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_fence import MissionItem
 from bulletuav.bridges.mavlink_items import (
     CHANGE_SPEED,
     DELAY,
@@ -15,61 +16,60 @@ from bulletuav.bridges.mavlink_items import (
     RETURN,
     TAKEOFF,
     WAYPOINT,
-    place_of,
+    compute_item_position,
 )
-from bulletuav.bridges.mavlink_places import Site
-from bulletuav.bridges.mavlink_wire import Mode
+from bulletuav.bridges.mavlink_protocol import Mode
 from bulletuav.bridges.motions import ACCELERATION, Heading, Hold, Motion, Path
 from bulletuav.bridges.setpoints import Setpoint, State, euler
 
-LONGEST = 1e5
-"""Longest time to wait at an item, s"""
-SLOWEST, FASTEST = 0.1, 100.0
-"""Speeds that an item may ask for, m/s"""
-NEAR = 0.5
-"""Distance across below which a place is where the vehicle is, m"""
-NEAREST = 0.1
-"""Distance from a place at which it has arrived, unless an item allows more, m"""
-PATIENCE = 5.0
-"""How long after its time a leg may arrive, s"""
+MAX_WAIT = 1e5
+"""Maximum time to wait at an item, s"""
+MIN_SPEED, MAX_SPEED = 0.1, 100.0
+"""Limits of the speed that an item may set, m/s"""
+SAME_POSITION_DISTANCE = 0.5
+"""Horizontal distance below which an item is at the vehicle's present position, m"""
+MIN_ACCEPTANCE_RADIUS = 0.1
+"""Distance from a position at which it counts as reached, unless an item sets a larger one, m"""
+LEG_TIMEOUT_MARGIN = 5.0
+"""Time after the planned arrival at which a leg ends in any case, s"""
 
 
 class Route:
-    """The items of a mission, and how far it is.
+    """Items of a mission, and its progress.
 
     Attributes:
-        items: The mission.
-        current: Number of the item that is flown to.
-        reached: Numbers of items that have been reached, and nobody was told of yet.
-        speed: At which it flies, m/s.
+        items: Items of the mission.
+        current: Index of the current item.
+        reached: Indices of reached items that have not been reported to clients.
+        speed: Speed of the legs, m/s.
     """
 
     def __init__(self, site: Site, values: Mapping[str, float]) -> None:
-        """Begin without items.
+        """Initialise without items.
 
         Args:
-            site: Where the vehicle's coordinates begin.
-            values: Of the parameters.
+            site: Start position of the vehicle.
+            values: Values of the parameters.
         """
         self._site, self._values = site, values
         self._state: State = ([0.0] * 3, [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
         self._now, self._has_landed = 0.0, True
         self.replace(())
 
-    def replace(self, items: tuple[Item, ...]) -> None:
-        """Take another mission."""
+    def replace(self, items: tuple[MissionItem, ...]) -> None:
+        """Replace the mission, and restart at its first item."""
         self.items, self.reached = items, list[int]()
         self._speed: float | None = None
-        self.jump(0)
+        self.set_current_item(0)
 
-    def jump(self, number: int) -> None:
-        """Go on with an item, from its beginning."""
+    def set_current_item(self, number: int) -> None:
+        """Continue with an item, from its start."""
         self.current = number
-        self._steps: Iterator[Motion | Mode] | None = None
+        self._motions: Iterator[Motion | Mode] | None = None
 
     @property
     def speed(self) -> float:
-        """Speed along pieces, m/s."""
+        """Speed of the legs, m/s."""
         return self._values["MPC_XY_CRUISE"] if self._speed is None else self._speed
 
     @speed.setter
@@ -78,115 +78,116 @@ class Route:
 
     @property
     def is_over(self) -> bool:
-        """Whether the last item is done."""
+        """True if the last item is done."""
         return self.current >= len(self.items)
 
-    def leg(
+    def plan_leg(
         self,
         state: State,
         goal: tuple[float, float, float],
         speed: float,
         heading: Heading,
         now: float,
-        near: float = NEAREST,
+        acceptance_radius: float = MIN_ACCEPTANCE_RADIUS,
     ) -> Path:
-        """Fly straight to a place, m, as fast as parameters allow.
+        """Plan a straight leg to a position, with the vertical speed limited by the parameters.
 
         Args:
             state: State of the drone.
-            goal: Where to go, m.
-            speed: m/s.
-            heading: Where to look.
+            goal: (3,) goal, m.
+            speed: Speed, m/s.
+            heading: Heading during the leg.
             now: Time, s.
-            near: Distance from the place at which it has arrived, m.
+            acceptance_radius: Distance from the goal at which it counts as reached, m.
         """
         rise = goal[2] - state[0][2]
-        way = math.dist(goal, state[0])
-        most = self._values["MPC_Z_VEL_MAX_UP" if rise > 0 else "MPC_Z_VEL_MAX_DN"]
-        if speed * abs(rise) > most * way:
-            speed = most * way / abs(rise)
-        # A wind may keep it from arriving: it goes on all the same, a while later.
-        limit = way / speed + speed / ACCELERATION + PATIENCE
-        return Path(state, [np.array(goal)], speed, heading, (now, limit), near)
+        distance = math.dist(goal, state[0])
+        max_climb_rate = self._values["MPC_Z_VEL_MAX_UP" if rise > 0 else "MPC_Z_VEL_MAX_DN"]
+        if speed * abs(rise) > max_climb_rate * distance:
+            speed = max_climb_rate * distance / abs(rise)
+        # Wind may keep the drone away from the goal: end the leg after a timeout
+        limit = distance / speed + speed / ACCELERATION + LEG_TIMEOUT_MARGIN
+        return Path(state, [np.array(goal)], speed, heading, (now, limit), acceptance_radius)
 
-    def motion(
-        self,
-        state: State,
-        now: float,
-        has_landed: bool,
-    ) -> Motion | Mode | None:
-        """Tell what comes next.
+    def next_motion(self, state: State, now: float, has_landed: bool) -> Motion | Mode | None:
+        """Return the next motion of the mission.
 
         Args:
             state: State of the drone.
             now: Time, s.
-            has_landed: Whether it stands.
+            has_landed: Whether the drone stands on the ground.
 
         Returns:
-            A motion; a mode for what is done as in that mode; None when the mission is over.
+            A motion; a mode whose motion follows; or None at the end of the mission.
         """
         self._state, self._now, self._has_landed = state, now, has_landed
         while not self.is_over:
-            if self._steps is None:
-                self._steps = self._of_item(self.items[self.current])
-            found = next(self._steps, None)
-            if found is not None:
-                return found
+            if self._motions is None:
+                self._motions = self._item_motions(self.items[self.current])
+            motion = next(self._motions, None)
+            if motion is not None:
+                return motion
             self.reached.append(self.current)
-            self.jump(self.current + 1)
+            self.set_current_item(self.current + 1)
         return None
 
-    def _of_item(self, item: Item) -> Iterator[Motion | Mode]:
-        """Give what is to be done for an item, one after the other, from where the drone is."""
+    def _item_motions(self, item: MissionItem) -> Iterator[Motion | Mode]:
+        """Yield the motions of an item, one by one, from the drone's present position."""
         if item.command == CHANGE_SPEED:
-            if item.numbers[1] > 0:
-                self.speed = min(max(item.numbers[1], SLOWEST), FASTEST)
+            if item.params[1] > 0:
+                self.speed = min(max(item.params[1], MIN_SPEED), MAX_SPEED)
         elif item.command == DELAY:
-            yield self._wait(item.numbers[0])
+            yield self._wait(item.params[0])
         elif item.command == RETURN:
             self.reached.append(self.current)
-            self.jump(len(self.items))
+            self.set_current_item(len(self.items))
             yield Mode.RETURN
         else:
-            yield from self._at_place(item)
+            yield from self._position_item_motions(item)
 
-    def _at_place(self, item: Item) -> Iterator[Motion | Mode]:
-        """Fly to an item's place, and do there what it says."""
-        here = self._state[0]
-        goal = place_of(item, self._site, here)
-        is_far = math.dist(here[:2], goal[:2]) > NEAR
+    def _position_item_motions(self, item: MissionItem) -> Iterator[Motion | Mode]:
+        """Yield the motions of an item with a position."""
+        current_position = self._state[0]
+        goal = compute_item_position(item, self._site, current_position)
+        is_far = math.dist(current_position[:2], goal[:2]) > SAME_POSITION_DISTANCE
         if item.command == TAKEOFF or (self._has_landed and is_far):
-            # Nobody flies along the ground: it rises first.
-            lift = self._site.start[2] + self._values["MIS_TAKEOFF_ALT"]
-            height = goal[2] if item.command == TAKEOFF else max(goal[2], lift, here[2])
-            yield self._leg((here[0], here[1], height), Heading())
+            # Climb before a leg that starts on the ground
+            takeoff_height = self._site.start[2] + self._values["MIS_TAKEOFF_ALT"]
+            height = (
+                goal[2]
+                if item.command == TAKEOFF
+                else max(goal[2], takeoff_height, current_position[2])
+            )
+            yield self._plan_leg((current_position[0], current_position[1], height), Heading())
         if item.command == LAND:
             if is_far:
-                yield self._leg((goal[0], goal[1], self._state[0][2]), Heading(forward=True))
+                yield self._plan_leg((goal[0], goal[1], self._state[0][2]), Heading(forward=True))
             yield Mode.LAND
             return
         if item.command != TAKEOFF or is_far:
-            yaw = item.numbers[3]
-            turn = math.remainder(math.pi / 2 - math.radians(yaw), math.tau)
-            heading = Heading("angle", turn) if math.isfinite(yaw) else Heading(forward=True)
-            near = item.numbers[1] if item.numbers[1] > NEAREST else NEAREST
-            yield self._leg(goal, heading, near)
-        if item.command in (WAYPOINT, LOITER_TIME) and item.numbers[0] > 0:
-            yield self._wait(item.numbers[0])
+            yaw = item.params[3]
+            yaw_enu = math.remainder(math.pi / 2 - math.radians(yaw), math.tau)
+            heading = Heading("angle", yaw_enu) if math.isfinite(yaw) else Heading(forward=True)
+            acceptance_radius = (
+                item.params[1] if item.params[1] > MIN_ACCEPTANCE_RADIUS else MIN_ACCEPTANCE_RADIUS
+            )
+            yield self._plan_leg(goal, heading, acceptance_radius)
+        if item.command in (WAYPOINT, LOITER_TIME) and item.params[0] > 0:
+            yield self._wait(item.params[0])
         while item.command == LOITER_UNLIMITED:
-            yield self._wait(LONGEST)
+            yield self._wait(MAX_WAIT)
 
-    def _leg(
+    def _plan_leg(
         self,
         goal: tuple[float, float, float],
         heading: Heading,
-        near: float = NEAREST,
+        acceptance_radius: float = MIN_ACCEPTANCE_RADIUS,
     ) -> Path:
-        """Fly straight to a place, at the mission's speed."""
-        return self.leg(self._state, goal, self.speed, heading, self._now, near)
+        """Plan a straight leg at the mission's speed."""
+        return self.plan_leg(self._state, goal, self.speed, heading, self._now, acceptance_radius)
 
     def _wait(self, seconds: float) -> Hold:
-        """Stay for a time, s."""
-        (x, y, z), turn, _, _ = self._state
-        still = Setpoint("position", (x, y), "position", z, "angle", euler(turn)[2])
-        return Hold(self._now, min(max(seconds, 0.0), LONGEST), still)
+        """Return a motion that holds the position for a time, s."""
+        (x, y, z), quaternion, _, _ = self._state
+        setpoint = Setpoint("position", (x, y), "position", z, "angle", euler(quaternion)[2])
+        return Hold(self._now, min(max(seconds, 0.0), MAX_WAIT), setpoint)

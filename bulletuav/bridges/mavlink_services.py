@@ -1,23 +1,23 @@
-"""Messages to and from one MAVLink vehicle, without sockets."""
+"""Message handling of one MAVLink vehicle, without sockets."""
 
 import math
 from collections.abc import Sequence
 
-from bulletuav.bridges import mavlink_setpoints as setpoints
-from bulletuav.bridges.mavlink_commands import COMMANDS, Request, set_mode
+from bulletuav.bridges import mavlink_setpoints
+from bulletuav.bridges.mavlink_commands import COMMANDS, CommandRequest, set_mode
 from bulletuav.bridges.mavlink_missions import ACCEPTED
-from bulletuav.bridges.mavlink_telemetry import Streams, tell
-from bulletuav.bridges.mavlink_vehicle import Vehicle
-from bulletuav.bridges.mavlink_wire import (
+from bulletuav.bridges.mavlink_protocol import (
     COMPONENT,
     Command,
+    CommandResult,
     Message,
+    OutgoingMessage,
     RefusedError,
-    Result,
     Sender,
-    Told,
     text,
 )
+from bulletuav.bridges.mavlink_telemetry import TelemetryRates, make_message
+from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
 from bulletuav.bridges.setpoints import Order, Setpoint
 
 SETPOINTS = (
@@ -37,147 +37,153 @@ MISSIONS = (
 )
 PARAMETERS = ("PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET")
 COMMAND_MESSAGES = ("COMMAND_LONG", "COMMAND_INT")
-SAME_AGAIN = 1.0
-"""How long a text about setpoints is not told again, s"""
+COMPLAINT_INTERVAL = 1.0
+"""Minimum time between texts about denied setpoints, s"""
 MISSION_CURRENT = 42
 
 
 class Services:
-    """Answers clients of one vehicle, and tells what is due.
+    """Message handler of one vehicle: answers clients, and sends telemetry.
 
     Attributes:
         vehicle: The vehicle.
-        streams: How often each message is sent.
+        streams: Intervals of the telemetry streams.
     """
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        """Serve a vehicle."""
-        self.vehicle, self.streams = vehicle, Streams(vehicle.system)
-        self._commander: Sender | None = None
-        self._complained = -math.inf
+    def __init__(self, vehicle: MavlinkVehicle) -> None:
+        """Initialise the handler of a vehicle."""
+        self.vehicle, self.streams = vehicle, TelemetryRates(vehicle.system_id)
+        self._setpoint_sender: Sender | None = None
+        self._last_complaint_time = -math.inf
 
-    def answer(self, message: Message, sender: Sender) -> list[Told]:
-        """Take a message.
+    def answer(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
+        """Handle a message from a client.
 
         Args:
-            message: From a client.
-            sender: Who sent it.
+            message: Message from a client.
+            sender: Sender of the message.
 
         Returns:
-            Answers to this client; none to a message that is for others, or not known.
+            Messages to send back to this client; none if the message is addressed to another
+            system or is not supported.
         """
-        # 0 is for all; messages to others are not answered
-        if getattr(message, "target_system", 0) not in (0, self.vehicle.system):
+        # ID 0 is broadcast; messages to other systems and components are ignored
+        if getattr(message, "target_system", 0) not in (0, self.vehicle.system_id):
             return []
         if getattr(message, "target_component", 0) not in (0, COMPONENT):
             return []
-        # By kind: commands, setpoints, missions, and the rest
-        kind = message.get_type()
-        if kind in COMMAND_MESSAGES:
-            return self._obey(message, sender)
-        if kind in SETPOINTS:
-            return self._follow(message, sender)
-        if kind in MISSIONS:
+        # Commands, setpoints and missions have answers of their own
+        message_type = message.get_type()
+        if message_type in COMMAND_MESSAGES:
+            return self._handle_command(message, sender)
+        if message_type in SETPOINTS:
+            return self._handle_setpoint(message, sender)
+        if message_type in MISSIONS:
             return self.vehicle.missions.answer(message, sender, self.vehicle.pilot.now)
         try:
-            return self._answer_others(message, sender)
+            return self._handle_other(message, sender)
         except RefusedError as error:
             return [text(str(error))]
 
-    def _answer_others(self, message: Message, sender: Sender) -> list[Told]:
-        """Answer what is neither a command nor a setpoint nor about missions."""
-        kind = message.get_type()
-        if kind in PARAMETERS:
+    def _handle_other(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
+        """Handle parameters, modes, the current item, time synchronisation and pings."""
+        message_type = message.get_type()
+        if message_type in PARAMETERS:
             return self.vehicle.parameters.answer(message)
-        if kind == "SET_MODE":
+        if message_type == "SET_MODE":
             set_mode(self.vehicle, message.custom_mode >> 16 & 255, message.custom_mode >> 24)
-        elif kind == "MISSION_SET_CURRENT":
-            self.vehicle.pilot.jump(message.seq)
-            return [tell(self.vehicle, MISSION_CURRENT)]
-        elif kind == "TIMESYNC" and message.tc1 == 0:
-            return [Told("timesync", (self.vehicle.stamp * 10**6, message.ts1))]
-        elif kind == "PING" and message.target_system == 0:
-            return [Told("ping", (message.time_usec, message.seq, *sender[:2]))]
+        elif message_type == "MISSION_SET_CURRENT":
+            self.vehicle.pilot.set_current_item(message.seq)
+            return [make_message(self.vehicle, MISSION_CURRENT)]
+        elif message_type == "TIMESYNC" and message.tc1 == 0:
+            return [OutgoingMessage("timesync", (self.vehicle.time_boot_ms * 10**6, message.ts1))]
+        elif message_type == "PING" and message.target_system == 0:
+            return [OutgoingMessage("ping", (message.time_usec, message.seq, *sender[:2]))]
         return []
 
-    def _obey(self, message: Message, sender: Sender) -> list[Told]:
-        """Do what a command says, and acknowledge it."""
-        result, said = Result.UNSUPPORTED, list[Told]()
+    def _handle_command(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
+        """Run a command, and return its COMMAND_ACK and further messages."""
+        result, replies = CommandResult.UNSUPPORTED, list[OutgoingMessage]()
         if message.command in COMMANDS:
             try:
-                does, request = COMMANDS[message.command], Request.of(message)
-                said = list(does(self.vehicle, self.streams, request))
-                result = Result.ACCEPTED
+                handler, request = COMMANDS[message.command], CommandRequest.from_message(message)
+                replies = list(handler(self.vehicle, self.streams, request))
+                result = CommandResult.ACCEPTED
             except RefusedError as error:
-                result, said = error.result, [text(str(error))]
-        return [Told("command_ack", (message.command, result, 0, 0, *sender[:2])), *said]
+                result, replies = error.result, [text(str(error))]
+        return [
+            OutgoingMessage("command_ack", (message.command, result, 0, 0, *sender[:2])),
+            *replies,
+        ]
 
-    def _follow(self, message: Message, sender: Sender) -> list[Told]:
-        """Take a setpoint; those of a second client are refused while the first sends some."""
-        pilot, vehicle, kind = self.vehicle.pilot, self.vehicle, message.get_type()
+    def _handle_setpoint(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
+        """Handle a setpoint; a second client's are denied while the first one sends setpoints."""
+        pilot, vehicle, message_type = self.vehicle.pilot, self.vehicle, message.get_type()
         try:
-            # Two clients at once would make the vehicle jump to and fro
-            if self._commander not in (None, sender) and pilot.hears:
-                raise RefusedError("setpoints refused: another client sends some")
-            # Each message has frames and masks of its own
-            wanted: Setpoint | Order
-            if kind == "SET_ATTITUDE_TARGET":
-                wanted = setpoints.of_attitude(message, vehicle.airframe)
-            elif kind == "SET_POSITION_TARGET_LOCAL_NED":
-                wanted = setpoints.of_local(message, vehicle.site, pilot.state)
+            # Setpoints of two clients would make the vehicle jump back and forth
+            if self._setpoint_sender not in (None, sender) and pilot.has_recent_setpoint:
+                raise RefusedError("setpoints denied: another client sends setpoints")
+            # Frames and type masks differ between the messages
+            setpoint: Setpoint | Order
+            if message_type == "SET_ATTITUDE_TARGET":
+                setpoint = mavlink_setpoints.parse_attitude_target(message, vehicle.airframe)
+            elif message_type == "SET_POSITION_TARGET_LOCAL_NED":
+                setpoint = mavlink_setpoints.parse_local_target(message, vehicle.site, pilot.state)
             else:
-                wanted = setpoints.of_global(message, vehicle.site, pilot.state)
-            pilot.follow(wanted)
-            self._commander = sender
-        # Setpoints come many times a second: the same complaint is told seldom
+                setpoint = mavlink_setpoints.parse_global_target(message, vehicle.site, pilot.state)
+            pilot.set_offboard_setpoint(setpoint)
+            self._setpoint_sender = sender
+        # Setpoints arrive many times per second: limit the rate of error texts
         except RefusedError as error:
-            if pilot.now - self._complained < SAME_AGAIN:
+            if pilot.now - self._last_complaint_time < COMPLAINT_INTERVAL:
                 return []
-            self._complained = pilot.now
+            self._last_complaint_time = pilot.now
             return [text(str(error))]
         return []
 
-    def due(self, tick: int) -> list[Told]:
-        """Tell all clients what is due in a step."""
+    def due(self, tick: int) -> list[OutgoingMessage]:
+        """Return the messages to send to all clients at a step."""
         vehicle, pilot = self.vehicle, self.vehicle.pilot
-        told = [tell(vehicle, number) for number in self.streams.due(tick)]
-        told += vehicle.missions.due(pilot.now)
-        told += [Told("mission_item_reached", (number,)) for number in pilot.route.reached]
+        messages = [make_message(vehicle, number) for number in self.streams.due(tick)]
+        messages += vehicle.missions.due(pilot.now)
+        messages += [
+            OutgoingMessage("mission_item_reached", (number,)) for number in pilot.route.reached
+        ]
         if pilot.route.reached:
-            told.append(tell(vehicle, MISSION_CURRENT))
-        told += [text(words) for words in pilot.said]
+            messages.append(make_message(vehicle, MISSION_CURRENT))
+        messages += [text(status) for status in pilot.status_texts]
         pilot.route.reached.clear()
-        pilot.said.clear()
-        return told
+        pilot.status_texts.clear()
+        return messages
 
 
-def refusal_of(answers: Sequence[Told]) -> str:
-    """Return why a client's message was refused, by its answers; empty if it was not."""
+def find_refusal_reason(answers: Sequence[OutgoingMessage]) -> str:
+    """Return the reason for which a message was denied, from its answers; empty if it was not."""
     reasons = []
     for answer in answers:
         if answer.name == "statustext":
             reasons.append(answer.fields[1].decode())
-        elif answer.name == "command_ack" and answer.fields[1] != Result.ACCEPTED:
-            reasons.append(f"result {Result(answer.fields[1]).name}")
+        elif answer.name == "command_ack" and answer.fields[1] != CommandResult.ACCEPTED:
+            reasons.append(f"result {CommandResult(answer.fields[1]).name}")
         elif answer.name == "mission_ack" and answer.fields[2] != ACCEPTED:
             reasons.append(f"mission result {answer.fields[2]}")
     return "; ".join(reasons)
 
 
-def describe(message: Message) -> str:
-    """Name a message, and its command if it has one."""
-    kind: str = message.get_type()
-    if kind not in COMMAND_MESSAGES:
-        return kind
-    known = message.command in tuple(Command)
-    return f"{kind} {Command(message.command).name if known else message.command}"
+def describe_message(message: Message) -> str:
+    """Return a message's name, with its command if there is one."""
+    message_type: str = message.get_type()
+    if message_type not in COMMAND_MESSAGES:
+        return message_type
+    is_known = message.command in tuple(Command)
+    return f"{message_type} {Command(message.command).name if is_known else message.command}"
 
 
-def packed(frames: Sequence[bytes], most: int) -> list[bytes]:
-    """Join frames to datagrams of at most some bytes."""
-    found = [b""]
+def join_frames(frames: Sequence[bytes], max_size: int) -> list[bytes]:
+    """Join frames into datagrams of a maximum size, bytes."""
+    datagrams = [b""]
     for frame in frames:
-        if len(found[-1]) + len(frame) > most:
-            found.append(b"")
-        found[-1] += frame
-    return [one for one in found if one]
+        if len(datagrams[-1]) + len(frame) > max_size:
+            datagrams.append(b"")
+        datagrams[-1] += frame
+    return [datagram for datagram in datagrams if datagram]

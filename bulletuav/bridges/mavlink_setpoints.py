@@ -1,166 +1,153 @@
-"""Offboard setpoints: positions, velocities, accelerations and attitudes as clients send them."""
+"""Offboard setpoints: decoding of position, velocity, acceleration and attitude targets."""
 
 import math
 
-from bulletuav.bridges.mavlink_places import Site
-from bulletuav.bridges.mavlink_wire import Message, RefusedError
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_protocol import Message, RefusedError
 from bulletuav.bridges.setpoints import Order, Setpoint, State, euler
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.earth import attitude_to_enu
 from bulletuav.vehicle.airframe import Airframe
 
-LOCAL, BODY = 1, 8
-"""Frames of local setpoints: north-east-down of the start; velocities turned by the yaw"""
-PLACE_XY, PLACE_Z = 0b11, 0b100
-VELOCITY_XY, VELOCITY_Z = 0b11 << 3, 0b100 << 3
-ACCELERATION = 0b111 << 6
-IS_FORCE, NO_YAW, NO_YAW_RATE = 1 << 9, 1 << 10, 1 << 11
-"""Bits of a mask of what is to be ignored"""
-NO_RATES, NO_THRUST, NO_ATTITUDE = 0b111, 1 << 6, 1 << 7
-"""The same for attitudes"""
-FASTEST, MOST_ACCELERATION, QUICKEST = 100.0, 100.0, 20.0
-"""Greatest velocity (m/s), acceleration (m/s^2) and rate (rad/s) that are taken"""
-STEEPEST = math.radians(60)
-"""Greatest roll and pitch, rad"""
+LOCAL_NED, BODY_NED = 1, 8
+"""MAV_FRAME of local setpoints: NED from the start, and velocities relative to the heading"""
+IGNORE_XY, IGNORE_Z = 0b11, 0b100
+IGNORE_VXY, IGNORE_VZ = 0b11 << 3, 0b100 << 3
+IGNORE_ACCELERATION = 0b111 << 6
+FORCE_SET, IGNORE_YAW, IGNORE_YAW_RATE = 1 << 9, 1 << 10, 1 << 11
+"""Bits of the type mask of position targets (POSITION_TARGET_TYPEMASK)"""
+IGNORE_RATES, IGNORE_THRUST, IGNORE_ATTITUDE = 0b111, 1 << 6, 1 << 7
+"""Bits of the type mask of attitude targets (ATTITUDE_TARGET_TYPEMASK)"""
+MAX_SPEED, MAX_ACCELERATION, MAX_RATE = 100.0, 100.0, 20.0
+"""Limits of velocity (m/s), acceleration (m/s^2) and angular rate (rad/s)"""
+MAX_TILT = math.radians(60)
+"""Limit of roll and pitch, rad"""
 
 
-def of_local(
-    message: Message,
-    site: Site,
-    state: State,
-) -> Setpoint | Order:
-    """Read a SET_POSITION_TARGET_LOCAL_NED.
+def parse_local_target(message: Message, site: Site, state: State) -> Setpoint | Order:
+    """Convert a SET_POSITION_TARGET_LOCAL_NED into a setpoint.
 
     Args:
         message: The message.
-        site: Where the vehicle's coordinates begin.
-        state: Its state.
+        site: Start position of the vehicle.
+        state: State of the vehicle.
 
     Returns:
-        What the drone is to do.
+        The setpoint, or a flight command for an acceleration.
 
     Raises:
-        RefusedError: The frame or the mask is not supported, or a number cannot be.
+        RefusedError: If the frame or the type mask is not supported, or a number is not finite.
     """
     frame = message.coordinate_frame
-    if frame not in (LOCAL, BODY):
+    if frame not in (LOCAL_NED, BODY_NED):
         raise RefusedError(f"setpoint in frame {frame}: 1 or 8 is needed")
-    mask = message.type_mask | (PLACE_XY | PLACE_Z if frame == BODY else 0)
+    mask = message.type_mask | (IGNORE_XY | IGNORE_Z if frame == BODY_NED else 0)
     used = [0.0 if mask & 1 << k else getattr(message, name) for k, name in enumerate("xyz")]
-    return _moving(message, mask, site.of_ned(*used), state, "body" if frame == BODY else "")
+    return _make_setpoint(
+        message, mask, site.from_ned(*used), state, "body" if frame == BODY_NED else ""
+    )
 
 
-def of_global(
-    message: Message,
-    site: Site,
-    state: State,
-) -> Setpoint | Order:
-    """Read a SET_POSITION_TARGET_GLOBAL_INT; see `of_local`.
+def parse_global_target(message: Message, site: Site, state: State) -> Setpoint | Order:
+    """Convert a SET_POSITION_TARGET_GLOBAL_INT into a setpoint; see `parse_local_target`.
 
     Raises:
-        RefusedError: The frame or the mask is not supported, or a number cannot be.
+        RefusedError: If the frame or the type mask is not supported, or a number is not finite.
     """
-    mask, place = message.type_mask, (0.0, 0.0, 0.0)
-    if mask & (PLACE_XY | PLACE_Z) != PLACE_XY | PLACE_Z:
-        spot = (message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
-        place = site.of_global(message.coordinate_frame, *spot)
-    return _moving(message, mask, place, state, "")
+    mask, position = message.type_mask, (0.0, 0.0, 0.0)
+    if mask & (IGNORE_XY | IGNORE_Z) != IGNORE_XY | IGNORE_Z:
+        geodetic = (message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
+        position = site.from_global(message.coordinate_frame, *geodetic)
+    return _make_setpoint(message, mask, position, state, "")
 
 
-def _moving(
-    message: Message,
-    mask: int,
-    place: tuple[float, float, float],
-    state: State,
-    body: str,
+def _make_setpoint(
+    message: Message, mask: int, position: tuple[float, float, float], state: State, body: str
 ) -> Setpoint | Order:
-    """Join what a message tells of place, velocity, acceleration and yaw."""
-    if mask & IS_FORCE and mask & ACCELERATION != ACCELERATION:
+    """Combine the fields that the type mask selects: position, velocity, acceleration and yaw."""
+    if mask & FORCE_SET and mask & IGNORE_ACCELERATION != IGNORE_ACCELERATION:
         raise RefusedError("setpoint: forces are not supported")
-    velocity = _vector(message, "v", mask >> 3, FASTEST)
-    turning, yaw = _turning(message, mask)
-    has_place, has_velocity = not mask & PLACE_XY, not mask & VELOCITY_XY
-    has_height, climbs = not mask & PLACE_Z, not mask & VELOCITY_Z
-    if has_place and has_height:
+    velocity = _read_enu_vector(message, "v", mask >> 3, MAX_SPEED)
+    turning, yaw = _read_yaw(message, mask)
+    has_position, has_velocity = not mask & IGNORE_XY, not mask & IGNORE_VXY
+    has_height, climbs = not mask & IGNORE_Z, not mask & IGNORE_VZ
+    if has_position and has_height:
         ahead: tuple[float, ...] = ()
         if has_velocity and climbs:
-            ahead = (*velocity, *_vector(message, "af", mask >> 6, MOST_ACCELERATION))
-        return Setpoint("position", place[:2], "position", place[2], turning, yaw, ahead)
+            ahead = (*velocity, *_read_enu_vector(message, "af", mask >> 6, MAX_ACCELERATION))
+        return Setpoint("position", position[:2], "position", position[2], turning, yaw, ahead)
     if has_velocity and (has_height or climbs):
-        # Forward, right of the body into forward, left.
+        # From forward, right to forward, left
         xy = (velocity[1], -velocity[0]) if body else velocity[:2]
-        upward, z = ("position", place[2]) if has_height else ("velocity", velocity[2])
+        upward, z = ("position", position[2]) if has_height else ("velocity", velocity[2])
         return Setpoint(body or "velocity", (xy[0], xy[1]), upward, z, turning, yaw)
-    if not mask & ACCELERATION and not body:
-        push = _vector(message, "af", mask >> 6, MOST_ACCELERATION)
-        held = yaw if turning == "angle" else euler(state[1])[2]
-        return Order(SetpointLevel.ACCELERATION, (*push, held))
+    if not mask & IGNORE_ACCELERATION and not body:
+        acceleration = _read_enu_vector(message, "af", mask >> 6, MAX_ACCELERATION)
+        held_yaw = yaw if turning == "angle" else euler(state[1])[2]
+        return Order(SetpointLevel.ACCELERATION, (*acceleration, held_yaw))
     raise RefusedError(f"setpoint with mask {message.type_mask:#x} unsupported")
 
 
-def _vector(
-    message: Message,
-    prefix: str,
-    ignored: int,
-    most: float,
+def _read_enu_vector(
+    message: Message, prefix: str, ignored: int, limit: float
 ) -> tuple[float, ...]:
-    """Read a vector north, east, down as one east, north, up; what is ignored is 0."""
+    """Read a NED vector and return it as east, north, up; ignored components are 0."""
     north, east, down = (
-        0.0 if ignored & 1 << k else _number(getattr(message, prefix + axis), most)
+        0.0 if ignored & 1 << k else _clamp_finite(getattr(message, prefix + axis), limit)
         for k, axis in enumerate("xyz")
     )
     return east, north, -down
 
 
-def _number(value: float, most: float) -> float:
-    """Check that a number is finite, and cut it."""
+def _clamp_finite(value: float, limit: float) -> float:
+    """Clip a number; raise RefusedError if it is not finite."""
     if not math.isfinite(value):
         raise RefusedError("setpoint: finite numbers are needed")
-    return min(max(value, -most), most)
+    return min(max(value, -limit), limit)
 
 
-def _turning(message: Message, mask: int) -> tuple[str, float]:
-    """Read the yaw, or its rate; without both the yaw is held."""
-    if not mask & NO_YAW:
-        return "angle", math.remainder(math.pi / 2 - _number(message.yaw, 1e3), math.tau)
-    if not mask & NO_YAW_RATE:
-        return "rate", -_number(message.yaw_rate, QUICKEST)
+def _read_yaw(message: Message, mask: int) -> tuple[str, float]:
+    """Read the yaw (rad, ENU) or the yaw rate; without both the present yaw is held."""
+    if not mask & IGNORE_YAW:
+        return "angle", math.remainder(math.pi / 2 - _clamp_finite(message.yaw, 1e3), math.tau)
+    if not mask & IGNORE_YAW_RATE:
+        return "rate", -_clamp_finite(message.yaw_rate, MAX_RATE)
     return "rate", 0.0
 
 
-def of_attitude(message: Message, airframe: Airframe) -> Setpoint:
-    """Read a SET_ATTITUDE_TARGET; thrust is a share of the greatest.
+def parse_attitude_target(message: Message, airframe: Airframe) -> Setpoint:
+    """Convert a SET_ATTITUDE_TARGET, whose thrust is a fraction of the maximum thrust.
 
     Args:
         message: The message.
-        airframe: Of the vehicle.
+        airframe: Airframe of the vehicle.
 
     Returns:
-        What the drone is to do.
+        The setpoint.
 
     Raises:
-        RefusedError: The mask is not supported, or a number cannot be.
+        RefusedError: If the type mask is not supported, or a number is not finite.
     """
-    # Bits of the mask name what to leave out
+    # Set bits of the mask mark ignored fields
     mask = message.type_mask
-    if mask & NO_THRUST:
+    if mask & IGNORE_THRUST:
         raise RefusedError("attitude setpoint: a thrust is needed")
-    thrust = min(max(_number(message.thrust, 1.0), 0.0), 1.0) * airframe.max_thrust
+    thrust = min(max(_clamp_finite(message.thrust, 1.0), 0.0), 1.0) * airframe.max_thrust
     rates = [
-        0.0 if mask & 1 << k else _number(getattr(message, f"body_{axis}_rate"), QUICKEST)
+        0.0 if mask & 1 << k else _clamp_finite(getattr(message, f"body_{axis}_rate"), MAX_RATE)
         for k, axis in enumerate(("roll", "pitch", "yaw"))
     ]
-    # Rates alone; from forward, right, down to forward, left, up
-    if mask & NO_ATTITUDE:
-        if mask & NO_RATES == NO_RATES:
+    # Rates without an attitude; from forward, right, down (FRD) to forward, left, up (FLU)
+    if mask & IGNORE_ATTITUDE:
+        if mask & IGNORE_RATES == IGNORE_RATES:
             raise RefusedError("attitude setpoint: an attitude or rates are needed")
         return Setpoint("rates", (rates[0], -rates[1]), "thrust", thrust, "rate", -rates[2])
-    # Clients' quaternions have lengths near 1; the attitude is from north, east, down
-    size = math.sqrt(sum(_number(one, 1e3) ** 2 for one in message.q))
-    if size < 1e-3:
-        raise RefusedError("attitude setpoint: the quaternion has no length")
-    w, x, y, z = (one / size for one in message.q)
+    # Normalise, as clients' quaternions have a norm near 1; convert from FRD to NED
+    norm = math.sqrt(sum(_clamp_finite(value, 1e3) ** 2 for value in message.q))
+    if norm < 1e-3:
+        raise RefusedError("attitude setpoint: the quaternion has norm 0")
+    w, x, y, z = (value / norm for value in message.q)
     roll, pitch, yaw = euler(attitude_to_enu((x, y, z, w)).tolist())
-    # Tilt stays within what a client may ask for
-    lean = [min(max(one, -STEEPEST), STEEPEST) for one in (roll, pitch)]
-    return Setpoint("attitude", (lean[0], lean[1]), "thrust", thrust, "angle", yaw)
+    # Limit the tilt
+    tilt = [min(max(angle, -MAX_TILT), MAX_TILT) for angle in (roll, pitch)]
+    return Setpoint("attitude", (tilt[0], tilt[1]), "thrust", thrust, "angle", yaw)

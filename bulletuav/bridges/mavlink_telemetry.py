@@ -1,127 +1,127 @@
-"""What a MAVLink vehicle tells of itself, and how often."""
+"""Telemetry of a MAVLink vehicle: message contents and stream rates."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from bulletuav.bridges.mavlink_vehicle import Vehicle
-from bulletuav.bridges.mavlink_wire import Mode, RefusedError, Result, Told
+from bulletuav.bridges.mavlink_protocol import CommandResult, Mode, OutgoingMessage, RefusedError
+from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
 from bulletuav.bridges.setpoints import euler
 
 STEP_HZ = 100
-"""Steps a second, and most messages of a kind"""
+"""Steps per second, and maximum rate of a stream"""
 QUADROTOR, PX4 = 2, 12
-"""Kind of vehicle, and of autopilot"""
+"""MAV_TYPE of the vehicle, and MAV_AUTOPILOT"""
 STANDBY, ACTIVE = 3, 4
 HEALTH = 0b1 | 0b10 | 0b100 | 0b1000 | 0b100000 | 1 << 21 | 1 << 25 | 1 << 28
-"""Gyroscopes, accelerometers, compass, barometer, GPS, attitude, battery and checks are well"""
+"""Bits of SYS_STATUS: gyroscope, accelerometer, magnetometer, barometer, GPS, attitude, battery and
+pre-arm check are present, enabled and healthy"""
 ON_GROUND, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
-"""What a vehicle does about the ground"""
+"""Landed states (MAV_LANDED_STATE)"""
 NO_MISSION, NOT_STARTED, RUNNING, PAUSED, COMPLETE = 1, 2, 3, 4, 5
-"""States of a mission"""
+"""Mission states (MISSION_STATE)"""
 CAPABILITIES = sum(1 << bit for bit in (2, 3, 4, 6, 7, 8, 11, 13, 14))
-"""Missions and commands in whole numbers, parameters bit by bit, setpoints of attitude and of both
-kinds of places, termination, MAVLink 2, fences"""
+"""Capabilities (MAV_PROTOCOL_CAPABILITY): MISSION_INT, COMMAND_INT, bytewise parameters, targets of
+attitude and of local and global positions, termination, MAVLink 2, geofence"""
 VERSION = 1 << 24 | 14 << 16 | 3 << 8 | 255
-"""What PX4 1.14.3 tells: clients ask whether it is new enough"""
-UNKNOWN_16, UNKNOWN_8 = 2**16 - 1, 255
+"""Firmware version PX4 1.14.3, as clients require a minimum version"""
+UINT16_UNKNOWN, UINT8_UNKNOWN = 2**16 - 1, 255
 FULL_VOLTAGE = 16.2
-"""V"""
+"""Battery voltage, V"""
 
 
-def _heartbeat(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell mode and arming."""
+def _heartbeat(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     pilot = vehicle.pilot
-    # Custom, stabilised, and, but for offboard, guided and automatic.
+    # Base mode: custom, stabilised, armed; guided and automatic except in mode OFFBOARD
     base = 1 | 16 | (0 if pilot.mode == Mode.OFFBOARD else 8 | 4) | (128 if pilot.is_armed else 0)
     return QUADROTOR, PX4, base, int(pilot.mode), ACTIVE if pilot.is_armed else STANDBY, 3
 
 
-def _sys_status(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell that all is well."""
+def _sys_status(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     return (HEALTH, HEALTH, HEALTH, 100, round(FULL_VOLTAGE * 1000), -1, 100, *[0] * 6)
 
 
-def _system_time(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell the time since the start, also as if it had been midnight of 1970 then."""
-    return vehicle.stamp * 1000, vehicle.stamp
+def _system_time(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    """Return SYSTEM_TIME, with the time since the start in place of the UNIX time."""
+    return vehicle.time_boot_ms * 1000, vehicle.time_boot_ms
 
 
-def _gps(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell what a satellite receiver measures."""
-    latitude, longitude, altitude = _degrees(vehicle)
+def _gps(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    """Return GPS_RAW_INT, with exact values."""
+    latitude, longitude, altitude = _scaled_position(vehicle)
     north, east, _ = _velocity(vehicle)
     speed = math.hypot(north, east)
     course = round(math.degrees(math.atan2(east, north)) * 100) % 36000
-    flat = (30, 50, min(round(speed * 100), UNKNOWN_16 - 1), course, 16)
+    flat = (30, 50, min(round(speed * 100), UINT16_UNKNOWN - 1), course, 16)
     exact = (altitude, 100, 100, 10, 0, 0)
-    return (vehicle.stamp * 1000, 3, latitude, longitude, altitude, *flat, *exact)
+    return (vehicle.time_boot_ms * 1000, 3, latitude, longitude, altitude, *flat, *exact)
 
 
-def _attitude(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell roll, pitch and yaw, rad."""
+def _attitude(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     roll, pitch, yaw = euler(vehicle.pilot.state[1])
-    turn = math.remainder(math.pi / 2 - yaw, math.tau)
-    return (vehicle.stamp, roll, -pitch, turn, *_rates(vehicle))
+    yaw_ned = math.remainder(math.pi / 2 - yaw, math.tau)
+    return (vehicle.time_boot_ms, roll, -pitch, yaw_ned, *_rates(vehicle))
 
 
-def _attitude_quaternion(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell the attitude as a quaternion."""
-    return (vehicle.stamp, *_quaternion(vehicle), *_rates(vehicle))
+def _attitude_quaternion(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    return (vehicle.time_boot_ms, *_quaternion(vehicle), *_rates(vehicle))
 
 
-def _local_position(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell north, east, down of the start, and velocities."""
-    return vehicle.stamp, *vehicle.site.to_ned(vehicle.pilot.state[0]), *_velocity(vehicle)
+def _local_position(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    return vehicle.time_boot_ms, *vehicle.site.to_ned(vehicle.pilot.state[0]), *_velocity(vehicle)
 
 
-def _global_position(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell latitude, longitude and altitudes."""
-    latitude, longitude, altitude = _degrees(vehicle)
+def _global_position(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    latitude, longitude, altitude = _scaled_position(vehicle)
     above = altitude - round(vehicle.site.altitude * 1000)
-    speeds = [_short(one * 100) for one in _velocity(vehicle)]
-    return vehicle.stamp, latitude, longitude, altitude, above, *speeds, _heading(vehicle) * 100
+    speeds = [_clamp_int16(speed * 100) for speed in _velocity(vehicle)]
+    return (
+        vehicle.time_boot_ms,
+        latitude,
+        longitude,
+        altitude,
+        above,
+        *speeds,
+        _heading(vehicle) * 100,
+    )
 
 
-def _home(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell where home is."""
-    still = ([1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, vehicle.stamp * 1000)
-    return (*_whole_degrees(vehicle.site.home), 0.0, 0.0, 0.0, *still)
+def _home(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    still = ([1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, vehicle.time_boot_ms * 1000)
+    return (*_scale_geodetic(vehicle.site.home), 0.0, 0.0, 0.0, *still)
 
 
-def _origin(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell where the origin of local places is."""
-    return (*_whole_degrees(vehicle.site.home), vehicle.stamp * 1000)
+def _origin(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    return (*_scale_geodetic(vehicle.site.home), vehicle.time_boot_ms * 1000)
 
 
-def _extended(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell whether it stands."""
+def _extended(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     pilot = vehicle.pilot
     flying = {Mode.TAKEOFF: TAKING_OFF, Mode.LAND: LANDING}.get(pilot.mode, IN_AIR)
     return 0, ON_GROUND if pilot.has_landed else flying
 
 
-def _hud(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell what pilots look at."""
+def _hud(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     north, east, down = _velocity(vehicle)
-    speed, height = math.hypot(north, east), _degrees(vehicle)[2] / 1000
-    return speed, speed, _heading(vehicle), 0, height, -down
+    speed, altitude = math.hypot(north, east), _scaled_position(vehicle)[2] / 1000
+    return speed, speed, _heading(vehicle), 0, altitude, -down
 
 
-def _altitude(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell altitudes."""
-    height, above = _degrees(vehicle)[2] / 1000, -vehicle.site.to_ned(vehicle.pilot.state[0])[2]
-    return vehicle.stamp * 1000, height, height, above, above, math.nan, math.nan
+def _altitude(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    altitude, above = (
+        _scaled_position(vehicle)[2] / 1000,
+        -vehicle.site.to_ned(vehicle.pilot.state[0])[2],
+    )
+    return vehicle.time_boot_ms * 1000, altitude, altitude, above, above, math.nan, math.nan
 
 
-def _battery(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell that the battery is full."""
-    cells = [round(FULL_VOLTAGE * 1000 / 4)] * 4 + [UNKNOWN_16] * 6
+def _battery(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    """Return BATTERY_STATUS of a full battery."""
+    cells = [round(FULL_VOLTAGE * 1000 / 4)] * 4 + [UINT16_UNKNOWN] * 6
     return 0, 1, 1, 2**15 - 1, cells, -1, -1, -1, 100
 
 
-def _mission(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell how far the mission is."""
+def _mission(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     pilot, route = vehicle.pilot, vehicle.pilot.route
     total = len(route.items)
     if total == 0:
@@ -135,169 +135,173 @@ def _mission(vehicle: Vehicle) -> tuple[Any, ...]:
     return min(route.current, max(total - 1, 0)), total, state
 
 
-def _odometry(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell place and attitude, and velocities of the body."""
+def _odometry(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    """Return ODOMETRY: position in the local frame, velocities in the body frame."""
     x, y, z, w = vehicle.pilot.state[1]
     u, v, s = vehicle.pilot.state[2]
-    # The world's velocity in body axes: the conjugate of the attitude turns it.
+    # Rotate the velocity into body axes by the conjugate quaternion
     tx, ty, tz = 2 * (z * v - y * s), 2 * (x * s - z * u), 2 * (y * u - x * v)
     forward = u + w * tx - (y * tz - z * ty)
     left = v + w * ty - (z * tx - x * tz)
     up = s + w * tz - (x * ty - y * tx)
     unknown = [math.nan, *[0.0] * 20]
-    place = vehicle.site.to_ned(vehicle.pilot.state[0])
-    ways = (*place, list(_quaternion(vehicle)), forward, -left, -up, *_rates(vehicle))
-    return (vehicle.stamp * 1000, 1, 12, *ways, unknown, unknown)
+    position = vehicle.site.to_ned(vehicle.pilot.state[0])
+    kinematics = (*position, list(_quaternion(vehicle)), forward, -left, -up, *_rates(vehicle))
+    return (vehicle.time_boot_ms * 1000, 1, 12, *kinematics, unknown, unknown)
 
 
-def _autopilot_version(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell capabilities and versions."""
+def _autopilot_version(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     none = [0] * 8
-    return CAPABILITIES, VERSION, 0, 0, 0, none, none, none, 0, 0, vehicle.system
+    return CAPABILITIES, VERSION, 0, 0, 0, none, none, none, 0, 0, vehicle.system_id
 
 
-class Stream(NamedTuple):
-    """A message that a vehicle can send.
+class TelemetryStream(NamedTuple):
+    """Message that a vehicle can send.
 
     Attributes:
-        name: In small letters.
-        hz: How often, unless a client asks for another rate; 0 for never.
-        fields: Function that gives the values.
+        name: Message name in lower case.
+        hz: Default rate, Hz; 0 for on request only.
+        fields: Function that returns the values of the fields.
     """
 
     name: str
     hz: float
-    fields: Callable[[Vehicle], tuple[Any, ...]]
+    fields: Callable[[MavlinkVehicle], tuple[Any, ...]]
 
 
-STREAMS: Mapping[int, Stream] = {
-    0: Stream("heartbeat", 1, _heartbeat),
-    1: Stream("sys_status", 1, _sys_status),
-    2: Stream("system_time", 1, _system_time),
-    24: Stream("gps_raw_int", 1, _gps),
-    30: Stream("attitude", 10, _attitude),
-    31: Stream("attitude_quaternion", 10, _attitude_quaternion),
-    32: Stream("local_position_ned", 10, _local_position),
-    33: Stream("global_position_int", 5, _global_position),
-    42: Stream("mission_current", 1, _mission),
-    49: Stream("gps_global_origin", 0, _origin),
-    74: Stream("vfr_hud", 2, _hud),
-    141: Stream("altitude", 1, _altitude),
-    147: Stream("battery_status", 0.5, _battery),
-    148: Stream("autopilot_version", 0, _autopilot_version),
-    242: Stream("home_position", 0.5, _home),
-    245: Stream("extended_sys_state", 2, _extended),
-    331: Stream("odometry", 0, _odometry),
+STREAMS: Mapping[int, TelemetryStream] = {
+    0: TelemetryStream("heartbeat", 1, _heartbeat),
+    1: TelemetryStream("sys_status", 1, _sys_status),
+    2: TelemetryStream("system_time", 1, _system_time),
+    24: TelemetryStream("gps_raw_int", 1, _gps),
+    30: TelemetryStream("attitude", 10, _attitude),
+    31: TelemetryStream("attitude_quaternion", 10, _attitude_quaternion),
+    32: TelemetryStream("local_position_ned", 10, _local_position),
+    33: TelemetryStream("global_position_int", 5, _global_position),
+    42: TelemetryStream("mission_current", 1, _mission),
+    49: TelemetryStream("gps_global_origin", 0, _origin),
+    74: TelemetryStream("vfr_hud", 2, _hud),
+    141: TelemetryStream("altitude", 1, _altitude),
+    147: TelemetryStream("battery_status", 0.5, _battery),
+    148: TelemetryStream("autopilot_version", 0, _autopilot_version),
+    242: TelemetryStream("home_position", 0.5, _home),
+    245: TelemetryStream("extended_sys_state", 2, _extended),
+    331: TelemetryStream("odometry", 0, _odometry),
 }
-"""Messages by their numbers"""
+"""Telemetry streams by message ID"""
 
 
-def stream(number: int) -> Stream:
-    """Find a message.
+def find_stream(number: int) -> TelemetryStream:
+    """Return the stream of a message ID.
 
     Raises:
-        RefusedError: It is none that a vehicle can send.
+        RefusedError: If the vehicle cannot send the message.
     """
     if number not in STREAMS:
-        raise RefusedError(f"message {number} is not supported", Result.UNSUPPORTED)
+        raise RefusedError(f"message {number} is not supported", CommandResult.UNSUPPORTED)
     return STREAMS[number]
 
 
-class Streams:
-    """How often a vehicle sends each message."""
+class TelemetryRates:
+    """Intervals at which a vehicle sends its telemetry streams."""
 
     def __init__(self, offset: int) -> None:
-        """Begin with the usual rates.
+        """Initialise with the default rates.
 
         Args:
-            offset: Number that differs between vehicles, so that not all send at once.
+            offset: Offset in steps that differs between vehicles, so that not all send in one step.
         """
         self._offset = offset
-        self._periods = {number: _steps(1e6 / one.hz) for number, one in STREAMS.items() if one.hz}
+        self._periods = {
+            number: _interval_to_steps(1e6 / stream.hz)
+            for number, stream in STREAMS.items()
+            if stream.hz
+        }
 
-    def set(self, number: int, interval: float) -> None:
-        """Change a rate.
+    def set_interval(self, number: int, interval_us: float) -> None:
+        """Set the interval of a stream.
 
         Args:
-            number: Of the message.
-            interval: us; 0 for as usual, -1 for never. It becomes whole steps of 10 ms.
+            number: Message ID.
+            interval_us: Interval, us; 0 for the default rate, -1 to stop the stream. It is rounded
+                to steps of 10 ms.
 
         Raises:
-            RefusedError: There is no such message, or the interval cannot be.
+            RefusedError: If there is no such message, or the interval is invalid.
         """
-        usual = stream(number).hz
-        if not (interval == -1 or 0 <= interval < math.inf):
-            raise RefusedError("interval: -1, 0, or microseconds are needed")
-        wanted = interval or (1e6 / usual if usual else -1)
-        if wanted < 0:
+        default_hz = find_stream(number).hz
+        if not (interval_us == -1 or 0 <= interval_us < math.inf):
+            raise RefusedError("interval must be -1, 0 or positive (us)")
+        wanted_us = interval_us or (1e6 / default_hz if default_hz else -1)
+        if wanted_us < 0:
             self._periods.pop(number, None)
         else:
-            self._periods[number] = _steps(wanted)
+            self._periods[number] = _interval_to_steps(wanted_us)
 
-    def interval(self, number: int) -> int:
-        """Tell a rate: us, or -1 for never.
+    def get_interval(self, number: int) -> int:
+        """Return the interval of a stream, us, or -1 for a stopped stream.
 
         Raises:
-            RefusedError: There is no such message.
+            RefusedError: If there is no such message.
         """
-        stream(number)
+        find_stream(number)
         period = self._periods.get(number)
         return -1 if period is None else period * (10**6 // STEP_HZ)
 
     def due(self, tick: int) -> Sequence[int]:
-        """Tell the numbers of the messages to send in a step."""
+        """Return the IDs of the messages to send at a step."""
         when = tick + self._offset
         return [number for number, period in self._periods.items() if when % period == 0]
 
 
-def _steps(interval: float) -> int:
-    """Tell how many steps an interval takes, us; at least one."""
-    return min(max(round(interval * STEP_HZ / 1e6), 1), 2**31 // (10**6 // STEP_HZ))
+def _interval_to_steps(interval_us: float) -> int:
+    """Convert an interval, us, into a number of steps, at least one."""
+    return min(max(round(interval_us * STEP_HZ / 1e6), 1), 2**31 // (10**6 // STEP_HZ))
 
 
-def tell(vehicle: Vehicle, number: int) -> Told:
-    """Make a message.
+def make_message(vehicle: MavlinkVehicle, number: int) -> OutgoingMessage:
+    """Return a message with the present values.
 
     Raises:
-        RefusedError: It is none that a vehicle can send.
+        RefusedError: If the vehicle cannot send the message.
     """
-    found = stream(number)
-    return Told(found.name, found.fields(vehicle))
+    stream = find_stream(number)
+    return OutgoingMessage(stream.name, stream.fields(vehicle))
 
 
-def _quaternion(vehicle: Vehicle) -> tuple[float, ...]:
-    """Tell the attitude as w, x, y, z, from forward, right, down to north, east, down."""
+def _quaternion(vehicle: MavlinkVehicle) -> tuple[float, ...]:
+    """Return the attitude w, x, y, z, from FRD body axes to NED."""
     return tuple(vehicle.locate()[3:])
 
 
-def _rates(vehicle: Vehicle) -> tuple[float, float, float]:
-    """Tell rates about forward, right, down, rad/s."""
+def _rates(vehicle: MavlinkVehicle) -> tuple[float, float, float]:
+    """Return the angular rates in FRD body axes, rad/s."""
     p, q, r = vehicle.pilot.state[3]
     return p, -q, -r
 
 
-def _velocity(vehicle: Vehicle) -> tuple[float, float, float]:
-    """Tell the velocity north, east, down, m/s."""
+def _velocity(vehicle: MavlinkVehicle) -> tuple[float, float, float]:
+    """Return the velocity in NED, m/s."""
     x, y, z = vehicle.pilot.state[2]
     return y, x, -z
 
 
-def _heading(vehicle: Vehicle) -> int:
-    """Tell the heading, whole degrees from north to the right."""
+def _heading(vehicle: MavlinkVehicle) -> int:
+    """Return the heading, degrees clockwise from north, rounded."""
     return round(90 - math.degrees(euler(vehicle.pilot.state[1])[2])) % 360
 
 
-def _degrees(vehicle: Vehicle) -> tuple[int, int, int]:
-    """Tell where it is: latitude and longitude, 1e-7 deg, and altitude, mm."""
-    return _whole_degrees(vehicle.locate()[:3])
+def _scaled_position(vehicle: MavlinkVehicle) -> tuple[int, int, int]:
+    """Return latitude and longitude, 1e-7 deg, and altitude, mm."""
+    return _scale_geodetic(vehicle.locate()[:3])
 
 
-def _whole_degrees(spot: Sequence[float]) -> tuple[int, int, int]:
-    """Convert degrees and metres into whole 1e-7 deg and mm."""
-    latitude, longitude, altitude = spot
+def _scale_geodetic(geodetic: Sequence[float]) -> tuple[int, int, int]:
+    """Convert degrees and metres into integers of 1e-7 deg and mm."""
+    latitude, longitude, altitude = geodetic
     return round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3)
 
 
-def _short(number: float) -> int:
-    """Cut a number to 16 bits."""
+def _clamp_int16(number: float) -> int:
+    """Round a number and clip it to 16 bits."""
     return round(min(max(number, -32768), 32767))

@@ -1,61 +1,57 @@
-"""One MAVLink vehicle: who flies it, its parameters, its missions and its fence."""
+"""One MAVLink vehicle: pilot, parameters, missions and geofence."""
 
 from collections.abc import Callable
 
-from bulletuav.bridges.mavlink_fence import Fence, Item
-from bulletuav.bridges.mavlink_items import check_items
+from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
+from bulletuav.bridges.mavlink_items import check_mission
 from bulletuav.bridges.mavlink_missions import MISSION, MissionService
-from bulletuav.bridges.mavlink_parameters import ParameterService
+from bulletuav.bridges.mavlink_parameters import MavlinkParameterService
 from bulletuav.bridges.mavlink_pilot import Pilot
-from bulletuav.bridges.mavlink_places import Site
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 
-class Vehicle:
-    """One vehicle, without its body and without messages.
+class MavlinkVehicle:
+    """Autopilot of one vehicle, without its body and without message handling.
 
     Attributes:
-        system: Number of the system, from 1 on.
-        airframe: Of its body.
-        site: Where its coordinates begin.
-        parameters: Its parameters.
-        pilot: Who flies it.
-        missions: Lists of items.
-        locate: Function that tells latitude and longitude, deg, and altitude, m; then the
-            attitude w, x, y, z, from forward, right, down to north, east, down.
+        system_id: System ID, from 1 on.
+        airframe: Airframe of the body.
+        site: Start position, which is home.
+        parameters: Parameters.
+        pilot: Arming, flight modes and motions.
+        missions: Mission and geofence lists.
+        locate: Function that returns latitude and longitude (deg), altitude (m), and the attitude
+            w, x, y, z from FRD body axes to NED.
     """
 
     def __init__(
-        self,
-        system: int,
-        airframe: Airframe,
-        site: Site,
-        locate: Callable[[], list[float]],
+        self, system_id: int, airframe: Airframe, site: Site, locate: Callable[[], list[float]]
     ) -> None:
-        """Switch it on, on the ground, disarmed.
+        """Initialise on the ground, disarmed.
 
         Args:
-            system: Number of the system.
-            airframe: Of its body.
-            site: Where it starts.
-            locate: Function that tells where it is on the Earth, see `locate`.
+            system_id: System ID.
+            airframe: Airframe of the body.
+            site: Start position.
+            locate: Function that returns the geodetic pose, see the attribute `locate`.
         """
-        self.system, self.airframe, self.site, self.locate = system, airframe, site, locate
+        self.system_id, self.airframe, self.site, self.locate = system_id, airframe, site, locate
         hover = airframe.mass * STANDARD_GRAVITY / airframe.max_thrust
-        self.parameters = ParameterService(MAV_SYS_ID=system, MPC_THR_HOVER=hover)
-        self._fence = Fence(site, self.parameters.values)
+        self.parameters = MavlinkParameterService(MAV_SYS_ID=system_id, MPC_THR_HOVER=hover)
+        self._fence = Geofence(site, self.parameters.values)
         self.pilot = Pilot(airframe, site, self.parameters, self._fence)
-        self.missions = MissionService(self._check, self._fence, self._begin)
+        self.missions = MissionService(self._check_mission, self._fence, self._update_mission)
 
-    def _check(self, items: tuple[Item, ...]) -> None:
-        """Check a mission that was uploaded."""
-        check_items(items, self.site, self._fence, self.parameters.values["MIS_DIST_1WP"])
+    def _check_mission(self, items: tuple[MissionItem, ...]) -> None:
+        """Validate an uploaded mission."""
+        check_mission(items, self.site, self._fence, self.parameters.values["MIS_DIST_1WP"])
 
-    def _begin(self) -> None:
-        """Give the pilot another mission; one that flies the old one holds."""
-        self.pilot.take_mission(self.missions.lists[MISSION])
+    def _update_mission(self) -> None:
+        """Pass the changed mission to the pilot."""
+        self.pilot.set_mission(self.missions.lists[MISSION])
 
     @property
-    def stamp(self) -> int:
+    def time_boot_ms(self) -> int:
         """Time since the start, ms."""
         return round(self.pilot.now * 1000)

@@ -6,7 +6,7 @@ from typing import Any
 
 from bulletuav.bridges import airsim, crazyflie, hil, mavlink
 from bulletuav.bridges.airsim_world import World
-from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.commands.progress import show_progress
@@ -132,7 +132,7 @@ def _places(host: str, ports: list[int], scheme: str = "") -> str:
 
 def _serve_crazyflie(arguments: argparse.Namespace) -> None:
     """Serve virtual Crazyflies."""
-    fleet = Fleet(arguments.drones, arguments.airframe or "cf2x", **_options(arguments))
+    fleet = CrazyflieFleet(arguments.drones, arguments.airframe or "cf2x", **_options(arguments))
     _serve(
         fleet,
         lambda: crazyflie.CrazyflieServer(fleet, *_at(arguments, crazyflie.PORT)),

@@ -4,7 +4,7 @@ import pytest
 from bridges.crtp_client import Drone
 from bridges.mavlink_client import Station
 
-from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 
 
@@ -14,7 +14,7 @@ def make_fleet():
     made = []
 
     def make(*args, **options):
-        made.append(Fleet(*args, **{"seed": 0, **options}))
+        made.append(CrazyflieFleet(*args, **{"seed": 0, **options}))
         return made[-1]
 
     yield make

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from bulletuav.bridges.mavlink_items import ITEMS
-from bulletuav.bridges.mavlink_wire import Command, Mode, Sender, Wire
+from bulletuav.bridges.mavlink_items import SUPPORTED_COMMANDS
+from bulletuav.bridges.mavlink_protocol import Command, MavlinkCodec, Mode, Sender
 
 NAN = math.nan
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED = range(4)
@@ -24,7 +24,7 @@ class Station:
         self.fleet, self.index = fleet, index
         self.packer = common.MAVLink(None, system, 190)
         self.sender = Sender(system, 190, link)
-        self.reader, self.listener = Wire(index + 1), common.MAVLink(None)
+        self.reader, self.listener = MavlinkCodec(index + 1), common.MAVLink(None)
         self.heard = []
 
     @property
@@ -148,7 +148,9 @@ def random_frame(rng, packer, more=()):
         "mission_type": range(2),
         "frame": (0, 3, 5, 6),
         "coordinate_frame": (1, 5, 8),
-        "command": [int(one) for one in Command] if "COMMAND" in kind.msgname else ITEMS,
+        "command": [int(one) for one in Command]
+        if "COMMAND" in kind.msgname
+        else SUPPORTED_COMMANDS,
         "custom_mode": [int(one) for one in Mode],
         **{f"param{k}": (0, 1, 1, 3, 4, 5, 6, NAN, 1e9, -1) for k in range(1, 5)},
     }

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bulletuav import load_airframe
-from bulletuav.bridges.crazyflie_fleet import Fleet
-from bulletuav.bridges.crazyflie_setpoints import Commander, Motors, uncompressed
+from bulletuav.bridges import crazyflie_fleet
+from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
+from bulletuav.bridges.crazyflie_setpoints import Commander, ThrustMap, decompress_quaternion
 from bulletuav.bridges.crtp import Packet
 from bulletuav.bridges.setpoints import Guide
 from bulletuav.bridges.starts import starts
@@ -36,7 +37,7 @@ def in_the_air(drone, height=1.0):
 
 
 def test_the_motors_follow_their_published_map():
-    motors = Motors(CF2X)
+    motors = ThrustMap(CF2X)
     hover = CF2X.mass * 9.80665
     assert motors.thrust(HOVER_COMMAND) == pytest.approx(hover, rel=2e-3)
     assert motors.thrust(65535) == pytest.approx(CF2X.max_thrust, rel=1e-2)
@@ -47,7 +48,7 @@ def test_the_motors_follow_their_published_map():
         assert motors.command([speed] * 4) == pytest.approx(command, rel=1e-9)
     thrusts = [motors.thrust(command) for command in range(0, 65536, 997)]
     assert (np.diff(thrusts) > 0).all()
-    plain = Motors(load_airframe("hummingbird"))
+    plain = ThrustMap(load_airframe("hummingbird"))
     assert plain.thrust(65535) == pytest.approx(load_airframe("hummingbird").max_thrust)
 
 
@@ -61,12 +62,12 @@ def test_quaternions_are_packed_into_32_bits(numbers):
             entry = sign * turn[k]
             size = int(511 * abs(entry) * math.sqrt(2) + 0.5)
             packed = packed << 10 | int(entry < 0) << 9 | size
-    np.testing.assert_allclose(uncompressed(packed), sign * turn, atol=2e-3)
+    np.testing.assert_allclose(decompress_quaternion(packed), sign * turn, atol=2e-3)
 
 
 def test_any_32_bits_are_a_unit_quaternion():
     for packed in (0, 0xFFFFFFFF, 0x3FFFFFFF, 0x12345678):
-        assert np.linalg.norm(uncompressed(packed)) == pytest.approx(1)
+        assert np.linalg.norm(decompress_quaternion(packed)) == pytest.approx(1)
 
 
 def test_places_of_drones_lie_apart():
@@ -77,13 +78,20 @@ def test_places_of_drones_lie_apart():
     assert gaps.min() == 0.5
     assert starts([(1, 2), (3, 4)], 0.1, 0.5).tolist() == [[1, 2, 0.1], [3, 4, 0.1]]
     with pytest.raises(ValueError, match="decision_hz is 100"):
-        Fleet(1, decision_hz=50)
+        CrazyflieFleet(1, decision_hz=50)
     for wrong in (0, 257, []):
         with pytest.raises(ValueError, match="drones is"):
             starts(wrong, 0.1, 0.5)
 
 
-# The planner
+def test_the_former_name_of_the_fleet_warns():
+    with pytest.warns(DeprecationWarning, match="Fleet is now CrazyflieFleet; .* next release"):
+        assert crazyflie_fleet.Fleet is CrazyflieFleet
+    with pytest.raises(AttributeError, match="no attribute 'Flotilla'"):
+        _ = crazyflie_fleet.Flotilla
+
+
+# The high-level commander
 
 
 def test_it_takes_off_goes_somewhere_and_lands(drone, fly):
@@ -265,16 +273,16 @@ def test_thrust_is_locked_until_it_was_zero_once(drone, fly):
 
 
 def test_without_setpoints_it_levels_out_and_then_stops():
-    commander = Commander(Motors(CF2X))
+    commander = Commander(ThrustMap(CF2X))
     packet = Packet(7, 0, struct.pack("<Bffff", 8, 0.5, 0.0, 0.1, 20.0))
-    commander.take(packet, 10.0, (False, True))
+    commander.set_setpoint(packet, 10.0, (False, True))
     assert commander.current(10.5).xy == (0.5, 0.0)
     level = commander.current(10.51)
     assert (level.across, level.xy, level.upward, level.yaw) == ("attitude", (0, 0), "velocity", 0)
     assert level.z == pytest.approx(0.1)
     assert commander.current(12.0) is not None
     assert commander.current(12.01) is None
-    assert commander.released
+    assert commander.is_released
 
 
 def test_a_drone_left_alone_falls_after_two_seconds(drone, fly):
@@ -303,7 +311,7 @@ def test_the_planner_waits_until_low_level_control_is_handed_over(drone, fly):
 
 def test_the_yaw_to_hold_does_not_run_away():
     guide = Guide(CF2X)
-    setpoint = Commander(Motors(CF2X))._generic(8, struct.pack("<ffff", 0, 0, 0, 720.0))
+    setpoint = Commander(ThrustMap(CF2X))._decode_generic(8, struct.pack("<ffff", 0, 0, 0, 720.0))
     state = ([0.0] * 3, [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
     for _ in range(100):
         order = guide.order(setpoint, state, 0.01)

@@ -99,13 +99,13 @@ def test_a_second_client_waits_until_the_first_is_silent(serve, connect, caplog)
     second.send(SOURCE)
     port, _, text = second.receive()
     assert port == 0
-    assert text.startswith(b"drone 0 is flown by port")
+    assert text.startswith(b"drone 0 is in use by port")
     second.send(bytes([0x8C]) + struct.pack("<BBff?f", 7, 0, 0.5, 0.0, True, 1.0))
     assert second.silent()
     assert server.refused == 2
     peer = f"127.0.0.1:{second.socket.getsockname()[1]}"
     (line,) = [record.getMessage() for record in caplog.records]
-    assert line.startswith(f"client {peer}: connection refused: drone 0 is flown by port")
+    assert line.startswith(f"client {peer}: connection refused: drone 0 is in use by port")
     first.ask(15, 0, b"ping")
     now[0] = 0.4
     assert second.silent()
@@ -136,17 +136,17 @@ def test_commands_without_effect_are_logged_once(serve, connect, caplog):
     port, third = (one.socket.getsockname()[1] for one in (client, other))
     mine = f"client 127.0.0.1:{port}: packet to "
     disarmed = "it cannot fly: it is not armed; arm it first"
-    locked = "an emergency stop locked it; restart the server"
+    locked = "it is locked by an emergency stop; restart the server"
     assert [record.getMessage() for record in caplog.records] == [
-        f"{mine}PLANNER, channel 0, of drone 0 refused: {disarmed}",
-        f"{mine}ATTITUDE_SETPOINT, channel 0, of drone 0 refused: {disarmed}",
-        f"{mine}PLANNER, channel 0, of drone 0 refused: command 99 is answered by ENOEXEC",
+        f"{mine}SETPOINT_HL, channel 0, of drone 0 refused: {disarmed}",
+        f"{mine}SETPOINT, channel 0, of drone 0 refused: {disarmed}",
+        f"{mine}SETPOINT_HL, channel 0, of drone 0 refused: command 99 returned ENOEXEC",
         f"{mine}SUPERVISOR, channel 1, of drone 0 refused: "
-        f"command 9 to the supervisor: from 1 to 4 is needed",
+        f"supervisor command 9: from 1 to 4 is needed",
         f"{mine}SUPERVISOR, channel 1, of drone 0 refused: it cannot be armed: {locked}",
         f"{mine}SUPERVISOR, channel 1, of drone 0 refused: "
-        f"it cannot recover: {locked}, or there is no room to stand",
-        f"client 127.0.0.1:{third}: connection refused: drone 0 is flown by port {port}; "
+        f"it cannot recover: {locked}, or there is no space to stand",
+        f"client 127.0.0.1:{third}: connection refused: drone 0 is in use by port {port}; "
         f"close that link first",
     ]
 
@@ -157,7 +157,7 @@ def test_a_client_that_closes_its_link_leaves_the_drone_at_once(serve, connect):
     first.ask(15, 1, b"\0")
     assert first.ask(5, 1, b"\x06\x00" + struct.pack("<BH", 7, 0)) == b"\x06\0\0"
     first.send(b"\x3c" + bytes(14))
-    until(lambda: server._peers[0].left)
+    until(lambda: server._peers[0].has_closed_link)
     assert second.ask(15, 1, b"\0").startswith(b"Bitcraze")
     assert second.ask(5, 1, b"\x03\x00\x01")[2] == 2  # the log blocks went with the first
     assert server.refused == 0

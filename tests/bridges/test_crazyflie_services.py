@@ -8,8 +8,8 @@ import pytest
 from bridges.crtp_client import entries, read
 from scipy.spatial.transform import Rotation
 
-from bulletuav.bridges.crazyflie_tables import LOGS
-from bulletuav.bridges.crtp import MalformedError, Packet, pack, unpack
+from bulletuav.bridges.crazyflie_toc import LOGS
+from bulletuav.bridges.crtp import MalformedError, Packet, pack_data, unpack_data
 from bulletuav.bridges.setpoints import euler
 
 ENOENT, E2BIG, ENOEXEC, ENOMEM, EEXIST = 2, 7, 8, 12, 17
@@ -22,9 +22,9 @@ def still():
     """A drone that these tests ask, and never fly far."""
     from bridges.crtp_client import Drone
 
-    from bulletuav.bridges.crazyflie_fleet import Fleet
+    from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 
-    fleet = Fleet(1, seed=0)
+    fleet = CrazyflieFleet(1, seed=0)
     yield Drone(fleet)
     fleet.close()
 
@@ -45,13 +45,13 @@ def test_what_is_no_packet_is_refused(datagram):
 
 
 def test_numbers_are_read_from_the_start():
-    assert unpack("BH", b"\x07\x34\x12rest") == (7, 0x1234)
-    assert pack("BH", 7, 0x1234) == b"\x07\x34\x12"
+    assert unpack_data("BH", b"\x07\x34\x12rest") == (7, 0x1234)
+    assert pack_data("BH", 7, 0x1234) == b"\x07\x34\x12"
     with pytest.raises(MalformedError, match="2 bytes: 3 are needed"):
-        unpack("BH", b"\x07\x34")
+        unpack_data("BH", b"\x07\x34")
     for wrong in (math.nan, math.inf):
         with pytest.raises(MalformedError, match="not finite"):
-            unpack("f", struct.pack("<f", wrong))
+            unpack_data("f", struct.pack("<f", wrong))
 
 
 # Connecting

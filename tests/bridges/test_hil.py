@@ -19,7 +19,7 @@ from bulletuav import load_airframe
 from bulletuav.bridges import hil
 from bulletuav.bridges.hil import HilServer
 from bulletuav.bridges.hil_bodies import HilBodies
-from bulletuav.bridges.mavlink_wire import Wire, whole_frames
+from bulletuav.bridges.mavlink_protocol import MavlinkCodec, split_frames
 from bulletuav.cli import main
 
 IRIS = load_airframe("iris")
@@ -80,7 +80,7 @@ class Connection:
     def __init__(self, port):
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
         self.packer, self.rest = common.MAVLink(None, 1, 1), b""
-        self.wire = Wire(2)
+        self.wire = MavlinkCodec(2)
         self.send("heartbeat", 2, 12, 0, 0, 0, 3)
         self.send("command_long", 1, 1, 511, 0, 115, 5000, 0, 0, 0, 0, 0)
 
@@ -92,7 +92,7 @@ class Connection:
         data = self.socket.recv(4096)
         if not data:
             raise ConnectionError
-        frames, self.rest = whole_frames(self.rest + data)
+        frames, self.rest = split_frames(self.rest + data)
         return self.wire.read(frames)
 
     def answer(self, told, controls, mode=ARMED_AND_LOCKSTEP):
@@ -466,11 +466,11 @@ def test_many_messages_of_random_content_do_no_harm(serve):
 
 
 def test_streams_are_cut_into_frames_wherever_they_break():
-    wire = Wire(1)
+    wire = MavlinkCodec(1)
     frame = bytes(common.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3).pack(common.MAVLink(None)))
     stream = frame * 3
     for cut in range(len(stream) + 1):
-        whole, rest = whole_frames(stream[:cut])
+        whole, rest = split_frames(stream[:cut])
         assert whole + rest == stream[:cut]
         assert len(rest) < len(frame)
         assert len(wire.read(whole)) == cut // len(frame)

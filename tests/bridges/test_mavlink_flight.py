@@ -23,14 +23,14 @@ from bridges.mavlink_client import (
 from scipy.spatial.transform import Rotation
 
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-from bulletuav.bridges.mavlink_wire import Mode
+from bulletuav.bridges.mavlink_protocol import Mode
 
 ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
 
 
 def test_numbers_are_those_of_the_dialect():
     """Modes by hand from PX4's px4_custom_mode.h: main mode in byte 2, sub-mode in byte 3."""
-    from bulletuav.bridges import mavlink_items, mavlink_telemetry, mavlink_wire
+    from bulletuav.bridges import mavlink_items, mavlink_protocol, mavlink_telemetry
 
     commands = {
         "RETURN": common.MAV_CMD_NAV_RETURN_TO_LAUNCH,
@@ -50,8 +50,8 @@ def test_numbers_are_those_of_the_dialect():
         "REQUEST_MESSAGE": common.MAV_CMD_REQUEST_MESSAGE,
         "REQUEST_CAPABILITIES": common.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
     }
-    assert {one.name: int(one) for one in mavlink_wire.Command} == commands
-    assert [int(one) for one in mavlink_wire.Result] == [
+    assert {one.name: int(one) for one in mavlink_protocol.Command} == commands
+    assert [int(one) for one in mavlink_protocol.CommandResult] == [
         common.MAV_RESULT_ACCEPTED,
         common.MAV_RESULT_TEMPORARILY_REJECTED,
         common.MAV_RESULT_DENIED,
@@ -63,7 +63,7 @@ def test_numbers_are_those_of_the_dialect():
     capabilities = common.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
     capabilities |= common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     assert mavlink_telemetry.CAPABILITIES & capabilities == capabilities
-    assert mavlink_items.ITEMS == (
+    assert mavlink_items.SUPPORTED_COMMANDS == (
         common.MAV_CMD_NAV_WAYPOINT,
         common.MAV_CMD_NAV_LOITER_UNLIM,
         common.MAV_CMD_NAV_LOITER_TIME,
@@ -115,7 +115,7 @@ def test_who_does_not_take_off_is_disarmed(station):
 def test_it_is_not_disarmed_in_the_air_but_by_force(station):
     station.take_off()
     result, more = station.command(400, 0)
-    assert (result, texts(more)) == (REJECTED, ["disarming refused: it flies"])
+    assert (result, texts(more)) == (REJECTED, ["disarming denied: vehicle is flying"])
     assert station.command(400, 0, 21196)[0] == ACCEPTED
     station.fly(2.0)
     assert abs(station.place[2]) < 0.3
@@ -127,7 +127,7 @@ def test_who_lies_upside_down_is_disarmed_and_does_not_arm(station):
     station.fleet.airspace.place(0, (*place[:2], 0.2), (1.0, 0.0, 0.0, 0.0), rotor_speed=0.0)
     assert "upside down: disarmed" in texts(station.fly(2.0))
     result, more = station.command(400, 1)
-    assert (result, texts(more)) == (REJECTED, ["arming refused: upside down; restart the server"])
+    assert (result, texts(more)) == (REJECTED, ["arming denied: upside down; restart the server"])
 
 
 def test_modes_that_are_not_there_are_refused(station):
@@ -318,7 +318,7 @@ def test_setpoints_that_are_no_numbers_are_refused(wrong, station):
     station.fly(1.1)
     none = ([0, 0, 0, 0], 0, 0, 0, 0.5)
     (said,) = texts(station.send("set_attitude_target", 0, 1, 1, 7, *none))
-    assert said == "attitude setpoint: the quaternion has no length"
+    assert said == "attitude setpoint: the quaternion has norm 0"
 
 
 def test_a_second_client_cannot_fly_it_meanwhile(station):
@@ -326,7 +326,7 @@ def test_a_second_client_cannot_fly_it_meanwhile(station):
     other = Station(station.fleet, link="elsewhere")
     station.velocity(0.5, 0, 0)
     (said,) = texts(other.velocity(-0.5, 0, 0))
-    assert said == "setpoints refused: another client sends some"
+    assert said == "setpoints denied: another client sends setpoints"
     station.mode(OFFBOARD)
     station.fly(2.0, lambda: (station.velocity(0.5, 0, 0), other.velocity(-0.5, 0, 0)))
     assert station.place[0] > 0.5
@@ -359,7 +359,7 @@ def test_it_returns_and_lands_at_home(station):
 
 def test_a_place_is_refused_to_who_stands(station):
     result, more = station.command(192, -1, 1, 0, NAN, NAN, NAN, NAN)
-    assert (result, texts(more)) == (REJECTED, ["it does not fly: arm it and take off first"])
+    assert (result, texts(more)) == (REJECTED, ["not flying: arm and take off first"])
 
 
 def test_it_pauses_where_it_is(station):

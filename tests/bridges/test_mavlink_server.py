@@ -10,8 +10,8 @@ from bridges.mavlink_client import NAN, VELOCITY_ONLY, Station, common, random_f
 from pymavlink import mavutil
 from waiting import PATIENCE, until
 
-from bulletuav.bridges.mavlink import LIMITS, MOST_READ, MavlinkServer
-from bulletuav.bridges.mavlink_wire import Mode, Told, Wire
+from bulletuav.bridges.mavlink import LIMITS, MAX_MESSAGES_PER_READ, MavlinkServer
+from bulletuav.bridges.mavlink_protocol import MavlinkCodec, Mode, OutgoingMessage
 from bulletuav.cli import main
 
 
@@ -110,7 +110,7 @@ def test_what_is_denied_is_logged_once(serve, connect, caplog):
     port = link.port.getsockname()[1]
     told = [
         "COMMAND_LONG REPOSITION to vehicle 1 refused: result TEMPORARILY_REJECTED; "
-        "it does not fly: arm it and take off first",
+        "not flying: arm and take off first",
         "COMMAND_LONG 31000 to vehicle 1 refused: result UNSUPPORTED",
         "MISSION_REQUEST_INT to vehicle 1 refused: mission result 13",
         "PARAM_REQUEST_READ to vehicle 1 refused: no parameter NO_SUCH\\n",
@@ -171,7 +171,7 @@ def test_two_clients_both_hear_it_and_only_one_flies_it(serve, connect):
     time.sleep(0.1)
     second.mav.set_position_target_local_ned_send(*fields)
     told = expect(second, "STATUSTEXT")
-    assert told.text == "setpoints refused: another client sends some"
+    assert told.text == "setpoints denied: another client sends setpoints"
     assert command(second, 512, 242) == 0  # commands are everybody's
 
 
@@ -240,7 +240,7 @@ def test_few_messages_are_taken_in_one_go_and_none_is_lost(make_vehicles):
         while server.received < 150:
             server._read(0)
             counts.append(server.received)
-    assert max(np.diff([0, *counts])) == MOST_READ
+    assert max(np.diff([0, *counts])) == MAX_MESSAGES_PER_READ
     server.close()
 
 
@@ -291,9 +291,9 @@ def test_the_command_serves_for_a_time(capsys):
 def test_without_pymavlink_the_extra_is_named(make_vehicles, monkeypatch):
     import sys
 
-    from bulletuav.bridges import mavlink_wire
+    from bulletuav.bridges import mavlink_protocol
 
-    mavlink_wire.dialect.cache_clear()
+    mavlink_protocol.dialect.cache_clear()
     monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20", None)
     with pytest.raises(ImportError, match="needs the extra 'mavlink'"):
         MavlinkServer(make_vehicles(1), port=0)
@@ -303,8 +303,8 @@ def test_without_pymavlink_the_extra_is_named(make_vehicles, monkeypatch):
 
 
 def test_frames_are_numbered_and_read_again():
-    wire = Wire(7)
-    frames = [wire.pack(Told("heartbeat", (2, 12, 1, 5, 3, 3))) for _ in range(300)]
+    wire = MavlinkCodec(7)
+    frames = [wire.pack(OutgoingMessage("heartbeat", (2, 12, 1, 5, 3, 3))) for _ in range(300)]
     listener = common.MAVLink(None)
     found = [listener.decode(bytearray(one)) for one in frames]
     assert [one.get_seq() for one in found] == [k % 256 for k in range(300)]
@@ -314,8 +314,8 @@ def test_frames_are_numbered_and_read_again():
 
 
 def test_what_follows_a_broken_frame_is_dropped():
-    wire = Wire(1)
-    frame = wire.pack(Told("heartbeat", (2, 12, 1, 5, 3, 3)))
+    wire = MavlinkCodec(1)
+    frame = wire.pack(OutgoingMessage("heartbeat", (2, 12, 1, 5, 3, 3)))
     assert len(wire.read(frame + b"\x00" + frame)) == 1
     assert len(wire.read(frame + frame[:-1])) == 1
     assert wire.read(b"\xfd") == wire.read(b"\xfe") == wire.read(b"\xfd\x00") == []

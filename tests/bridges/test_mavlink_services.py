@@ -18,8 +18,8 @@ from bridges.mavlink_client import (
 )
 
 from bulletuav.bridges.mavlink_parameters import PARAMETERS
+from bulletuav.bridges.mavlink_protocol import Mode
 from bulletuav.bridges.mavlink_telemetry import STREAMS
-from bulletuav.bridges.mavlink_wire import Mode
 
 FENCE = 1
 TAKEN, ERROR, BAD_FRAME, NOT_SUPPORTED, NO_SPACE, BAD_X, BAD_SEQUENCE, REFUSED, CANCELLED = (
@@ -249,11 +249,11 @@ def test_a_mission_ends_on_the_ground(last, station):
     [
         ((6, 201, *[0] * 7), NOT_SUPPORTED, "item 0: command 201 unknown"),
         ((1, 16, 0, 0, 0, 0, 1, 1, 5.0), BAD_FRAME, "item 0: frame 1 unknown"),
-        ((6, 16, 0, 0, 0, 0, 0, 0, 5.0), BAD_X, "a place is more than 100000 m away"),
-        ((6, 16, 0, 0, 0, 0, 2**31 - 1, 0, 5.0), BAD_X, "latitude, longitude, altitude: no place"),
-        ((6, 16, 0, 0, 0, 0, 2 * 10**9, 0, 5.0), BAD_X, "latitude, longitude, altitude: no place"),
+        ((6, 16, 0, 0, 0, 0, 0, 0, 5.0), BAD_X, "position is more than 100000 m away"),
+        ((6, 16, 0, 0, 0, 0, 2**31 - 1, 0, 5.0), BAD_X, "invalid latitude, longitude or altitude"),
+        ((6, 16, 0, 0, 0, 0, 2 * 10**9, 0, 5.0), BAD_X, "invalid latitude, longitude or altitude"),
         ((6, 16, 0, 0, 0, 0, 474100000, 85455940, 5.0), BAD_X, "first item is beyond MIS_DIST_1WP"),
-        ((6, 22, 0, 0, 0, 0, 0, 0, NAN), BAD_X, "an altitude is no number"),
+        ((6, 22, 0, 0, 0, 0, 0, 0, NAN), BAD_X, "altitude is not a finite number"),
     ],
 )
 def test_items_that_cannot_be_are_refused(item, code, said, station):
@@ -353,7 +353,7 @@ def test_missions_outside_a_fence_are_refused(station):
     assert station.upload([inside, outside]) == BAD_X
     assert texts(station.heard)[-1] == "item 1 is outside the fence"
     assert station.upload([station.waypoint(5, 4, 3)]) == BAD_X
-    assert texts(station.heard)[-1] == "item 0 is in a forbidden area of the fence"
+    assert texts(station.heard)[-1] == "item 0 is in an exclusion area of the fence"
     assert station.upload([inside]) == TAKEN
     # A fence that comes later counts, too.
     assert station.upload(fence(station, (0, 0), (5, 0), (0, 5)), FENCE) == TAKEN

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
-from bulletuav.bridges.crazyflie_plans import (
-    Pose,
+from bulletuav.bridges.crazyflie_trajectories import (
     Spiral,
+    TrajectoryStart,
+    plan_line,
+    plan_polynomial,
     read_compressed,
     read_pieces,
-    smooth,
-    straight,
 )
 from bulletuav.bridges.crtp import MalformedError
 
-BEGIN = Pose(
+BEGIN = TrajectoryStart(
     np.array([1.0, -2.0, 0.5, 0.3]),
     np.array([0.4, 0.2, -0.3, 0.1]),
     np.array([0.5, -1.0, 0.2, 0.0]),
@@ -27,18 +27,18 @@ GOAL = np.array([2.0, 1.0, 1.5, -1.0])
 
 def pieces(rng, count):
     """Bytes of pieces as cflib writes them, with the numbers."""
-    terms, durations = rng.normal(size=(count, 4, 8)), rng.uniform(0.5, 1.5, count)
-    terms = terms.astype(np.float32).astype(float)
+    coefficients, durations = rng.normal(size=(count, 4, 8)), rng.uniform(0.5, 1.5, count)
+    coefficients = coefficients.astype(np.float32).astype(float)
     durations = durations.astype(np.float32).astype(float)
-    rows = [struct.pack("<33f", *terms[k].ravel(), durations[k]) for k in range(count)]
-    return b"".join(rows), terms, durations
+    rows = [struct.pack("<33f", *coefficients[k].ravel(), durations[k]) for k in range(count)]
+    return b"".join(rows), coefficients, durations
 
 
 @pytest.mark.parametrize("duration", [0.5, 1.0, 3.0])
 def test_a_smooth_plan_is_the_polynomial_that_scipy_finds(duration):
-    plan = smooth(BEGIN, GOAL, duration)
+    plan = plan_polynomial(BEGIN, GOAL, duration)
     ends = [
-        np.stack([BEGIN.place, BEGIN.speed, BEGIN.gain, np.zeros(4)]),
+        np.stack([BEGIN.position, BEGIN.velocity, BEGIN.acceleration, np.zeros(4)]),
         np.stack([GOAL, *np.zeros((3, 4))]),
     ]
     other = BPoly.from_derivatives([0.0, duration], ends)
@@ -50,20 +50,20 @@ def test_a_smooth_plan_is_the_polynomial_that_scipy_finds(duration):
 
 
 def test_from_rest_to_rest_the_middle_is_half_way_and_fastest():
-    plan = smooth(Pose.still(BEGIN.place), GOAL, 2.0)
+    plan = plan_polynomial(TrajectoryStart.at_rest(BEGIN.position), GOAL, 2.0)
     middle = plan.at(1.0)
-    np.testing.assert_allclose(middle.position, (BEGIN.place + GOAL)[:3] / 2, atol=1e-12)
+    np.testing.assert_allclose(middle.position, (BEGIN.position + GOAL)[:3] / 2, atol=1e-12)
     # 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 has the slope 35 / 16 at s = 1/2
-    np.testing.assert_allclose(middle.velocity, (GOAL - BEGIN.place)[:3] * 35 / 32, atol=1e-12)
+    np.testing.assert_allclose(middle.velocity, (GOAL - BEGIN.position)[:3] * 35 / 32, atol=1e-12)
     np.testing.assert_allclose(middle.acceleration, 0, atol=1e-12)
 
 
 def test_a_straight_plan_has_one_speed():
-    plan = straight(BEGIN.place, GOAL, 4.0)
+    plan = plan_line(BEGIN.position, GOAL, 4.0)
     for time in (0.0, 1.0, 3.0):
         told = plan.at(time)
-        np.testing.assert_allclose(told.velocity, (GOAL - BEGIN.place)[:3] / 4, atol=1e-12)
-    np.testing.assert_allclose(plan.at(1.0).position, (0.75 * BEGIN.place + 0.25 * GOAL)[:3])
+        np.testing.assert_allclose(told.velocity, (GOAL - BEGIN.position)[:3] / 4, atol=1e-12)
+    np.testing.assert_allclose(plan.at(1.0).position, (0.75 * BEGIN.position + 0.25 * GOAL)[:3])
 
 
 @pytest.mark.parametrize("sideways", [False, True])
@@ -92,14 +92,16 @@ def test_a_spiral_turns_about_its_centre(sideways, clockwise):
 
 
 def test_pieces_are_read_as_they_were_written():
-    content, terms, durations = pieces(np.random.default_rng(1), 3)
+    content, coefficients, durations = pieces(np.random.default_rng(1), 3)
     stored = read_pieces(b"\1\2\3\4" + content, 4, 3)
-    np.testing.assert_array_equal(stored.terms, terms)
+    np.testing.assert_array_equal(stored.coefficients, coefficients)
     np.testing.assert_array_equal(stored.durations, durations)
     plan = stored.plan()
     time = durations[0] + 0.3
     np.testing.assert_allclose(
-        plan.at(time).position, [np.polyval(terms[1, k, ::-1], 0.3) for k in range(3)], atol=1e-9
+        plan.at(time).position,
+        [np.polyval(coefficients[1, k, ::-1], 0.3) for k in range(3)],
+        atol=1e-9,
     )
 
 
@@ -114,13 +116,13 @@ def test_backwards_slower_and_elsewhere():
         np.testing.assert_allclose(slow.at(2 * time).velocity, there.velocity / 2, atol=1e-9)
     begin = np.array([5.0, 6.0, 7.0, 1.0])
     moved = stored.moved(begin, True, True)
-    np.testing.assert_allclose(moved.value(0, 0.0), begin, atol=1e-12)
-    angle = 1.0 - stored.value(0, 0.0)[3]
+    np.testing.assert_allclose(moved.evaluate(0, 0.0), begin, atol=1e-12)
+    angle = 1.0 - stored.evaluate(0, 0.0)[3]
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    way = stored.value(1, 0.4)[:2] - stored.value(0, 0.0)[:2]
-    np.testing.assert_allclose(moved.value(1, 0.4)[:2] - begin[:2], turn @ way, atol=1e-12)
+    way = stored.evaluate(1, 0.4)[:2] - stored.evaluate(0, 0.0)[:2]
+    np.testing.assert_allclose(moved.evaluate(1, 0.4)[:2] - begin[:2], turn @ way, atol=1e-12)
     same = stored.moved(begin, False, False)
-    np.testing.assert_array_equal(same.terms, stored.terms)
+    np.testing.assert_array_equal(same.coefficients, stored.coefficients)
     assert durations.sum() == ahead.end
 
 
@@ -135,10 +137,12 @@ def test_compressed_pieces_are_bezier_curves():
     curve = BPoly(np.array([[1.0], *([one / 1000] for one in x)]), [0, 2])
     turn = BPoly(np.radians([[90.0], *([one / 10] for one in yaw)]), [0, 2])
     for time in (0.0, 0.7, 2.0):
-        told = stored.value(0, time)
+        told = stored.evaluate(0, time)
         wanted = (curve(time), -0.5 + 0.5 * time, 0.25, turn(time))
         np.testing.assert_allclose(told, wanted, atol=1e-12)
-    np.testing.assert_allclose(stored.value(1, 0.5), (3.0, 0.5, 0.25, math.radians(45)), atol=1e-9)
+    np.testing.assert_allclose(
+        stored.evaluate(1, 0.5), (3.0, 0.5, 0.25, math.radians(45)), atol=1e-9
+    )
 
 
 def test_what_the_memory_holds_may_be_no_trajectory():
@@ -153,7 +157,7 @@ def test_what_the_memory_holds_may_be_no_trajectory():
         read_pieces(struct.pack("<f", math.nan) + content[4:], 0, 1)
     with pytest.raises(MalformedError, match="reach farther"):
         read_pieces(content[:28] + struct.pack("<f", 1e30) + content[32:], 0, 1)
-    with pytest.raises(MalformedError, match="takes no time"):
+    with pytest.raises(MalformedError, match="duration of zero"):
         read_compressed(bytes(11), 0, 1)
     with pytest.raises(MalformedError, match="bytes"):
         read_compressed(bytes(8), 0, 1)
