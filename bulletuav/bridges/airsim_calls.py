@@ -135,12 +135,7 @@ class Calls:
             raise ValueError(f"seconds is {seconds:g}: at most {LONGEST_CALL:g} are possible")
         return self.world.advance(seconds)
 
-    def move(
-        self,
-        name: str,
-        arguments: list[Any],
-        answer: Answer,
-    ) -> None:
+    def move(self, name: str, arguments: list[Any], answer: Answer) -> None:
         """Begin a motion, in place of what the drone did.
 
         Args:
@@ -219,12 +214,7 @@ class Calls:
         i, vehicle = self.world.vehicle(vehicle_name)
         vehicle.stay(self.world.state(i))
 
-    def _place(
-        self,
-        pose: Any,
-        ignore_collision: bool,
-        vehicle_name: str = "",
-    ) -> None:
+    def _place(self, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
         """Put a vehicle somewhere, at rest."""
         i, _ = self.world.vehicle(vehicle_name)
         flag("ignore_collision", ignore_collision)
@@ -263,13 +253,7 @@ class Calls:
             mount(self.world, album.drone, camera)
         return album
 
-    def _one_image(
-        self,
-        camera: Any,
-        kind: Any,
-        vehicle_name: str = "",
-        more: Any = None,
-    ) -> Album:
+    def _one_image(self, camera: Any, kind: Any, vehicle_name: str = "", more: Any = None) -> Album:
         """Read a call for one PNG.
 
         AirSim's clients send in `more` whether the camera belongs to no vehicle, those of
@@ -283,12 +267,7 @@ class Calls:
         request = Request({"camera_name": camera, "image_type": kind, "compress": True})
         return Album(self.world.vehicle(vehicle_name)[0], [request], False)
 
-    def _images(
-        self,
-        requests: Any,
-        vehicle_name: str = "",
-        external: Any = False,
-    ) -> Album:
+    def _images(self, requests: Any, vehicle_name: str = "", external: Any = False) -> Album:
         """Read a call for pictures; cameras that belong to no vehicle are not there."""
         if flag("external", external):
             raise ValueError(
@@ -313,11 +292,7 @@ def _needs_control(vehicle: Vehicle) -> ValueError:
     )
 
 
-def _require_arguments(
-    name: str,
-    function: Callable[..., Any],
-    arguments: Any,
-) -> None:
+def _require_arguments(name: str, function: Callable[..., Any], arguments: Any) -> None:
     """Raise ValueError unless a call has as many arguments as its function takes."""
     try:
         inspect.signature(function).bind(*arguments)

@@ -37,11 +37,7 @@ NUMBERS = {str(k): name for k, name in enumerate(YAWS)}
 """Their numbers, as older clients call them"""
 
 
-def mount(
-    world: World,
-    i: int,
-    camera: str,
-) -> tuple[np.ndarray, Quat4]:
+def mount(world: World, i: int, camera: str) -> tuple[np.ndarray, Quat4]:
     """Tell where a camera is on a drone.
 
     Args:

@@ -40,13 +40,7 @@ def _heading(drivetrain: Any, yaw_mode: Any) -> Heading:
     return Heading("angle", yaw_in(degrees), drivetrain == 1)
 
 
-def _place(
-    world: World,
-    vehicle: Vehicle,
-    x: Any,
-    y: Any,
-    z: Any,
-) -> np.ndarray:
+def _place(world: World, vehicle: Vehicle, x: Any, y: Any, z: Any) -> np.ndarray:
     """Convert north, east, down of a vehicle's start into a place of the airspace, (3,) m."""
     moved = (number("y", y), number("x", x), -number("z", z))
     return np.array([one + way for one, way in zip(vehicle.start, moved, strict=True)])
@@ -72,52 +66,33 @@ def _path(
     return Path(world.state(i), points, fast, heading, times)
 
 
-def take_off(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    limit: Any,
-) -> Motion:
+def take_off(world: World, i: int, vehicle: Vehicle, limit: Any) -> Motion:
     """Rise to 3 m above the present place."""
     goal = np.array(world.state(i)[0])
     goal[2] += TAKE_OFF_HEIGHT
     return _path(world, i, [goal], TAKE_OFF_SPEED, Heading(), limit)
 
 
-def land(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    limit: Any,
-) -> Motion:
+def land(world: World, i: int, vehicle: Vehicle, limit: Any) -> Motion:
     """Sink until something is touched, and stop the motors."""
     return Land(world.state(i), world.clock, duration("timeout_sec", limit))
 
 
-def go_home(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    limit: Any,
-) -> Motion:
+def go_home(world: World, i: int, vehicle: Vehicle, limit: Any) -> Motion:
     """Fly back to above the start, at the present height."""
     goal = vehicle.start.copy()
     goal[2] = max(world.state(i)[0][2], goal[2] + TAKE_OFF_HEIGHT)
     return _path(world, i, [goal], 5.0, Heading(), limit)
 
 
-def hover(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> Motion:
+def hover(world: World, i: int, vehicle: Vehicle) -> Motion:
     """Stay where the drone comes to rest."""
     return Stay(world.state(i), world.clock)
 
 
 def move_to_position(
     world: World, i: int, vehicle: Vehicle, x: Any, y: Any, z: Any, speed: Any, limit: Any,
-    drivetrain: Any, yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
+    drivetrain: Any, yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1
 ) -> Motion:  # fmt: skip
     """Fly straight to a place."""
     points = [_place(world, vehicle, x, y, z)]
@@ -127,7 +102,7 @@ def move_to_position(
 
 def move_on_path(
     world: World, i: int, vehicle: Vehicle, path: Any, speed: Any, limit: Any, drivetrain: Any,
-    yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
+    yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1
 ) -> Motion:  # fmt: skip
     """Fly straight from place to place."""
     points = as_sequence("path", path, most=MOST_POINTS)
@@ -140,7 +115,7 @@ def move_on_path(
 
 def move_to_z(
     world: World, i: int, vehicle: Vehicle, z: Any, speed: Any, limit: Any, yaw_mode: Any,
-    lookahead: Any = -1, adaptive: Any = 1,
+    lookahead: Any = -1, adaptive: Any = 1
 ) -> Motion:  # fmt: skip
     """Rise or sink to a height."""
     goal = np.array(world.state(i)[0])
@@ -150,7 +125,7 @@ def move_to_z(
 
 def _velocity(
     world: World, numbers: tuple[Any, ...], height: float | None, body: bool, limit: Any,
-    heading: Heading,
+    heading: Heading
 ) -> Motion:  # fmt: skip
     """Hold a velocity, of the world or of the body; with a height to hold, or one upwards."""
     first, second, *down = (number("velocity", one) for one in numbers)
@@ -163,7 +138,7 @@ def _velocity(
 
 def move_by_velocity(
     world: World, i: int, vehicle: Vehicle, vx: Any, vy: Any, vz: Any, limit: Any,
-    drivetrain: Any, yaw_mode: Any,
+    drivetrain: Any, yaw_mode: Any
 ) -> Motion:  # fmt: skip
     """Hold a velocity north, east, down."""
     return _velocity(world, (vx, vy, vz), None, False, limit, _heading(drivetrain, yaw_mode))
@@ -171,7 +146,7 @@ def move_by_velocity(
 
 def move_by_velocity_z(
     world: World, i: int, vehicle: Vehicle, vx: Any, vy: Any, z: Any, limit: Any,
-    drivetrain: Any, yaw_mode: Any,
+    drivetrain: Any, yaw_mode: Any
 ) -> Motion:  # fmt: skip
     """Hold a velocity north and east, and a height."""
     height = float(_place(world, vehicle, 0.0, 0.0, z)[2])
@@ -180,7 +155,7 @@ def move_by_velocity_z(
 
 def move_by_velocity_body(
     world: World, i: int, vehicle: Vehicle, vx: Any, vy: Any, vz: Any, limit: Any,
-    drivetrain: Any, yaw_mode: Any,
+    drivetrain: Any, yaw_mode: Any
 ) -> Motion:  # fmt: skip
     """Hold a velocity forward, right, down."""
     return _velocity(world, (vx, vy, vz), None, True, limit, _heading(drivetrain, yaw_mode))
@@ -188,7 +163,7 @@ def move_by_velocity_body(
 
 def move_by_velocity_z_body(
     world: World, i: int, vehicle: Vehicle, vx: Any, vy: Any, z: Any, limit: Any,
-    drivetrain: Any, yaw_mode: Any,
+    drivetrain: Any, yaw_mode: Any
 ) -> Motion:  # fmt: skip
     """Hold a velocity forward and right, and a height."""
     height = float(_place(world, vehicle, 0.0, 0.0, z)[2])
@@ -196,12 +171,7 @@ def move_by_velocity_z_body(
 
 
 def rotate_to_yaw(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    yaw: Any,
-    limit: Any,
-    margin: Any,
+    world: World, i: int, vehicle: Vehicle, yaw: Any, limit: Any, margin: Any
 ) -> Motion:
     """Turn on the spot to a yaw, degrees clockwise from north."""
     times = (world.clock, duration("timeout_sec", limit))
@@ -209,13 +179,7 @@ def rotate_to_yaw(
     return Turn(world.state(i), *times, yaw_in(number("yaw", yaw)), near)
 
 
-def rotate_by_yaw_rate(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    yaw_rate: Any,
-    limit: Any,
-) -> Motion:
+def rotate_by_yaw_rate(world: World, i: int, vehicle: Vehicle, yaw_rate: Any, limit: Any) -> Motion:
     """Turn on the spot at a rate, degrees a second, clockwise."""
     x, y, z = world.state(i)[0]
     rate = -math.radians(number("yaw_rate", yaw_rate))
@@ -223,11 +187,7 @@ def rotate_by_yaw_rate(
     return Hold(world.clock, duration("duration", limit), wanted)
 
 
-def attitude(
-    rates: bool,
-    yaw_rate: bool,
-    height: bool,
-) -> MotionOf:
+def attitude(rates: bool, yaw_rate: bool, height: bool) -> MotionOf:
     """Make the function of a call of roll, pitch, yaw, and height or throttle.
 
     Args:
@@ -241,7 +201,7 @@ def attitude(
 
     def motion(
         world: World, i: int, vehicle: Vehicle, roll: Any, pitch: Any, yaw: Any, last: Any,
-        limit: Any,
+        limit: Any
     ) -> Motion:  # fmt: skip
         # Rates and tilt stay within what a caller may ask for
         most = QUICKEST if rates else STEEPEST
@@ -265,7 +225,7 @@ def attitude(
 
 def move_by_motors(
     world: World, i: int, vehicle: Vehicle, front_right: Any, rear_left: Any, front_left: Any,
-    rear_right: Any, limit: Any,
+    rear_right: Any, limit: Any
 ) -> Motion:  # fmt: skip
     """Hold shares of the greatest thrust of each of four rotors."""
     thrusts = {(1, -1): front_right, (-1, 1): rear_left, (1, 1): front_left, (-1, -1): rear_right}

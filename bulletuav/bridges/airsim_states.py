@@ -35,11 +35,7 @@ def stamp(world: World) -> int:
     return round(world.time * 1e9)
 
 
-def kinematics(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
+def kinematics(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """Tell how a vehicle moves: a KinematicsState, from its own start."""
     swarm = world.airspace.swarm
     ways = (swarm.position[i] - vehicle.start, swarm.velocity[i], world.acceleration[i])
@@ -77,11 +73,7 @@ def collision(vehicle: Vehicle, told: Collision) -> dict[str, Any]:
     }
 
 
-def multirotor(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
+def multirotor(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """Tell all at once: a MultirotorState."""
     return {
         "collision": collision(vehicle, vehicle.collision),
@@ -102,11 +94,7 @@ def multirotor(
     }
 
 
-def environment(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
+def environment(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """Tell the air around: an EnvironmentState."""
     place = world.airspace.swarm.position[i]
     height = float(world.origin.altitude + place[2])
@@ -120,11 +108,7 @@ def environment(
     }
 
 
-def imu(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
+def imu(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """Tell what an inertial unit feels, without noise: an ImuData."""
     swarm = world.airspace.swarm
     x, y, z = world.acceleration[i].tolist()
@@ -137,11 +121,7 @@ def imu(
     }
 
 
-def barometer(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
+def barometer(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """Tell what a barometer measures, without noise: a BarometerData."""
     height = float(world.origin.altitude + world.airspace.swarm.position[i, 2])
     return {
@@ -158,11 +138,7 @@ def _field(origin: Origin) -> np.ndarray:
     return magnetic_field(origin.latitude, origin.longitude, origin.altitude) / GAUSS
 
 
-def magnetometer(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
+def magnetometer(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """Tell what a compass measures, without noise: a MagnetometerData."""
     field = _field(world.origin)
     body = to_body(world.airspace.swarm.quaternion[i], field)
@@ -173,11 +149,7 @@ def magnetometer(
     }
 
 
-def gps(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
+def gps(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """Tell what a satellite receiver measures, without noise: a GpsData."""
     swarm = world.airspace.swarm
     return {
@@ -194,11 +166,7 @@ def gps(
     }
 
 
-def lidar(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
+def lidar(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """Tell points that beams hit, north, east, down of the vehicle's start: a LidarData.
 
     Raises:
@@ -224,11 +192,7 @@ def lidar(
     }
 
 
-def rotors(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
+def rotors(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """Tell speed (rad/s), thrust (N) and torque (N m) of each rotor: RotorStates."""
     frame = world.airspace.airframes[i]
     speeds = world.airspace.swarm.rotor_speed[i, : len(frame.rotors)].tolist()

@@ -15,11 +15,7 @@ LONGEST = 1e9
 """Durations and timeouts beyond it are cut to it, s; clients send 3e38 for ever"""
 
 
-def number(
-    name: str,
-    value: Any,
-    most: float = MOST,
-) -> float:
+def number(name: str, value: Any, most: float = MOST) -> float:
     """Check a number of a call.
 
     Raises:
@@ -69,11 +65,7 @@ def quaternion(array: Any) -> dict[str, float]:
     return {f"{axis}_val": float(one) for axis, one in zip("xyzw", array, strict=True)}
 
 
-def numbers_in(
-    name: str,
-    value: Any,
-    keys: str,
-) -> np.ndarray:
+def numbers_in(name: str, value: Any, keys: str) -> np.ndarray:
     """Read a map with an entry for each axis; those that are NaN stay so.
 
     Args:

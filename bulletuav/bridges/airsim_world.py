@@ -75,12 +75,7 @@ class Vehicle:
         stands: Whether it touches what it can stand on.
     """
 
-    def __init__(
-        self,
-        name: str,
-        start: np.ndarray,
-        guide: Guide,
-    ) -> None:
+    def __init__(self, name: str, start: np.ndarray, guide: Guide) -> None:
         """Begin on the ground, motors off."""
         self.name, self.start, self._guide = name, start, guide
         self.collision = Collision()
@@ -129,12 +124,7 @@ class Vehicle:
         self.end(False)
         self._motion = Off()
 
-    def order(
-        self,
-        state: State,
-        now: float,
-        period: float,
-    ) -> Order | None:
+    def order(self, state: State, now: float, period: float) -> Order | None:
         """Tell the command of the next step; None for motors off."""
         wanted = self._motion.order(state, now) if self.is_armed else None
         if isinstance(wanted, Setpoint):
@@ -317,12 +307,7 @@ class World:
             return f"Obstacle{FIRST_OBSTACLE - other}"
         return {GROUND: "Ground", CITY: "Building"}[other]
 
-    def place(
-        self,
-        i: int,
-        place: np.ndarray,
-        turn: np.ndarray,
-    ) -> None:
+    def place(self, i: int, place: np.ndarray, turn: np.ndarray) -> None:
         """Put a drone somewhere at rest, where it stays if it flew.
 
         Args:

@@ -306,13 +306,7 @@ class HilServer:
             elif kind == "COMMAND_LONG" and message.command == Command.SET_INTERVAL:
                 link.wants_truth |= message.param1 == STATE_QUATERNION
 
-    def _guarded(
-        self,
-        i: int,
-        link: Link,
-        does: Callable[..., None],
-        *arguments: Any,
-    ) -> None:
+    def _guarded(self, i: int, link: Link, does: Callable[..., None], *arguments: Any) -> None:
         """Do something with a connection; one that fails is dropped."""
         try:
             does(*arguments)

@@ -93,12 +93,7 @@ class Motion(ABC):
     def order(self, state: State, now: float) -> Setpoint | Order | None:
         """Tell what to do now; None for motors off."""
 
-    def outcome(
-        self,
-        state: State,
-        now: float,
-        touches: bool,
-    ) -> bool | None:
+    def outcome(self, state: State, now: float, touches: bool) -> bool | None:
         """Tell whether it came to its end, or None while it goes on.
 
         Args:
@@ -128,12 +123,7 @@ class Off(Motion):
 class Stay(Motion):
     """Stay at a place, with a yaw."""
 
-    def __init__(
-        self,
-        state: State,
-        begin: float = 0.0,
-        yaw: float | None = None,
-    ) -> None:
+    def __init__(self, state: State, begin: float = 0.0, yaw: float | None = None) -> None:
         """Stay where the drone comes to rest when it brakes, or with another yaw."""
         super().__init__(begin, 0.0)
         place, quaternion, velocity, _ = state
@@ -157,14 +147,7 @@ class Stay(Motion):
 class Turn(Motion):
     """Turn to a yaw on the spot."""
 
-    def __init__(
-        self,
-        state: State,
-        begin: float,
-        limit: float,
-        yaw: float,
-        margin: float,
-    ) -> None:
+    def __init__(self, state: State, begin: float, limit: float, yaw: float, margin: float) -> None:
         """Turn to a yaw, rad, to within a margin, rad."""
         super().__init__(begin, limit)
         self._stay, self._yaw, self._margin = Stay(state, begin, yaw), yaw, margin
@@ -173,12 +156,7 @@ class Turn(Motion):
         """Tell the place, and the yaw."""
         return self._stay.order(state, now)
 
-    def outcome(
-        self,
-        state: State,
-        now: float,
-        touches: bool,
-    ) -> bool | None:
+    def outcome(self, state: State, now: float, touches: bool) -> bool | None:
         """Tell whether it looks there, or the time is over."""
         away = math.remainder(euler(state[1])[2] - self._yaw, math.tau)
         if abs(away) <= self._margin:
@@ -194,11 +172,7 @@ class Hold(Motion):
     """Hold a setpoint for a time, such as a velocity or an attitude."""
 
     def __init__(
-        self,
-        begin: float,
-        limit: float,
-        setpoint: Setpoint | Order,
-        forward: bool = False,
+        self, begin: float, limit: float, setpoint: Setpoint | Order, forward: bool = False
     ) -> None:
         """Hold a setpoint; with `forward` the drone looks along its velocity."""
         super().__init__(begin, limit)
@@ -256,12 +230,7 @@ class Path(Motion):
         turning, yaw = self._heading.along([one * max(speed, 0.2) for one in way])
         return Setpoint("position", (x, y), "position", z, turning, yaw, ahead)
 
-    def outcome(
-        self,
-        state: State,
-        now: float,
-        touches: bool,
-    ) -> bool | None:
+    def outcome(self, state: State, now: float, touches: bool) -> bool | None:
         """Tell whether it has arrived, or the time is over."""
         is_over = now - self.begin >= self._ramp.duration
         if is_over and math.dist(state[0], self._points[-1]) < self._near:
@@ -278,11 +247,7 @@ class Land(Motion):
     """Sink until something is touched, then switch the motors off."""
 
     def __init__(
-        self,
-        state: State,
-        begin: float,
-        limit: float,
-        speed: float = LANDING_SPEED,
+        self, state: State, begin: float, limit: float, speed: float = LANDING_SPEED
     ) -> None:
         """Sink from where the drone is, at a speed, m/s."""
         super().__init__(begin, limit)
@@ -295,12 +260,7 @@ class Land(Motion):
         ahead = (0.0, 0.0, -self._speed, 0.0, 0.0, 0.0)
         return Setpoint("position", (x, y), "position", z - down, "rate", 0.0, ahead)
 
-    def outcome(
-        self,
-        state: State,
-        now: float,
-        touches: bool,
-    ) -> bool | None:
+    def outcome(self, state: State, now: float, touches: bool) -> bool | None:
         """Tell whether it stands, or the time is over."""
         if touches:
             return True

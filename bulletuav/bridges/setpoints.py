@@ -165,12 +165,7 @@ class Guide:
         """Forget the yaw that was held."""
         self._yaw = None
 
-    def order(
-        self,
-        setpoint: Setpoint,
-        state: State,
-        period: float,
-    ) -> Order:
+    def order(self, setpoint: Setpoint, state: State, period: float) -> Order:
         """Tell the command for a setpoint.
 
         Args:
@@ -221,10 +216,7 @@ class Guide:
         return min(max(self._near * (setpoint.z - height), -self._fastest), self._fastest)
 
     def _follow(
-        self,
-        setpoint: Setpoint,
-        position: list[float],
-        velocity: list[float],
+        self, setpoint: Setpoint, position: list[float], velocity: list[float]
     ) -> list[float]:
         """Tell the acceleration that leads to a position that moves."""
         place = (*setpoint.xy, setpoint.z)
@@ -235,12 +227,7 @@ class Guide:
             for k in range(3)
         ]
 
-    def _held_yaw(
-        self,
-        setpoint: Setpoint,
-        quaternion: list[float],
-        period: float,
-    ) -> float:
+    def _held_yaw(self, setpoint: Setpoint, quaternion: list[float], period: float) -> float:
         """Turn the yaw that is held."""
         if setpoint.turning == "angle":
             self._yaw = setpoint.yaw

@@ -19,12 +19,7 @@ LATE_SHARE = 0.25
 """Fraction of a step's time in which a server that is late reads: no flood stops the flight"""
 
 
-def cannot_listen(
-    host: str,
-    port: int,
-    kind: str,
-    error: OSError,
-) -> OSError:
+def cannot_listen(host: str, port: int, kind: str, error: OSError) -> OSError:
     """Make the error for a port that cannot be had.
 
     Args:
@@ -65,14 +60,7 @@ class DatagramServer(ABC):
         ports: Of each drone.
     """
 
-    def __init__(
-        self,
-        count: int,
-        host: str,
-        port: int,
-        period: float,
-        speed: float,
-    ) -> None:
+    def __init__(self, count: int, host: str, port: int, period: float, speed: float) -> None:
         """Open the ports; clients are answered once it runs.
 
         Args:
@@ -163,12 +151,7 @@ class DatagramServer(ABC):
     def _read(self, i: int) -> None:
         """Take the packets that have come for a drone, as many as may be in one go."""
 
-    def _send_to(
-        self,
-        i: int,
-        datagram: bytes,
-        address: Address,
-    ) -> None:
+    def _send_to(self, i: int, datagram: bytes, address: Address) -> None:
         """Send a datagram; one that cannot be sent is lost, as on the radio."""
         with contextlib.suppress(OSError):
             self._sockets[i].sendto(datagram, address)

@@ -10,11 +10,7 @@ from bulletuav.errors import as_int, points_of
 MOST_DRONES = 256
 
 
-def starts(
-    drones: int | Sequence[Sequence[float]],
-    height: float,
-    spacing: float,
-) -> np.ndarray:
+def starts(drones: int | Sequence[Sequence[float]], height: float, spacing: float) -> np.ndarray:
     """Tell where drones stand at the start.
 
     Args:
