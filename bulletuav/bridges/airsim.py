@@ -17,11 +17,11 @@ import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
-from bulletuav.bridges.airsim_calls import CONTINUES, PICTURES, Album, Calls
+from bulletuav.bridges.airsim_calls import CONTINUE_CALLS, IMAGE_CALLS, AirsimCalls, ImageCall
 from bulletuav.bridges.airsim_motions import MOTIONS
-from bulletuav.bridges.airsim_pictures import DrawingError, Pictures
-from bulletuav.bridges.airsim_world import World
-from bulletuav.bridges.sockets import LOG_NAME, listening
+from bulletuav.bridges.airsim_pictures import DrawingError, PictureQueue
+from bulletuav.bridges.airsim_world import AirsimWorld
+from bulletuav.bridges.sockets import LOG_NAME, open_listener
 from bulletuav.envs.connections import Clock, Connections, FullError, Limits
 from bulletuav.envs.pacer import Pacer
 from bulletuav.envs.refusals import Refusals
@@ -31,20 +31,20 @@ from bulletuav.errors import as_int, missing, shown
 PORT = 41451
 """Port that clients connect to, unless they are told another"""
 LIMITS = Limits()
-MOST_REQUEST = 2**20
+MAX_REQUEST_BYTES = 2**20
 """Greatest size of a request, bytes"""
 SCAN_BUFFER = 2**16
 """Bytes that are reserved for each connection to find where messages end; msgpack would reserve as
 many as a request may have, and the heap would grow with each new connection"""
 MAX_ITEMS = 2**13
 """Most items that all lists and maps of a request have together: a path of 1000 points has 4,000"""
-ANSWER_HEAD, NO_ERROR = b"\x94\x01", b"\xc0"
+RESPONSE_HEAD, NO_ERROR = b"\x94\x01", b"\xc0"
 """Packed, the first two of an answer's four values, and the third where there is no error"""
-LONGEST_TURN = 0.005
+MAX_TURN_TIME = 0.005
 """Time of a client's requests, or of a call's steps, after which others have their turn, s"""
 
 
-class Turns:
+class TurnScheduler:
     """Turns on the server's loop: one client at a time, first come, first served.
 
     A turn ends by time, not after a number of requests: some take a hundred times as long as
@@ -59,7 +59,7 @@ class Turns:
         """
         self._lock, self._clock = asyncio.Lock(), clock
 
-    async def take(self, work: Iterator[Awaitable[None] | None]) -> None:
+    async def run(self, steps: Iterator[Awaitable[None] | None]) -> None:
         """Do work piece by piece, in as many turns as it takes.
 
         Args:
@@ -68,13 +68,13 @@ class Turns:
         """
         while True:
             async with self._lock:
-                end = self._clock() + LONGEST_TURN
-                for rest in work:
-                    if rest is not None or self._clock() >= end:
+                end = self._clock() + MAX_TURN_TIME
+                for pending in steps:
+                    if pending is not None or self._clock() >= end:
                         break
                 else:
                     return
-            await (asyncio.sleep(0) if rest is None else rest)
+            await (asyncio.sleep(0) if pending is None else pending)
 
 
 class AirsimServer:
@@ -89,7 +89,7 @@ class AirsimServer:
 
     def __init__(
         self,
-        world: World,
+        world: AirsimWorld,
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
@@ -119,14 +119,18 @@ class AirsimServer:
         self._msgpack = msgpack
         as_int("port", port, 0, 65535)
         self.world, self.host = world, host
-        self._calls, self._turns, self._pictures = Calls(world), Turns(), Pictures(world)
-        self._left = 0.0
-        self.pacer = Pacer(world.airspace.period, speed, _sleep=self._note)
+        self._calls, self._scheduler, self._pictures = (
+            AirsimCalls(world),
+            TurnScheduler(),
+            PictureQueue(world),
+        )
+        self._slack = 0.0
+        self.pacer = Pacer(world.airspace.period, speed, _sleep=self._record_slack)
         self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
-        self._streams = StreamServer(self._talk, limits, self._refusals, clock)
+        self._streams = StreamServer(self._serve_client, limits, self._refusals, clock)
         self._stopped = False
         # Last, so that nobody comes too early
-        self._socket = listening(host, port)
+        self._socket = open_listener(host, port)
         self.port: int = self._socket.getsockname()[1]
 
     @property
@@ -134,9 +138,9 @@ class AirsimServer:
         """The connections that there are."""
         return self._streams.connections
 
-    def _note(self, seconds: float) -> None:
+    def _record_slack(self, seconds: float) -> None:
         """Note how long the pacer would sleep: others work meanwhile."""
-        self._left = seconds
+        self._slack = seconds
 
     def stop(self) -> None:
         """Let `run` return after its present turn; may be called from any thread."""
@@ -179,13 +183,13 @@ class AirsimServer:
         while not self._stopped:
             if not self.world.paused:
                 self.world.step()
-            self._left = 0.0
+            self._slack = 0.0
             self.pacer.wait()
-            await asyncio.sleep(self._left)
+            await asyncio.sleep(self._slack)
 
-    async def _talk(self, stream: Stream) -> None:
+    async def _serve_client(self, stream: Stream) -> None:
         """Answer a client until it goes."""
-        await _Client(self, stream).listen()
+        await _Client(self, stream).serve()
 
     async def advance(self, steps: int, is_wanted: Callable[[], bool] = lambda: True) -> None:
         """Fly a number of steps at once, or until the server stops; others have their turns.
@@ -203,7 +207,7 @@ class AirsimServer:
                 self.world.step()
                 yield None
 
-        await self._turns.take(fly())
+        await self._scheduler.run(fly())
         self.pacer.restart()
 
 
@@ -214,20 +218,20 @@ class _Client:
         self._server, self._stream = server, stream
         self._calls, self._msgpack = server._calls, server._msgpack
         # Answers of motions that end while another answer is sent in parts
-        self._held: list[bytes] | None = None
+        self._deferred: list[bytes] | None = None
 
-    async def listen(self) -> None:
+    async def serve(self) -> None:
         """Answer requests until the client goes, or sends what is no request."""
         reader = _MessageReader(self._msgpack)
         while data := await self._stream.reader.read(65536):
-            await self._server._turns.take(self._answers(reader.read(data)))
+            await self._server._scheduler.run(self._handle_messages(reader.read(data)))
             if not self._stream.is_open:
                 return
             if reader.is_broken:
                 self._stream.drop("dropped: it sent bytes that are no msgpack, or too many")
                 return
 
-    def _answers(self, messages: Iterator[Any]) -> Iterator[Awaitable[None] | None]:
+    def _handle_messages(self, messages: Iterator[Any]) -> Iterator[Awaitable[None] | None]:
         """Answer messages in order, until the client goes; yields what takes longer than a turn."""
         for message in messages:
             if not self._stream.is_open:
@@ -237,7 +241,7 @@ class _Client:
                 return
             if not self._admit(message[1]):
                 return
-            yield self._take(message)
+            yield self._handle_request(message)
 
     def _admit(self, number: int) -> bool:
         """Record a request; if there is no place for one more client, end the connection.
@@ -248,12 +252,12 @@ class _Client:
         try:
             self._stream.request()
         except FullError as error:
-            self._answer(number, f"this server is full: {error}; try again later", None)
+            self._respond(number, f"this server is full: {error}; try again later", None)
             self._stream.close()
             return False
         return True
 
-    def _take(self, message: Any) -> Awaitable[None] | None:
+    def _handle_request(self, message: Any) -> Awaitable[None] | None:
         """Answer a request.
 
         Returns:
@@ -263,38 +267,40 @@ class _Client:
         _, number, name, arguments = message
         try:
             if isinstance(name, str) and name in MOTIONS:
-                self._calls.move(name, arguments, lambda done: self._end_motion(number, done))
+                self._calls.start_motion(
+                    name, arguments, lambda done: self._end_motion(number, done)
+                )
                 self._server.connections.wait(self._stream)
                 return None
-            if name in CONTINUES:
-                return self._continue(number, self._calls.steps(name, arguments))
-            if name in PICTURES:
-                return self._draw(number, self._calls.album(name, arguments))
+            if name in CONTINUE_CALLS:
+                return self._continue_time(number, self._calls.parse_steps(name, arguments))
+            if name in IMAGE_CALLS:
+                return self._draw_images(number, self._calls.parse_images(name, arguments))
             result = self._calls.call(name, arguments)
         # Wrong calls are errors for their client; a flight that diverged ends the server.
         except ValueError as error:
             call = name if isinstance(name, str) else shown(name)
             self._server._refusals.log(self._stream.peer, call, str(error))
-            self._answer(number, str(error), None)
+            self._respond(number, str(error), None)
             return None
-        self._answer(number, None, result)
+        self._respond(number, None, result)
         return None
 
-    async def _continue(self, number: int, steps: int) -> None:
+    async def _continue_time(self, number: int, num_steps: int) -> None:
         """Answer a call when its steps are flown."""
-        with self._busy():
-            await self._server.advance(steps, lambda: self._stream.is_open)
-            self._answer(number, None, None)
+        with self._record_waiting():
+            await self._server.advance(num_steps, lambda: self._stream.is_open)
+            self._respond(number, None, None)
 
-    async def _draw(self, number: int, album: Album) -> None:
+    async def _draw_images(self, number: int, call: ImageCall) -> None:
         """Answer a call when its pictures are drawn."""
-        with self._busy():
+        with self._record_waiting():
             try:
-                parts = await self._server._pictures.take(album, lambda: self._stream.is_open)
+                parts = await self._server._pictures.draw(call, lambda: self._stream.is_open)
             except DrawingError as error:
-                self._answer(number, str(error), None)
+                self._respond(number, str(error), None)
                 return
-            head = ANSWER_HEAD + self._msgpack.packb(number) + NO_ERROR
+            head = RESPONSE_HEAD + self._msgpack.packb(number) + NO_ERROR
             await self._send_parts([head, *parts])
 
     async def _send_parts(self, parts: list[bytes]) -> None:
@@ -303,19 +309,19 @@ class _Client:
         Pictures of a call are up to 11 MB: copying them at once would keep others waiting, and
         queuing them at once would be too much for a client that reads slowly.
         """
-        self._held = []
+        self._deferred = []
         try:
             for part in parts:
                 self._stream.send(part)
                 await asyncio.sleep(0)
                 await self._stream.drain()
         finally:
-            held, self._held = self._held, None
-        for data in held:
+            deferred, self._deferred = self._deferred, None
+        for data in deferred:
             self._stream.send(data)
 
     @contextlib.contextmanager
-    def _busy(self) -> Iterator[None]:
+    def _record_waiting(self) -> Iterator[None]:
         """Record that the client waits, until the end of the block."""
         connections = self._server.connections
         connections.wait(self._stream)
@@ -327,15 +333,15 @@ class _Client:
     def _end_motion(self, number: int, done: bool) -> None:
         """Answer a motion that has ended."""
         self._server.connections.wait(self._stream, -1)
-        self._answer(number, None, done)
+        self._respond(number, None, done)
 
-    def _answer(self, number: int, error: str | None, result: Any) -> None:
+    def _respond(self, number: int, error: str | None, result: Any) -> None:
         """Send an answer, after one that is being sent in parts."""
         data = self._msgpack.packb([1, number, error, result])
-        if self._held is None:
+        if self._deferred is None:
             self._stream.send(data)
         else:
-            self._held.append(data)
+            self._deferred.append(data)
 
 
 class _MessageReader:
@@ -353,10 +359,10 @@ class _MessageReader:
         """
         self._msgpack = msgpack
         # Finds where messages end, and makes no objects
-        self._scanner = msgpack.Unpacker(max_buffer_size=MOST_REQUEST, read_size=SCAN_BUFFER)
+        self._scanner = msgpack.Unpacker(max_buffer_size=MAX_REQUEST_BYTES, read_size=SCAN_BUFFER)
         self._errors = (ValueError, TypeError, msgpack.UnpackException)
         # Bytes of the message that is not whole, and of all messages before it
-        self._rest, self._read = bytearray(), 0
+        self._buffer, self._num_parsed = bytearray(), 0
         self.is_broken = False
 
     def read(self, data: bytes) -> Iterator[Any]:
@@ -367,17 +373,17 @@ class _MessageReader:
         Args:
             data: The next bytes of the stream.
         """
-        self._rest += data
+        self._buffer += data
         try:
             self._scanner.feed(data)
             while True:
                 self._scanner.skip()
-                size = self._scanner.tell() - self._read
-                message, self._read = bytes(self._rest[:size]), self._read + size
-                del self._rest[:size]
+                size = self._scanner.tell() - self._num_parsed
+                message, self._num_parsed = bytes(self._buffer[:size]), self._num_parsed + size
+                del self._buffer[:size]
                 yield self._unpack(message)
         except self._msgpack.OutOfData:
-            self.is_broken = len(self._rest) > MOST_REQUEST
+            self.is_broken = len(self._buffer) > MAX_REQUEST_BYTES
         # TypeError is for maps whose keys are lists
         except self._errors:
             self.is_broken = True
@@ -388,12 +394,12 @@ class _MessageReader:
         Raises:
             ValueError, TypeError, UnpackException: It holds what no call needs, or too much.
         """
-        count = 0
+        num_items = 0
 
         def count_items(items: Any) -> Any:
-            nonlocal count
-            count += len(items)
-            if count > MAX_ITEMS:
+            nonlocal num_items
+            num_items += len(items)
+            if num_items > MAX_ITEMS:
                 raise ValueError(f"more than {MAX_ITEMS} items in lists and maps")
             return items
 
@@ -403,7 +409,7 @@ class _MessageReader:
             max_map_len=MAX_ITEMS,
             strict_map_key=False,
             unicode_errors="replace",
-            ext_hook=_refuse_type,
+            ext_hook=_reject_ext_type,
             list_hook=count_items,
             object_hook=count_items,
         )
@@ -421,7 +427,7 @@ def _is_request(message: Any) -> bool:
     )
 
 
-def _refuse_type(code: int, data: bytes) -> None:
+def _reject_ext_type(code: int, data: bytes) -> None:
     """Refuse a value of a type that msgpack does not define.
 
     Raises:

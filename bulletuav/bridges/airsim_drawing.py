@@ -12,17 +12,17 @@ import threading
 from multiprocessing.connection import Connection
 from typing import Any, BinaryIO
 
-from bulletuav.bridges.airsim_images import Exposure, response
+from bulletuav.bridges.airsim_images import Exposure, make_response
 from bulletuav.city.coacd_child import end_with_parent
 from bulletuav.engine.scene_copy import SceneCopy, ScenePoses
 
-LENGTH = struct.Struct(">Q")
+LENGTH_PREFIX = struct.Struct(">Q")
 """Number of bytes of the answer that follows"""
-PATIENCE = 5.0
+EXIT_TIMEOUT = 5.0
 """Seconds that the process has to end by itself"""
-LONGEST_START, LONGEST_PICTURE = 600.0, 60.0
+START_TIMEOUT, PICTURE_TIMEOUT = 600.0, 60.0
 """Seconds that the process has to start, and to draw a picture; then it counts as hung"""
-START = """
+CHILD_PROGRAM = """
 import os, signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 if hasattr(os, "nice"):
@@ -48,12 +48,12 @@ class DrawingProcess:
         """
         # As this process finds the package, the other one does, whatever has changed sys.path. "-P"
         # keeps it from looking in the working folder first, where anything may lie.
-        paths = os.pathsep.join(one or os.getcwd() for one in sys.path)
+        search_path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", START],
+            [sys.executable, "-P", "-c", CHILD_PROGRAM],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": paths},
+            env={**os.environ, "PYTHONPATH": search_path},
         )
         assert self._process.stdin is not None
         self._jobs = Connection(os.dup(self._process.stdin.fileno()), readable=False)
@@ -71,7 +71,7 @@ class DrawingProcess:
         Args:
             setup: Arguments of `SceneCopy`.
         """
-        self._ask(setup, LONGEST_START)
+        self._request(setup, START_TIMEOUT)
 
     def draw(self, poses: ScenePoses, exposure: Exposure, is_list: bool) -> bytes:
         """Draw a picture.
@@ -86,9 +86,9 @@ class DrawingProcess:
         """
         new = poses._replace(added=poses.added[self._num_added :])
         self._num_added = len(poses.added)
-        return self._ask((new, exposure, is_list), LONGEST_PICTURE)
+        return self._request((new, exposure, is_list), PICTURE_TIMEOUT)
 
-    def _ask(self, job: tuple[Any, ...], limit: float) -> bytes:
+    def _request(self, job: tuple[Any, ...], timeout: float) -> bytes:
         """Send a job, and wait for its answer; a process that takes longer than a limit is killed.
 
         Raises:
@@ -99,20 +99,20 @@ class DrawingProcess:
         # Pipes have no time limits on all systems: they end with the process
         is_hung = threading.Event()
 
-        def end() -> None:
+        def kill_hung() -> None:
             is_hung.set()
             self.kill()
 
-        timer = threading.Timer(limit, end)
+        timer = threading.Timer(timeout, kill_hung)
         timer.daemon = True
         timer.start()
         try:
             self._jobs.send(job)
-            (length,) = LENGTH.unpack(_read(self._process.stdout, LENGTH.size))
+            (length,) = LENGTH_PREFIX.unpack(_read(self._process.stdout, LENGTH_PREFIX.size))
             return _read(self._process.stdout, length)
         except (EOFError, OSError):
             if is_hung.is_set():
-                raise TimeoutError(f"it hung for {limit:g} s and was killed") from None
+                raise TimeoutError(f"it hung for {timeout:g} s and was killed") from None
             raise
         finally:
             timer.cancel()
@@ -131,7 +131,7 @@ class DrawingProcess:
         self._jobs.close()
         self._process.stdout.close()
         try:
-            return self._process.wait(PATIENCE)
+            return self._process.wait(EXIT_TIMEOUT)
         except subprocess.TimeoutExpired:
             self.kill()
             return self._process.wait()
@@ -150,24 +150,26 @@ def main() -> None:
     import msgpack
 
     # What libraries print must not get between the answers.
-    answers, nowhere = os.fdopen(os.dup(1), "wb"), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+    answers, null_device = os.fdopen(os.dup(1), "wb"), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null_device, 1)
     # When the server has ended, though a fork of it may keep the pipes open
     end_with_parent()
     try:
         jobs = Connection(os.dup(0), writable=False)
         copy = SceneCopy(*jobs.recv())
-        _answer(answers, b"")
+        _write_response(answers, b"")
         while True:
             poses, exposure, is_list = jobs.recv()
-            drawn = response(exposure, copy.picture(0, poses, exposure.sight.shot))
-            _answer(answers, msgpack.packb(drawn if is_list else drawn["image_data_uint8"]))
+            result = make_response(exposure, copy.picture(0, poses, exposure.view.shot))
+            _write_response(
+                answers, msgpack.packb(result if is_list else result["image_data_uint8"])
+            )
     # The server has ended, or closed the pipes.
     except (EOFError, BrokenPipeError):
         os._exit(0)
 
 
-def _answer(pipe: BinaryIO, data: bytes) -> None:
+def _write_response(pipe: BinaryIO, data: bytes) -> None:
     """Send an answer."""
-    pipe.write(LENGTH.pack(len(data)) + data)
+    pipe.write(LENGTH_PREFIX.pack(len(data)) + data)
     pipe.flush()

@@ -9,31 +9,31 @@ import numpy as np
 from bulletuav.earth import attitude_to_enu, attitude_to_ned, enu_to_ned
 from bulletuav.errors import finite, shown
 
-MOST = 1e5
+MAX_VALUE = 1e5
 """Greatest size of a coordinate (m) or velocity (m/s) in a call"""
-LONGEST = 1e9
+MAX_DURATION = 1e9
 """Durations and timeouts beyond it are cut to it, s; clients send 3e38 for ever"""
 
 
-def number(name: str, value: Any, most: float = MOST) -> float:
+def check_number(name: str, value: Any, max_value: float = MAX_VALUE) -> float:
     """Check a number of a call.
 
     Raises:
         ValueError: It is none, or beyond the bound.
     """
-    return finite(name, value, -most, most)
+    return finite(name, value, -max_value, max_value)
 
 
-def duration(name: str, value: Any) -> float:
+def check_duration(name: str, value: Any) -> float:
     """Check a duration of a call, s; very long ones are cut.
 
     Raises:
         ValueError: It is no number, or below 0.
     """
-    return min(finite(name, value, 0.0), LONGEST)
+    return min(finite(name, value, 0.0), MAX_DURATION)
 
 
-def flag(name: str, value: Any) -> bool:
+def check_flag(name: str, value: Any) -> bool:
     """Check a truth value of a call.
 
     Raises:
@@ -44,7 +44,7 @@ def flag(name: str, value: Any) -> bool:
     return value
 
 
-def words(name: str, value: Any) -> str:
+def check_text(name: str, value: Any) -> str:
     """Check a text of a call.
 
     Raises:
@@ -55,17 +55,17 @@ def words(name: str, value: Any) -> str:
     return value
 
 
-def vector(array: Any) -> dict[str, float]:
+def write_vector(array: Any) -> dict[str, float]:
     """Write (3,) as a map."""
-    return {f"{axis}_val": float(one) for axis, one in zip("xyz", array, strict=True)}
+    return {f"{axis}_val": float(value) for axis, value in zip("xyz", array, strict=True)}
 
 
-def quaternion(array: Any) -> dict[str, float]:
+def write_quaternion(array: Any) -> dict[str, float]:
     """Write (4,) x, y, z, w as a map."""
-    return {f"{axis}_val": float(one) for axis, one in zip("xyzw", array, strict=True)}
+    return {f"{axis}_val": float(value) for axis, value in zip("xyzw", array, strict=True)}
 
 
-def numbers_in(name: str, value: Any, keys: str) -> np.ndarray:
+def read_axes(name: str, value: Any, keys: str) -> np.ndarray:
     """Read a map with an entry for each axis; those that are NaN stay so.
 
     Args:
@@ -79,26 +79,28 @@ def numbers_in(name: str, value: Any, keys: str) -> np.ndarray:
     Raises:
         ValueError: It is no map of numbers, or a number is too large.
     """
-    found = [value.get(f"{key}_val") for key in keys] if isinstance(value, Mapping) else [None]
-    if not all(isinstance(one, int | float) for one in found):
-        wanted = ", ".join(f"{key}_val" for key in keys)
-        raise ValueError(f"{name} is {shown(value)}: a map of numbers {wanted} is needed")
-    return np.array([math.nan if one != one else number(name, one) for one in found])
+    values = [value.get(f"{key}_val") for key in keys] if isinstance(value, Mapping) else [None]
+    if not all(isinstance(number, int | float) for number in values):
+        names = ", ".join(f"{key}_val" for key in keys)
+        raise ValueError(f"{name} is {shown(value)}: a map of numbers {names} is needed")
+    return np.array(
+        [math.nan if number != number else check_number(name, number) for number in values]
+    )
 
 
-def vector_in(name: str, value: Any) -> np.ndarray:
+def read_vector(name: str, value: Any) -> np.ndarray:
     """Read a map of x, y, z.
 
     Raises:
         ValueError: It is none, or a number is not finite.
     """
-    array = numbers_in(name, value, "xyz")
+    array = read_axes(name, value, "xyz")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} is {shown(value)}: finite numbers are needed")
     return array
 
 
-def pose_in(value: Any) -> tuple[np.ndarray, np.ndarray]:
+def read_pose(value: Any) -> tuple[np.ndarray, np.ndarray]:
     """Read a pose: (3,) and (4,) x, y, z, w; what is NaN is to stay as it is.
 
     Raises:
@@ -106,25 +108,25 @@ def pose_in(value: Any) -> tuple[np.ndarray, np.ndarray]:
     """
     if not isinstance(value, Mapping):
         raise ValueError(f"pose is {shown(value)}: a map of position and orientation is needed")
-    place = numbers_in("position", value.get("position"), "xyz")
-    turn = numbers_in("orientation", value.get("orientation"), "xyzw")
-    length = math.sqrt(float((turn * turn).sum()))
+    position = read_axes("position", value.get("position"), "xyz")
+    orientation = read_axes("orientation", value.get("orientation"), "xyzw")
+    length = math.sqrt(float((orientation * orientation).sum()))
     if length < 1e-3:
         raise ValueError("orientation has no length: a unit quaternion is needed")
-    return place, turn / length
+    return position, orientation / length
 
 
-def yaw_in(degrees: float) -> float:
+def yaw_from_airsim(degrees: float) -> float:
     """Convert a yaw, clockwise from north in degrees, into one counter-clockwise from east, rad."""
     return math.remainder(math.pi / 2 - math.radians(degrees), math.tau)
 
 
-def yaw_out(yaw: float) -> float:
+def yaw_to_airsim(yaw: float) -> float:
     """Convert a yaw, counter-clockwise from east in rad, into one clockwise from north, degrees."""
     return math.degrees(math.remainder(math.pi / 2 - yaw, math.tau))
 
 
-def pose_of(position: np.ndarray, attitude: Any) -> dict[str, Any]:
+def write_pose(position: np.ndarray, attitude: Any) -> dict[str, Any]:
     """Write a pose.
 
     Args:
@@ -132,12 +134,12 @@ def pose_of(position: np.ndarray, attitude: Any) -> dict[str, Any]:
         attitude: (4,) body to world, here.
     """
     return {
-        "position": vector(enu_to_ned(position)),
-        "orientation": quaternion(attitude_to_ned(attitude)),
+        "position": write_vector(enu_to_ned(position)),
+        "orientation": write_quaternion(attitude_to_ned(attitude)),
     }
 
 
-def attitude_of(turn: np.ndarray) -> np.ndarray:
+def attitude_from_airsim(orientation: np.ndarray) -> np.ndarray:
     """Convert an orientation of AirSim into an attitude here, both (4,) x, y, z, w."""
-    attitude = attitude_to_enu(turn)
+    attitude = attitude_to_enu(orientation)
     return np.asarray(attitude / math.sqrt(float((attitude * attitude).sum())))

@@ -1,20 +1,21 @@
 """Vehicles of AirSim's calls in one airspace: what they do, touch and feel, without a network."""
 
 import math
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_values import attitude_of
-from bulletuav.bridges.motions import Answer, Motion, Off, Stay
+from bulletuav.bridges.airsim_values import attitude_from_airsim
+from bulletuav.bridges.motions import DoneCallback, HoldPosition, MotionPrimitive, MotorsOff
 from bulletuav.bridges.setpoints import (
     NORTH,
-    Guide,
-    Order,
+    AirspaceCommand,
     Setpoint,
+    SetpointController,
     State,
-    give,
+    apply_commands,
     make_airspace,
 )
 from bulletuav.earth import Origin
@@ -30,10 +31,10 @@ HOME = (47.641468, -122.140165, 122.0)
 """Where AirSim's worlds are: latitude, longitude (degrees), altitude (m)"""
 SPACING = 2.0
 """Distance between neighbours at the start, m"""
-HARD = 1.0
+MIN_COLLISION_SPEED = 1.0
 """Speed onto the ground from which on a touch is a collision, m/s"""
-MOST_VEHICLES = 256
-LIDAR: dict[str, Any] = {
+MAX_VEHICLES = 256
+LIDAR_OPTIONS: dict[str, Any] = {
     "num_beams": 36,
     "lidar_elevations": (-45.0, -30.0, -15.0, 0.0, 15.0),
     "max_range": 40.0,
@@ -58,12 +59,12 @@ class Collision:
 
     def __init__(self) -> None:
         """Begin with nothing."""
-        self.has_collided, self.time, self.name, self.number = False, 0.0, "", -1
-        self.point = self.normal = self.place = np.zeros(3)
+        self.has_collided, self.time, self.object_name, self.object_id = False, 0.0, "", -1
+        self.point = self.normal = self.position = np.zeros(3)
         self.depth = 0.0
 
 
-class Vehicle:
+class AirsimVehicle:
     """One drone.
 
     Attributes:
@@ -75,73 +76,73 @@ class Vehicle:
         stands: Whether it touches what it can stand on.
     """
 
-    def __init__(self, name: str, start: np.ndarray, guide: Guide) -> None:
+    def __init__(self, name: str, start: np.ndarray, controller: SetpointController) -> None:
         """Begin on the ground, motors off."""
-        self.name, self.start, self._guide = name, start, guide
+        self.name, self.start, self._controller = name, start, controller
         self.collision = Collision()
-        self._motion: Motion = Off()
-        self._answer: Answer | None = None
+        self._motion: MotionPrimitive = MotorsOff()
+        self._done_callback: DoneCallback | None = None
         self.restart()
 
     def restart(self) -> None:
         """Begin anew; a motion that goes on ends."""
-        self.end(False)
-        self._guide.rest()
-        self._motion = Off()
-        self.is_ours = self.is_armed = False
-        self.collision, self.stands = Collision(), True
+        self.finish(False)
+        self._controller.reset()
+        self._motion = MotorsOff()
+        self.is_api_controlled = self.is_armed = False
+        self.collision, self.is_standing = Collision(), True
 
     @property
-    def flies(self) -> bool:
+    def is_flying(self) -> bool:
         """Whether its motors turn."""
-        return not isinstance(self._motion, Off)
+        return not isinstance(self._motion, MotorsOff)
 
-    def begin(self, motion: Motion, answer: Answer) -> None:
+    def start_motion(self, motion: MotionPrimitive, done_callback: DoneCallback) -> None:
         """Do something else from now on; who asked for what it did is told that it is over."""
-        self.end(False)
-        self._motion, self._answer = motion, answer
+        self.finish(False)
+        self._motion, self._done_callback = motion, done_callback
 
-    def end(self, success: bool) -> None:
+    def finish(self, success: bool) -> None:
         """Tell who asked for the motion that it is over."""
-        answer, self._answer = self._answer, None
-        if answer is not None:
-            answer(success)
+        done_callback, self._done_callback = self._done_callback, None
+        if done_callback is not None:
+            done_callback(success)
 
-    def stay(self, state: State) -> None:
+    def hold_position(self, state: State) -> None:
         """Stay where it is, if it flies."""
-        self.end(False)
-        if self.flies:
-            self._motion = Stay(state)
+        self.finish(False)
+        if self.is_flying:
+            self._motion = HoldPosition(state)
 
-    def moved(self, state: State) -> None:
+    def reset_after_placement(self, state: State) -> None:
         """Stay where it was put, if it flies; it has hit nothing there."""
         self.collision = Collision()
-        self._guide.rest()
-        self.stay(state)
+        self._controller.reset()
+        self.hold_position(state)
 
-    def stop(self) -> None:
+    def stop_motors(self) -> None:
         """Switch motors off."""
-        self.end(False)
-        self._motion = Off()
+        self.finish(False)
+        self._motion = MotorsOff()
 
-    def order(self, state: State, now: float, period: float) -> Order | None:
+    def compute_command(self, state: State, now: float, period: float) -> AirspaceCommand | None:
         """Tell the command of the next step; None for motors off."""
-        wanted = self._motion.order(state, now) if self.is_armed else None
-        if isinstance(wanted, Setpoint):
-            return self._guide.order(wanted, state, period)
-        return wanted
+        setpoint = self._motion.get_setpoint(state, now) if self.is_armed else None
+        if isinstance(setpoint, Setpoint):
+            return self._controller.compute_command(setpoint, state, period)
+        return setpoint
 
-    def look(self, state: State, now: float) -> None:
+    def check_motion(self, state: State, now: float) -> None:
         """Look whether the motion has come to its end."""
-        if self._answer is None:
+        if self._done_callback is None:
             return
-        outcome = self._motion.outcome(state, now, self.stands)
+        outcome = self._motion.check_outcome(state, now, self.is_standing)
         if outcome is not None:
-            self._motion = self._motion.after(state)
-            self.end(outcome)
+            self._motion = self._motion.get_next_motion(state)
+            self.finish(outcome)
 
 
-class World:
+class AirsimWorld:
     """N vehicles in one airspace, which clients fly.
 
     Attributes:
@@ -178,24 +179,24 @@ class World:
             ValueError: An option cannot be.
         """
         # Names and places, checked together
-        frame = load_airframe(airframe)
-        names = _names(drones)
+        airframe_data = load_airframe(airframe)
+        names = _make_names(drones)
         flat = [(SPACING * k, 0.0) for k in range(len(names))] if places is None else places
         if len(flat) != len(names):
             raise ValueError(f"places are {len(flat)}: one for each of {len(names)} is needed")
-        self._starts = points_of("places", [(*one, frame.standing_height) for one in flat])
+        self._starts = points_of("places", [(*one, airframe_data.standing_height) for one in flat])
         # Clients count on the rate of AirSim
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {DECISION_HZ} for clients of AirSim: leave it out")
         # Options of the caller go before the usual ones
         known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
         if lidar:
-            known |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR}
-        self.airspace = make_airspace(self._starts, frame, **known)
+            known |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR_OPTIONS}
+        self.airspace = make_airspace(self._starts, airframe_data, **known)
         self.origin = Origin(*as_sequence("home", home, 3))
         # Each vehicle starts on its feet and has a guide of its own
         self.vehicles = {
-            name: Vehicle(name, start, Guide(frame))
+            name: AirsimVehicle(name, start, SetpointController(airframe_data))
             for name, start in zip(names, self._starts, strict=True)
         }
         # Clock, and accelerations, which come from differences of velocities
@@ -204,7 +205,7 @@ class World:
         self._velocity = self.airspace.swarm.velocity.copy()
         self._rates = self.airspace.swarm.rates.copy()
         self.acceleration = np.zeros_like(self._velocity)
-        self.turning = np.zeros_like(self._rates)
+        self.angular_acceleration = np.zeros_like(self._rates)
         self.reset()
 
     @property
@@ -217,7 +218,7 @@ class World:
         """Time since the last reset, s: motions go by it, so that they repeat to the last bit."""
         return self._ticks / DECISION_HZ
 
-    def vehicle(self, name: Any) -> tuple[int, Vehicle]:
+    def vehicle(self, name: Any) -> tuple[int, AirsimVehicle]:
         """Find a vehicle.
 
         Args:
@@ -248,22 +249,22 @@ class World:
         Raises:
             RuntimeError: The flight diverged, or the airspace is closed.
         """
-        orders = [
-            vehicle.order(self.state(i), self.clock, self.airspace.period)
+        commands = [
+            vehicle.compute_command(self.state(i), self.clock, self.airspace.period)
             for i, vehicle in enumerate(self.vehicles.values())
         ]
-        give(self.airspace, orders)
+        apply_commands(self.airspace, commands)
         self.airspace.step()
         self._ticks += 1
         swarm, period = self.airspace.swarm, self.airspace.period
         self.acceleration = (swarm.velocity - self._velocity) / period
-        self.turning = (swarm.rates - self._rates) / period
+        self.angular_acceleration = (swarm.rates - self._rates) / period
         self._velocity, self._rates = swarm.velocity.copy(), swarm.rates.copy()
-        self._touch()
+        self._record_contacts()
         for i, vehicle in enumerate(self.vehicles.values()):
-            vehicle.look(self.state(i), self.clock)
+            vehicle.check_motion(self.state(i), self.clock)
 
-    def advance(self, seconds: float) -> int:
+    def count_steps(self, seconds: float) -> int:
         """Tell how many steps a time takes; what is left over counts for the next time.
 
         Args:
@@ -277,29 +278,29 @@ class World:
         self._due -= steps
         return max(steps, 0)
 
-    def _touch(self) -> None:
+    def _record_contacts(self) -> None:
         """Note what was touched in the last step."""
         contacts = self.airspace.contacts
         vehicles = list(self.vehicles.values())
         # Standing is told anew in each step
         for vehicle in vehicles:
-            vehicle.stands = False
+            vehicle.is_standing = False
         for k, i in enumerate(contacts.drone.tolist()):
             # A contact from below is what it stands on
             other, normal = int(contacts.other[k]), contacts.normal[k]
             vehicle = vehicles[i]
-            vehicle.stands = vehicle.stands or bool(normal[2] > 0.7)
+            vehicle.is_standing = vehicle.is_standing or bool(normal[2] > 0.7)
             # A soft landing is no collision
-            if other == GROUND and -contacts.velocity[k, 2] < HARD:
+            if other == GROUND and -contacts.velocity[k, 2] < MIN_COLLISION_SPEED:
                 continue
             hit = vehicle.collision = Collision()
             hit.has_collided, hit.time = True, self.time
-            hit.name, hit.number = self._name_of(other), other
+            hit.object_name, hit.object_id = self._get_object_name(other), other
             hit.point, hit.normal = contacts.point[k].copy(), normal.copy()
-            hit.place = self.airspace.swarm.position[i].copy()
+            hit.position = self.airspace.swarm.position[i].copy()
             hit.depth = float(contacts.depth[k])
 
-    def _name_of(self, other: int) -> str:
+    def _get_object_name(self, other: int) -> str:
         """Name what was touched, by its number in `Contacts`."""
         if other >= 0:
             return list(self.vehicles)[other]
@@ -307,7 +308,7 @@ class World:
             return f"Obstacle{FIRST_OBSTACLE - other}"
         return {GROUND: "Ground", CITY: "Building"}[other]
 
-    def place(self, i: int, place: np.ndarray, turn: np.ndarray) -> None:
+    def place(self, i: int, position: np.ndarray, orientation: np.ndarray) -> None:
         """Put a drone somewhere at rest, where it stays if it flew.
 
         Args:
@@ -319,29 +320,33 @@ class World:
             ValueError: It would overlap something; all stays as it was.
         """
         swarm, vehicle = self.airspace.swarm, list(self.vehicles.values())[i]
-        wanted = vehicle.start + np.array([place[1], place[0], -place[2]])
-        wanted = np.where(np.isfinite(wanted), wanted, swarm.position[i])
+        target = vehicle.start + np.array([position[1], position[0], -position[2]])
+        target = np.where(np.isfinite(target), target, swarm.position[i])
         # Who is put onto the ground stands on it, however coordinates are rounded.
-        if abs(wanted[2] - vehicle.start[2]) < 1e-3:
-            wanted[2] = vehicle.start[2]
-        attitude = attitude_of(turn) if np.isfinite(turn).all() else swarm.quaternion[i].copy()
-        speed = "hover" if vehicle.flies else 0.0
+        if abs(target[2] - vehicle.start[2]) < 1e-3:
+            target[2] = vehicle.start[2]
+        attitude = (
+            attitude_from_airsim(orientation)
+            if np.isfinite(orientation).all()
+            else swarm.quaternion[i].copy()
+        )
+        rotor_speed = "hover" if vehicle.is_flying else 0.0
         # As lists, so that errors show plain numbers
-        self.airspace.place(i, wanted.tolist(), attitude.tolist(), rotor_speed=speed)
-        self._forget(i)
-        vehicle.moved(self.state(i))
+        self.airspace.place(i, target.tolist(), attitude.tolist(), rotor_speed=rotor_speed)
+        self._reset_accelerations(i)
+        vehicle.reset_after_placement(self.state(i))
 
-    def _forget(self, drones: Any) -> None:
+    def _reset_accelerations(self, drones: Any) -> None:
         """Forget how drones moved before they were placed."""
         self._velocity[drones] = self._rates[drones] = 0.0
-        self.acceleration[drones] = self.turning[drones] = 0.0
+        self.acceleration[drones] = self.angular_acceleration[drones] = 0.0
 
     def reset(self) -> None:
         """Put all vehicles back to where they started, motors off; time goes on."""
         for vehicle in self.vehicles.values():
             vehicle.restart()
         self.airspace.place(None, self._starts, NORTH)
-        self._forget(slice(None))
+        self._reset_accelerations(slice(None))
         self._due, self._ticks = 0.0, 0
 
     def warm_up(self) -> None:
@@ -354,14 +359,31 @@ class World:
         self.airspace.close()
 
 
-def _names(drones: int | Sequence[str]) -> tuple[str, ...]:
+def _make_names(drones: int | Sequence[str]) -> tuple[str, ...]:
     """Tell the names of vehicles, of which there are some or which are given."""
     if isinstance(drones, int):
-        count = as_int("drones", drones, 1, MOST_VEHICLES)
+        count = as_int("drones", drones, 1, MAX_VEHICLES)
         return ("SimpleFlight",) if count == 1 else tuple(f"Drone{k + 1}" for k in range(count))
-    names = as_sequence("drones", drones, most=MOST_VEHICLES)
-    if not names or not all(isinstance(one, str) and one for one in names):
+    names = as_sequence("drones", drones, most=MAX_VEHICLES)
+    if not names or not all(isinstance(name, str) and name for name in names):
         raise ValueError(f"drones is {shown(drones)}: names, or how many, are needed")
     if len(set(names)) < len(names):
         raise ValueError(f"drones is {shown(drones)}: names that differ are needed")
     return names
+
+
+def __getattr__(name: str) -> Any:
+    """Return `AirsimWorld` for its old name `World`, with a warning.
+
+    Raises:
+        AttributeError: If the module has no such name.
+    """
+    if name == "World":
+        warnings.warn(
+            "World of bulletuav.bridges.airsim_world is now AirsimWorld; "
+            "the old name goes in the next release",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return AirsimWorld
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -8,8 +8,8 @@ from bulletuav.bridges.crazyflie_services import TICK
 from bulletuav.bridges.crazyflie_tables import LOGS
 from bulletuav.bridges.crazyflie_vehicle import Vehicle
 from bulletuav.bridges.crtp import Packet
-from bulletuav.bridges.setpoints import euler, give, make_airspace, states_of
-from bulletuav.bridges.starts import starts
+from bulletuav.bridges.setpoints import apply_commands, euler, get_states, make_airspace
+from bulletuav.bridges.starts import make_start_positions
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.earth import pressure
 from bulletuav.vehicle.airframes import load_airframe
@@ -52,7 +52,7 @@ class Fleet:
             ValueError: An option cannot be.
         """
         frame = load_airframe(airframe)
-        places = starts(drones, frame.standing_height, SPACING)
+        places = make_start_positions(drones, frame.standing_height, SPACING)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {DECISION_HZ} in the firmware: leave it out")
         known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
@@ -86,7 +86,7 @@ class Fleet:
         Raises:
             RuntimeError: The flight diverged, or the airspace is closed.
         """
-        give(self.airspace, [one.order(self.airspace.period) for one in self.vehicles])
+        apply_commands(self.airspace, [one.order(self.airspace.period) for one in self.vehicles])
         self.airspace.step()
         self.tick += 1
         self._sense()
@@ -109,7 +109,7 @@ class Fleet:
         change = (swarm.velocity - self._velocity) / self.airspace.period
         self._velocity = swarm.velocity.copy()
         rest = zip(change.tolist(), swarm.rotor_speed.tolist(), strict=True)
-        told = zip(self.vehicles, states_of(swarm), rest, strict=True)
+        told = zip(self.vehicles, get_states(swarm), rest, strict=True)
         for vehicle, state, (acceleration, speed) in told:
             vehicle.sense(state, acceleration, speed, self.time)
 

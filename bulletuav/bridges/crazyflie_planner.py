@@ -15,7 +15,7 @@ from bulletuav.bridges.crazyflie_plans import (
 )
 from bulletuav.bridges.crazyflie_setpoints import FARTHEST
 from bulletuav.bridges.crtp import Errno, MalformedError, unpack
-from bulletuav.bridges.setpoints import Order, State, euler
+from bulletuav.bridges.setpoints import AirspaceCommand, State, euler
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.control.trajectory import Tracker, Trajectory
 from bulletuav.vehicle.airframe import Airframe
@@ -44,7 +44,7 @@ class Planner:
         """
         self._airframe, self._memory = airframe, memory
         self._tracker: Tracker | None = None
-        self._end: Order | None = None
+        self._end: AirspaceCommand | None = None
         self._start = 0.0
         self._lands = False
         self._group = 0
@@ -63,7 +63,7 @@ class Planner:
         """Forget the plan."""
         self._tracker = None
 
-    def order(self, state: State, now: float) -> Order | None:
+    def order(self, state: State, now: float) -> AirspaceCommand | None:
         """Tell the command of a time, or None once a landing has ended."""
         if self._lands and self.finished(now):
             self.stop()
@@ -74,7 +74,9 @@ class Planner:
         place, velocity = np.array(state[0]), np.array(state[2])
         x, y, z, yaw = self._tracker.setpoint(now - self._start, place, velocity).tolist()
         numbers = (min(max(one, -FASTEST), FASTEST) for one in (x, y, z))
-        return Order(SetpointLevel.ACCELERATION, (*numbers, math.remainder(yaw, math.tau)))
+        return AirspaceCommand(
+            SetpointLevel.ACCELERATION, (*numbers, math.remainder(yaw, math.tau))
+        )
 
     def target(self, now: float) -> list[float] | None:
         """Tell where the plan is, (3,) m."""
@@ -147,7 +149,7 @@ class Planner:
         self._tracker, self._start, self._lands = Tracker(self._airframe, plan), now, lands
         end = plan.at(plan.end)
         numbers = (*end.position.tolist(), math.remainder(end.yaw, math.tau))
-        self._end = Order(SetpointLevel.POSITION, numbers)
+        self._end = AirspaceCommand(SetpointLevel.POSITION, numbers)
         return Errno.NONE
 
     def _set_group(

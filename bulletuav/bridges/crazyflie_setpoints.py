@@ -163,7 +163,7 @@ class Commander:
         if age > OFF_AFTER:
             self.drop()
             return None
-        return self._setpoint if age <= LEVEL_AFTER else self._setpoint.levelled()
+        return self._setpoint if age <= LEVEL_AFTER else self._setpoint.to_level()
 
 
 def _within(value: float, most: float) -> float:

@@ -17,7 +17,7 @@ from bulletuav.bridges.crtp import (
     pack,
     unpack,
 )
-from bulletuav.bridges.setpoints import Guide, Order, State
+from bulletuav.bridges.setpoints import AirspaceCommand, SetpointController, State
 from bulletuav.vehicle.airframe import Airframe
 
 LINK_NAME = b"Bitcraze Crazyflie"
@@ -67,7 +67,7 @@ class Vehicle:
         """
         self._airframe, self._recover = airframe, recover
         self.parameters, self.logs, self._memory = ParameterService(), LogService(), MemoryService()
-        self._motors, self._guide = Motors(airframe), Guide(airframe)
+        self._motors, self._guide = Motors(airframe), SetpointController(airframe)
         self._commander = Commander(self._motors)
         self._planner = Planner(airframe, self._memory.content)
         self._armed, self._locked, self._crashed = True, False, False
@@ -141,7 +141,7 @@ class Vehicle:
         }
         return Bits(sum(bit for bit, is_set in told.items() if is_set))
 
-    def order(self, period: float) -> Order | None:
+    def order(self, period: float) -> AirspaceCommand | None:
         """Tell the command of the next step, or None for motors off."""
         setpoint = self._commander.current(self._now)
         if not self._can_fly:
@@ -150,12 +150,12 @@ class Vehicle:
             return None
         if self._planner.flies and (setpoint is None or self._commander.released):
             self._commander.drop()
-            self._guide.rest()
+            self._guide.reset()
             return self._planner.order(self._state, self._now)
-        if setpoint is None or (setpoint.upward == "thrust" and setpoint.z == 0):
-            self._guide.rest()
+        if setpoint is None or (setpoint.z_mode == "thrust" and setpoint.z == 0):
+            self._guide.reset()
             return None
-        return self._guide.order(setpoint, self._state, period)
+        return self._guide.compute_command(setpoint, self._state, period)
 
     def telemetry(self, pressure: Callable[[float], float]) -> Telemetry:
         """Tell what can be logged now."""

@@ -18,7 +18,7 @@ from typing import Any
 
 from bulletuav.bridges.hil_bodies import STEP_HZ, HilBodies
 from bulletuav.bridges.mavlink_wire import Command, Message, Told, Wire, text, whole_frames
-from bulletuav.bridges.sockets import LOG_NAME, listening
+from bulletuav.bridges.sockets import LOG_NAME, open_listener
 from bulletuav.envs.connections import (
     ACCEPT_RETRY,
     EXHAUSTED,
@@ -36,24 +36,24 @@ from bulletuav.errors import as_int, finite
 
 PORT = 4560
 """Port that the first of PX4's instances connects to"""
-MOST_READ = 4096
+MAX_READ_BYTES = 4096
 """Most bytes that are taken of a connection in one go"""
-MOST_WAITING = 65536
+MAX_BUFFER_BYTES = 65536
 """Most bytes of a frame that is not whole, and of what an autopilot leaves unread"""
-SILENT = 10.0
+ANSWER_TIMEOUT = 10.0
 """How long an autopilot may take to answer, s; then it is let go"""
-START = 30.0
+START_TIMEOUT = 30.0
 """The same for its first answer, for which it has to start"""
 LIMITS = Limits(max_clients=1, max_pending=4)
 """Limits of the connections of one body"""
-LONGEST_WAIT = 0.1
+MAX_LISTEN_TIME = 0.1
 """Time after which `run` looks again who has connected, s"""
-SIMULATOR = 1
+SYSTEM_ID = 1
 """System number of the simulator"""
 STATE_QUATERNION = 115
 
 
-class Link:
+class AutopilotLink:
     """The connection of one autopilot.
 
     Attributes:
@@ -65,23 +65,23 @@ class Link:
         wants_truth: Whether it has asked for HIL_STATE_QUATERNION.
     """
 
-    def __init__(self, one: socket.socket, peer: str) -> None:
+    def __init__(self, connection: socket.socket, peer: str) -> None:
         """Take over a connection from an address."""
         self.peer = peer
-        self.begun: float | None = None
-        self.socket, self.wire, self._rest = one, Wire(SIMULATOR), b""
-        self.answers = self.waits = self.wants_truth = False
-        self.asked = time.perf_counter()
-        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        one.setblocking(False)
+        self.first_sent_time: float | None = None
+        self.socket, self.wire, self._buffer = connection, Wire(SYSTEM_ID), b""
+        self.has_answered = self.is_awaited = self.wants_ground_truth = False
+        self.sent_time = time.perf_counter()
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setblocking(False)
 
-    def send(self, told: list[Told]) -> None:
+    def send(self, messages: list[Told]) -> None:
         """Send messages.
 
         Raises:
             OSError: The autopilot has gone, or reads nothing.
         """
-        data = b"".join(self.wire.pack(one) for one in told)
+        data = b"".join(self.wire.pack(connection) for connection in messages)
         if self.socket.send(data) < len(data):
             raise ConnectionError("an autopilot reads nothing")
 
@@ -91,14 +91,14 @@ class Link:
         Raises:
             OSError: The autopilot has gone, or sends what is no MAVLink.
         """
-        data = self.socket.recv(MOST_READ)
+        data = self.socket.recv(MAX_READ_BYTES)
         if not data:
             raise ConnectionError("an autopilot has gone")
-        frames, self._rest = whole_frames(self._rest + data)
-        found = self.wire.read(frames)
-        if self.wire.malformed or len(self._rest) > MOST_WAITING:
+        frames, self._buffer = whole_frames(self._buffer + data)
+        messages = self.wire.read(frames)
+        if self.wire.malformed or len(self._buffer) > MAX_BUFFER_BYTES:
             raise ConnectionError("an autopilot sends what is no MAVLink")
-        return found
+        return messages
 
 
 class HilServer:
@@ -139,29 +139,29 @@ class HilServer:
         """
         # Bad options, and a missing pymavlink, are told before a port is open
         as_int("port", port, 0, 65536 - len(bodies) if port else 0)
-        Wire(SIMULATOR)
+        Wire(SYSTEM_ID)
         self.bodies, self._patience = bodies, finite("patience", patience, 0.0)
         self.pacer = Pacer(bodies.airspace.period, speed, _sleep=self._listen_for)
         self._selector = selectors.DefaultSelector()
-        self._links: list[Link | None] = [None] * len(bodies)
+        self._links: list[AutopilotLink | None] = [None] * len(bodies)
         self._clock, self._log = clock, Refusals(logging.getLogger(LOG_NAME), clock)
-        self._connections: list[Connections[Link]] = [
+        self._connections: list[Connections[AutopilotLink]] = [
             Connections(limits, clock) for _ in range(len(bodies))
         ]
-        self._listening: list[socket.socket] = []
+        self._listeners: list[socket.socket] = []
         # Bodies whose port accepts no connections, and until when, by the clock, s
-        self._deaf: dict[int, float] = {}
-        self._flies = False
+        self._paused_ports: dict[int, float] = {}
+        self._is_flying = False
         # A port for each body; if one is taken, those before are closed again
         try:
             for i in range(len(bodies)):
-                self._listening.append(listening(host, port + i if port else 0))
-                self._listening[i].setblocking(False)
-                self._selector.register(self._listening[i], selectors.EVENT_READ, (i, None))
+                self._listeners.append(open_listener(host, port + i if port else 0))
+                self._listeners[i].setblocking(False)
+                self._selector.register(self._listeners[i], selectors.EVENT_READ, (i, None))
         except OSError:
             self.close()
             raise
-        self.ports: list[int] = [one.getsockname()[1] for one in self._listening]
+        self.ports: list[int] = [listener.getsockname()[1] for listener in self._listeners]
 
     def run(self, seconds: float | None = None) -> None:
         """Fly, and answer.
@@ -176,45 +176,47 @@ class HilServer:
         end = math.inf if seconds is None else self.bodies.airspace.time + seconds - 1e-9
         self.pacer.restart()
         while self.bodies.airspace.time < end:
-            self._turn()
+            self._step_lockstep()
 
-    def _turn(self) -> None:
+    def _step_lockstep(self) -> None:
         """Measure, wait for the answers, and fly a step once all autopilots have answered."""
         self._drop_overdue()
         self._accept_again()
         # Before the first step all autopilots have to be there
-        if not self._flies and None in self._links:
-            self._listen(LONGEST_WAIT)
+        if not self._is_flying and None in self._links:
+            self._listen(MAX_LISTEN_TIME)
             return
         # Readings go out first: autopilots then work at the same time
-        measured = self.bodies.measure()
+        readings = self.bodies.measure()
         for i, link in enumerate(self._links):
             if link is not None:
-                told = measured[i] + ([self.bodies.truth(i)] if link.wants_truth else [])
-                link.waits, link.asked = True, time.perf_counter()
-                link.begun = self._clock() if link.begun is None else link.begun
-                self._guarded(i, link, link.send, told)
+                messages = readings[i] + ([self.bodies.truth(i)] if link.wants_ground_truth else [])
+                link.is_awaited, link.sent_time = True, time.perf_counter()
+                link.first_sent_time = (
+                    self._clock() if link.first_sent_time is None else link.first_sent_time
+                )
+                self._call_guarded(i, link, link.send, messages)
         # Time stands still until all have answered, or waited too long
-        while (left := self._left()) > 0:
+        while (left := self._remaining_wait()) > 0:
             self._listen(left)
         # Who is too slow is dropped, and the others fly on
         for i, link in enumerate(self._links):
-            if link is not None and link.answers and link.waits:
-                self._drop(i, link, f"dropped: it did not answer for {SILENT:g} s")
+            if link is not None and link.has_answered and link.is_awaited:
+                self._drop(i, link, f"dropped: it did not answer for {ANSWER_TIMEOUT:g} s")
         # The first step waits for answers of all; later ones do without those dropped
-        self._flies = self._flies or all(link and link.answers for link in self._links)
-        if self._flies:
+        self._is_flying = self._is_flying or all(link and link.has_answered for link in self._links)
+        if self._is_flying:
             self.bodies.step()
         # A turn that is late has not listened while it waited
         if self.pacer.wait():
             self._listen(0.0)
 
-    def _left(self) -> float:
+    def _remaining_wait(self) -> float:
         """Tell how long answers may be waited for, s; those of autopilots that start, less."""
         ends = [
-            link.asked + (SILENT if link.answers else self._patience)
+            link.sent_time + (ANSWER_TIMEOUT if link.has_answered else self._patience)
             for link in self._links
-            if link is not None and link.waits
+            if link is not None and link.is_awaited
         ]
         return max(ends, default=-math.inf) - time.perf_counter()
 
@@ -229,29 +231,29 @@ class HilServer:
         for key, _ in self._selector.select(seconds):
             i, link = key.data
             if link is None:
-                self._meet(i)
+                self._accept_connection(i)
             elif link in self._connections[i]:
-                self._guarded(i, link, self._hear, i, link)
+                self._call_guarded(i, link, self._receive, i, link)
 
-    def _meet(self, i: int) -> None:
+    def _accept_connection(self, i: int) -> None:
         """Accept a connection; it is an autopilot's once it has sent a message."""
         try:
-            one, address = self._listening[i].accept()
+            connection, address = self._listeners[i].accept()
         except OSError as error:
             if error.errno in EXHAUSTED:
                 self._log.log_server(cannot_accept(error))
-                self._selector.unregister(self._listening[i])
-                self._deaf[i] = self._clock() + ACCEPT_RETRY
+                self._selector.unregister(self._listeners[i])
+                self._paused_ports[i] = self._clock() + ACCEPT_RETRY
                 for k, connections in enumerate(self._connections):
                     for link in connections.spare():
                         self._drop(k, link, SPARED)
             return
         try:
-            link = Link(one, join_address(*address[:2]))
-            self._selector.register(one, selectors.EVENT_READ, (i, link))
+            link = AutopilotLink(connection, join_address(*address[:2]))
+            self._selector.register(connection, selectors.EVENT_READ, (i, link))
         # Some systems allow no options of a connection that has ended already
         except OSError:
-            one.close()
+            connection.close()
             return
         evicted = self._connections[i].add(link)
         if evicted is not None:
@@ -259,17 +261,17 @@ class HilServer:
 
     def _accept_again(self) -> None:
         """Listen again at ports for which the system had no room, once their time has come."""
-        for i in [i for i, end in self._deaf.items() if self._clock() >= end]:
-            del self._deaf[i]
-            self._selector.register(self._listening[i], selectors.EVENT_READ, (i, None))
+        for i in [i for i, end in self._paused_ports.items() if self._clock() >= end]:
+            del self._paused_ports[i]
+            self._selector.register(self._listeners[i], selectors.EVENT_READ, (i, None))
 
-    def _hear(self, i: int, link: Link) -> None:
+    def _receive(self, i: int, link: AutopilotLink) -> None:
         """Read the messages of a connection, and take them if it is an autopilot's."""
         messages = link.read()
         if messages and self._admit(i, link):
-            self._take(i, link, messages)
+            self._handle_messages(i, link, messages)
 
-    def _admit(self, i: int, link: Link) -> bool:
+    def _admit(self, i: int, link: AutopilotLink) -> bool:
         """Record messages of a connection; return False if another autopilot has the body."""
         try:
             evicted = self._connections[i].request(link)
@@ -288,37 +290,39 @@ class HilServer:
         for i, connections in enumerate(self._connections):
             for link in connections.overdue():
                 self._drop(i, link, "dropped: it sent no message in time")
-        for i, one in enumerate(self._links):
-            if one is None or one.answers or one.begun is None:
+        for i, autopilot in enumerate(self._links):
+            if autopilot is None or autopilot.has_answered or autopilot.first_sent_time is None:
                 continue
-            if self._clock() - one.begun > START:
-                self._drop(i, one, f"dropped: it has not answered any measurement in {START:g} s")
+            if self._clock() - autopilot.first_sent_time > START_TIMEOUT:
+                self._drop(i, autopilot, f"dropped: it has not answered any measurement in {START_TIMEOUT:g} s")
 
-    def _take(self, i: int, link: Link, messages: list[Message]) -> None:
+    def _handle_messages(self, i: int, link: AutopilotLink, messages: list[Message]) -> None:
         """Take the messages of an autopilot."""
         for message in messages:
             kind = message.get_type()
             if kind == "HIL_ACTUATOR_CONTROLS":
                 # An autopilot that starts may answer late; lockstep begins with what is new.
-                if link.answers or message.time_usec >= self.bodies.stamp:
-                    link.answers, link.waits = True, False
+                if link.has_answered or message.time_usec >= self.bodies.stamp:
+                    link.has_answered, link.is_awaited = True, False
                     self.bodies.command(i, message)
             elif kind == "COMMAND_LONG" and message.command == Command.SET_INTERVAL:
-                link.wants_truth |= message.param1 == STATE_QUATERNION
+                link.wants_ground_truth |= message.param1 == STATE_QUATERNION
 
-    def _guarded(self, i: int, link: Link, does: Callable[..., None], *arguments: Any) -> None:
+    def _call_guarded(
+        self, i: int, link: AutopilotLink, action: Callable[..., None], *arguments: Any
+    ) -> None:
         """Do something with a connection; one that fails is dropped."""
         try:
-            does(*arguments)
+            action(*arguments)
         except OSError as error:
             self._drop(i, link, f"dropped: {error}")
 
-    def _drop(self, i: int, link: Link, event: str) -> None:
+    def _drop(self, i: int, link: AutopilotLink, event: str) -> None:
         """Close a connection; if it is the autopilot's, its motors stop, and others fly on."""
         self._log.log_connection(link.peer, event)
-        self._forget(i, link)
+        self._close_link(i, link)
 
-    def _forget(self, i: int, link: Link) -> None:
+    def _close_link(self, i: int, link: AutopilotLink) -> None:
         """Close a connection without a word."""
         self._connections[i].remove(link)
         self._log.forget(link.peer)
@@ -332,7 +336,7 @@ class HilServer:
         """Close the ports and connections; the bodies stay."""
         for i, connections in enumerate(self._connections):
             for link in connections.all():
-                self._forget(i, link)
-        for one in self._listening:
-            one.close()
+                self._close_link(i, link)
+        for listener in self._listeners:
+            listener.close()
         self._selector.close()

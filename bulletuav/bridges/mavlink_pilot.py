@@ -9,8 +9,15 @@ from bulletuav.bridges.mavlink_parameters import ParameterService
 from bulletuav.bridges.mavlink_places import Site
 from bulletuav.bridges.mavlink_route import Route
 from bulletuav.bridges.mavlink_wire import Mode, RefusedError, Result
-from bulletuav.bridges.motions import Heading, Land, Motion, Off, Path, Stay
-from bulletuav.bridges.setpoints import Guide, Order, Setpoint, State, euler
+from bulletuav.bridges.motions import (
+    FollowPath,
+    Heading,
+    HoldPosition,
+    Land,
+    MotionPrimitive,
+    MotorsOff,
+)
+from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint, SetpointController, State, euler
 from bulletuav.vehicle.airframe import Airframe
 
 STANDS_AFTER = 0.1
@@ -44,16 +51,16 @@ class Pilot:
         """Begin on the ground, disarmed."""
         self._airframe, self._site, self._fence = airframe, site, fence
         self._values = parameters.values
-        self._guide = Guide(airframe)
+        self._guide = SetpointController(airframe)
         self.mode, self.is_armed, self.has_landed = Mode.HOLD, False, True
         self.state: State = (list(site.start), [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
         self.now = 0.0
         self.route = Route(site, self._values)
         self.said: list[str] = []
-        self._motion: Motion = Off()
-        self._next: Callable[[], Motion | None] = lambda: None
+        self._motion: MotionPrimitive = MotorsOff()
+        self._next: Callable[[], MotionPrimitive | None] = lambda: None
         self._goal: tuple[float, float, float] | None = None
-        self._offboard: Setpoint | Order | None = None
+        self._offboard: Setpoint | AirspaceCommand | None = None
         self._heard = -math.inf
         self._yaw: float | None = None
         self._changed = self._upright = 0.0
@@ -118,13 +125,13 @@ class Pilot:
                 self.said.append("no offboard setpoints: hold")
                 self.enter(Mode.HOLD)
             return
-        if isinstance(self._motion, Off | Stay):
+        if isinstance(self._motion, MotorsOff | HoldPosition):
             return
-        if self._motion.outcome(self.state, self.now, self._touched) is None:
+        if self._motion.check_outcome(self.state, self.now, self._touched) is None:
             return
         was = self._motion
-        self._motion = self._next() or was.after(self.state)
-        if self.mode in (Mode.TAKEOFF, Mode.MISSION) and isinstance(self._motion, Stay):
+        self._motion = self._next() or was.get_next_motion(self.state)
+        if self.mode in (Mode.TAKEOFF, Mode.MISSION) and isinstance(self._motion, HoldPosition):
             self.mode = Mode.HOLD
 
     def _watch_ground(self) -> None:
@@ -138,29 +145,29 @@ class Pilot:
         """Whether an offboard setpoint has come lately."""
         return self.now - self._heard <= self._values["COM_OF_LOSS_T"]
 
-    def follow(self, wanted: Setpoint | Order) -> None:
+    def follow(self, wanted: Setpoint | AirspaceCommand) -> None:
         """Take an offboard setpoint, which is followed in mode OFFBOARD.
 
         Raises:
             RefusedError: It is a place beyond the fence.
         """
-        if isinstance(wanted, Setpoint) and wanted.across == "position":
+        if isinstance(wanted, Setpoint) and wanted.xy_mode == "position":
             self._fence.check("setpoint is", (*wanted.xy, wanted.z))
         self._offboard, self._heard = wanted, self.now
 
-    def order(self, period: float) -> Order | None:
+    def order(self, period: float) -> AirspaceCommand | None:
         """Tell the command of the next step, or None for motors off."""
-        wanted: Setpoint | Order | None = None
+        wanted: Setpoint | AirspaceCommand | None = None
         if self.is_armed and self.mode == Mode.OFFBOARD:
             wanted = self._offboard
         elif self.is_armed:
-            wanted = self._motion.order(self.state, self.now)
-            if isinstance(wanted, Setpoint) and wanted.turning == "angle":
-                return self._guide.order(self._slowed(wanted, period), self.state, period)
+            wanted = self._motion.get_setpoint(self.state, self.now)
+            if isinstance(wanted, Setpoint) and wanted.yaw_mode == "angle":
+                return self._guide.compute_command(self._slowed(wanted, period), self.state, period)
         self._yaw = None
         if isinstance(wanted, Setpoint):
-            return self._guide.order(wanted, self.state, period)
-        self._guide.rest()
+            return self._guide.compute_command(wanted, self.state, period)
+        self._guide.reset()
         return wanted
 
     def _slowed(self, wanted: Setpoint, period: float) -> Setpoint:
@@ -201,7 +208,7 @@ class Pilot:
 
     def _disarm(self, words: str) -> None:
         """Switch motors off, and tell why."""
-        self.is_armed, self.mode, self._motion = False, Mode.HOLD, Off()
+        self.is_armed, self.mode, self._motion = False, Mode.HOLD, MotorsOff()
         self.said += [words] if words else []
 
     def take_off(self, height: float | None) -> None:
@@ -280,7 +287,7 @@ class Pilot:
         farthest = self._values["MIS_DIST_1WP"]
         check_items(self.route.items, self._site, self._fence, farthest)
 
-    def _begin(self, mode: Mode) -> Motion:
+    def _begin(self, mode: Mode) -> MotionPrimitive:
         """Begin the motion of a mode."""
         if mode == Mode.TAKEOFF:
             goal, self._goal = self._goal, None
@@ -290,32 +297,32 @@ class Pilot:
         if mode == Mode.MISSION:
             self.route.jump(0 if self.route.is_over else self.route.current)
             self._next = self._go_on
-            return self._go_on() or Stay(self.state)
+            return self._go_on() or HoldPosition(self.state)
         # On the ground other modes leave the motors off
         if self.has_landed:
-            return Off()
+            return MotorsOff()
         if mode == Mode.LAND:
             return self._land()
         if mode == Mode.RETURN:
             return self._return()
-        return Stay(self.state, self.now)
+        return HoldPosition(self.state, self.now)
 
-    def _go_on(self) -> Motion | None:
+    def _go_on(self) -> MotionPrimitive | None:
         """Go on with the mission; None when it is over."""
         found = self.route.motion(self.state, self.now, self.has_landed)
         if found == Mode.RETURN:
             self.mode = Mode.RETURN
-            return Off() if self.has_landed else self._return()
+            return MotorsOff() if self.has_landed else self._return()
         if found == Mode.LAND:
             return self._land()
-        assert found is None or isinstance(found, Motion)
+        assert found is None or isinstance(found, MotionPrimitive)
         return found
 
-    def _land(self) -> Motion:
+    def _land(self) -> MotionPrimitive:
         """Sink until something is touched."""
         return Land(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
 
-    def _return(self) -> Motion:
+    def _return(self) -> MotionPrimitive:
         """Rise, fly to above home, sink, and land."""
         x, y, z = self.state[0]
         home, values = self._site.start, self._values
@@ -324,7 +331,7 @@ class Pilot:
         low = min(high, home[2] + values["RTL_DESCEND_ALT"])
         ways = iter([(home[0], home[1], high), (home[0], home[1], low)])
 
-        def go_on() -> Motion | None:
+        def go_on() -> MotionPrimitive | None:
             goal = next(ways, None)
             if goal is None:
                 self._next = lambda: None
@@ -340,6 +347,6 @@ class Pilot:
         goal: tuple[float, float, float],
         speed: float,
         heading: Heading,
-    ) -> Path:
+    ) -> FollowPath:
         """Fly straight to a place."""
         return self.route.leg(self.state, goal, speed, heading, self.now)

@@ -19,7 +19,13 @@ from bulletuav.bridges.mavlink_items import (
 )
 from bulletuav.bridges.mavlink_places import Site
 from bulletuav.bridges.mavlink_wire import Mode
-from bulletuav.bridges.motions import ACCELERATION, Heading, Hold, Motion, Path
+from bulletuav.bridges.motions import (
+    PATH_ACCELERATION,
+    FollowPath,
+    Heading,
+    HoldSetpoint,
+    MotionPrimitive,
+)
 from bulletuav.bridges.setpoints import Setpoint, State, euler
 
 LONGEST = 1e5
@@ -65,7 +71,7 @@ class Route:
     def jump(self, number: int) -> None:
         """Go on with an item, from its beginning."""
         self.current = number
-        self._steps: Iterator[Motion | Mode] | None = None
+        self._steps: Iterator[MotionPrimitive | Mode] | None = None
 
     @property
     def speed(self) -> float:
@@ -89,7 +95,7 @@ class Route:
         heading: Heading,
         now: float,
         near: float = NEAREST,
-    ) -> Path:
+    ) -> FollowPath:
         """Fly straight to a place, m, as fast as parameters allow.
 
         Args:
@@ -106,15 +112,15 @@ class Route:
         if speed * abs(rise) > most * way:
             speed = most * way / abs(rise)
         # A wind may keep it from arriving: it goes on all the same, a while later.
-        limit = way / speed + speed / ACCELERATION + PATIENCE
-        return Path(state, [np.array(goal)], speed, heading, (now, limit), near)
+        limit = way / speed + speed / PATH_ACCELERATION + PATIENCE
+        return FollowPath(state, [np.array(goal)], speed, heading, (now, limit), near)
 
     def motion(
         self,
         state: State,
         now: float,
         has_landed: bool,
-    ) -> Motion | Mode | None:
+    ) -> MotionPrimitive | Mode | None:
         """Tell what comes next.
 
         Args:
@@ -136,7 +142,7 @@ class Route:
             self.jump(self.current + 1)
         return None
 
-    def _of_item(self, item: Item) -> Iterator[Motion | Mode]:
+    def _of_item(self, item: Item) -> Iterator[MotionPrimitive | Mode]:
         """Give what is to be done for an item, one after the other, from where the drone is."""
         if item.command == CHANGE_SPEED:
             if item.numbers[1] > 0:
@@ -150,7 +156,7 @@ class Route:
         else:
             yield from self._at_place(item)
 
-    def _at_place(self, item: Item) -> Iterator[Motion | Mode]:
+    def _at_place(self, item: Item) -> Iterator[MotionPrimitive | Mode]:
         """Fly to an item's place, and do there what it says."""
         here = self._state[0]
         goal = place_of(item, self._site, here)
@@ -181,12 +187,12 @@ class Route:
         goal: tuple[float, float, float],
         heading: Heading,
         near: float = NEAREST,
-    ) -> Path:
+    ) -> FollowPath:
         """Fly straight to a place, at the mission's speed."""
         return self.leg(self._state, goal, self.speed, heading, self._now, near)
 
-    def _wait(self, seconds: float) -> Hold:
+    def _wait(self, seconds: float) -> HoldSetpoint:
         """Stay for a time, s."""
         (x, y, z), turn, _, _ = self._state
         still = Setpoint("position", (x, y), "position", z, "angle", euler(turn)[2])
-        return Hold(self._now, min(max(seconds, 0.0), LONGEST), still)
+        return HoldSetpoint(self._now, min(max(seconds, 0.0), LONGEST), still)

@@ -18,7 +18,7 @@ from bulletuav.bridges.mavlink_wire import (
     Told,
     text,
 )
-from bulletuav.bridges.setpoints import Order, Setpoint
+from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint
 
 SETPOINTS = (
     "SET_POSITION_TARGET_LOCAL_NED",
@@ -120,7 +120,7 @@ class Services:
             if self._commander not in (None, sender) and pilot.hears:
                 raise RefusedError("setpoints refused: another client sends some")
             # Each message has frames and masks of its own
-            wanted: Setpoint | Order
+            wanted: Setpoint | AirspaceCommand
             if kind == "SET_ATTITUDE_TARGET":
                 wanted = setpoints.of_attitude(message, vehicle.airframe)
             elif kind == "SET_POSITION_TARGET_LOCAL_NED":

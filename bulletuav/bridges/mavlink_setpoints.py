@@ -4,7 +4,7 @@ import math
 
 from bulletuav.bridges.mavlink_places import Site
 from bulletuav.bridges.mavlink_wire import Message, RefusedError
-from bulletuav.bridges.setpoints import Order, Setpoint, State, euler
+from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint, State, euler
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.earth import attitude_to_enu
 from bulletuav.vehicle.airframe import Airframe
@@ -28,7 +28,7 @@ def of_local(
     message: Message,
     site: Site,
     state: State,
-) -> Setpoint | Order:
+) -> Setpoint | AirspaceCommand:
     """Read a SET_POSITION_TARGET_LOCAL_NED.
 
     Args:
@@ -54,7 +54,7 @@ def of_global(
     message: Message,
     site: Site,
     state: State,
-) -> Setpoint | Order:
+) -> Setpoint | AirspaceCommand:
     """Read a SET_POSITION_TARGET_GLOBAL_INT; see `of_local`.
 
     Raises:
@@ -73,7 +73,7 @@ def _moving(
     place: tuple[float, float, float],
     state: State,
     body: str,
-) -> Setpoint | Order:
+) -> Setpoint | AirspaceCommand:
     """Join what a message tells of place, velocity, acceleration and yaw."""
     if mask & IS_FORCE and mask & ACCELERATION != ACCELERATION:
         raise RefusedError("setpoint: forces are not supported")
@@ -94,7 +94,7 @@ def _moving(
     if not mask & ACCELERATION and not body:
         push = _vector(message, "af", mask >> 6, MOST_ACCELERATION)
         held = yaw if turning == "angle" else euler(state[1])[2]
-        return Order(SetpointLevel.ACCELERATION, (*push, held))
+        return AirspaceCommand(SetpointLevel.ACCELERATION, (*push, held))
     raise RefusedError(f"setpoint with mask {message.type_mask:#x} unsupported")
 
 

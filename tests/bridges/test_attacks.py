@@ -23,9 +23,9 @@ from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.bridges import sockets
-from bulletuav.bridges.airsim import MAX_ITEMS, MOST_REQUEST, AirsimServer, _MessageReader
-from bulletuav.bridges.airsim_calls import Calls
-from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.airsim import MAX_ITEMS, MAX_REQUEST_BYTES, AirsimServer, _MessageReader
+from bulletuav.bridges.airsim_calls import AirsimCalls
+from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.crazyflie import MOST_READ, SERVICES, CrazyflieServer
 from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import MalformedError, Packet
@@ -37,7 +37,7 @@ from bulletuav.bridges.mavlink_commands import COMMANDS
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.bridges.mavlink_missions import MOST_ITEMS
 from bulletuav.bridges.mavlink_wire import Command, Wire
-from bulletuav.bridges.sockets import LATE_SHARE
+from bulletuav.bridges.sockets import LATE_READ_FRACTION
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
 from bulletuav.dynamics import DYNAMICS
@@ -70,7 +70,7 @@ def unharmed(airspace):
 
 @pytest.fixture(scope="module")
 def world():
-    world = World(1, seed=0)
+    world = AirsimWorld(1, seed=0)
     yield world
     world.close()
 
@@ -173,11 +173,11 @@ def test_a_flood_to_all_drones_takes_a_fraction_of_a_late_step(
     monkeypatch.setattr(server, "_read", read)
     for _ in range(20):
         before = now[0]
-        server._answer_for(0.0)
-        assert now[0] - before <= LATE_SHARE * server.pacer.period + 0.001
+        server._serve_packets(0.0)
+        assert now[0] - before <= LATE_READ_FRACTION * server.pacer.period + 0.001
     assert reads == [*range(20)] * 3
     before = now[0]
-    server._answer_for(0.008)  # one that is in time answers until the end, and no longer
+    server._serve_packets(0.008)  # one that is in time answers until the end, and no longer
     assert now[0] - before == pytest.approx(0.008, abs=0.0011)
     monkeypatch.undo()
     server.close()
@@ -188,7 +188,7 @@ def test_messages_that_were_received_are_taken_without_new_ones(make_vehicles):
     server = MavlinkServer(make_vehicles(1), port=0, client_port=None)
     frame = bytes(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(common.MAVLink(None, 9)))
     udp(server.ports[0], frame * 60)
-    until(lambda: server._answer_for(0.001) or server.received == 60)
+    until(lambda: server._serve_packets(0.001) or server.received == 60)
     server.close()
 
 
@@ -216,7 +216,7 @@ def test_no_numbers_send_a_crazyflie_out_of_this_world(make_fleet):
 
 def test_what_servers_cannot_fly_is_refused_before_their_port_is_open(capsys):
     """Otherwise the first step, or a client's first command, would end the server."""
-    for make in (World, Fleet, MavlinkFleet, HilBodies):
+    for make in (AirsimWorld, Fleet, MavlinkFleet, HilBodies):
         for name in DYNAMICS:
             if name in ("rigid_body", "bullet"):
                 make(1, dynamics=name, seed=0).close()
@@ -365,7 +365,7 @@ PING = request(b"\x90")
         b"\x91\xdd\xff\xff\xff\xff",
         b"\x91\xdf\xff\xff\xff\xff",
         b"\x91\xc9\xff\xff\xff\xff\x05",
-        b"\x91\xdb\xff\xff\xff\xff" + b"x" * 2 * MOST_REQUEST,
+        b"\x91\xdb\xff\xff\xff\xff" + b"x" * 2 * MAX_REQUEST_BYTES,
         b"\x91\xc6\x00\x20\x00\x00" + bytes(2**21),
         b"\x91" + b"\xdd\x00\x10\x00\x00" * 900,  # lists that claim a million items
         b"\x91" + b"\xdf\x00\x08\x00\x00" * 900,
@@ -426,7 +426,7 @@ FULL = b"\xdc\x20\x00"
 )
 def test_requests_take_little_more_memory_than_their_bytes(body):
     """Before they are whole, and when they are read; a list of an empty list takes 64 times."""
-    data = request(body)[: MOST_REQUEST - 1]
+    data = request(body)[: MAX_REQUEST_BYTES - 1]
     reader = _MessageReader(msgpack)
     tracemalloc.start()
     try:
@@ -434,13 +434,13 @@ def test_requests_take_little_more_memory_than_their_bytes(body):
         kept, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert kept < 3 * MOST_REQUEST
-    assert most < 6 * MOST_REQUEST
+    assert kept < 3 * MAX_REQUEST_BYTES
+    assert most < 6 * MAX_REQUEST_BYTES
 
 
 def test_requests_are_bounded_one_by_one():
     """Many long ones in a row are no long one, however they are cut."""
-    body = b"\x91\xc6" + (MOST_REQUEST // 2).to_bytes(4) + bytes(MOST_REQUEST // 2)
+    body = b"\x91\xc6" + (MAX_REQUEST_BYTES // 2).to_bytes(4) + bytes(MAX_REQUEST_BYTES // 2)
     reader = _MessageReader(msgpack)
     assert len(read_all(reader, request(body) * 5)) == 5
     assert not reader.is_broken
@@ -457,7 +457,7 @@ def test_calls_are_those_of_a_table(name, speak):
 
 @pytest.mark.parametrize("depth", [10, 400, 900])
 def test_arguments_are_checked_however_deep_they_are(depth, speak, world, caplog):
-    names = Calls(world).names()
+    names = AirsimCalls(world).list_names()
     nested = [b"\x91" + b"\x91" * depth + b"\x01", b"\x92" + b"\x81\xa1x" * depth + b"\x01\xa0"]
     data = b"".join(request(body, name) for name, body in itertools.product(names, nested))
     answers = speak(data + PING)
@@ -468,7 +468,7 @@ def test_arguments_are_checked_however_deep_they_are(depth, speak, world, caplog
 
 
 def test_numbers_that_no_program_means_are_errors_or_cut(world):
-    calls = Calls(world)
+    calls = AirsimCalls(world)
     calls.call("enableApiControl", [True, ""])
     calls.call("armDisarm", [True, ""])
     free = {"is_rate": True, "yaw_or_rate": 0.0}
@@ -485,7 +485,7 @@ def test_numbers_that_no_program_means_are_errors_or_cut(world):
             ("moveOnPath", [[place], 1.0, 5.0, 0, free, -1.0, 1.0, ""]),
         ):
             try:
-                calls.move(name, given, lambda done: None)
+                calls.start_motion(name, given, lambda done: None)
             except ValueError:
                 continue
             for _ in range(3):
