@@ -1,7 +1,8 @@
-"""The process that draws pictures for AirSim's clients, next to the server that flies.
+"""Child process that renders images for AirSim's clients, next to the server process.
 
-PyBullet holds the interpreter in each of its calls, so that drawing in a thread would stop the
-flight. The server starts this process at the first picture, and sends it pickled jobs.
+PyBullet holds the interpreter lock (GIL) in each of its calls, so that rendering in a thread would
+stop the simulation. The server starts this process at the first image request, and sends it pickled
+jobs.
 """
 
 import os
@@ -17,11 +18,11 @@ from bulletuav.city.coacd_child import end_with_parent
 from bulletuav.engine.scene_copy import SceneCopy, ScenePoses
 
 LENGTH_PREFIX = struct.Struct(">Q")
-"""Number of bytes of the answer that follows"""
+"""Prefix of each response: its number of bytes"""
 EXIT_TIMEOUT = 5.0
-"""Seconds that the process has to end by itself"""
+"""Time that the process has to exit after its pipes are closed, s"""
 START_TIMEOUT, PICTURE_TIMEOUT = 600.0, 60.0
-"""Seconds that the process has to start, and to draw a picture; then it counts as hung"""
+"""Time that the process has to start, and to render an image, s; after it the process is killed"""
 CHILD_PROGRAM = """
 import os, signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -30,24 +31,26 @@ if hasattr(os, "nice"):
 from bulletuav.bridges.airsim_drawing import main
 main()
 """
-"""Program of the process. An interrupt is for the server, and the flight goes before pictures."""
+"""Program of the process. It ignores interrupts, which are for the server, and has a lower priority
+than the simulation."""
 
 
 class DrawingProcess:
-    """A process that draws pictures of a copy of the world. Its methods block.
+    """Process that renders images of a copy of the world. Its methods block.
 
-    Calls raise EOFError or OSError when the process has ended, and TimeoutError when it was killed
-    because it hung.
+    Methods raise EOFError or OSError if the process has exited, and TimeoutError if it hung and was
+    killed.
     """
 
     def __init__(self) -> None:
         """Start the process.
 
         Raises:
-            OSError: There is no room for a process.
+            OSError: If the operating system cannot start a process.
         """
-        # As this process finds the package, the other one does, whatever has changed sys.path. "-P"
-        # keeps it from looking in the working folder first, where anything may lie.
+        # The child searches the same folders for the package as this process, whatever changed
+        # sys.path. "-P" keeps the working folder, which may contain anything, out of its search
+        # path.
         search_path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-c", CHILD_PROGRAM],
@@ -62,11 +65,11 @@ class DrawingProcess:
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process ID."""
         return self._process.pid
 
     def prepare(self, setup: tuple[Any, ...]) -> None:
-        """Send what is in the world, and wait until the copy is made.
+        """Send the contents of the world, and wait until the process has copied them.
 
         Args:
             setup: Arguments of `SceneCopy`.
@@ -74,12 +77,12 @@ class DrawingProcess:
         self._request(setup, START_TIMEOUT)
 
     def draw(self, poses: ScenePoses, exposure: Exposure, is_list: bool) -> bytes:
-        """Draw a picture.
+        """Render an image.
 
         Args:
-            poses: Where everything is.
-            exposure: What is asked for.
-            is_list: Whether the whole response is wanted, or its bytes alone.
+            poses: Poses of all bodies.
+            exposure: Image request and camera view.
+            is_list: Whether to return the whole response, or only its bytes.
 
         Returns:
             The response, packed by msgpack.
@@ -89,14 +92,18 @@ class DrawingProcess:
         return self._request((new, exposure, is_list), PICTURE_TIMEOUT)
 
     def _request(self, job: tuple[Any, ...], timeout: float) -> bytes:
-        """Send a job, and wait for its answer; a process that takes longer than a limit is killed.
+        """Send a job and wait for its response; kill the process if it takes too long.
+
+        Args:
+            job: Job to pickle.
+            timeout: Maximum time, s.
 
         Raises:
-            EOFError, OSError: The process has ended.
-            TimeoutError: It took too long.
+            EOFError, OSError: If the process has exited.
+            TimeoutError: If the job took too long.
         """
         assert self._process.stdout is not None
-        # Pipes have no time limits on all systems: they end with the process
+        # Not all systems have timeouts for pipes, but pipes end with the process
         is_hung = threading.Event()
 
         def kill_hung() -> None:
@@ -118,14 +125,14 @@ class DrawingProcess:
             timer.cancel()
 
     def kill(self) -> None:
-        """End the process; may be called from any thread, and more than once."""
+        """Kill the process; may be called from any thread, and more than once."""
         self._process.kill()
 
     def close(self) -> int:
-        """Close the pipes, which ends the process, and wait for it.
+        """Close the pipes, which ends the process, and wait for its exit.
 
         Returns:
-            Its exit code, negative for the number of a signal.
+            Exit code; negative if a signal with that number ended the process.
         """
         assert self._process.stdout is not None
         self._jobs.close()
@@ -138,7 +145,7 @@ class DrawingProcess:
 
 
 def _read(pipe: Any, length: int) -> bytes:
-    """Read a number of bytes; raises EOFError where there are fewer."""
+    """Read exactly `length` bytes; raise EOFError if the pipe ends before."""
     data: bytes = pipe.read(length)
     if len(data) < length:
         raise EOFError("the process that draws pictures has ended")
@@ -146,13 +153,13 @@ def _read(pipe: Any, length: int) -> bytes:
 
 
 def main() -> None:
-    """Draw what is asked for by standard input, until it ends."""
+    """Render the jobs that arrive on standard input, until it is closed."""
     import msgpack
 
-    # What libraries print must not get between the answers.
+    # Redirect what libraries print, which would corrupt the responses
     answers, null_device = os.fdopen(os.dup(1), "wb"), os.open(os.devnull, os.O_WRONLY)
     os.dup2(null_device, 1)
-    # When the server has ended, though a fork of it may keep the pipes open
+    # Exit with the server, even if a fork of the server keeps the pipes open
     end_with_parent()
     try:
         jobs = Connection(os.dup(0), writable=False)
@@ -164,12 +171,11 @@ def main() -> None:
             _write_response(
                 answers, msgpack.packb(result if is_list else result["image_data_uint8"])
             )
-    # The server has ended, or closed the pipes.
+    # The server has exited, or closed the pipes
     except (EOFError, BrokenPipeError):
         os._exit(0)
 
 
 def _write_response(pipe: BinaryIO, data: bytes) -> None:
-    """Send an answer."""
     pipe.write(LENGTH_PREFIX.pack(len(data)) + data)
     pipe.flush()

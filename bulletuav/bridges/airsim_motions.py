@@ -1,4 +1,7 @@
-"""AirSim's motion calls: what each asks for, as something that a drone does."""
+"""AirSim's motion calls: conversion of their arguments to motion primitives.
+
+Every function takes the world, the index of the vehicle, the vehicle and the arguments of the call.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -29,21 +32,24 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.errors import as_int, as_sequence, shown
 
 TAKE_OFF_HEIGHT = 3.0
-"""m, as in AirSim"""
+"""Height gained in a take-off, m, as in AirSim"""
 TAKE_OFF_SPEED = 1.5
-"""m/s"""
+"""Climb rate of a take-off, m/s"""
 MAX_PATH_POINTS = 1000
-"""Most points of a path"""
+"""Maximum number of points of a path"""
 MAX_TILT = math.radians(60)
-"""Greatest roll and pitch that a call may ask for, rad"""
+"""Maximum roll and pitch; larger values are clamped, rad"""
 MAX_RATE = 20.0
-"""Greatest rate that a call may ask for, rad/s"""
+"""Maximum roll and pitch rates; larger values are clamped, rad/s"""
 MotionFactory = Callable[..., MotionPrimitive]
-"""Function that makes a motion of world, index, vehicle and the numbers of a call"""
+"""Function that creates a motion from world, vehicle index, vehicle and arguments of a call"""
 
 
 def _read_heading(drivetrain: Any, yaw_mode: Any) -> Heading:
-    """Read where to look: 1 is forward only; else a yaw, or its rate, clockwise in degrees."""
+    """Convert AirSim's drivetrain and yaw mode to a heading.
+
+    Drivetrain 1 faces the direction of flight. Yaws and yaw rates are clockwise, in degrees.
+    """
     as_int("drivetrain", drivetrain, 0, 1)
     if not isinstance(yaw_mode, Mapping):
         raise ValueError(
@@ -58,7 +64,7 @@ def _read_heading(drivetrain: Any, yaw_mode: Any) -> Heading:
 def _convert_position(
     world: AirsimWorld, vehicle: AirsimVehicle, x: Any, y: Any, z: Any
 ) -> np.ndarray:
-    """Convert north, east, down of a vehicle's start into a place of the airspace, (3,) m."""
+    """Convert a position from north, east, down of a vehicle's start to airspace axes, (3,), m."""
     offsets = (check_number("y", y), check_number("x", x), -check_number("z", z))
     return np.array(
         [coordinate + offset for coordinate, offset in zip(vehicle.start, offsets, strict=True)]
@@ -75,61 +81,61 @@ def _make_path(
     lookahead: Any = -1,
     adaptive: Any = 1,
 ) -> MotionPrimitive:
-    """Make a motion along points; how AirSim looks ahead along its own does not matter here."""
+    """Create a motion along waypoints; AirSim's look-ahead parameters are checked but not used."""
     check_number("lookahead", lookahead)
     check_number("adaptive_lookahead", adaptive)
-    speed_m_s = check_number("velocity", speed)
-    if speed_m_s <= 0:
-        raise ValueError(f"velocity is {speed_m_s:g} m/s: more than 0 is needed")
+    max_speed = check_number("velocity", speed)
+    if max_speed <= 0:
+        raise ValueError(f"velocity is {max_speed:g} m/s: more than 0 is needed")
     times = (world.clock, check_duration("timeout_sec", timeout_sec))
-    return FollowPath(world.state(i), points, speed_m_s, heading, times)
+    return FollowPath(world.state(i), points, max_speed, heading, times)
 
 
-def make_takeoff(
+def take_off(
     world: AirsimWorld, i: int, vehicle: AirsimVehicle, timeout_sec: Any
 ) -> MotionPrimitive:
-    """Rise to 3 m above the present place."""
+    """Climb by 3 m at the present position."""
     goal = np.array(world.state(i)[0])
     goal[2] += TAKE_OFF_HEIGHT
     return _make_path(world, i, [goal], TAKE_OFF_SPEED, Heading(), timeout_sec)
 
 
-def make_landing(
+def land_vehicle(
     world: AirsimWorld, i: int, vehicle: AirsimVehicle, timeout_sec: Any
 ) -> MotionPrimitive:
-    """Sink until something is touched, and stop the motors."""
+    """Descend until the vehicle touches a surface, then stop the motors."""
     return Land(world.state(i), world.clock, check_duration("timeout_sec", timeout_sec))
 
 
 def go_home(
     world: AirsimWorld, i: int, vehicle: AirsimVehicle, timeout_sec: Any
 ) -> MotionPrimitive:
-    """Fly back to above the start, at the present height."""
+    """Fly back above the start at the present height, at least at the take-off height."""
     goal = vehicle.start.copy()
     goal[2] = max(world.state(i)[0][2], goal[2] + TAKE_OFF_HEIGHT)
     return _make_path(world, i, [goal], 5.0, Heading(), timeout_sec)
 
 
 def hover(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> MotionPrimitive:
-    """Stay where the drone comes to rest."""
+    """Brake and hold the position."""
     return HoldPosition(world.state(i), world.clock)
 
 
 def move_to_position(
-    world: AirsimWorld, i: int, vehicle: AirsimVehicle, x: Any, y: Any, z: Any, speed: Any, timeout_sec: Any,
-    drivetrain: Any, yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, x: Any, y: Any, z: Any, speed: Any,
+    timeout_sec: Any, drivetrain: Any, yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
 ) -> MotionPrimitive:  # fmt: skip
-    """Fly straight to a place."""
+    """Fly in a straight line to a position."""
     points = [_convert_position(world, vehicle, x, y, z)]
     heading = _read_heading(drivetrain, yaw_mode)
     return _make_path(world, i, points, speed, heading, timeout_sec, lookahead, adaptive)
 
 
 def move_on_path(
-    world: AirsimWorld, i: int, vehicle: AirsimVehicle, path: Any, speed: Any, timeout_sec: Any, drivetrain: Any,
-    yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, path: Any, speed: Any, timeout_sec: Any,
+    drivetrain: Any, yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
 ) -> MotionPrimitive:  # fmt: skip
-    """Fly straight from place to place."""
+    """Fly along a polyline."""
     points = as_sequence("path", path, most=MAX_PATH_POINTS)
     if not points:
         raise ValueError("path is empty: at least one point is needed")
@@ -141,10 +147,10 @@ def move_on_path(
 
 
 def move_to_z(
-    world: AirsimWorld, i: int, vehicle: AirsimVehicle, z: Any, speed: Any, timeout_sec: Any, yaw_mode: Any,
-    lookahead: Any = -1, adaptive: Any = 1
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, z: Any, speed: Any, timeout_sec: Any,
+    yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
 ) -> MotionPrimitive:  # fmt: skip
-    """Rise or sink to a height."""
+    """Climb or descend to a height."""
     goal = np.array(world.state(i)[0])
     goal[2] = _convert_position(world, vehicle, 0.0, 0.0, z)[2]
     return _make_path(
@@ -153,10 +159,19 @@ def move_to_z(
 
 
 def _make_velocity_motion(
-    world: AirsimWorld, numbers: tuple[Any, ...], height: float | None, is_body_frame: bool, duration: Any,
-    heading: Heading
+    world: AirsimWorld, numbers: tuple[Any, ...], height: float | None, is_body_frame: bool,
+    duration: Any, heading: Heading,
 ) -> MotionPrimitive:  # fmt: skip
-    """Hold a velocity, of the world or of the body; with a height to hold, or one upwards."""
+    """Create a motion that holds a velocity.
+
+    Args:
+        world: The vehicles.
+        numbers: Velocity north, east (or forward, right) and, if `height` is None, down, m/s.
+        height: Height to hold, m.
+        is_body_frame: Whether the velocity is in the heading frame of the vehicle.
+        duration: Duration, s.
+        heading: Yaw policy.
+    """
     first, second, *vertical = (check_number("velocity", component) for component in numbers)
     xy_mode, xy = ("body", (first, -second)) if is_body_frame else ("velocity", (second, first))
     z_mode, z = ("velocity", -vertical[0]) if height is None else ("position", height)
@@ -166,8 +181,8 @@ def _make_velocity_motion(
 
 
 def move_by_velocity(
-    world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, vz: Any, duration: Any,
-    drivetrain: Any, yaw_mode: Any
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, vz: Any,
+    duration: Any, drivetrain: Any, yaw_mode: Any,
 ) -> MotionPrimitive:  # fmt: skip
     """Hold a velocity north, east, down."""
     return _make_velocity_motion(
@@ -177,7 +192,7 @@ def move_by_velocity(
 
 def move_by_velocity_z(
     world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, z: Any, duration: Any,
-    drivetrain: Any, yaw_mode: Any
+    drivetrain: Any, yaw_mode: Any,
 ) -> MotionPrimitive:  # fmt: skip
     """Hold a velocity north and east, and a height."""
     height = float(_convert_position(world, vehicle, 0.0, 0.0, z)[2])
@@ -187,8 +202,8 @@ def move_by_velocity_z(
 
 
 def move_by_velocity_body(
-    world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, vz: Any, duration: Any,
-    drivetrain: Any, yaw_mode: Any
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, vz: Any,
+    duration: Any, drivetrain: Any, yaw_mode: Any,
 ) -> MotionPrimitive:  # fmt: skip
     """Hold a velocity forward, right, down."""
     return _make_velocity_motion(
@@ -198,7 +213,7 @@ def move_by_velocity_body(
 
 def move_by_velocity_z_body(
     world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, z: Any, duration: Any,
-    drivetrain: Any, yaw_mode: Any
+    drivetrain: Any, yaw_mode: Any,
 ) -> MotionPrimitive:  # fmt: skip
     """Hold a velocity forward and right, and a height."""
     height = float(_convert_position(world, vehicle, 0.0, 0.0, z)[2])
@@ -210,7 +225,7 @@ def move_by_velocity_z_body(
 def rotate_to_yaw(
     world: AirsimWorld, i: int, vehicle: AirsimVehicle, yaw: Any, timeout_sec: Any, margin: Any
 ) -> MotionPrimitive:
-    """Turn on the spot to a yaw, degrees clockwise from north."""
+    """Turn at a fixed position to a yaw in degrees clockwise from north."""
     times = (world.clock, check_duration("timeout_sec", timeout_sec))
     tolerance = math.radians(max(check_number("margin", margin), 0.1))
     return TurnToYaw(world.state(i), *times, yaw_from_airsim(check_number("yaw", yaw)), tolerance)
@@ -219,7 +234,7 @@ def rotate_to_yaw(
 def rotate_by_yaw_rate(
     world: AirsimWorld, i: int, vehicle: AirsimVehicle, yaw_rate: Any, duration: Any
 ) -> MotionPrimitive:
-    """Turn on the spot at a rate, degrees a second, clockwise."""
+    """Turn at a fixed position at a clockwise yaw rate in degrees per second."""
     x, y, z = world.state(i)[0]
     rate = -math.radians(check_number("yaw_rate", yaw_rate))
     setpoint = Setpoint("position", (x, y), "position", z, "rate", rate)
@@ -227,33 +242,33 @@ def rotate_by_yaw_rate(
 
 
 def make_attitude_motion(is_rates: bool, is_yaw_rate: bool, has_height: bool) -> MotionFactory:
-    """Make the function of a call of roll, pitch, yaw, and height or throttle.
+    """Create the factory of a call with roll, pitch, yaw, and height or throttle.
 
     Args:
-        rates: Whether roll, pitch and yaw are rates.
-        yaw_rate: Whether the yaw is a rate.
-        height: Whether the fourth number is a height, down; else a throttle from 0 to 1.
+        is_rates: Whether roll, pitch and yaw are rates.
+        is_yaw_rate: Whether the yaw is a rate.
+        has_height: Whether the fourth number is a height, down; else a throttle from 0 to 1.
 
     Returns:
-        The function. Angles are of forward, right, down; rad, and rad/s.
+        The factory. Its angles are in forward, right, down axes; rad and rad/s.
     """
 
     def make_motion(
-        world: AirsimWorld, i: int, vehicle: AirsimVehicle, roll: Any, pitch: Any, yaw: Any, z_or_throttle: Any,
-        duration: Any
+        world: AirsimWorld, i: int, vehicle: AirsimVehicle, roll: Any, pitch: Any, yaw: Any,
+        z_or_throttle: Any, duration: Any,
     ) -> MotionPrimitive:  # fmt: skip
-        # Rates and tilt stay within what a caller may ask for
+        # Clamp rates and tilt to what a client may command
         max_size = MAX_RATE if is_rates else MAX_TILT
         roll_pitch = [
             min(max(check_number("angle", angle_value), -max_size), max_size)
             for angle_value in (roll, pitch)
         ]
         yaw_value = check_number("yaw", yaw)
-        # AirSim's yaw is clockwise from north, ours the other way from east
+        # AirSim's yaw is clockwise from north, ours counter-clockwise from east
         yaw_mode, yaw_command = (
             ("rate", -yaw_value) if is_rates or is_yaw_rate else ("angle", math.pi / 2 - yaw_value)
         )
-        # The fourth number holds the height, or is the thrust itself
+        # The fourth number is a height to hold, or the throttle
         if has_height:
             z_mode, z = (
                 "position",
@@ -262,7 +277,7 @@ def make_attitude_motion(is_rates: bool, is_yaw_rate: bool, has_height: bool) ->
         else:
             throttle = min(max(check_number("throttle", z_or_throttle), 0.0), 1.0)
             z_mode, z = "thrust", throttle * world.airspace.airframes[i].max_thrust
-        # Pitch of forward, right, down has the other sign in forward, left, up
+        # Pitch has the opposite sign in forward, left, up axes
         xy_mode = "rates" if is_rates else "attitude"
         setpoint = Setpoint(
             xy_mode, (roll_pitch[0], -roll_pitch[1]), z_mode, z, yaw_mode, yaw_command
@@ -273,10 +288,10 @@ def make_attitude_motion(is_rates: bool, is_yaw_rate: bool, has_height: bool) ->
 
 
 def move_by_motors(
-    world: AirsimWorld, i: int, vehicle: AirsimVehicle, front_right: Any, rear_left: Any, front_left: Any,
-    rear_right: Any, duration: Any
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, front_right: Any, rear_left: Any,
+    front_left: Any, rear_right: Any, duration: Any,
 ) -> MotionPrimitive:  # fmt: skip
-    """Hold shares of the greatest thrust of each of four rotors."""
+    """Hold the thrust of each of the four rotors, as fractions of the maximum thrust."""
     thrusts = {(1, -1): front_right, (-1, 1): rear_left, (1, 1): front_left, (-1, -1): rear_right}
     fractions = {
         corner: math.sqrt(min(max(check_number("pwm", thrust, MAX_VALUE), 0.0), 1.0))
@@ -288,8 +303,8 @@ def move_by_motors(
 
 
 MOTIONS: Mapping[str, MotionFactory] = {
-    "takeoff": make_takeoff,
-    "land": make_landing,
+    "takeoff": take_off,
+    "land": land_vehicle,
     "goHome": go_home,
     "hover": hover,
     "moveToPosition": move_to_position,
@@ -309,4 +324,4 @@ MOTIONS: Mapping[str, MotionFactory] = {
     "moveByAngleRatesThrottle": make_attitude_motion(True, True, False),
     "moveByMotorPWMs": move_by_motors,
 }
-"""Motion calls by the names on the wire; the vehicle's name comes last in each"""
+"""Factories of motion calls by their names on the wire; the vehicle's name is the last argument"""

@@ -1,4 +1,8 @@
-"""What AirSim's clients read of a vehicle: state, poses, sensors."""
+"""States and sensor readings that AirSim's clients request from a vehicle.
+
+Functions return maps with the field names of AirSim's structs. Positions are north, east, down from
+the start position of the vehicle.
+"""
 
 import functools
 import math
@@ -25,18 +29,18 @@ from bulletuav.sensors.lidar import make_beams
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 
 GAUSS = 1e-4
-"""Teslas in a gauss"""
+"""Teslas per gauss"""
 SEA_LEVEL = 1013.25
-"""hPa"""
+"""Pressure at sea level (QNH), hPa"""
 
 
 def make_timestamp(world: AirsimWorld) -> int:
-    """Tell the time, ns."""
+    """Return the simulated time as a timestamp, ns."""
     return round(world.time * 1e9)
 
 
 def kinematics(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Tell how a vehicle moves: a KinematicsState, from its own start."""
+    """Return the pose, velocities and accelerations of a vehicle as a KinematicsState."""
     swarm = world.airspace.swarm
     vectors = (swarm.position[i] - vehicle.start, swarm.velocity[i], world.acceleration[i])
     position, velocity, acceleration = enu_to_ned(np.array(vectors)).tolist()
@@ -54,13 +58,21 @@ def kinematics(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, 
 
 
 def geo_point(world: AirsimWorld, position: np.ndarray) -> dict[str, float]:
-    """Tell a place of the airspace as latitude, longitude (degrees) and altitude (m)."""
+    """Convert a position in the airspace to a GeoPoint.
+
+    Args:
+        world: The vehicles.
+        position: (3,) east, north, up of the origin, m.
+
+    Returns:
+        Latitude, longitude (degrees) and altitude (m).
+    """
     names = ("latitude", "longitude", "altitude")
     return dict(zip(names, map(float, world.origin.to_geodetic(position)), strict=True))
 
 
 def make_collision_info(vehicle: AirsimVehicle, collision: Collision) -> dict[str, Any]:
-    """Tell what a vehicle hit: a CollisionInfo."""
+    """Return a collision of a vehicle as a CollisionInfo."""
     vectors = np.array(
         (collision.normal, collision.point - vehicle.start, collision.position - vehicle.start)
     )
@@ -78,7 +90,7 @@ def make_collision_info(vehicle: AirsimVehicle, collision: Collision) -> dict[st
 
 
 def multirotor(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Tell all at once: a MultirotorState."""
+    """Return the complete state of a vehicle as a MultirotorState."""
     return {
         "collision": make_collision_info(vehicle, vehicle.collision),
         "kinematics_estimated": kinematics(world, i, vehicle),
@@ -99,7 +111,7 @@ def multirotor(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, 
 
 
 def environment(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Tell the air around: an EnvironmentState."""
+    """Return position, gravity and air properties at a vehicle as an EnvironmentState."""
     position = world.airspace.swarm.position[i]
     height = float(world.origin.altitude + position[2])
     return {
@@ -113,7 +125,7 @@ def environment(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str,
 
 
 def imu(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Tell what an inertial unit feels, without noise: an ImuData."""
+    """Return the reading of an inertial measurement unit without noise as ImuData."""
     swarm = world.airspace.swarm
     x, y, z = world.acceleration[i].tolist()
     force = to_body(swarm.quaternion[i], (x, y, z + STANDARD_GRAVITY))
@@ -126,7 +138,7 @@ def imu(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
 
 
 def barometer(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Tell what a barometer measures, without noise: a BarometerData."""
+    """Return the reading of a barometer without noise as BarometerData."""
     height = float(world.origin.altitude + world.airspace.swarm.position[i, 2])
     return {
         "time_stamp": make_timestamp(world),
@@ -138,12 +150,12 @@ def barometer(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, A
 
 @functools.cache
 def _compute_magnetic_field(origin: Origin) -> np.ndarray:
-    """Tell the magnetic field of a world, gauss, east, north, up; near enough all over it."""
+    """Return the magnetic field at the origin, gauss, east, north, up."""
     return magnetic_field(origin.latitude, origin.longitude, origin.altitude) / GAUSS
 
 
 def magnetometer(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Tell what a compass measures, without noise: a MagnetometerData."""
+    """Return the reading of a magnetometer without noise as MagnetometerData."""
     field = _compute_magnetic_field(world.origin)
     body = to_body(world.airspace.swarm.quaternion[i], field)
     return {
@@ -154,7 +166,7 @@ def magnetometer(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str
 
 
 def gps(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Tell what a satellite receiver measures, without noise: a GpsData."""
+    """Return the reading of a GPS receiver without noise as GpsData."""
     swarm = world.airspace.swarm
     return {
         "time_stamp": make_timestamp(world),
@@ -171,20 +183,20 @@ def gps(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
 
 
 def lidar(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Tell points that beams hit, north, east, down of the vehicle's start: a LidarData.
+    """Return the points that lidar beams hit as LidarData, north, east, down from the start.
 
     Raises:
-        ValueError: The world was made without the sensor "lidar".
+        ValueError: If the world was created without the sensor "lidar".
     """
     if "lidar" not in world.airspace.readings:
         raise ValueError("there is no lidar: start the server with --lidar")
-    # Beams stay level, and turn with the drone's heading
+    # The lidar is gimballed: beams stay level and rotate with the heading of the drone
     position = world.airspace.swarm.position[i] - vehicle.start
     yaw = euler(world.airspace.swarm.quaternion[i].tolist())[2]
     beams = np.radians(make_beams(LIDAR_OPTIONS["num_beams"], LIDAR_OPTIONS["lidar_elevations"]))
     azimuth, elevation = beams[:, 0] + yaw, beams[:, 1]
     ranges = world.airspace.readings["lidar"][i]
-    # From ranges and angles to points, without beams that met nothing
+    # Convert ranges and angles to points; beams without a hit are left out
     horizontal = ranges * np.cos(elevation)
     vectors = (
         horizontal * np.cos(azimuth),
@@ -201,7 +213,7 @@ def lidar(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
 
 
 def rotors(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Tell speed (rad/s), thrust (N) and torque (N m) of each rotor: RotorStates."""
+    """Return the speed (rad/s), thrust (N) and torque (N m) of each rotor as RotorStates."""
     airframe = world.airspace.airframes[i]
     speeds = world.airspace.swarm.rotor_speed[i, : len(airframe.rotors)].tolist()
     thrusts = [airframe.thrust_coefficient * speed * speed for speed in speeds]

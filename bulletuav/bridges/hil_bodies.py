@@ -1,4 +1,4 @@
-"""Bodies for autopilots that fly in lockstep: what their sensors measure, what their motors do."""
+"""Simulated vehicles for autopilots in lockstep: sensor messages out, motor commands in."""
 
 import math
 from collections.abc import Sequence
@@ -33,25 +33,26 @@ from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.airframes import load_airframe
 
 STEP_HZ = 250
-"""Steps, and measurements of the inertial unit, a second"""
+"""Rate of simulation steps and of inertial measurements, Hz"""
 SLOW_STEPS, GPS_STEPS = 5, 25
-"""Steps between measurements of compass and barometer, and of the satellite receiver"""
+"""Steps between measurements of the magnetometer and barometer, and of the GPS receiver"""
 INERTIAL_FIELDS, SLOW_FIELDS = 0b111111, 0b1111111 << 6
-"""Fields of HIL_SENSOR: accelerometer and gyroscope; compass, pressures, temperature"""
+"""Bits of `HIL_SENSOR.fields_updated`: accelerometer and gyroscope; magnetometer, pressures and
+temperature"""
 ARMED = 128
-"""Bit of the mode of HIL_ACTUATOR_CONTROLS"""
+"""Bit of `HIL_ACTUATOR_CONTROLS.mode` that is set while the autopilot is armed"""
 GAUSS, KELVIN = 1e-4, 273.15
-"""Teslas in a gauss; the zero of degrees Celsius"""
+"""Teslas per gauss; 0 degrees Celsius in kelvins"""
 
 
 class Noise(NamedTuple):
-    """Standard deviations of what sensors measure.
+    """Standard deviations of the sensor noise.
 
     Attributes:
-        acceleration: m/s^2.
-        rate: rad/s.
-        field: gauss.
-        pressure: hPa.
+        acceleration: Accelerometer, m/s^2.
+        rate: Gyroscope, rad/s.
+        field: Magnetometer, gauss.
+        pressure: Barometer, hPa.
     """
 
     acceleration: float = 0.02
@@ -61,12 +62,14 @@ class Noise(NamedTuple):
 
 
 class HilBodies:
-    """N bodies in one airspace, whose motors autopilots command; they look north at the start.
+    """N vehicles in one airspace, whose motors are commanded by autopilots.
+
+    The vehicles face north at the start.
 
     Attributes:
-        airspace: Where they fly.
-        origin: Place on the Earth of the airspace's origin.
-        tick: Times that sensors have measured: the autopilots' clock, in units of 4 ms.
+        airspace: Airspace of the vehicles.
+        origin: Geodetic position of the origin of the airspace.
+        tick: Number of sensor measurements: the clock of the autopilots, in units of 4 ms.
     """
 
     def __init__(
@@ -79,31 +82,32 @@ class HilBodies:
         seed: int = 0,
         **options: Any,
     ) -> None:
-        """Put bodies on the ground, motors off.
+        """Place the vehicles on the ground with stopped motors.
 
         Args:
-            drones: How many there are, in rows 2 m apart; or where they stand, (N, 2), m.
-            airframe: Their airframe, of four rotors.
+            drones: Number of vehicles, on a grid with a spacing of 2 m; or their positions, (N, 2),
+                m.
+            airframe: Airframe of the vehicles, with four rotors.
             home: Latitude, longitude (degrees) and altitude (m) of the origin.
-            noise: How many times the usual noise sensors have.
-            seed: Of the noise, and of gusts.
-            **options: More options of `Airspace`, such as wind or obstacles.
+            noise: Scale of the sensor noise; 1 is the default noise, 0 is none.
+            seed: Seed of the sensor noise and of the gusts.
+            **options: Other options of `Airspace`, such as wind or obstacles.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
         airframe_data = load_airframe(airframe)
         self._airframe = airframe_data
-        # Autopilots number the motors by their corners
+        # Autopilots number the motors by corners: fail here if the airframe is not a quadrotor
         compute_corner_speeds(
             airframe_data, dict.fromkeys(((1, 1), (1, -1), (-1, 1), (-1, -1)), 0.0)
         )
         self._noise = np.repeat(Noise(), (3, 3, 3, 1)) * finite("noise", noise, 0.0, 100.0)
         self._starts = make_start_positions(drones, airframe_data.standing_height, SPACING)
         if "decision_hz" in options:
-            raise ValueError(f"decision_hz is {STEP_HZ} for autopilots: leave it out")
+            raise ValueError(f"decision_hz is fixed at {STEP_HZ} for autopilots: leave it out")
         self.origin = Origin(*as_sequence("home", home, 3))
-        # The field of the Earth at home, in gauss as MAVLink wants it
+        # Magnetic field at home, in gauss as MAVLink defines it
         self._field = magnetic_field(*as_sequence("home", home, 3)) / GAUSS
         known = {"physics_hz": 2 * STEP_HZ, "decision_hz": STEP_HZ, "seed": seed, **options}
         self.airspace = make_airspace(self._starts, airframe_data, (SetpointLevel.ROTOR,), **known)
@@ -113,67 +117,58 @@ class HilBodies:
         self._reset_bodies()
 
     def __len__(self) -> int:
-        """Tell how many bodies there are."""
+        """Return the number of vehicles."""
         return len(self._starts)
 
     def warm_up(self) -> None:
-        """Compile what flies, which takes a minute the first time; bodies stay where they are."""
+        """Compile the simulation, which takes a minute the first time; the vehicles do not move."""
         self.airspace.warm_up()
         self._reset_bodies()
 
     def _reset_bodies(self) -> None:
-        """Put all bodies to where they start, at rest."""
+        """Place all vehicles at rest at their start positions."""
         self.airspace.place(None, self._starts, NORTH)
         self._velocity = self.airspace.swarm.velocity.copy()
         self._acceleration = np.zeros_like(self._velocity)
 
     @property
     def stamp(self) -> int:
-        """Time that autopilots are told, us."""
+        """Timestamp of the last measurement, microseconds."""
         return self.tick * (10**6 // STEP_HZ)
 
     def measure(self) -> list[list[Told]]:
-        """Measure; the autopilots' clock goes on.
+        """Measure with all sensors, and advance the clock of the autopilots.
 
         Returns:
-            Messages for each autopilot.
+            MAVLink messages for each autopilot.
         """
         self.tick += 1
         noise = self._rng.standard_normal((len(self), 10)) * self._noise
         return [self._make_sensor_messages(i, noise[i]) for i in range(len(self))]
 
     def _make_sensor_messages(self, i: int, noise: np.ndarray) -> list[Told]:
-        """Make the messages of one body."""
+        """Return the sensor messages of vehicle `i`: HIL_SENSOR, and HIL_GPS when it is due."""
         swarm = self.airspace.swarm
         x, y, z = self._acceleration[i].tolist()
         attitude = swarm.quaternion[i]
-        # In forward, right, down; an accelerometer at rest feels gravity as a push up
+        # Forward, right, down. An accelerometer measures specific force: at rest, gravity upwards
         force = flu_to_frd(to_body(attitude, (x, y, z + STANDARD_GRAVITY))) + noise[:3]
         rates = flu_to_frd(swarm.rates[i]) + noise[3:6]
         field = flu_to_frd(to_body(attitude, self._field)) + noise[6:9]
-        # Pressure in hPa, its altitude, and the temperature there
+        # Absolute and differential pressure in hPa; then pressure altitude and temperature
         height = float(self.origin.altitude + swarm.position[i, 2])
         pressures = (float(pressure(height)) / 100 + float(noise[9]), 0.0)
-        altitude_temperature = (
-            float(geopotential_height(height)),
-            float(temperature(height)) - KELVIN,
-        )
-        # Bits of what is new: slow sensors measure in some steps only
+        baro = (float(geopotential_height(height)), float(temperature(height)) - KELVIN)
+        # Only updated fields are flagged; slow sensors measure in some of the steps
         updated = INERTIAL_FIELDS | (SLOW_FIELDS if self.tick % SLOW_STEPS == 0 else 0)
-        values = (
-            *force.tolist(),
-            *rates.tolist(),
-            *field.tolist(),
-            *pressures,
-            *altitude_temperature,
-        )
+        values = (*force.tolist(), *rates.tolist(), *field.tolist(), *pressures, *baro)
         messages = [Told("hil_sensor", (self.stamp, *values, updated))]
         if self.tick % GPS_STEPS == 0:
             messages.append(self._make_gps_message(i))
         return messages
 
     def _make_gps_message(self, i: int) -> Told:
-        """Tell what a satellite receiver measures, without noise: cm, cm/s and 1e-7 degrees."""
+        """Return the HIL_GPS message of vehicle `i`, without noise: cm, cm/s and 1e-7 degrees."""
         swarm = self.airspace.swarm
         latitude, longitude, altitude = self.origin.to_geodetic(swarm.position[i]).tolist()
         north, east, down = np.round(enu_to_ned(swarm.velocity[i]) * 100).astype(int).tolist()
@@ -186,7 +181,7 @@ class HilBodies:
         )
 
     def truth(self, i: int) -> Told:
-        """Tell how a body truly moves: HIL_STATE_QUATERNION."""
+        """Return the true state of vehicle `i` as HIL_STATE_QUATERNION."""
         swarm = self.airspace.swarm
         latitude, longitude, altitude = self.origin.to_geodetic(swarm.position[i]).tolist()
         velocity = np.round(enu_to_ned(swarm.velocity[i]) * 100).astype(int).tolist()
@@ -201,11 +196,12 @@ class HilBodies:
         return Told("hil_state_quaternion", (self.stamp, attitude, *rates, *remaining))
 
     def command(self, i: int, message: Message) -> None:
-        """Take HIL_ACTUATOR_CONTROLS: shares of the greatest rotor speed.
+        """Set the motor commands of a vehicle from a HIL_ACTUATOR_CONTROLS message.
 
         Args:
-            i: Index of the body.
-            message: Motors in PX4's order: front right, rear left, front left, rear right.
+            i: Index of the vehicle.
+            message: Fractions of the maximum rotor speed in PX4's motor order: front right, rear
+                left, front left, rear right. Motors stop if the autopilot is disarmed.
         """
         if not message.mode & ARMED:
             self._commands[i] = None
@@ -220,14 +216,14 @@ class HilBodies:
         )
 
     def stop(self, i: int) -> None:
-        """Switch the motors of a body off."""
+        """Stop the motors of vehicle `i`."""
         self._commands[i] = None
 
     def step(self) -> None:
-        """Fly for 4 ms.
+        """Step the simulation by 4 ms.
 
         Raises:
-            RuntimeError: The flight diverged, or the airspace is closed.
+            RuntimeError: If the simulation diverged, or the airspace is closed.
         """
         apply_commands(self.airspace, self._commands)
         self.airspace.step()
@@ -236,5 +232,5 @@ class HilBodies:
         self._velocity = swarm.velocity.copy()
 
     def close(self) -> None:
-        """Free the airspace."""
+        """Close the airspace."""
         self.airspace.close()

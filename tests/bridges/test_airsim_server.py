@@ -247,7 +247,7 @@ def test_two_clients_fly_one_drone_and_the_newer_motion_counts(serve, connect):
     ready(first)
     older = first.send("moveByVelocity", 0.0, 0.0, -1.0, 600.0, *FREE, "")
     second.get("ping")
-    until(lambda: server.world.vehicle("")[1].flies)
+    until(lambda: server.world.vehicle("")[1].is_flying)
     assert second.get("hover", "") is True
     assert first.receive() == [older, None, False]
 
