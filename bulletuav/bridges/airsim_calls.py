@@ -1,4 +1,4 @@
-"""The calls of AirSim that are there, over a world; `airsim.py` brings them to the network."""
+"""The supported calls of AirSim's API; `airsim.py` serves them over the network."""
 
 import inspect
 from collections.abc import Callable, Mapping
@@ -26,27 +26,28 @@ from bulletuav.earth import ned_to_enu
 from bulletuav.errors import as_int, as_sequence, shown, unknown
 
 SERVER_VERSION = 4
-"""What clients of Cosys-AirSim want at least; those of AirSim want 1"""
+"""Minimum server version of Cosys-AirSim's clients; AirSim's clients need 1"""
 MIN_CLIENT_VERSION = 1
+"""Minimum client version that the server reports"""
 MAX_IMAGES = 32
-"""Most pictures of one call"""
+"""Maximum number of images of one call"""
 MAX_CALL_TIME = 600.0
-"""Longest time that one call flies, s"""
+"""Maximum simulated time of one call, s"""
 
 
 CONTINUE_CALLS = ("simContinueForTime", "simContinueForFrames")
-"""Calls that fly"""
+"""Calls that step a paused simulation"""
 IMAGE_CALLS = ("simGetImage", "simGetImages")
-"""Calls that take pictures: the server leaves drawing to another process"""
+"""Calls that render images; the server renders them in another process"""
 
 
 class ImageCall(NamedTuple):
-    """The pictures of one call.
+    """Parsed call for images.
 
     Attributes:
         drone: Index of the drone that carries the cameras.
-        requests: What is asked for, in order.
-        is_list: Whether the call is answered by a list of responses, or by the bytes of one alone.
+        requests: Image requests, in order.
+        is_list: Whether the result is a list of responses, or only the bytes of one image.
     """
 
     drone: int
@@ -55,14 +56,14 @@ class ImageCall(NamedTuple):
 
 
 class AirsimCalls:
-    """Calls of clients, by name.
+    """Dispatcher of AirSim's calls by name.
 
     Attributes:
         world: The vehicles.
     """
 
     def __init__(self, world: AirsimWorld) -> None:
-        """Take the world that clients fly."""
+        """Build the table of calls for a world."""
         self.world = world
         self._table: Mapping[str, Callable[..., Any]] = {
             # The connection and the clock
@@ -84,10 +85,10 @@ class AirsimCalls:
             "simSetVehiclePose": self._set_pose,
             "simGetVehiclePose": self._get_pose,
             "getHomeGeoPoint": self._get_home,
-            # What it met
+            # Collisions and messages
             "simGetCollisionInfo": self._get_collision,
             "simPrintLogMessage": self._print_log_message,
-            # States, and readings of sensors
+            # States and sensor readings
             "getMultirotorState": self._make_state_call(states.multirotor),
             "simGetGroundTruthKinematics": self._make_state_call(states.kinematics),
             "simGetGroundTruthEnvironment": self._make_state_call(states.environment),
@@ -105,21 +106,22 @@ class AirsimCalls:
         }
 
     def list_names(self) -> list[str]:
-        """List all calls that are there."""
+        """Return the names of all supported calls."""
         return sorted({*self._table, *MOTIONS, *IMAGE_CALLS, *CONTINUE_CALLS})
 
     def call(self, name: Any, arguments: list[Any]) -> Any:
-        """Answer a call that takes no time.
+        """Execute a call that takes no simulated time.
 
         Args:
-            name: Of the call.
-            arguments: What was sent with it.
+            name: Name of the call.
+            arguments: Arguments of the call.
 
         Returns:
-            What is answered.
+            Result of the call.
 
         Raises:
-            ValueError: There is no such call, or it cannot be; the world is as it was.
+            ValueError: If the call is unknown or its arguments are invalid; the world is unchanged
+                then.
         """
         if name in IMAGE_CALLS:
             return self._draw_images(name, arguments)
@@ -130,14 +132,14 @@ class AirsimCalls:
         return function(*arguments)
 
     def parse_steps(self, name: str, arguments: list[Any]) -> int:
-        """Tell how many steps a call lets the world fly.
+        """Return the number of simulation steps of a call that continues time.
 
         Args:
             name: "simContinueForTime" or "simContinueForFrames".
-            arguments: What was sent with it.
+            arguments: Arguments of the call.
 
         Raises:
-            ValueError: It cannot be.
+            ValueError: If the arguments are invalid.
         """
         (given,) = as_sequence("arguments", arguments, 1)
         if name == "simContinueForFrames":
@@ -148,15 +150,15 @@ class AirsimCalls:
         return self.world.count_steps(seconds)
 
     def start_motion(self, name: str, arguments: list[Any], done_callback: DoneCallback) -> None:
-        """Begin a motion, in place of what the drone did.
+        """Start a motion, which replaces the present motion of the vehicle.
 
         Args:
             name: One of `MOTIONS`.
-            arguments: What was sent with it; the vehicle's name is last.
-            answer: Function that is told when it ends.
+            arguments: Arguments of the call; the vehicle's name is last.
+            done_callback: Function that is called with the outcome when the motion ends.
 
         Raises:
-            ValueError: It cannot be; the drone goes on with what it did.
+            ValueError: If the call is invalid; the vehicle continues its present motion then.
         """
         if not arguments or not isinstance(arguments[-1], str):
             raise ValueError(f"{name} needs a vehicle's name, or an empty one, as last argument")
@@ -173,7 +175,7 @@ class AirsimCalls:
         vehicle.start_motion(MOTIONS[name](*given), done_callback)
 
     def _make_state_call(self, read: Callable[..., Any]) -> Callable[[str], Any]:
-        """Make a call that reads something of a vehicle."""
+        """Return a call that reads the state of a vehicle."""
 
         def call(vehicle_name: str = "") -> Any:
             return read(self.world, *self.world.vehicle(vehicle_name))
@@ -181,7 +183,7 @@ class AirsimCalls:
         return call
 
     def _make_sensor_call(self, read: Callable[..., Any]) -> Callable[[str, str], Any]:
-        """Make a call that reads a sensor of a vehicle; there is one of each kind."""
+        """Return a call that reads a sensor of a vehicle; a vehicle has one sensor of each type."""
 
         def call(sensor_name: str = "", vehicle_name: str = "") -> Any:
             check_text("sensor_name", sensor_name)
@@ -190,28 +192,27 @@ class AirsimCalls:
         return call
 
     def _pause(self, is_paused: bool) -> None:
-        """Let time stand still, or go on."""
         self.world.paused = check_flag("is_paused", is_paused)
 
     def _print_log_message(self, message: str, parameter: str = "", severity: int = 0) -> None:
-        """Take a message for a screen, which is not there."""
+        """Validate a message and drop it, because there is no screen."""
         check_text("message", message)
         check_text("message_param", parameter)
         as_int("severity", severity, 0, 3)
 
     def _set_wind(self, wind: Any) -> None:
-        """Change the steady wind, north, east, down."""
+        """Set the steady wind, north, east, down, m/s."""
         self.world.airspace.set_wind(ned_to_enu(read_vector("wind", wind)).tolist())
 
     def _enable_api_control(self, is_enabled: bool, vehicle_name: str = "") -> None:
-        """Ask for control of a vehicle, or give it back; then it stays where it is."""
+        """Acquire or release API control; after a release the vehicle holds its position."""
         i, vehicle = self.world.vehicle(vehicle_name)
         vehicle.is_api_controlled = check_flag("is_enabled", is_enabled)
         if not is_enabled:
             vehicle.hold_position(self.world.state(i))
 
     def _arm_disarm(self, arm: bool, vehicle_name: str = "") -> bool:
-        """Let motors turn, or stop them."""
+        """Arm the motors, or disarm and stop them."""
         _, vehicle = self.world.vehicle(vehicle_name)
         check_flag("arm", arm)
         if not vehicle.is_api_controlled:
@@ -222,41 +223,40 @@ class AirsimCalls:
         return True
 
     def _cancel_task(self, vehicle_name: str = "") -> None:
-        """End what a vehicle does; it stays where it is."""
+        """End the motion of a vehicle, which then holds its position."""
         i, vehicle = self.world.vehicle(vehicle_name)
         vehicle.hold_position(self.world.state(i))
 
     def _set_pose(self, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
-        """Put a vehicle somewhere, at rest."""
+        """Place a vehicle at rest."""
         i, _ = self.world.vehicle(vehicle_name)
         check_flag("ignore_collision", ignore_collision)
         self.world.place(i, *read_pose(pose))
 
     def _get_pose(self, vehicle_name: str = "") -> dict[str, Any]:
-        """Tell where a vehicle is."""
         i, vehicle = self.world.vehicle(vehicle_name)
         swarm = self.world.airspace.swarm
         return write_pose(swarm.position[i] - vehicle.start, swarm.quaternion[i])
 
     def _get_home(self, vehicle_name: str = "") -> dict[str, float]:
-        """Tell where a vehicle starts, on the Earth."""
+        """Return the start position of a vehicle as a GeoPoint."""
         return states.geo_point(self.world, self.world.vehicle(vehicle_name)[1].start)
 
     def _get_collision(self, vehicle_name: str = "") -> dict[str, Any]:
-        """Tell what a vehicle has hit since it was asked last."""
+        """Return the last collision of a vehicle since the previous call, and clear it."""
         _, vehicle = self.world.vehicle(vehicle_name)
         collision, vehicle.collision = vehicle.collision, Collision()
         return states.make_collision_info(vehicle, collision)
 
     def parse_images(self, name: str, arguments: list[Any]) -> ImageCall:
-        """Read a call that takes pictures.
+        """Parse a call that renders images.
 
         Args:
             name: One of `IMAGE_CALLS`.
-            arguments: What was sent with it.
+            arguments: Arguments of the call.
 
         Raises:
-            ValueError: A picture, a camera or the vehicle cannot be.
+            ValueError: If an image request, a camera or the vehicle is invalid.
         """
         read = self._parse_one if name == "simGetImage" else self._parse_many
         _require_arguments(name, read, arguments)
@@ -268,15 +268,15 @@ class AirsimCalls:
     def _parse_one(
         self, camera: Any, kind: Any, vehicle_name: str = "", extra: Any = None
     ) -> ImageCall:
-        """Read a call for one PNG.
+        """Parse a call for one PNG.
 
-        AirSim's clients send in `more` whether the camera belongs to no vehicle, those of
-        Cosys-AirSim the name of an annotation; both are not there.
+        In `extra`, AirSim's clients send whether the camera belongs to no vehicle, and
+        Cosys-AirSim's clients the name of an annotation. Neither is supported.
         """
         if not (extra is None or extra is False or extra == ""):
             raise ValueError(
-                f"external or annotation_name is {shown(extra)}: cameras of vehicles alone are "
-                f"there, without annotations; leave it out"
+                f"external or annotation_name is {shown(extra)}: only cameras of vehicles are "
+                f"supported, without annotations; leave it out"
             )
         request = ImageRequest({"camera_name": camera, "image_type": kind, "compress": True})
         return ImageCall(self.world.vehicle(vehicle_name)[0], [request], False)
@@ -284,10 +284,10 @@ class AirsimCalls:
     def _parse_many(
         self, requests: Any, vehicle_name: str = "", external: Any = False
     ) -> ImageCall:
-        """Read a call for pictures; cameras that belong to no vehicle are not there."""
+        """Parse a call for several images; cameras without a vehicle are not supported."""
         if check_flag("external", external):
             raise ValueError(
-                "external is True: cameras that belong to no vehicle are not there; leave it out"
+                "external is True: only cameras of vehicles are supported; leave it out"
             )
         image_requests = [
             ImageRequest(request) for request in as_sequence("requests", requests, most=MAX_IMAGES)
@@ -295,7 +295,7 @@ class AirsimCalls:
         return ImageCall(self.world.vehicle(vehicle_name)[0], image_requests, True)
 
     def _draw_images(self, name: str, arguments: list[Any]) -> Any:
-        """Draw the pictures of a call here and now."""
+        """Render the images of a call in this process."""
         call, airspace = self.parse_images(name, arguments), self.world.airspace
         exposures = make_exposures(self.world, call.drone, call.requests)
         responses = [
@@ -305,7 +305,6 @@ class AirsimCalls:
 
 
 def _make_control_error(vehicle: AirsimVehicle) -> ValueError:
-    """Make the error for a vehicle that clients do not control."""
     return ValueError(
         f"vehicle {vehicle.name!r} is not under API control; call enableApiControl(True, "
         f"{vehicle.name!r}) first"
@@ -313,7 +312,7 @@ def _make_control_error(vehicle: AirsimVehicle) -> ValueError:
 
 
 def _require_arguments(name: str, function: Callable[..., Any], arguments: Any) -> None:
-    """Raise ValueError unless a call has as many arguments as its function takes."""
+    """Raise ValueError unless the number of arguments fits the signature of a function."""
     try:
         inspect.signature(function).bind(*arguments)
     except TypeError as error:

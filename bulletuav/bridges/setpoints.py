@@ -88,8 +88,8 @@ def compute_corner_speeds(
     corners = [(1 if x > 0 else -1, 1 if y > 0 else -1) for x, y, _ in airframe.rotors]
     if sorted(corners) != sorted(fractions):
         raise ValueError(
-            f"{airframe.name} has {len(corners)} rotors at corners {shown(corners)}: four are needed, "
-            f"one in each corner, as those of 'iris'"
+            f"{airframe.name} has {len(corners)} rotors at corners {shown(corners)}: four are "
+            f"needed, one in each corner, as those of 'iris'"
         )
     return tuple(airframe.max_rotor_speed * fractions[corner] for corner in corners)
 

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from bulletuav.bridges import airsim_world
 from bulletuav.bridges.airsim_calls import CONTINUE_CALLS, IMAGE_CALLS, AirsimCalls
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_values import (
@@ -708,11 +709,18 @@ def test_who_has_no_control_does_not_move(client):
 
 
 def test_worlds_that_cannot_be_are_refused():
-    with pytest.raises(ValueError, match="names that differ"):
+    with pytest.raises(ValueError, match="names must be unique"):
         AirsimWorld(["a", "a"])
-    with pytest.raises(ValueError, match="names, or how many"):
+    with pytest.raises(ValueError, match="a number of vehicles, or their names"):
         AirsimWorld([])
     with pytest.raises(ValueError, match="places are 1: one for each of 2"):
         AirsimWorld(2, places=[(0, 0)])
-    with pytest.raises(ValueError, match="decision_hz is 100"):
+    with pytest.raises(ValueError, match="decision_hz is fixed at 100"):
         AirsimWorld(1, decision_hz=50)
+
+
+def test_the_old_name_of_the_world_warns():
+    with pytest.warns(DeprecationWarning, match="renamed to AirsimWorld.*next release"):
+        assert airsim_world.World is AirsimWorld
+    with pytest.raises(AttributeError, match="no attribute 'Worlds'"):
+        _ = airsim_world.Worlds

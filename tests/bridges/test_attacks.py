@@ -384,7 +384,7 @@ def test_a_request_that_never_ends_is_bounded(item, speak, caplog):
     piece = b"\xdc\x10\x00" + item * 4096
     assert speak(PING + request(b"\xdc\x10\x00") + piece * 1000) in ([], [[1, 1, None, True]])
     assert speak(PING) == [[1, 1, None, True]]
-    assert any("no msgpack, or too many" in one.message for one in caplog.records)
+    assert any("not msgpack, or too many" in one.message for one in caplog.records)
 
 
 def read_all(reader, data, size=60_000):

@@ -422,7 +422,7 @@ def test_ports_in_use_and_airframes_of_other_shapes_are_refused(serve):
         HilBodies(1, "firefly")
     with pytest.raises(ValueError, match="hummingbird has 4 rotors at corners"):
         HilBodies(1, "hummingbird")
-    with pytest.raises(ValueError, match="decision_hz is 250"):
+    with pytest.raises(ValueError, match="decision_hz is fixed at 250"):
         HilBodies(1, decision_hz=100)
 
 
