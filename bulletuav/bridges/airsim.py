@@ -119,11 +119,8 @@ class AirsimServer:
         self._msgpack = msgpack
         as_int("port", port, 0, 65535)
         self.world, self.host = world, host
-        self._calls, self._scheduler, self._pictures = (
-            AirsimCalls(world),
-            TurnScheduler(),
-            PictureQueue(world),
-        )
+        self._calls = AirsimCalls(world)
+        self._scheduler, self._pictures = TurnScheduler(), PictureQueue(world)
         self._slack = 0.0
         self.pacer = Pacer(world.airspace.period, speed, _sleep=self._record_slack)
         self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
@@ -153,7 +150,7 @@ class AirsimServer:
             seconds: Wall-clock duration, s. None runs until interrupted.
 
         Raises:
-            RuntimeError: If the simulation diverged, or the server is closed.
+            RuntimeError: If the simulation diverged, or the server has run before or is closed.
         """
         if self._socket.fileno() < 0:
             raise RuntimeError("this server is closed: create a new one")

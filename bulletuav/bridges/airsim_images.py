@@ -54,13 +54,13 @@ def get_camera_pose(world: AirsimWorld, i: int, camera: str) -> tuple[np.ndarray
     Raises:
         ValueError: If there is no such camera.
     """
-    name, frame = CAMERA_NUMBERS.get(camera, camera), world.airspace.airframes[i]
+    name, airframe = CAMERA_NUMBERS.get(camera, camera), world.airspace.airframes[i]
     if name not in CAMERA_YAWS:
         raise unknown("camera", camera, [*CAMERA_YAWS, *CAMERA_NUMBERS])
-    yaw, radius = CAMERA_YAWS[name], frame.collision_radius
+    yaw, radius = CAMERA_YAWS[name], airframe.collision_radius
     if yaw is None:
         # The top of the image points forward
-        return np.array((0.0, 0.0, -frame.standing_height)), from_euler(0.0, math.pi / 2, 0.0)
+        return np.array((0.0, 0.0, -airframe.standing_height)), from_euler(0.0, math.pi / 2, 0.0)
     angle = math.radians(yaw)
     return np.array((radius * math.cos(angle), radius * math.sin(angle), 0.0)), from_euler(
         0, 0, angle

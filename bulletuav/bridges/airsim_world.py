@@ -196,20 +196,22 @@ class AirsimWorld:
         # Validate names and places together
         airframe_data = load_airframe(airframe)
         names = _make_names(drones)
-        flat = [(SPACING * k, 0.0) for k in range(len(names))] if places is None else places
-        if len(flat) != len(names):
-            raise ValueError(f"places are {len(flat)}: one for each of {len(names)} is needed")
-        self._starts = points_of("places", [(*one, airframe_data.standing_height) for one in flat])
+        start_xy = [(SPACING * k, 0.0) for k in range(len(names))] if places is None else places
+        if len(start_xy) != len(names):
+            raise ValueError(f"places are {len(start_xy)}: one for each of {len(names)} is needed")
+        self._starts = points_of(
+            "places", [(*one, airframe_data.standing_height) for one in start_xy]
+        )
         # Clients rely on AirSim's rate
         if "decision_hz" in options:
             raise ValueError(
                 f"decision_hz is fixed at {DECISION_HZ} for clients of AirSim: leave it out"
             )
         # Options of the caller override the defaults
-        known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
+        airspace_options = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
         if lidar:
-            known |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR_OPTIONS}
-        self.airspace = make_airspace(self._starts, airframe_data, **known)
+            airspace_options |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR_OPTIONS}
+        self.airspace = make_airspace(self._starts, airframe_data, **airspace_options)
         self.origin = Origin(*as_sequence("home", home, 3))
         # Each vehicle has a controller of its own
         self.vehicles = {

@@ -90,7 +90,7 @@ class AutopilotLink:
         Raises:
             OSError: If the autopilot has disconnected, or does not read.
         """
-        data = b"".join(self.wire.pack(connection) for connection in messages)
+        data = b"".join(self.wire.pack(message) for message in messages)
         if self.socket.send(data) < len(data):
             raise ConnectionError("the autopilot does not read its messages")
 

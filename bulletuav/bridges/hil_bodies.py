@@ -109,8 +109,15 @@ class HilBodies:
         self.origin = Origin(*as_sequence("home", home, 3))
         # Magnetic field at home, in gauss as MAVLink defines it
         self._field = magnetic_field(*as_sequence("home", home, 3)) / GAUSS
-        known = {"physics_hz": 2 * STEP_HZ, "decision_hz": STEP_HZ, "seed": seed, **options}
-        self.airspace = make_airspace(self._starts, airframe_data, (SetpointLevel.ROTOR,), **known)
+        airspace_options = {
+            "physics_hz": 2 * STEP_HZ,
+            "decision_hz": STEP_HZ,
+            "seed": seed,
+            **options,
+        }
+        self.airspace = make_airspace(
+            self._starts, airframe_data, (SetpointLevel.ROTOR,), **airspace_options
+        )
         self.tick = 0
         self._rng = np.random.default_rng(seed)
         self._commands: list[AirspaceCommand | None] = [None] * len(self._starts)

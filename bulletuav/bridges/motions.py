@@ -192,11 +192,8 @@ class TurnToYaw(MotionPrimitive):
             tolerance: Yaw error at which the turn is complete, rad.
         """
         super().__init__(start_time, timeout)
-        self._hold, self._yaw, self._tolerance = (
-            HoldPosition(state, start_time, yaw),
-            yaw,
-            tolerance,
-        )
+        self._hold = HoldPosition(state, start_time, yaw)
+        self._yaw, self._tolerance = yaw, tolerance
 
     def get_setpoint(self, state: State, now: float) -> Setpoint:
         """Return the position to hold and the final yaw."""
@@ -283,11 +280,8 @@ class FollowPath(MotionPrimitive):
         """Return the position on the path with feedforward, and the yaw."""
         distance, speed, acceleration = self._profile.evaluate(now - self.start_time)
         segment = bisect_right(self._distances, distance, 1, len(self._distances) - 1) - 1
-        direction, origin, remainder = (
-            self._directions[segment],
-            self._vertices[segment],
-            distance - self._distances[segment],
-        )
+        direction, origin = self._directions[segment], self._vertices[segment]
+        remainder = distance - self._distances[segment]
         x, y, z = (
             component + remainder * direction_component
             for component, direction_component in zip(origin, direction, strict=True)

@@ -488,7 +488,7 @@ def test_wind_blows(client):
         ("simSetVehiclePose", [1, True, ""], "a map of position and orientation"),
         ("simSetVehiclePose", [{"position": vector(0.0, 0.0, 1e9)}, True, ""], "position is"),
         ("simSetVehiclePose", [{"position": vector(0.0, 0.0, "1")}, True, ""], "position is"),
-        ("simSetVehiclePose", [pose((0, 0, -1)) | {"orientation": STILL}, True, ""], "no length"),
+        ("simSetVehiclePose", [pose((0, 0, -1)) | {"orientation": STILL}, True, ""], "zero length"),
         ("simSetWind", [vector(0.0, math.nan, 0.0)], "finite numbers are needed"),
         ("simGetImages", [7, ""], "requests is 7"),
         ("armDisarm", [True, ""], "enableApiControl"),

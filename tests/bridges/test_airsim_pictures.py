@@ -48,7 +48,9 @@ def make():
 
 def wanted(calls, count=1, vehicle=""):
     """An album of some pictures of the first camera."""
-    return calls.parse_images("simGetImages", [[{"camera_name": "0", "image_type": 0}] * count, vehicle])
+    return calls.parse_images(
+        "simGetImages", [[{"camera_name": "0", "image_type": 0}] * count, vehicle]
+    )
 
 
 def settings(dynamics):

@@ -686,7 +686,9 @@ def test_turns_end_by_time_not_by_a_number_of_requests(monkeypatch):
         yield None
 
     async def both():
-        await asyncio.gather(scheduler.run(work("slow", 10, 3)), scheduler.run(work("quick", 1, 15)))
+        await asyncio.gather(
+            scheduler.run(work("slow", 10, 3)), scheduler.run(work("quick", 1, 15))
+        )
 
     asyncio.run(both())
     assert order == ["slow", *["quick"] * 10, "slow", *["quick"] * 5, "slow"]

@@ -294,7 +294,7 @@ def test_bodies_wait_for_room_for_connections(exhausted, caplog):
         assert SPARED not in caplog.text
         exhausted.clear()
         now[0] += 2 * ACCEPT_RETRY
-        until(lambda: server._turn() or len(server._connections[0]) == 1)
+        until(lambda: server._step_lockstep() or len(server._connections[0]) == 1)
         # A connection that is silent makes room for another one
         exhausted.set()
         now[0] += 2 * ACCEPT_RETRY
@@ -622,6 +622,6 @@ def test_what_is_no_frame_ends_its_connection(data, in_pieces):
             except ConnectionError:
                 ended = True
         assert ended
-    assert bodies._orders == [None]
+    assert bodies._commands == [None]
     server.close()
     bodies.close()
