@@ -1,1 +1,1 @@
-"""Servers through which programs of others fly the drones of an airspace."""
+"""Servers through which programs for other drone APIs fly the drones of an airspace."""

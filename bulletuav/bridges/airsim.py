@@ -1,13 +1,13 @@
-"""Server of AirSim's calls: msgpack-rpc over TCP, for clients of AirSim and Cosys-AirSim.
+"""Server of AirSim's API: msgpack-rpc over TCP, for clients of AirSim and Cosys-AirSim.
 
-    server = AirsimServer(World(3))
+    server = AirsimServer(AirsimWorld(3))
     server.run()
 
-A request is [0, number, name, arguments], its answer [1, number, error or nil, result].
+A request is [0, number, name, arguments]; its response is [1, number, error or nil, result].
 
-Neither AirSim's client (airsim 1.8.1) nor Cosys-AirSim's (cosysairsim 3.5.0) sends anything but
-requests. A connection ends therefore with the first message that is none: HTTP, WebSocket and TLS
-begin with bytes that msgpack reads as integers, so that no page in a browser can send a request.
+AirSim's client (airsim 1.8.1) and Cosys-AirSim's (cosysairsim 3.5.0) send nothing but requests. The
+server therefore closes a connection at the first message that is not a request. HTTP, WebSocket and
+TLS begin with bytes that msgpack reads as integers, so that no web page can send a request.
 """
 
 import asyncio
@@ -17,11 +17,11 @@ import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
-from bulletuav.bridges.airsim_calls import CONTINUES, PICTURES, Album, Calls
+from bulletuav.bridges.airsim_calls import CONTINUE_CALLS, IMAGE_CALLS, AirsimCalls, ImageCall
 from bulletuav.bridges.airsim_motions import MOTIONS
-from bulletuav.bridges.airsim_pictures import DrawingError, Pictures
-from bulletuav.bridges.airsim_world import World
-from bulletuav.bridges.sockets import LOG_NAME, listening
+from bulletuav.bridges.airsim_pictures import DrawingError, PictureQueue
+from bulletuav.bridges.airsim_world import AirsimWorld
+from bulletuav.bridges.sockets import LOG_NAME, open_listener
 from bulletuav.envs.pacer import Pacer
 from bulletuav.errors import as_int, missing, shown
 from bulletuav.serving.connections import Clock, Connections, FullError, Limits
@@ -29,138 +29,139 @@ from bulletuav.serving.refusals import Refusals
 from bulletuav.serving.streams import Stream, StreamServer
 
 PORT = 41451
-"""Port that clients connect to, unless they are told another"""
+"""Default port of AirSim's clients"""
 LIMITS = Limits()
-MOST_REQUEST = 2**20
-"""Greatest size of a request, bytes"""
+MAX_REQUEST_BYTES = 2**20
+"""Maximum size of a request, bytes"""
 SCAN_BUFFER = 2**16
-"""Bytes that are reserved for each connection to find where messages end; msgpack would reserve as
-many as a request may have, and the heap would grow with each new connection"""
+"""Size of the buffer of each connection for finding the ends of messages, bytes. By default msgpack
+reserves the maximum size of a request, and memory would grow with each connection."""
 MAX_ITEMS = 2**13
-"""Most items that all lists and maps of a request have together: a path of 1000 points has 4,000"""
-ANSWER_HEAD, NO_ERROR = b"\x94\x01", b"\xc0"
-"""Packed, the first two of an answer's four values, and the third where there is no error"""
-LONGEST_TURN = 0.005
-"""Time of a client's requests, or of a call's steps, after which others have their turn, s"""
+"""Maximum number of items in all lists and maps of a request; a path of 1000 points has 4,000"""
+RESPONSE_HEAD, NO_ERROR = b"\x94\x01", b"\xc0"
+"""Packed first two of the four values of a response, and the third one for success"""
+MAX_TURN_TIME = 0.005
+"""Time after which the requests of a client, or the steps of a call, yield to other clients, s"""
 
 
-class Turns:
-    """Turns on the server's loop: one client at a time, first come, first served.
+class TurnScheduler:
+    """Scheduler of the work of all clients: one client at a time, first come, first served.
 
-    A turn ends by time, not after a number of requests: some take a hundred times as long as
-    others. The flight goes on between any two turns.
+    A turn is limited by time rather than by a number of requests, because the cost of requests
+    differs by a factor of a hundred. The simulation may step between any two turns.
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
-        """Begin while no client has its turn.
+        """Create a scheduler without waiting clients.
 
         Args:
-            clock: Returns the time, s.
+            clock: Function that returns the time, s.
         """
         self._lock, self._clock = asyncio.Lock(), clock
 
-    async def take(self, work: Iterator[Awaitable[None] | None]) -> None:
-        """Do work piece by piece, in as many turns as it takes.
+    async def run(self, steps: Iterator[Awaitable[None] | None]) -> None:
+        """Run the steps of an iterator, in as many turns as needed.
 
         Args:
-            work: Does the next piece each time, and yields what remains to be awaited of the piece
-                outside of the turn, or None.
+            steps: Iterator that does one piece of work in each step. It yields an awaitable that is
+                awaited outside of the turn, or None.
         """
         while True:
             async with self._lock:
-                end = self._clock() + LONGEST_TURN
-                for rest in work:
-                    if rest is not None or self._clock() >= end:
+                end = self._clock() + MAX_TURN_TIME
+                for pending in steps:
+                    if pending is not None or self._clock() >= end:
                         break
                 else:
                     return
-            await (asyncio.sleep(0) if rest is None else rest)
+            await (asyncio.sleep(0) if pending is None else pending)
 
 
 class AirsimServer:
-    """A world that flies in real time, and the clients that fly it.
+    """Server that steps a world in real time and answers the clients that fly its vehicles.
 
     Attributes:
         world: The vehicles.
-        host: Address that it listens at.
-        port: Port that it listens at.
-        pacer: Keeps the time; tells how many steps were late.
+        host: Address that the server listens at.
+        port: Port that the server listens at.
+        pacer: Real-time pacer; it counts the steps that were late.
     """
 
     def __init__(
         self,
-        world: World,
+        world: AirsimWorld,
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
         limits: Limits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
-        """Open the port; clients are answered once it runs.
+        """Open the port; clients are answered while `run` runs.
 
         Args:
             world: The vehicles.
-            host: Address to listen at. Whoever can reach it can fly the vehicles.
+            host: Address to listen at. Anyone who can reach this address can fly the vehicles.
             port: Port; 0 for a free one.
-            speed: Simulated seconds in one of the clock.
+            speed: Real-time factor: simulated seconds per second of wall-clock time.
             limits: Limits of connections.
-            clock: Function that returns the time by which connections are idle, s.
+            clock: Function that returns the time in s, for timeouts of connections.
 
         Raises:
-            ValueError: The port or the speed cannot be.
-            OSError: The port is in use, or there is no such address.
-            ImportError: The package msgpack is not installed.
+            ValueError: If the port or the speed is out of range.
+            OSError: If the port is in use or the address does not exist.
+            ImportError: If the package msgpack is not installed.
         """
         try:
             import msgpack
         except ImportError:
             raise missing("serving clients of AirSim", "airsim") from None
-        # The package is optional, so that it is kept rather than imported above
+        # An optional package, kept here because it cannot be imported at the top of the file
         self._msgpack = msgpack
         as_int("port", port, 0, 65535)
         self.world, self.host = world, host
-        self._calls, self._turns, self._pictures = Calls(world), Turns(), Pictures(world)
-        self._left = 0.0
-        self.pacer = Pacer(world.airspace.period, speed, _sleep=self._note)
+        self._calls = AirsimCalls(world)
+        self._scheduler, self._pictures = TurnScheduler(), PictureQueue(world)
+        self._slack = 0.0
+        self.pacer = Pacer(world.airspace.period, speed, _sleep=self._record_slack)
         self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
-        self._streams = StreamServer(self._talk, limits, self._refusals, clock)
+        self._streams = StreamServer(self._serve_client, limits, self._refusals, clock)
         self._stopped = False
-        # Last, so that nobody comes too early
-        self._socket = listening(host, port)
+        # Last, so that no client connects before the server is complete
+        self._socket = open_listener(host, port)
         self.port: int = self._socket.getsockname()[1]
 
     @property
     def connections(self) -> Connections[Stream]:
-        """The connections that there are."""
+        """Open connections."""
         return self._streams.connections
 
-    def _note(self, seconds: float) -> None:
-        """Note how long the pacer would sleep: others work meanwhile."""
-        self._left = seconds
+    def _record_slack(self, seconds: float) -> None:
+        """Record the time that the pacer would sleep, in which clients are served instead, s."""
+        self._slack = seconds
 
     def stop(self) -> None:
-        """Let `run` return after its present turn; may be called from any thread."""
+        """Stop `run` after its present step; may be called from any thread."""
         self._stopped = True
 
     def run(self, seconds: float | None = None) -> None:
-        """Fly and answer.
+        """Step the simulation in real time and answer clients.
 
         Args:
-            seconds: How long, by the clock; until it is interrupted, if left out.
+            seconds: Wall-clock duration, s. None runs until interrupted.
 
         Raises:
-            RuntimeError: The flight diverged, or it has run before.
+            RuntimeError: If the simulation diverged, or the server has run before or is closed.
         """
         if self._socket.fileno() < 0:
-            raise RuntimeError("this server is closed: make a new one")
+            raise RuntimeError("this server is closed: create a new one")
         asyncio.run(self.serve(seconds))
 
     def close(self) -> None:
-        """Close the port, as the end of `run` does; the world stays."""
+        """Close the port, as `run` does at its end; the world stays open."""
         self._socket.close()
 
     async def serve(self, seconds: float | None = None) -> None:
-        """Do what `run` does, in an event loop of one's own."""
+        """Do the same as `run` as a coroutine, in an existing event loop."""
         self._pictures.warm_up()
         await self._streams.start(self._socket)
         try:
@@ -174,26 +175,27 @@ class AirsimServer:
             await self._streams.stop()
 
     async def _fly(self) -> None:
-        """Fly in real time, unless time stands still."""
+        """Step the simulation in real time, unless the world is paused."""
         self.pacer.restart()
         while not self._stopped:
             if not self.world.paused:
                 self.world.step()
-            self._left = 0.0
+            self._slack = 0.0
             self.pacer.wait()
-            await asyncio.sleep(self._left)
+            await asyncio.sleep(self._slack)
 
-    async def _talk(self, stream: Stream) -> None:
-        """Answer a client until it goes."""
-        await _Client(self, stream).listen()
+    async def _serve_client(self, stream: Stream) -> None:
+        await _Client(self, stream).serve()
 
     async def advance(self, steps: int, is_wanted: Callable[[], bool] = lambda: True) -> None:
-        """Fly a number of steps at once, or until the server stops; others have their turns.
+        """Step the simulation as fast as possible, in turns with other clients.
+
+        The server's stop ends the steps.
 
         Args:
-            steps: How many.
-            is_wanted: Function that returns whether the client is still there; the rest of its
-                steps is not flown if it is not.
+            steps: Number of steps.
+            is_wanted: Function that returns whether the client is still connected. The remaining
+                steps are skipped when it returns False.
         """
 
         def fly() -> Iterator[None]:
@@ -203,120 +205,122 @@ class AirsimServer:
                 self.world.step()
                 yield None
 
-        await self._turns.take(fly())
+        await self._scheduler.run(fly())
         self.pacer.restart()
 
 
 class _Client:
-    """One client's connection."""
+    """Connection of one client."""
 
     def __init__(self, server: AirsimServer, stream: Stream) -> None:
         self._server, self._stream = server, stream
         self._calls, self._msgpack = server._calls, server._msgpack
-        # Answers of motions that end while another answer is sent in parts
-        self._held: list[bytes] | None = None
+        # Responses of motions that end while another response is sent in parts
+        self._deferred: list[bytes] | None = None
 
-    async def listen(self) -> None:
-        """Answer requests until the client goes, or sends what is no request."""
+    async def serve(self) -> None:
+        """Answer requests until the client disconnects or sends another message."""
         reader = _MessageReader(self._msgpack)
         while data := await self._stream.reader.read(65536):
-            await self._server._turns.take(self._answers(reader.read(data)))
+            await self._server._scheduler.run(self._handle_messages(reader.read(data)))
             if not self._stream.is_open:
                 return
             if reader.is_broken:
-                self._stream.drop("dropped: it sent bytes that are no msgpack, or too many")
+                self._stream.drop("dropped: it sent bytes that are not msgpack, or too many")
                 return
 
-    def _answers(self, messages: Iterator[Any]) -> Iterator[Awaitable[None] | None]:
-        """Answer messages in order, until the client goes; yields what takes longer than a turn."""
+    def _handle_messages(self, messages: Iterator[Any]) -> Iterator[Awaitable[None] | None]:
+        """Answer messages in order, and yield work that takes longer than a turn."""
         for message in messages:
             if not self._stream.is_open:
                 return
             if not _is_request(message):
-                self._stream.drop("dropped: it sent a message that is no request")
+                self._stream.drop("dropped: it sent a message that is not a request")
                 return
             if not self._admit(message[1]):
                 return
-            yield self._take(message)
+            yield self._handle_request(message)
 
     def _admit(self, number: int) -> bool:
-        """Record a request; if there is no place for one more client, end the connection.
+        """Register a request, and close the connection if the server has reached its client limit.
 
         Returns:
-            Whether there is a place.
+            Whether the client was admitted.
         """
         try:
             self._stream.request()
         except FullError as error:
-            self._answer(number, f"this server is full: {error}; try again later", None)
+            self._respond(number, f"this server is full: {error}; try again later", None)
             self._stream.close()
             return False
         return True
 
-    def _take(self, message: Any) -> Awaitable[None] | None:
+    def _handle_request(self, message: Any) -> Awaitable[None] | None:
         """Answer a request.
 
         Returns:
-            What will answer it later, before the client's next message is taken; None if it is
-            answered, or will be by the end of a motion.
+            Awaitable that answers the request before the client's next message is handled. None if
+            it is answered already, or will be at the end of a motion.
         """
         _, number, name, arguments = message
         try:
             if isinstance(name, str) and name in MOTIONS:
-                self._calls.move(name, arguments, lambda done: self._end_motion(number, done))
+                self._calls.start_motion(
+                    name, arguments, lambda done: self._end_motion(number, done)
+                )
                 self._server.connections.wait(self._stream)
                 return None
-            if name in CONTINUES:
-                return self._continue(number, self._calls.steps(name, arguments))
-            if name in PICTURES:
-                return self._draw(number, self._calls.album(name, arguments))
+            if name in CONTINUE_CALLS:
+                return self._continue_time(number, self._calls.parse_steps(name, arguments))
+            if name in IMAGE_CALLS:
+                return self._draw_images(number, self._calls.parse_images(name, arguments))
             result = self._calls.call(name, arguments)
-        # Wrong calls are errors for their client; a flight that diverged ends the server.
+        # Invalid calls are errors for their client; a diverged simulation ends the server
         except ValueError as error:
             call = name if isinstance(name, str) else shown(name)
             self._server._refusals.log(self._stream.peer, call, str(error))
-            self._answer(number, str(error), None)
+            self._respond(number, str(error), None)
             return None
-        self._answer(number, None, result)
+        self._respond(number, None, result)
         return None
 
-    async def _continue(self, number: int, steps: int) -> None:
-        """Answer a call when its steps are flown."""
-        with self._busy():
-            await self._server.advance(steps, lambda: self._stream.is_open)
-            self._answer(number, None, None)
+    async def _continue_time(self, number: int, num_steps: int) -> None:
+        """Step the simulation, then answer the call."""
+        with self._record_waiting():
+            await self._server.advance(num_steps, lambda: self._stream.is_open)
+            self._respond(number, None, None)
 
-    async def _draw(self, number: int, album: Album) -> None:
-        """Answer a call when its pictures are drawn."""
-        with self._busy():
+    async def _draw_images(self, number: int, call: ImageCall) -> None:
+        """Render the images of a call, then answer it."""
+        with self._record_waiting():
             try:
-                parts = await self._server._pictures.take(album, lambda: self._stream.is_open)
+                parts = await self._server._pictures.draw(call, lambda: self._stream.is_open)
             except DrawingError as error:
-                self._answer(number, str(error), None)
+                self._respond(number, str(error), None)
                 return
-            head = ANSWER_HEAD + self._msgpack.packb(number) + NO_ERROR
+            head = RESPONSE_HEAD + self._msgpack.packb(number) + NO_ERROR
             await self._send_parts([head, *parts])
 
     async def _send_parts(self, parts: list[bytes]) -> None:
-        """Send an answer in parts, as fast as the client reads; answers of motions come after it.
+        """Send a response in parts, as fast as the client reads; responses of motions follow it.
 
-        Pictures of a call are up to 11 MB: copying them at once would keep others waiting, and
-        queuing them at once would be too much for a client that reads slowly.
+        Images of a call are up to 11 MB. Copying them in one piece would delay other clients, and
+        queueing them in one piece would exceed the limit of a client that reads slowly.
         """
-        self._held = []
+        self._deferred = []
         try:
             for part in parts:
                 self._stream.send(part)
                 await asyncio.sleep(0)
                 await self._stream.drain()
         finally:
-            held, self._held = self._held, None
-        for data in held:
+            deferred, self._deferred = self._deferred, None
+        for data in deferred:
             self._stream.send(data)
 
     @contextlib.contextmanager
-    def _busy(self) -> Iterator[None]:
-        """Record that the client waits, until the end of the block."""
+    def _record_waiting(self) -> Iterator[None]:
+        """Count the client as waiting within a `with` block."""
         connections = self._server.connections
         connections.wait(self._stream)
         try:
@@ -325,75 +329,76 @@ class _Client:
             connections.wait(self._stream, -1)
 
     def _end_motion(self, number: int, done: bool) -> None:
-        """Answer a motion that has ended."""
+        """Answer the call of a motion that has ended."""
         self._server.connections.wait(self._stream, -1)
-        self._answer(number, None, done)
+        self._respond(number, None, done)
 
-    def _answer(self, number: int, error: str | None, result: Any) -> None:
-        """Send an answer, after one that is being sent in parts."""
+    def _respond(self, number: int, error: str | None, result: Any) -> None:
+        """Send a response, after any response that is being sent in parts."""
         data = self._msgpack.packb([1, number, error, result])
-        if self._held is None:
+        if self._deferred is None:
             self._stream.send(data)
         else:
-            self._held.append(data)
+            self._deferred.append(data)
 
 
 class _MessageReader:
-    """Reads messages from a stream; one that is not whole takes the memory of its bytes alone.
+    """Parser of a stream of messages that buffers an incomplete message as bytes only.
 
-    Lists and maps take up to 72 times the memory of their bytes, so that no objects are made of a
-    message until its turn has come.
+    Lists and maps take up to 72 times the memory of their bytes, so that a message is not unpacked
+    before its turn.
     """
 
     def __init__(self, msgpack: Any) -> None:
         """Start at the beginning of a stream.
 
         Args:
-            msgpack: The package.
+            msgpack: The module msgpack.
         """
         self._msgpack = msgpack
-        # Finds where messages end, and makes no objects
-        self._scanner = msgpack.Unpacker(max_buffer_size=MOST_REQUEST, read_size=SCAN_BUFFER)
+        # Finds the ends of messages without creating objects
+        self._scanner = msgpack.Unpacker(max_buffer_size=MAX_REQUEST_BYTES, read_size=SCAN_BUFFER)
         self._errors = (ValueError, TypeError, msgpack.UnpackException)
-        # Bytes of the message that is not whole, and of all messages before it
-        self._rest, self._read = bytearray(), 0
+        # Bytes of the incomplete message, and the number of bytes of all messages before it
+        self._buffer, self._num_parsed = bytearray(), 0
         self.is_broken = False
 
     def read(self, data: bytes) -> Iterator[Any]:
-        """Unpack the messages that are whole by now, one by one.
+        """Unpack the messages that are complete, one by one.
 
-        If what follows cannot be read, or is too long, `is_broken` is True afterwards.
+        Afterwards `is_broken` is True if the next message cannot be parsed, or is too long.
 
         Args:
-            data: The next bytes of the stream.
+            data: Next bytes of the stream.
         """
-        self._rest += data
+        self._buffer += data
         try:
             self._scanner.feed(data)
             while True:
                 self._scanner.skip()
-                size = self._scanner.tell() - self._read
-                message, self._read = bytes(self._rest[:size]), self._read + size
-                del self._rest[:size]
+                size = self._scanner.tell() - self._num_parsed
+                message, self._num_parsed = bytes(self._buffer[:size]), self._num_parsed + size
+                del self._buffer[:size]
                 yield self._unpack(message)
         except self._msgpack.OutOfData:
-            self.is_broken = len(self._rest) > MOST_REQUEST
-        # TypeError is for maps whose keys are lists
+            self.is_broken = len(self._buffer) > MAX_REQUEST_BYTES
+        # TypeError: maps whose keys are lists
         except self._errors:
             self.is_broken = True
 
     def _unpack(self, message: bytes) -> Any:
-        """Unpack a whole message.
+        """Unpack a complete message.
 
         Raises:
-            ValueError, TypeError, UnpackException: It holds what no call needs, or too much.
+            ValueError, TypeError, UnpackException: If the message has types that no call needs, or
+                too many items.
         """
-        count = 0
+        num_items = 0
 
         def count_items(items: Any) -> Any:
-            nonlocal count
-            count += len(items)
-            if count > MAX_ITEMS:
+            nonlocal num_items
+            num_items += len(items)
+            if num_items > MAX_ITEMS:
                 raise ValueError(f"more than {MAX_ITEMS} items in lists and maps")
             return items
 
@@ -403,14 +408,14 @@ class _MessageReader:
             max_map_len=MAX_ITEMS,
             strict_map_key=False,
             unicode_errors="replace",
-            ext_hook=_refuse_type,
+            ext_hook=_reject_ext_type,
             list_hook=count_items,
             object_hook=count_items,
         )
 
 
 def _is_request(message: Any) -> bool:
-    """Return True if a message is a request of msgpack-rpc."""
+    """Return True if a message is a msgpack-rpc request."""
     return (
         isinstance(message, list)
         and len(message) == 4
@@ -421,10 +426,6 @@ def _is_request(message: Any) -> bool:
     )
 
 
-def _refuse_type(code: int, data: bytes) -> None:
-    """Refuse a value of a type that msgpack does not define.
-
-    Raises:
-        ValueError: Always.
-    """
-    raise ValueError(f"a value of type {code}, which no call needs")
+def _reject_ext_type(code: int, data: bytes) -> None:
+    """Raise ValueError for a msgpack extension type."""
+    raise ValueError(f"a value of extension type {code}, which no call needs")

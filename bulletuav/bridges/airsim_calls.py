@@ -1,62 +1,75 @@
-"""The calls of AirSim that are there, over a world; `airsim.py` brings them to the network."""
+"""The supported calls of AirSim's API; `airsim.py` serves them over the network."""
 
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from bulletuav.bridges import airsim_states as states
-from bulletuav.bridges.airsim_images import Request, expose, mount, response
+from bulletuav.bridges.airsim_images import (
+    ImageRequest,
+    get_camera_pose,
+    make_exposures,
+    make_response,
+)
 from bulletuav.bridges.airsim_motions import MOTIONS
-from bulletuav.bridges.airsim_values import duration, flag, pose_in, pose_of, vector_in, words
-from bulletuav.bridges.airsim_world import Collision, Vehicle, World
-from bulletuav.bridges.motions import Answer
+from bulletuav.bridges.airsim_values import (
+    check_duration,
+    check_flag,
+    check_text,
+    read_pose,
+    read_vector,
+    write_pose,
+)
+from bulletuav.bridges.airsim_world import AirsimVehicle, AirsimWorld, Collision
+from bulletuav.bridges.motions import DoneCallback
 from bulletuav.earth import ned_to_enu
 from bulletuav.errors import as_int, as_sequence, shown, unknown
 
 SERVER_VERSION = 4
-"""What clients of Cosys-AirSim want at least; those of AirSim want 1"""
-OLDEST_CLIENT = 1
-MOST_IMAGES = 32
-"""Most pictures of one call"""
-LONGEST_CALL = 600.0
-"""Longest time that one call flies, s"""
+"""Minimum server version of Cosys-AirSim's clients; AirSim's clients need 1"""
+MIN_CLIENT_VERSION = 1
+"""Minimum client version that the server reports"""
+MAX_IMAGES = 32
+"""Maximum number of images of one call"""
+MAX_CALL_TIME = 600.0
+"""Maximum simulated time of one call, s"""
 
 
-CONTINUES = ("simContinueForTime", "simContinueForFrames")
-"""Calls that fly"""
-PICTURES = ("simGetImage", "simGetImages")
-"""Calls that take pictures: the server leaves drawing to another process"""
+CONTINUE_CALLS = ("simContinueForTime", "simContinueForFrames")
+"""Calls that step a paused simulation"""
+IMAGE_CALLS = ("simGetImage", "simGetImages")
+"""Calls that render images; the server renders them in another process"""
 
 
-class Album(NamedTuple):
-    """The pictures of one call.
+class ImageCall(NamedTuple):
+    """Parsed call for images.
 
     Attributes:
         drone: Index of the drone that carries the cameras.
-        requests: What is asked for, in order.
-        is_list: Whether the call is answered by a list of responses, or by the bytes of one alone.
+        requests: Image requests, in order.
+        is_list: Whether the result is a list of responses, or only the bytes of one image.
     """
 
     drone: int
-    requests: list[Request]
+    requests: list[ImageRequest]
     is_list: bool
 
 
-class Calls:
-    """Calls of clients, by name.
+class AirsimCalls:
+    """Dispatcher of AirSim's calls by name.
 
     Attributes:
         world: The vehicles.
     """
 
-    def __init__(self, world: World) -> None:
-        """Take the world that clients fly."""
+    def __init__(self, world: AirsimWorld) -> None:
+        """Build the table of calls for a world."""
         self.world = world
         self._table: Mapping[str, Callable[..., Any]] = {
             # The connection and the clock
             "ping": lambda: True,
             "getServerVersion": lambda: SERVER_VERSION,
-            "getMinRequiredClientVersion": lambda: OLDEST_CLIENT,
+            "getMinRequiredClientVersion": lambda: MIN_CLIENT_VERSION,
             "reset": world.reset,
             "simPause": self._pause,
             "simIsPaused": lambda: world.paused,
@@ -65,23 +78,23 @@ class Calls:
             "getSettingsString": lambda: "{}",
             "simSetWind": self._set_wind,
             # Control of a vehicle
-            "enableApiControl": self._enable,
-            "isApiControlEnabled": lambda name: world.vehicle(name)[1].is_ours,
-            "armDisarm": self._arm,
-            "cancelLastTask": self._cancel,
-            "simSetVehiclePose": self._place,
-            "simGetVehiclePose": self._pose,
-            "getHomeGeoPoint": self._home,
-            # What it met
-            "simGetCollisionInfo": self._collision,
-            "simPrintLogMessage": self._print,
-            # States, and readings of sensors
-            "getMultirotorState": self._of(states.multirotor),
-            "simGetGroundTruthKinematics": self._of(states.kinematics),
-            "simGetGroundTruthEnvironment": self._of(states.environment),
-            "getRotorStates": self._of(states.rotors),
+            "enableApiControl": self._enable_api_control,
+            "isApiControlEnabled": lambda name: world.vehicle(name)[1].is_api_controlled,
+            "armDisarm": self._arm_disarm,
+            "cancelLastTask": self._cancel_task,
+            "simSetVehiclePose": self._set_pose,
+            "simGetVehiclePose": self._get_pose,
+            "getHomeGeoPoint": self._get_home,
+            # Collisions and messages
+            "simGetCollisionInfo": self._get_collision,
+            "simPrintLogMessage": self._print_log_message,
+            # States and sensor readings
+            "getMultirotorState": self._make_state_call(states.multirotor),
+            "simGetGroundTruthKinematics": self._make_state_call(states.kinematics),
+            "simGetGroundTruthEnvironment": self._make_state_call(states.environment),
+            "getRotorStates": self._make_state_call(states.rotors),
             **{
-                name: self._sensor(read)
+                name: self._make_sensor_call(read)
                 for name, read in (
                     ("getImuData", states.imu),
                     ("getBarometerData", states.barometer),
@@ -92,70 +105,66 @@ class Calls:
             },
         }
 
-    def names(self) -> list[str]:
-        """List all calls that are there."""
-        return sorted({*self._table, *MOTIONS, *PICTURES, *CONTINUES})
+    def list_names(self) -> list[str]:
+        """Return the names of all supported calls."""
+        return sorted({*self._table, *MOTIONS, *IMAGE_CALLS, *CONTINUE_CALLS})
 
     def call(self, name: Any, arguments: list[Any]) -> Any:
-        """Answer a call that takes no time.
+        """Execute a call that takes no simulated time.
 
         Args:
-            name: Of the call.
-            arguments: What was sent with it.
+            name: Name of the call.
+            arguments: Arguments of the call.
 
         Returns:
-            What is answered.
+            Result of the call.
 
         Raises:
-            ValueError: There is no such call, or it cannot be; the world is as it was.
+            ValueError: If the call is unknown or its arguments are invalid; the world is unchanged
+                then.
         """
-        if name in PICTURES:
-            return self._draw(name, arguments)
+        if name in IMAGE_CALLS:
+            return self._draw_images(name, arguments)
         if not isinstance(name, str) or name not in self._table:
-            raise unknown("call", name, self.names())
+            raise unknown("call", name, self.list_names())
         function = self._table[name]
         _require_arguments(name, function, arguments)
         return function(*arguments)
 
-    def steps(self, name: str, arguments: list[Any]) -> int:
-        """Tell how many steps a call lets the world fly.
+    def parse_steps(self, name: str, arguments: list[Any]) -> int:
+        """Return the number of simulation steps of a call that continues time.
 
         Args:
             name: "simContinueForTime" or "simContinueForFrames".
-            arguments: What was sent with it.
+            arguments: Arguments of the call.
 
         Raises:
-            ValueError: It cannot be.
+            ValueError: If the arguments are invalid.
         """
         (given,) = as_sequence("arguments", arguments, 1)
         if name == "simContinueForFrames":
-            return as_int("frames", given, 0, round(LONGEST_CALL * 100))
-        seconds = duration("seconds", given)
-        if seconds > LONGEST_CALL:
-            raise ValueError(f"seconds is {seconds:g}: at most {LONGEST_CALL:g} are possible")
-        return self.world.advance(seconds)
+            return as_int("frames", given, 0, round(MAX_CALL_TIME * 100))
+        seconds = check_duration("seconds", given)
+        if seconds > MAX_CALL_TIME:
+            raise ValueError(f"seconds is {seconds:g}: at most {MAX_CALL_TIME:g} are possible")
+        return self.world.count_steps(seconds)
 
-    def move(
-        self,
-        name: str,
-        arguments: list[Any],
-        answer: Answer,
-    ) -> None:
-        """Begin a motion, in place of what the drone did.
+    def start_motion(self, name: str, arguments: list[Any], done_callback: DoneCallback) -> None:
+        """Start a motion, which replaces the present motion of the vehicle.
 
         Args:
             name: One of `MOTIONS`.
-            arguments: What was sent with it; the vehicle's name is last.
-            answer: Function that is told when it ends.
+            arguments: Arguments of the call; the vehicle's name is last.
+            done_callback: Function that is called with the outcome when the motion ends.
 
         Raises:
-            ValueError: It cannot be; the drone goes on with what it did.
+            ValueError: If the call is invalid; the vehicle continues its present motion then.
         """
         if not arguments or not isinstance(arguments[-1], str):
             raise ValueError(f"{name} needs a vehicle's name, or an empty one, as last argument")
         i, vehicle = self.world.vehicle(arguments[-1])
-        if not vehicle.is_ours:
-            raise _needs_control(vehicle)
+        if not vehicle.is_api_controlled:
+            raise _make_control_error(vehicle)
         if not vehicle.is_armed:
             raise ValueError(
                 f"vehicle {vehicle.name!r} is not armed; call armDisarm(True, {vehicle.name!r}) "
@@ -163,164 +172,151 @@ class Calls:
             )
         given = (self.world, i, vehicle, *arguments[:-1])
         _require_arguments(name, MOTIONS[name], given)
-        vehicle.begin(MOTIONS[name](*given), answer)
+        vehicle.start_motion(MOTIONS[name](*given), done_callback)
 
-    def _of(self, read: Callable[..., Any]) -> Callable[[str], Any]:
-        """Make a call that reads something of a vehicle."""
+    def _make_state_call(self, read: Callable[..., Any]) -> Callable[[str], Any]:
+        """Return a call that reads the state of a vehicle."""
 
         def call(vehicle_name: str = "") -> Any:
             return read(self.world, *self.world.vehicle(vehicle_name))
 
         return call
 
-    def _sensor(self, read: Callable[..., Any]) -> Callable[[str, str], Any]:
-        """Make a call that reads a sensor of a vehicle; there is one of each kind."""
+    def _make_sensor_call(self, read: Callable[..., Any]) -> Callable[[str, str], Any]:
+        """Return a call that reads a sensor of a vehicle; a vehicle has one sensor of each type."""
 
         def call(sensor_name: str = "", vehicle_name: str = "") -> Any:
-            words("sensor_name", sensor_name)
+            check_text("sensor_name", sensor_name)
             return read(self.world, *self.world.vehicle(vehicle_name))
 
         return call
 
     def _pause(self, is_paused: bool) -> None:
-        """Let time stand still, or go on."""
-        self.world.paused = flag("is_paused", is_paused)
+        self.world.paused = check_flag("is_paused", is_paused)
 
-    def _print(self, message: str, parameter: str = "", severity: int = 0) -> None:
-        """Take a message for a screen, which is not there."""
-        words("message", message)
-        words("message_param", parameter)
+    def _print_log_message(self, message: str, parameter: str = "", severity: int = 0) -> None:
+        """Validate a message and drop it, because there is no screen."""
+        check_text("message", message)
+        check_text("message_param", parameter)
         as_int("severity", severity, 0, 3)
 
     def _set_wind(self, wind: Any) -> None:
-        """Change the steady wind, north, east, down."""
-        self.world.airspace.set_wind(ned_to_enu(vector_in("wind", wind)).tolist())
+        """Set the steady wind, north, east, down, m/s."""
+        self.world.airspace.set_wind(ned_to_enu(read_vector("wind", wind)).tolist())
 
-    def _enable(self, is_enabled: bool, vehicle_name: str = "") -> None:
-        """Ask for control of a vehicle, or give it back; then it stays where it is."""
+    def _enable_api_control(self, is_enabled: bool, vehicle_name: str = "") -> None:
+        """Acquire or release API control; after a release the vehicle holds its position."""
         i, vehicle = self.world.vehicle(vehicle_name)
-        vehicle.is_ours = flag("is_enabled", is_enabled)
+        vehicle.is_api_controlled = check_flag("is_enabled", is_enabled)
         if not is_enabled:
-            vehicle.stay(self.world.state(i))
+            vehicle.hold_position(self.world.state(i))
 
-    def _arm(self, arm: bool, vehicle_name: str = "") -> bool:
-        """Let motors turn, or stop them."""
+    def _arm_disarm(self, arm: bool, vehicle_name: str = "") -> bool:
+        """Arm the motors, or disarm and stop them."""
         _, vehicle = self.world.vehicle(vehicle_name)
-        flag("arm", arm)
-        if not vehicle.is_ours:
-            raise _needs_control(vehicle)
+        check_flag("arm", arm)
+        if not vehicle.is_api_controlled:
+            raise _make_control_error(vehicle)
         vehicle.is_armed = arm
         if not arm:
-            vehicle.stop()
+            vehicle.stop_motors()
         return True
 
-    def _cancel(self, vehicle_name: str = "") -> None:
-        """End what a vehicle does; it stays where it is."""
+    def _cancel_task(self, vehicle_name: str = "") -> None:
+        """End the motion of a vehicle, which then holds its position."""
         i, vehicle = self.world.vehicle(vehicle_name)
-        vehicle.stay(self.world.state(i))
+        vehicle.hold_position(self.world.state(i))
 
-    def _place(
-        self,
-        pose: Any,
-        ignore_collision: bool,
-        vehicle_name: str = "",
-    ) -> None:
-        """Put a vehicle somewhere, at rest."""
+    def _set_pose(self, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
+        """Place a vehicle at rest."""
         i, _ = self.world.vehicle(vehicle_name)
-        flag("ignore_collision", ignore_collision)
-        self.world.place(i, *pose_in(pose))
+        check_flag("ignore_collision", ignore_collision)
+        self.world.place(i, *read_pose(pose))
 
-    def _pose(self, vehicle_name: str = "") -> dict[str, Any]:
-        """Tell where a vehicle is."""
+    def _get_pose(self, vehicle_name: str = "") -> dict[str, Any]:
         i, vehicle = self.world.vehicle(vehicle_name)
         swarm = self.world.airspace.swarm
-        return pose_of(swarm.position[i] - vehicle.start, swarm.quaternion[i])
+        return write_pose(swarm.position[i] - vehicle.start, swarm.quaternion[i])
 
-    def _home(self, vehicle_name: str = "") -> dict[str, float]:
-        """Tell where a vehicle starts, on the Earth."""
+    def _get_home(self, vehicle_name: str = "") -> dict[str, float]:
+        """Return the start position of a vehicle as a GeoPoint."""
         return states.geo_point(self.world, self.world.vehicle(vehicle_name)[1].start)
 
-    def _collision(self, vehicle_name: str = "") -> dict[str, Any]:
-        """Tell what a vehicle has hit since it was asked last."""
+    def _get_collision(self, vehicle_name: str = "") -> dict[str, Any]:
+        """Return the last collision of a vehicle since the previous call, and clear it."""
         _, vehicle = self.world.vehicle(vehicle_name)
-        told, vehicle.collision = vehicle.collision, Collision()
-        return states.collision(vehicle, told)
+        collision, vehicle.collision = vehicle.collision, Collision()
+        return states.make_collision_info(vehicle, collision)
 
-    def album(self, name: str, arguments: list[Any]) -> Album:
-        """Read a call that takes pictures.
+    def parse_images(self, name: str, arguments: list[Any]) -> ImageCall:
+        """Parse a call that renders images.
 
         Args:
-            name: One of `PICTURES`.
-            arguments: What was sent with it.
+            name: One of `IMAGE_CALLS`.
+            arguments: Arguments of the call.
 
         Raises:
-            ValueError: A picture, a camera or the vehicle cannot be.
+            ValueError: If an image request, a camera or the vehicle is invalid.
         """
-        read = self._one_image if name == "simGetImage" else self._images
+        read = self._parse_one if name == "simGetImage" else self._parse_many
         _require_arguments(name, read, arguments)
-        album: Album = read(*arguments)
-        for camera in dict.fromkeys(one.camera for one in album.requests):
-            mount(self.world, album.drone, camera)
-        return album
+        call: ImageCall = read(*arguments)
+        for camera in dict.fromkeys(request.camera for request in call.requests):
+            get_camera_pose(self.world, call.drone, camera)
+        return call
 
-    def _one_image(
-        self,
-        camera: Any,
-        kind: Any,
-        vehicle_name: str = "",
-        more: Any = None,
-    ) -> Album:
-        """Read a call for one PNG.
+    def _parse_one(
+        self, camera: Any, kind: Any, vehicle_name: str = "", extra: Any = None
+    ) -> ImageCall:
+        """Parse a call for one PNG.
 
-        AirSim's clients send in `more` whether the camera belongs to no vehicle, those of
-        Cosys-AirSim the name of an annotation; both are not there.
+        In `extra`, AirSim's clients send whether the camera belongs to no vehicle, and
+        Cosys-AirSim's clients the name of an annotation. Neither is supported.
         """
-        if not (more is None or more is False or more == ""):
+        if not (extra is None or extra is False or extra == ""):
             raise ValueError(
-                f"external or annotation_name is {shown(more)}: cameras of vehicles alone are "
-                f"there, without annotations; leave it out"
+                f"external or annotation_name is {shown(extra)}: only cameras of vehicles are "
+                f"supported, without annotations; leave it out"
             )
-        request = Request({"camera_name": camera, "image_type": kind, "compress": True})
-        return Album(self.world.vehicle(vehicle_name)[0], [request], False)
+        request = ImageRequest({"camera_name": camera, "image_type": kind, "compress": True})
+        return ImageCall(self.world.vehicle(vehicle_name)[0], [request], False)
 
-    def _images(
-        self,
-        requests: Any,
-        vehicle_name: str = "",
-        external: Any = False,
-    ) -> Album:
-        """Read a call for pictures; cameras that belong to no vehicle are not there."""
-        if flag("external", external):
+    def _parse_many(
+        self, requests: Any, vehicle_name: str = "", external: Any = False
+    ) -> ImageCall:
+        """Parse a call for several images; cameras without a vehicle are not supported."""
+        if check_flag("external", external):
             raise ValueError(
-                "external is True: cameras that belong to no vehicle are not there; leave it out"
+                "external is True: only cameras of vehicles are supported; leave it out"
             )
-        wanted = [Request(one) for one in as_sequence("requests", requests, most=MOST_IMAGES)]
-        return Album(self.world.vehicle(vehicle_name)[0], wanted, True)
+        image_requests = [
+            ImageRequest(request) for request in as_sequence("requests", requests, most=MAX_IMAGES)
+        ]
+        return ImageCall(self.world.vehicle(vehicle_name)[0], image_requests, True)
 
-    def _draw(self, name: str, arguments: list[Any]) -> Any:
-        """Draw the pictures of a call here and now."""
-        album, airspace = self.album(name, arguments), self.world.airspace
-        exposures = expose(self.world, album.drone, album.requests)
-        drawn = [response(one, airspace.draw(one.sight.shot)) for one in exposures]
-        return drawn if album.is_list else drawn[0]["image_data_uint8"]
+    def _draw_images(self, name: str, arguments: list[Any]) -> Any:
+        """Render the images of a call in this process."""
+        call, airspace = self.parse_images(name, arguments), self.world.airspace
+        exposures = make_exposures(self.world, call.drone, call.requests)
+        responses = [
+            make_response(exposure, airspace.draw(exposure.view.shot)) for exposure in exposures
+        ]
+        return responses if call.is_list else responses[0]["image_data_uint8"]
 
 
-def _needs_control(vehicle: Vehicle) -> ValueError:
-    """Make the error for a vehicle that clients do not control."""
+def _make_control_error(vehicle: AirsimVehicle) -> ValueError:
     return ValueError(
         f"vehicle {vehicle.name!r} is not under API control; call enableApiControl(True, "
         f"{vehicle.name!r}) first"
     )
 
 
-def _require_arguments(
-    name: str,
-    function: Callable[..., Any],
-    arguments: Any,
-) -> None:
-    """Raise ValueError unless a call has as many arguments as its function takes."""
+def _require_arguments(name: str, function: Callable[..., Any], arguments: Any) -> None:
+    """Raise ValueError unless the number of arguments fits the signature of a function."""
     try:
         inspect.signature(function).bind(*arguments)
     except TypeError as error:
-        told = [one for one in arguments if isinstance(one, int | float | str | list | dict)]
-        raise ValueError(f"{name} with {shown(told)}: {error}") from None
+        values = [
+            value for value in arguments if isinstance(value, int | float | str | list | dict)
+        ]
+        raise ValueError(f"{name} with {shown(values)}: {error}") from None

@@ -1,7 +1,8 @@
-"""The process that draws pictures for AirSim's clients, next to the server that flies.
+"""Child process that renders images for AirSim's clients, next to the server process.
 
-PyBullet holds the interpreter in each of its calls, so that drawing in a thread would stop the
-flight. The server starts this process at the first picture, and sends it pickled jobs.
+PyBullet holds the interpreter lock (GIL) in each of its calls, so that rendering in a thread would
+stop the simulation. The server starts this process at the first image request, and sends it pickled
+jobs.
 """
 
 import os
@@ -12,17 +13,17 @@ import threading
 from multiprocessing.connection import Connection
 from typing import Any, BinaryIO
 
-from bulletuav.bridges.airsim_images import Exposure, response
+from bulletuav.bridges.airsim_images import Exposure, make_response
 from bulletuav.city.coacd_child import end_with_parent
 from bulletuav.engine.scene_copy import SceneCopy, ScenePoses
 
-LENGTH = struct.Struct(">Q")
-"""Number of bytes of the answer that follows"""
-PATIENCE = 5.0
-"""Seconds that the process has to end by itself"""
-LONGEST_START, LONGEST_PICTURE = 600.0, 60.0
-"""Seconds that the process has to start, and to draw a picture; then it counts as hung"""
-START = """
+LENGTH_PREFIX = struct.Struct(">Q")
+"""Prefix of each response: its number of bytes"""
+EXIT_TIMEOUT = 5.0
+"""Time that the process has to exit after its pipes are closed, s"""
+START_TIMEOUT, PICTURE_TIMEOUT = 600.0, 60.0
+"""Time that the process has to start, and to render an image, s; after it the process is killed"""
+CHILD_PROGRAM = """
 import os, signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 if hasattr(os, "nice"):
@@ -30,30 +31,32 @@ if hasattr(os, "nice"):
 from bulletuav.bridges.airsim_drawing import main
 main()
 """
-"""Program of the process. An interrupt is for the server, and the flight goes before pictures."""
+"""Program of the process. It ignores interrupts, which are for the server, and has a lower priority
+than the simulation."""
 
 
 class DrawingProcess:
-    """A process that draws pictures of a copy of the world. Its methods block.
+    """Process that renders images of a copy of the world. Its methods block.
 
-    Calls raise EOFError or OSError when the process has ended, and TimeoutError when it was killed
-    because it hung.
+    Methods raise EOFError or OSError if the process has exited, and TimeoutError if it hung and was
+    killed.
     """
 
     def __init__(self) -> None:
         """Start the process.
 
         Raises:
-            OSError: There is no room for a process.
+            OSError: If the operating system cannot start a process.
         """
-        # As this process finds the package, the other one does, whatever has changed sys.path. "-P"
-        # keeps it from looking in the working folder first, where anything may lie.
-        paths = os.pathsep.join(one or os.getcwd() for one in sys.path)
+        # The child searches the same folders for the package as this process, whatever changed
+        # sys.path. "-P" keeps the working folder, which may contain anything, out of its search
+        # path.
+        search_path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", START],
+            [sys.executable, "-P", "-c", CHILD_PROGRAM],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": paths},
+            env={**os.environ, "PYTHONPATH": search_path},
         )
         assert self._process.stdin is not None
         self._jobs = Connection(os.dup(self._process.stdin.fileno()), readable=False)
@@ -62,83 +65,87 @@ class DrawingProcess:
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process ID."""
         return self._process.pid
 
     def prepare(self, setup: tuple[Any, ...]) -> None:
-        """Send what is in the world, and wait until the copy is made.
+        """Send the contents of the world, and wait until the process has copied them.
 
         Args:
             setup: Arguments of `SceneCopy`.
         """
-        self._ask(setup, LONGEST_START)
+        self._request(setup, START_TIMEOUT)
 
     def draw(self, poses: ScenePoses, exposure: Exposure, is_list: bool) -> bytes:
-        """Draw a picture.
+        """Render an image.
 
         Args:
-            poses: Where everything is.
-            exposure: What is asked for.
-            is_list: Whether the whole response is wanted, or its bytes alone.
+            poses: Poses of all bodies.
+            exposure: Image request and camera view.
+            is_list: Whether to return the whole response, or only its bytes.
 
         Returns:
             The response, packed by msgpack.
         """
         new = poses._replace(added=poses.added[self._num_added :])
         self._num_added = len(poses.added)
-        return self._ask((new, exposure, is_list), LONGEST_PICTURE)
+        return self._request((new, exposure, is_list), PICTURE_TIMEOUT)
 
-    def _ask(self, job: tuple[Any, ...], limit: float) -> bytes:
-        """Send a job, and wait for its answer; a process that takes longer than a limit is killed.
+    def _request(self, job: tuple[Any, ...], timeout: float) -> bytes:
+        """Send a job and wait for its response; kill the process if it takes too long.
+
+        Args:
+            job: Job to pickle.
+            timeout: Maximum time, s.
 
         Raises:
-            EOFError, OSError: The process has ended.
-            TimeoutError: It took too long.
+            EOFError, OSError: If the process has exited.
+            TimeoutError: If the job took too long.
         """
         assert self._process.stdout is not None
-        # Pipes have no time limits on all systems: they end with the process
+        # Not all systems have timeouts for pipes, but pipes end with the process
         is_hung = threading.Event()
 
-        def end() -> None:
+        def kill_hung() -> None:
             is_hung.set()
             self.kill()
 
-        timer = threading.Timer(limit, end)
+        timer = threading.Timer(timeout, kill_hung)
         timer.daemon = True
         timer.start()
         try:
             self._jobs.send(job)
-            (length,) = LENGTH.unpack(_read(self._process.stdout, LENGTH.size))
+            (length,) = LENGTH_PREFIX.unpack(_read(self._process.stdout, LENGTH_PREFIX.size))
             return _read(self._process.stdout, length)
         except (EOFError, OSError):
             if is_hung.is_set():
-                raise TimeoutError(f"it hung for {limit:g} s and was killed") from None
+                raise TimeoutError(f"it hung for {timeout:g} s and was killed") from None
             raise
         finally:
             timer.cancel()
 
     def kill(self) -> None:
-        """End the process; may be called from any thread, and more than once."""
+        """Kill the process; may be called from any thread, and more than once."""
         self._process.kill()
 
     def close(self) -> int:
-        """Close the pipes, which ends the process, and wait for it.
+        """Close the pipes, which ends the process, and wait for its exit.
 
         Returns:
-            Its exit code, negative for the number of a signal.
+            Exit code; negative if a signal with that number ended the process.
         """
         assert self._process.stdout is not None
         self._jobs.close()
         self._process.stdout.close()
         try:
-            return self._process.wait(PATIENCE)
+            return self._process.wait(EXIT_TIMEOUT)
         except subprocess.TimeoutExpired:
             self.kill()
             return self._process.wait()
 
 
 def _read(pipe: Any, length: int) -> bytes:
-    """Read a number of bytes; raises EOFError where there are fewer."""
+    """Read exactly `length` bytes; raise EOFError if the pipe ends before."""
     data: bytes = pipe.read(length)
     if len(data) < length:
         raise EOFError("the process that draws pictures has ended")
@@ -146,28 +153,29 @@ def _read(pipe: Any, length: int) -> bytes:
 
 
 def main() -> None:
-    """Draw what is asked for by standard input, until it ends."""
+    """Render the jobs that arrive on standard input, until it is closed."""
     import msgpack
 
-    # What libraries print must not get between the answers.
-    answers, nowhere = os.fdopen(os.dup(1), "wb"), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    # When the server has ended, though a fork of it may keep the pipes open
+    # Redirect what libraries print, which would corrupt the responses
+    answers, null_device = os.fdopen(os.dup(1), "wb"), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null_device, 1)
+    # Exit with the server, even if a fork of the server keeps the pipes open
     end_with_parent()
     try:
         jobs = Connection(os.dup(0), writable=False)
         copy = SceneCopy(*jobs.recv())
-        _answer(answers, b"")
+        _write_response(answers, b"")
         while True:
             poses, exposure, is_list = jobs.recv()
-            drawn = response(exposure, copy.picture(0, poses, exposure.sight.shot))
-            _answer(answers, msgpack.packb(drawn if is_list else drawn["image_data_uint8"]))
-    # The server has ended, or closed the pipes.
+            result = make_response(exposure, copy.picture(0, poses, exposure.view.shot))
+            _write_response(
+                answers, msgpack.packb(result if is_list else result["image_data_uint8"])
+            )
+    # The server has exited, or closed the pipes
     except (EOFError, BrokenPipeError):
         os._exit(0)
 
 
-def _answer(pipe: BinaryIO, data: bytes) -> None:
-    """Send an answer."""
-    pipe.write(LENGTH.pack(len(data)) + data)
+def _write_response(pipe: BinaryIO, data: bytes) -> None:
+    pipe.write(LENGTH_PREFIX.pack(len(data)) + data)
     pipe.flush()

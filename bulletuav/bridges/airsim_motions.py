@@ -1,4 +1,7 @@
-"""AirSim's motion calls: what each asks for, as something that a drone does."""
+"""AirSim's motion calls: conversion of their arguments to motion primitives.
+
+Every function takes the world, the index of the vehicle, the vehicle and the arguments of the call.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -6,281 +9,302 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_values import MOST, duration, flag, number, vector_in, yaw_in
-from bulletuav.bridges.airsim_world import Vehicle, World
-from bulletuav.bridges.motions import Heading, Hold, Land, Motion, Path, Stay, Turn
-from bulletuav.bridges.setpoints import Order, Setpoint, corner_speeds
+from bulletuav.bridges.airsim_values import (
+    MAX_VALUE,
+    check_duration,
+    check_flag,
+    check_number,
+    read_vector,
+    yaw_from_airsim,
+)
+from bulletuav.bridges.airsim_world import AirsimVehicle, AirsimWorld
+from bulletuav.bridges.motions import (
+    FollowPath,
+    Heading,
+    HoldPosition,
+    HoldSetpoint,
+    Land,
+    MotionPrimitive,
+    TurnToYaw,
+)
+from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint, compute_corner_speeds
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.errors import as_int, as_sequence, shown
 
 TAKE_OFF_HEIGHT = 3.0
-"""m, as in AirSim"""
+"""Height gained in a take-off, m, as in AirSim"""
 TAKE_OFF_SPEED = 1.5
-"""m/s"""
-MOST_POINTS = 1000
-"""Most points of a path"""
-STEEPEST = math.radians(60)
-"""Greatest roll and pitch that a call may ask for, rad"""
-QUICKEST = 20.0
-"""Greatest rate that a call may ask for, rad/s"""
-MotionOf = Callable[..., Motion]
-"""Function that makes a motion of world, index, vehicle and the numbers of a call"""
+"""Climb rate of a take-off, m/s"""
+MAX_PATH_POINTS = 1000
+"""Maximum number of points of a path"""
+MAX_TILT = math.radians(60)
+"""Maximum roll and pitch; larger values are clamped, rad"""
+MAX_RATE = 20.0
+"""Maximum roll and pitch rates; larger values are clamped, rad/s"""
+MotionFactory = Callable[..., MotionPrimitive]
+"""Function that creates a motion from world, vehicle index, vehicle and arguments of a call"""
 
 
-def _heading(drivetrain: Any, yaw_mode: Any) -> Heading:
-    """Read where to look: 1 is forward only; else a yaw, or its rate, clockwise in degrees."""
+def _read_heading(drivetrain: Any, yaw_mode: Any) -> Heading:
+    """Convert AirSim's drivetrain and yaw mode to a heading.
+
+    Drivetrain 1 faces the direction of flight. Yaws and yaw rates are clockwise, in degrees.
+    """
     as_int("drivetrain", drivetrain, 0, 1)
     if not isinstance(yaw_mode, Mapping):
         raise ValueError(
             f"yaw_mode is {shown(yaw_mode)}: a map of is_rate and yaw_or_rate is needed"
         )
-    degrees = number("yaw_or_rate", yaw_mode.get("yaw_or_rate"))
-    if flag("is_rate", yaw_mode.get("is_rate", False)):
+    degrees = check_number("yaw_or_rate", yaw_mode.get("yaw_or_rate"))
+    if check_flag("is_rate", yaw_mode.get("is_rate", False)):
         return Heading("rate", -math.radians(degrees), drivetrain == 1)
-    return Heading("angle", yaw_in(degrees), drivetrain == 1)
+    return Heading("angle", yaw_from_airsim(degrees), drivetrain == 1)
 
 
-def _place(
-    world: World,
-    vehicle: Vehicle,
-    x: Any,
-    y: Any,
-    z: Any,
+def _convert_position(
+    world: AirsimWorld, vehicle: AirsimVehicle, x: Any, y: Any, z: Any
 ) -> np.ndarray:
-    """Convert north, east, down of a vehicle's start into a place of the airspace, (3,) m."""
-    moved = (number("y", y), number("x", x), -number("z", z))
-    return np.array([one + way for one, way in zip(vehicle.start, moved, strict=True)])
+    """Convert a position from north, east, down of a vehicle's start to airspace axes, (3,), m."""
+    offsets = (check_number("y", y), check_number("x", x), -check_number("z", z))
+    return np.array(
+        [coordinate + offset for coordinate, offset in zip(vehicle.start, offsets, strict=True)]
+    )
 
 
-def _path(
-    world: World,
+def _make_path(
+    world: AirsimWorld,
     i: int,
     points: list[np.ndarray],
     speed: Any,
     heading: Heading,
-    limit: Any,
+    timeout_sec: Any,
     lookahead: Any = -1,
     adaptive: Any = 1,
-) -> Motion:
-    """Make a motion along points; how AirSim looks ahead along its own does not matter here."""
-    number("lookahead", lookahead)
-    number("adaptive_lookahead", adaptive)
-    fast = number("velocity", speed)
-    if fast <= 0:
-        raise ValueError(f"velocity is {fast:g} m/s: more than 0 is needed")
-    times = (world.clock, duration("timeout_sec", limit))
-    return Path(world.state(i), points, fast, heading, times)
+) -> MotionPrimitive:
+    """Create a motion along waypoints; AirSim's look-ahead parameters are checked but not used."""
+    check_number("lookahead", lookahead)
+    check_number("adaptive_lookahead", adaptive)
+    max_speed = check_number("velocity", speed)
+    if max_speed <= 0:
+        raise ValueError(f"velocity is {max_speed:g} m/s: more than 0 is needed")
+    times = (world.clock, check_duration("timeout_sec", timeout_sec))
+    return FollowPath(world.state(i), points, max_speed, heading, times)
 
 
 def take_off(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    limit: Any,
-) -> Motion:
-    """Rise to 3 m above the present place."""
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, timeout_sec: Any
+) -> MotionPrimitive:
+    """Climb by 3 m at the present position."""
     goal = np.array(world.state(i)[0])
     goal[2] += TAKE_OFF_HEIGHT
-    return _path(world, i, [goal], TAKE_OFF_SPEED, Heading(), limit)
+    return _make_path(world, i, [goal], TAKE_OFF_SPEED, Heading(), timeout_sec)
 
 
-def land(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    limit: Any,
-) -> Motion:
-    """Sink until something is touched, and stop the motors."""
-    return Land(world.state(i), world.clock, duration("timeout_sec", limit))
+def land_vehicle(
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, timeout_sec: Any
+) -> MotionPrimitive:
+    """Descend until the vehicle touches a surface, then stop the motors."""
+    return Land(world.state(i), world.clock, check_duration("timeout_sec", timeout_sec))
 
 
 def go_home(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    limit: Any,
-) -> Motion:
-    """Fly back to above the start, at the present height."""
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, timeout_sec: Any
+) -> MotionPrimitive:
+    """Fly back above the start at the present height, at least at the take-off height."""
     goal = vehicle.start.copy()
     goal[2] = max(world.state(i)[0][2], goal[2] + TAKE_OFF_HEIGHT)
-    return _path(world, i, [goal], 5.0, Heading(), limit)
+    return _make_path(world, i, [goal], 5.0, Heading(), timeout_sec)
 
 
-def hover(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> Motion:
-    """Stay where the drone comes to rest."""
-    return Stay(world.state(i), world.clock)
+def hover(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> MotionPrimitive:
+    """Brake and hold the position."""
+    return HoldPosition(world.state(i), world.clock)
 
 
 def move_to_position(
-    world: World, i: int, vehicle: Vehicle, x: Any, y: Any, z: Any, speed: Any, limit: Any,
-    drivetrain: Any, yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
-) -> Motion:  # fmt: skip
-    """Fly straight to a place."""
-    points = [_place(world, vehicle, x, y, z)]
-    heading = _heading(drivetrain, yaw_mode)
-    return _path(world, i, points, speed, heading, limit, lookahead, adaptive)
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, x: Any, y: Any, z: Any, speed: Any,
+    timeout_sec: Any, drivetrain: Any, yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
+) -> MotionPrimitive:  # fmt: skip
+    """Fly in a straight line to a position."""
+    points = [_convert_position(world, vehicle, x, y, z)]
+    heading = _read_heading(drivetrain, yaw_mode)
+    return _make_path(world, i, points, speed, heading, timeout_sec, lookahead, adaptive)
 
 
 def move_on_path(
-    world: World, i: int, vehicle: Vehicle, path: Any, speed: Any, limit: Any, drivetrain: Any,
-    yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
-) -> Motion:  # fmt: skip
-    """Fly straight from place to place."""
-    points = as_sequence("path", path, most=MOST_POINTS)
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, path: Any, speed: Any, timeout_sec: Any,
+    drivetrain: Any, yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
+) -> MotionPrimitive:  # fmt: skip
+    """Fly along a polyline."""
+    points = as_sequence("path", path, most=MAX_PATH_POINTS)
     if not points:
         raise ValueError("path is empty: at least one point is needed")
-    places = [_place(world, vehicle, *vector_in("point", one).tolist()) for one in points]
-    heading = _heading(drivetrain, yaw_mode)
-    return _path(world, i, places, speed, heading, limit, lookahead, adaptive)
+    waypoints = [
+        _convert_position(world, vehicle, *read_vector("point", point).tolist()) for point in points
+    ]
+    heading = _read_heading(drivetrain, yaw_mode)
+    return _make_path(world, i, waypoints, speed, heading, timeout_sec, lookahead, adaptive)
 
 
 def move_to_z(
-    world: World, i: int, vehicle: Vehicle, z: Any, speed: Any, limit: Any, yaw_mode: Any,
-    lookahead: Any = -1, adaptive: Any = 1,
-) -> Motion:  # fmt: skip
-    """Rise or sink to a height."""
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, z: Any, speed: Any, timeout_sec: Any,
+    yaw_mode: Any, lookahead: Any = -1, adaptive: Any = 1,
+) -> MotionPrimitive:  # fmt: skip
+    """Climb or descend to a height."""
     goal = np.array(world.state(i)[0])
-    goal[2] = _place(world, vehicle, 0.0, 0.0, z)[2]
-    return _path(world, i, [goal], speed, _heading(0, yaw_mode), limit, lookahead, adaptive)
+    goal[2] = _convert_position(world, vehicle, 0.0, 0.0, z)[2]
+    return _make_path(
+        world, i, [goal], speed, _read_heading(0, yaw_mode), timeout_sec, lookahead, adaptive
+    )
 
 
-def _velocity(
-    world: World, numbers: tuple[Any, ...], height: float | None, body: bool, limit: Any,
-    heading: Heading,
-) -> Motion:  # fmt: skip
-    """Hold a velocity, of the world or of the body; with a height to hold, or one upwards."""
-    first, second, *down = (number("velocity", one) for one in numbers)
-    across, xy = ("body", (first, -second)) if body else ("velocity", (second, first))
-    upward, z = ("velocity", -down[0]) if height is None else ("position", height)
-    wanted = Setpoint(across, xy, upward, z, heading.turning, heading.yaw)
-    forward = heading.forward and not body
-    return Hold(world.clock, duration("duration", limit), wanted, forward)
+def _make_velocity_motion(
+    world: AirsimWorld, numbers: tuple[Any, ...], height: float | None, is_body_frame: bool,
+    duration: Any, heading: Heading,
+) -> MotionPrimitive:  # fmt: skip
+    """Create a motion that holds a velocity.
+
+    Args:
+        world: The vehicles.
+        numbers: Velocity north, east (or forward, right) and, if `height` is None, down, m/s.
+        height: Height to hold, m.
+        is_body_frame: Whether the velocity is in the heading frame of the vehicle.
+        duration: Duration, s.
+        heading: Yaw policy.
+    """
+    first, second, *vertical = (check_number("velocity", component) for component in numbers)
+    xy_mode, xy = ("body", (first, -second)) if is_body_frame else ("velocity", (second, first))
+    z_mode, z = ("velocity", -vertical[0]) if height is None else ("position", height)
+    setpoint = Setpoint(xy_mode, xy, z_mode, z, heading.yaw_mode, heading.yaw)
+    forward = heading.forward and not is_body_frame
+    return HoldSetpoint(world.clock, check_duration("duration", duration), setpoint, forward)
 
 
 def move_by_velocity(
-    world: World, i: int, vehicle: Vehicle, vx: Any, vy: Any, vz: Any, limit: Any,
-    drivetrain: Any, yaw_mode: Any,
-) -> Motion:  # fmt: skip
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, vz: Any,
+    duration: Any, drivetrain: Any, yaw_mode: Any,
+) -> MotionPrimitive:  # fmt: skip
     """Hold a velocity north, east, down."""
-    return _velocity(world, (vx, vy, vz), None, False, limit, _heading(drivetrain, yaw_mode))
+    return _make_velocity_motion(
+        world, (vx, vy, vz), None, False, duration, _read_heading(drivetrain, yaw_mode)
+    )
 
 
 def move_by_velocity_z(
-    world: World, i: int, vehicle: Vehicle, vx: Any, vy: Any, z: Any, limit: Any,
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, z: Any, duration: Any,
     drivetrain: Any, yaw_mode: Any,
-) -> Motion:  # fmt: skip
+) -> MotionPrimitive:  # fmt: skip
     """Hold a velocity north and east, and a height."""
-    height = float(_place(world, vehicle, 0.0, 0.0, z)[2])
-    return _velocity(world, (vx, vy), height, False, limit, _heading(drivetrain, yaw_mode))
+    height = float(_convert_position(world, vehicle, 0.0, 0.0, z)[2])
+    return _make_velocity_motion(
+        world, (vx, vy), height, False, duration, _read_heading(drivetrain, yaw_mode)
+    )
 
 
 def move_by_velocity_body(
-    world: World, i: int, vehicle: Vehicle, vx: Any, vy: Any, vz: Any, limit: Any,
-    drivetrain: Any, yaw_mode: Any,
-) -> Motion:  # fmt: skip
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, vz: Any,
+    duration: Any, drivetrain: Any, yaw_mode: Any,
+) -> MotionPrimitive:  # fmt: skip
     """Hold a velocity forward, right, down."""
-    return _velocity(world, (vx, vy, vz), None, True, limit, _heading(drivetrain, yaw_mode))
+    return _make_velocity_motion(
+        world, (vx, vy, vz), None, True, duration, _read_heading(drivetrain, yaw_mode)
+    )
 
 
 def move_by_velocity_z_body(
-    world: World, i: int, vehicle: Vehicle, vx: Any, vy: Any, z: Any, limit: Any,
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx: Any, vy: Any, z: Any, duration: Any,
     drivetrain: Any, yaw_mode: Any,
-) -> Motion:  # fmt: skip
+) -> MotionPrimitive:  # fmt: skip
     """Hold a velocity forward and right, and a height."""
-    height = float(_place(world, vehicle, 0.0, 0.0, z)[2])
-    return _velocity(world, (vx, vy), height, True, limit, _heading(drivetrain, yaw_mode))
+    height = float(_convert_position(world, vehicle, 0.0, 0.0, z)[2])
+    return _make_velocity_motion(
+        world, (vx, vy), height, True, duration, _read_heading(drivetrain, yaw_mode)
+    )
 
 
 def rotate_to_yaw(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    yaw: Any,
-    limit: Any,
-    margin: Any,
-) -> Motion:
-    """Turn on the spot to a yaw, degrees clockwise from north."""
-    times = (world.clock, duration("timeout_sec", limit))
-    near = math.radians(max(number("margin", margin), 0.1))
-    return Turn(world.state(i), *times, yaw_in(number("yaw", yaw)), near)
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, yaw: Any, timeout_sec: Any, margin: Any
+) -> MotionPrimitive:
+    """Turn at a fixed position to a yaw in degrees clockwise from north."""
+    times = (world.clock, check_duration("timeout_sec", timeout_sec))
+    tolerance = math.radians(max(check_number("margin", margin), 0.1))
+    return TurnToYaw(world.state(i), *times, yaw_from_airsim(check_number("yaw", yaw)), tolerance)
 
 
 def rotate_by_yaw_rate(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-    yaw_rate: Any,
-    limit: Any,
-) -> Motion:
-    """Turn on the spot at a rate, degrees a second, clockwise."""
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, yaw_rate: Any, duration: Any
+) -> MotionPrimitive:
+    """Turn at a fixed position at a clockwise yaw rate in degrees per second."""
     x, y, z = world.state(i)[0]
-    rate = -math.radians(number("yaw_rate", yaw_rate))
-    wanted = Setpoint("position", (x, y), "position", z, "rate", rate)
-    return Hold(world.clock, duration("duration", limit), wanted)
+    rate = -math.radians(check_number("yaw_rate", yaw_rate))
+    setpoint = Setpoint("position", (x, y), "position", z, "rate", rate)
+    return HoldSetpoint(world.clock, check_duration("duration", duration), setpoint)
 
 
-def attitude(
-    rates: bool,
-    yaw_rate: bool,
-    height: bool,
-) -> MotionOf:
-    """Make the function of a call of roll, pitch, yaw, and height or throttle.
+def make_attitude_motion(is_rates: bool, is_yaw_rate: bool, has_height: bool) -> MotionFactory:
+    """Create the factory of a call with roll, pitch, yaw, and height or throttle.
 
     Args:
-        rates: Whether roll, pitch and yaw are rates.
-        yaw_rate: Whether the yaw is a rate.
-        height: Whether the fourth number is a height, down; else a throttle from 0 to 1.
+        is_rates: Whether roll, pitch and yaw are rates.
+        is_yaw_rate: Whether the yaw is a rate.
+        has_height: Whether the fourth number is a height, down; else a throttle from 0 to 1.
 
     Returns:
-        The function. Angles are of forward, right, down; rad, and rad/s.
+        The factory. Its angles are in forward, right, down axes; rad and rad/s.
     """
 
-    def motion(
-        world: World, i: int, vehicle: Vehicle, roll: Any, pitch: Any, yaw: Any, last: Any,
-        limit: Any,
-    ) -> Motion:  # fmt: skip
-        # Rates and tilt stay within what a caller may ask for
-        most = QUICKEST if rates else STEEPEST
-        lean = [min(max(number("angle", one), -most), most) for one in (roll, pitch)]
-        turn = number("yaw", yaw)
-        # AirSim's yaw is clockwise from north, ours the other way from east
-        turning, angle = ("rate", -turn) if rates or yaw_rate else ("angle", math.pi / 2 - turn)
-        # The fourth number holds the height, or is the thrust itself
-        if height:
-            upward, z = "position", float(_place(world, vehicle, 0.0, 0.0, last)[2])
+    def make_motion(
+        world: AirsimWorld, i: int, vehicle: AirsimVehicle, roll: Any, pitch: Any, yaw: Any,
+        z_or_throttle: Any, duration: Any,
+    ) -> MotionPrimitive:  # fmt: skip
+        # Clamp rates and tilt to what a client may command
+        max_size = MAX_RATE if is_rates else MAX_TILT
+        roll_pitch = [
+            min(max(check_number("angle", angle_value), -max_size), max_size)
+            for angle_value in (roll, pitch)
+        ]
+        yaw_value = check_number("yaw", yaw)
+        # AirSim's yaw is clockwise from north, ours counter-clockwise from east
+        yaw_mode, yaw_command = (
+            ("rate", -yaw_value) if is_rates or is_yaw_rate else ("angle", math.pi / 2 - yaw_value)
+        )
+        # The fourth number is a height to hold, or the throttle
+        if has_height:
+            z_mode, z = (
+                "position",
+                float(_convert_position(world, vehicle, 0.0, 0.0, z_or_throttle)[2]),
+            )
         else:
-            share = min(max(number("throttle", last), 0.0), 1.0)
-            upward, z = "thrust", share * world.airspace.airframes[i].max_thrust
-        # Pitch of forward, right, down has the other sign in forward, left, up
-        across = "rates" if rates else "attitude"
-        wanted = Setpoint(across, (lean[0], -lean[1]), upward, z, turning, angle)
-        return Hold(world.clock, duration("duration", limit), wanted)
+            throttle = min(max(check_number("throttle", z_or_throttle), 0.0), 1.0)
+            z_mode, z = "thrust", throttle * world.airspace.airframes[i].max_thrust
+        # Pitch has the opposite sign in forward, left, up axes
+        xy_mode = "rates" if is_rates else "attitude"
+        setpoint = Setpoint(
+            xy_mode, (roll_pitch[0], -roll_pitch[1]), z_mode, z, yaw_mode, yaw_command
+        )
+        return HoldSetpoint(world.clock, check_duration("duration", duration), setpoint)
 
-    return motion
+    return make_motion
 
 
 def move_by_motors(
-    world: World, i: int, vehicle: Vehicle, front_right: Any, rear_left: Any, front_left: Any,
-    rear_right: Any, limit: Any,
-) -> Motion:  # fmt: skip
-    """Hold shares of the greatest thrust of each of four rotors."""
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, front_right: Any, rear_left: Any,
+    front_left: Any, rear_right: Any, duration: Any,
+) -> MotionPrimitive:  # fmt: skip
+    """Hold the thrust of each of the four rotors, as fractions of the maximum thrust."""
     thrusts = {(1, -1): front_right, (-1, 1): rear_left, (1, 1): front_left, (-1, -1): rear_right}
-    shares = {
-        corner: math.sqrt(min(max(number("pwm", thrust, MOST), 0.0), 1.0))
+    fractions = {
+        corner: math.sqrt(min(max(check_number("pwm", thrust, MAX_VALUE), 0.0), 1.0))
         for corner, thrust in thrusts.items()
     }
-    speeds = corner_speeds(world.airspace.airframes[i], shares)
-    order = Order(SetpointLevel.ROTOR, speeds)
-    return Hold(world.clock, duration("duration", limit), order)
+    speeds = compute_corner_speeds(world.airspace.airframes[i], fractions)
+    command = AirspaceCommand(SetpointLevel.ROTOR, speeds)
+    return HoldSetpoint(world.clock, check_duration("duration", duration), command)
 
 
-MOTIONS: Mapping[str, MotionOf] = {
+MOTIONS: Mapping[str, MotionFactory] = {
     "takeoff": take_off,
-    "land": land,
+    "land": land_vehicle,
     "goHome": go_home,
     "hover": hover,
     "moveToPosition": move_to_position,
@@ -292,12 +316,12 @@ MOTIONS: Mapping[str, MotionOf] = {
     "moveByVelocityZBodyFrame": move_by_velocity_z_body,
     "rotateToYaw": rotate_to_yaw,
     "rotateByYawRate": rotate_by_yaw_rate,
-    "moveByRollPitchYawZ": attitude(False, False, True),
-    "moveByRollPitchYawThrottle": attitude(False, False, False),
-    "moveByRollPitchYawrateZ": attitude(False, True, True),
-    "moveByRollPitchYawrateThrottle": attitude(False, True, False),
-    "moveByAngleRatesZ": attitude(True, True, True),
-    "moveByAngleRatesThrottle": attitude(True, True, False),
+    "moveByRollPitchYawZ": make_attitude_motion(False, False, True),
+    "moveByRollPitchYawThrottle": make_attitude_motion(False, False, False),
+    "moveByRollPitchYawrateZ": make_attitude_motion(False, True, True),
+    "moveByRollPitchYawrateThrottle": make_attitude_motion(False, True, False),
+    "moveByAngleRatesZ": make_attitude_motion(True, True, True),
+    "moveByAngleRatesThrottle": make_attitude_motion(True, True, False),
     "moveByMotorPWMs": move_by_motors,
 }
-"""Motion calls by the names on the wire; the vehicle's name comes last in each"""
+"""Factories of motion calls by their names on the wire; the vehicle's name is the last argument"""

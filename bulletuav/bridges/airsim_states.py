@@ -1,4 +1,8 @@
-"""What AirSim's clients read of a vehicle: state, poses, sensors."""
+"""States and sensor readings that AirSim's clients request from a vehicle.
+
+Functions return maps with the field names of AirSim's structs. Positions are north, east, down from
+the start position of the vehicle.
+"""
 
 import functools
 import math
@@ -6,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_values import pose_of, quaternion, vector
-from bulletuav.bridges.airsim_world import LIDAR, Collision, Vehicle, World
+from bulletuav.bridges.airsim_values import write_pose, write_quaternion, write_vector
+from bulletuav.bridges.airsim_world import LIDAR_OPTIONS, AirsimVehicle, AirsimWorld, Collision
 from bulletuav.bridges.setpoints import euler
 from bulletuav.earth import (
     Origin,
@@ -25,70 +29,74 @@ from bulletuav.sensors.lidar import make_beams
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 
 GAUSS = 1e-4
-"""Teslas in a gauss"""
+"""Teslas per gauss"""
 SEA_LEVEL = 1013.25
-"""hPa"""
+"""Pressure at sea level (QNH), hPa"""
 
 
-def stamp(world: World) -> int:
-    """Tell the time, ns."""
+def make_timestamp(world: AirsimWorld) -> int:
+    """Return the simulated time as a timestamp, ns."""
     return round(world.time * 1e9)
 
 
-def kinematics(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    """Tell how a vehicle moves: a KinematicsState, from its own start."""
+def kinematics(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
+    """Return the pose, velocities and accelerations of a vehicle as a KinematicsState."""
     swarm = world.airspace.swarm
-    ways = (swarm.position[i] - vehicle.start, swarm.velocity[i], world.acceleration[i])
-    position, velocity, acceleration = enu_to_ned(np.array(ways)).tolist()
-    rates, turning = flu_to_frd(np.array((swarm.rates[i], world.turning[i]))).tolist()
+    vectors = (swarm.position[i] - vehicle.start, swarm.velocity[i], world.acceleration[i])
+    position, velocity, acceleration = enu_to_ned(np.array(vectors)).tolist()
+    rates, angular_acceleration = flu_to_frd(
+        np.array((swarm.rates[i], world.angular_acceleration[i]))
+    ).tolist()
     return {
-        "position": vector(position),
-        "orientation": quaternion(attitude_to_ned(swarm.quaternion[i])),
-        "linear_velocity": vector(velocity),
-        "angular_velocity": vector(rates),
-        "linear_acceleration": vector(acceleration),
-        "angular_acceleration": vector(turning),
+        "position": write_vector(position),
+        "orientation": write_quaternion(attitude_to_ned(swarm.quaternion[i])),
+        "linear_velocity": write_vector(velocity),
+        "angular_velocity": write_vector(rates),
+        "linear_acceleration": write_vector(acceleration),
+        "angular_acceleration": write_vector(angular_acceleration),
     }
 
 
-def geo_point(world: World, place: np.ndarray) -> dict[str, float]:
-    """Tell a place of the airspace as latitude, longitude (degrees) and altitude (m)."""
+def geo_point(world: AirsimWorld, position: np.ndarray) -> dict[str, float]:
+    """Convert a position in the airspace to a GeoPoint.
+
+    Args:
+        world: The vehicles.
+        position: (3,) east, north, up of the origin, m.
+
+    Returns:
+        Latitude, longitude (degrees) and altitude (m).
+    """
     names = ("latitude", "longitude", "altitude")
-    return dict(zip(names, map(float, world.origin.to_geodetic(place)), strict=True))
+    return dict(zip(names, map(float, world.origin.to_geodetic(position)), strict=True))
 
 
-def collision(vehicle: Vehicle, told: Collision) -> dict[str, Any]:
-    """Tell what a vehicle hit: a CollisionInfo."""
-    ways = np.array((told.normal, told.point - vehicle.start, told.place - vehicle.start))
-    normal, point, place = enu_to_ned(ways).tolist()
+def make_collision_info(vehicle: AirsimVehicle, collision: Collision) -> dict[str, Any]:
+    """Return a collision of a vehicle as a CollisionInfo."""
+    vectors = np.array(
+        (collision.normal, collision.point - vehicle.start, collision.position - vehicle.start)
+    )
+    normal, point, position = enu_to_ned(vectors).tolist()
     return {
-        "has_collided": told.has_collided,
-        "normal": vector(normal),
-        "impact_point": vector(point),
-        "position": vector(place),
-        "penetration_depth": told.depth,
-        "time_stamp": round(told.time * 1e9),
-        "object_name": told.name,
-        "object_id": told.number,
+        "has_collided": collision.has_collided,
+        "normal": write_vector(normal),
+        "impact_point": write_vector(point),
+        "position": write_vector(position),
+        "penetration_depth": collision.depth,
+        "time_stamp": round(collision.time * 1e9),
+        "object_name": collision.object_name,
+        "object_id": collision.object_id,
     }
 
 
-def multirotor(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    """Tell all at once: a MultirotorState."""
+def multirotor(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
+    """Return the complete state of a vehicle as a MultirotorState."""
     return {
-        "collision": collision(vehicle, vehicle.collision),
+        "collision": make_collision_info(vehicle, vehicle.collision),
         "kinematics_estimated": kinematics(world, i, vehicle),
         "gps_location": geo_point(world, world.airspace.swarm.position[i]),
-        "timestamp": stamp(world),
-        "landed_state": int(not (vehicle.stands and not vehicle.flies)),
+        "timestamp": make_timestamp(world),
+        "landed_state": int(not (vehicle.is_standing and not vehicle.is_flying)),
         "rc_data": {
             **dict.fromkeys(("pitch", "roll", "throttle", "yaw", "left_z", "right_z"), 0.0),
             **dict.fromkeys(("timestamp", "switches"), 0),
@@ -102,50 +110,38 @@ def multirotor(
     }
 
 
-def environment(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    """Tell the air around: an EnvironmentState."""
-    place = world.airspace.swarm.position[i]
-    height = float(world.origin.altitude + place[2])
+def environment(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
+    """Return position, gravity and air properties at a vehicle as an EnvironmentState."""
+    position = world.airspace.swarm.position[i]
+    height = float(world.origin.altitude + position[2])
     return {
-        "position": vector(enu_to_ned(place - vehicle.start)),
-        "geo_point": geo_point(world, place),
-        "gravity": vector((0.0, 0.0, STANDARD_GRAVITY)),
+        "position": write_vector(enu_to_ned(position - vehicle.start)),
+        "geo_point": geo_point(world, position),
+        "gravity": write_vector((0.0, 0.0, STANDARD_GRAVITY)),
         "air_pressure": float(pressure(height)),
         "temperature": float(temperature(height)),
         "air_density": float(density(height)),
     }
 
 
-def imu(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    """Tell what an inertial unit feels, without noise: an ImuData."""
+def imu(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
+    """Return the reading of an inertial measurement unit without noise as ImuData."""
     swarm = world.airspace.swarm
     x, y, z = world.acceleration[i].tolist()
     force = to_body(swarm.quaternion[i], (x, y, z + STANDARD_GRAVITY))
     return {
-        "time_stamp": stamp(world),
-        "orientation": quaternion(attitude_to_ned(swarm.quaternion[i])),
-        "angular_velocity": vector(flu_to_frd(swarm.rates[i])),
-        "linear_acceleration": vector(flu_to_frd(force)),
+        "time_stamp": make_timestamp(world),
+        "orientation": write_quaternion(attitude_to_ned(swarm.quaternion[i])),
+        "angular_velocity": write_vector(flu_to_frd(swarm.rates[i])),
+        "linear_acceleration": write_vector(flu_to_frd(force)),
     }
 
 
-def barometer(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    """Tell what a barometer measures, without noise: a BarometerData."""
+def barometer(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
+    """Return the reading of a barometer without noise as BarometerData."""
     height = float(world.origin.altitude + world.airspace.swarm.position[i, 2])
     return {
-        "time_stamp": stamp(world),
+        "time_stamp": make_timestamp(world),
         "altitude": float(geopotential_height(height)),
         "pressure": float(pressure(height)),
         "qnh": SEA_LEVEL,
@@ -153,94 +149,84 @@ def barometer(
 
 
 @functools.cache
-def _field(origin: Origin) -> np.ndarray:
-    """Tell the magnetic field of a world, gauss, east, north, up; near enough all over it."""
+def _compute_magnetic_field(origin: Origin) -> np.ndarray:
+    """Return the magnetic field at the origin, gauss, east, north, up."""
     return magnetic_field(origin.latitude, origin.longitude, origin.altitude) / GAUSS
 
 
-def magnetometer(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    """Tell what a compass measures, without noise: a MagnetometerData."""
-    field = _field(world.origin)
+def magnetometer(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
+    """Return the reading of a magnetometer without noise as MagnetometerData."""
+    field = _compute_magnetic_field(world.origin)
     body = to_body(world.airspace.swarm.quaternion[i], field)
     return {
-        "time_stamp": stamp(world),
-        "magnetic_field_body": vector(flu_to_frd(body)),
+        "time_stamp": make_timestamp(world),
+        "magnetic_field_body": write_vector(flu_to_frd(body)),
         "magnetic_field_covariance": [],
     }
 
 
-def gps(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    """Tell what a satellite receiver measures, without noise: a GpsData."""
+def gps(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
+    """Return the reading of a GPS receiver without noise as GpsData."""
     swarm = world.airspace.swarm
     return {
-        "time_stamp": stamp(world),
+        "time_stamp": make_timestamp(world),
         "gnss": {
             "geo_point": geo_point(world, swarm.position[i]),
             "eph": 0.1,
             "epv": 0.1,
-            "velocity": vector(enu_to_ned(swarm.velocity[i])),
+            "velocity": write_vector(enu_to_ned(swarm.velocity[i])),
             "fix_type": 3,
-            "time_utc": stamp(world) // 1000,
+            "time_utc": make_timestamp(world) // 1000,
         },
         "is_valid": True,
     }
 
 
-def lidar(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    """Tell points that beams hit, north, east, down of the vehicle's start: a LidarData.
+def lidar(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
+    """Return the points that lidar beams hit as LidarData, north, east, down from the start.
 
     Raises:
-        ValueError: The world was made without the sensor "lidar".
+        ValueError: If the world was created without the sensor "lidar".
     """
     if "lidar" not in world.airspace.readings:
         raise ValueError("there is no lidar: start the server with --lidar")
-    # Beams stay level, and turn with the drone's heading
-    place = world.airspace.swarm.position[i] - vehicle.start
+    # The lidar is gimballed: beams stay level and rotate with the heading of the drone
+    position = world.airspace.swarm.position[i] - vehicle.start
     yaw = euler(world.airspace.swarm.quaternion[i].tolist())[2]
-    beams = np.radians(make_beams(LIDAR["num_beams"], LIDAR["lidar_elevations"]))
+    beams = np.radians(make_beams(LIDAR_OPTIONS["num_beams"], LIDAR_OPTIONS["lidar_elevations"]))
     azimuth, elevation = beams[:, 0] + yaw, beams[:, 1]
     ranges = world.airspace.readings["lidar"][i]
-    # From ranges and angles to points, without beams that met nothing
-    flat = ranges * np.cos(elevation)
-    ways = (flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation))
-    points = enu_to_ned(place + np.stack(ways, axis=1)[ranges < LIDAR["max_range"]])
+    # Convert ranges and angles to points; beams without a hit are left out
+    horizontal = ranges * np.cos(elevation)
+    vectors = (
+        horizontal * np.cos(azimuth),
+        horizontal * np.sin(azimuth),
+        ranges * np.sin(elevation),
+    )
+    points = enu_to_ned(position + np.stack(vectors, axis=1)[ranges < LIDAR_OPTIONS["max_range"]])
     return {
-        "time_stamp": stamp(world),
+        "time_stamp": make_timestamp(world),
         "point_cloud": points.ravel().tolist(),
-        "pose": pose_of(place, world.airspace.swarm.quaternion[i]),
+        "pose": write_pose(position, world.airspace.swarm.quaternion[i]),
         "segmentation": [],
     }
 
 
-def rotors(
-    world: World,
-    i: int,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    """Tell speed (rad/s), thrust (N) and torque (N m) of each rotor: RotorStates."""
-    frame = world.airspace.airframes[i]
-    speeds = world.airspace.swarm.rotor_speed[i, : len(frame.rotors)].tolist()
-    thrusts = [frame.thrust_coefficient * one * one for one in speeds]
+def rotors(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
+    """Return the speed (rad/s), thrust (N) and torque (N m) of each rotor as RotorStates."""
+    airframe = world.airspace.airframes[i]
+    speeds = world.airspace.swarm.rotor_speed[i, : len(airframe.rotors)].tolist()
+    thrusts = [airframe.thrust_coefficient * speed * speed for speed in speeds]
     return {
-        "timestamp": stamp(world),
+        "timestamp": make_timestamp(world),
         "rotors": [
             {
                 "speed": speed,
                 "thrust": thrust,
-                "torque_scaler": math.copysign(thrust * frame.torque_ratio, turn),
+                "torque_scaler": math.copysign(thrust * airframe.torque_ratio, direction),
             }
-            for speed, thrust, (_, _, turn) in zip(speeds, thrusts, frame.rotors, strict=True)
+            for speed, thrust, (_, _, direction) in zip(
+                speeds, thrusts, airframe.rotors, strict=True
+            )
         ],
     }

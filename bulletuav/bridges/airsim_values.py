@@ -1,4 +1,8 @@
-"""Values of AirSim's calls: maps of numbers, in north, east, down from a vehicle's own start."""
+"""Conversion and validation of the values of AirSim's calls.
+
+AirSim sends vectors and poses as maps of numbers in north, east, down axes, from the start position
+of each vehicle.
+"""
 
 import math
 from collections.abc import Mapping
@@ -9,143 +13,155 @@ import numpy as np
 from bulletuav.earth import attitude_to_enu, attitude_to_ned, enu_to_ned
 from bulletuav.errors import finite, shown
 
-MOST = 1e5
-"""Greatest size of a coordinate (m) or velocity (m/s) in a call"""
-LONGEST = 1e9
-"""Durations and timeouts beyond it are cut to it, s; clients send 3e38 for ever"""
+MAX_VALUE = 1e5
+"""Maximum magnitude of a coordinate (m) or velocity (m/s) in a call"""
+MAX_DURATION = 1e9
+"""Upper bound to which durations and timeouts are clamped, s; clients send 3e38 for infinity"""
 
 
-def number(
-    name: str,
-    value: Any,
-    most: float = MOST,
-) -> float:
-    """Check a number of a call.
+def check_number(name: str, value: Any, max_value: float = MAX_VALUE) -> float:
+    """Return a number of a call after validation.
+
+    Args:
+        name: Name of the number, for the error message.
+        value: Value that the client sent.
+        max_value: Maximum magnitude.
 
     Raises:
-        ValueError: It is none, or beyond the bound.
+        ValueError: If the value is not a finite number, or its magnitude is too large.
     """
-    return finite(name, value, -most, most)
+    return finite(name, value, -max_value, max_value)
 
 
-def duration(name: str, value: Any) -> float:
-    """Check a duration of a call, s; very long ones are cut.
+def check_duration(name: str, value: Any) -> float:
+    """Return a duration of a call after validation, s, clamped to `MAX_DURATION`.
 
     Raises:
-        ValueError: It is no number, or below 0.
+        ValueError: If the value is not a number, or negative.
     """
-    return min(finite(name, value, 0.0), LONGEST)
+    return min(finite(name, value, 0.0), MAX_DURATION)
 
 
-def flag(name: str, value: Any) -> bool:
-    """Check a truth value of a call.
+def check_flag(name: str, value: Any) -> bool:
+    """Return a boolean of a call after validation.
 
     Raises:
-        ValueError: It is none; numbers and texts are not taken for one.
+        ValueError: If the value is not a boolean; numbers and strings are not converted.
     """
     if not isinstance(value, bool):
         raise ValueError(f"{name} is {shown(value)}: true or false is needed")
     return value
 
 
-def words(name: str, value: Any) -> str:
-    """Check a text of a call.
+def check_text(name: str, value: Any) -> str:
+    """Return a string of a call after validation.
 
     Raises:
-        ValueError: It is none.
+        ValueError: If the value is not a string.
     """
     if not isinstance(value, str):
-        raise ValueError(f"{name} is {shown(value)}: a text is needed")
+        raise ValueError(f"{name} is {shown(value)}: a string is needed")
     return value
 
 
-def vector(array: Any) -> dict[str, float]:
-    """Write (3,) as a map."""
-    return {f"{axis}_val": float(one) for axis, one in zip("xyz", array, strict=True)}
+def write_vector(array: Any) -> dict[str, float]:
+    """Convert a (3,) vector to AirSim's map."""
+    return {f"{axis}_val": float(value) for axis, value in zip("xyz", array, strict=True)}
 
 
-def quaternion(array: Any) -> dict[str, float]:
-    """Write (4,) x, y, z, w as a map."""
-    return {f"{axis}_val": float(one) for axis, one in zip("xyzw", array, strict=True)}
+def write_quaternion(array: Any) -> dict[str, float]:
+    """Convert a (4,) quaternion x, y, z, w to AirSim's map."""
+    return {f"{axis}_val": float(value) for axis, value in zip("xyzw", array, strict=True)}
 
 
-def numbers_in(
-    name: str,
-    value: Any,
-    keys: str,
-) -> np.ndarray:
-    """Read a map with an entry for each axis; those that are NaN stay so.
+def read_axes(name: str, value: Any, keys: str) -> np.ndarray:
+    """Convert AirSim's map of axes to an array; NaN values are kept.
 
     Args:
-        name: What it is, for the message.
-        value: What was sent.
+        name: Name of the value, for the error message.
+        value: Value that the client sent.
         keys: Axes, such as "xyz".
 
     Returns:
-        One number an axis.
+        One number for each axis.
 
     Raises:
-        ValueError: It is no map of numbers, or a number is too large.
+        ValueError: If the value is not a map of numbers, or a number is too large.
     """
-    found = [value.get(f"{key}_val") for key in keys] if isinstance(value, Mapping) else [None]
-    if not all(isinstance(one, int | float) for one in found):
-        wanted = ", ".join(f"{key}_val" for key in keys)
-        raise ValueError(f"{name} is {shown(value)}: a map of numbers {wanted} is needed")
-    return np.array([math.nan if one != one else number(name, one) for one in found])
+    values = [value.get(f"{key}_val") for key in keys] if isinstance(value, Mapping) else [None]
+    if not all(isinstance(number, int | float) for number in values):
+        names = ", ".join(f"{key}_val" for key in keys)
+        raise ValueError(f"{name} is {shown(value)}: a map of numbers {names} is needed")
+    return np.array(
+        [math.nan if number != number else check_number(name, number) for number in values]
+    )
 
 
-def vector_in(name: str, value: Any) -> np.ndarray:
-    """Read a map of x, y, z.
+def read_vector(name: str, value: Any) -> np.ndarray:
+    """Convert AirSim's map of x, y, z to an array, (3,).
 
     Raises:
-        ValueError: It is none, or a number is not finite.
+        ValueError: If the value is not a map of numbers, or a number is not finite.
     """
-    array = numbers_in(name, value, "xyz")
+    array = read_axes(name, value, "xyz")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} is {shown(value)}: finite numbers are needed")
     return array
 
 
-def pose_in(value: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Read a pose: (3,) and (4,) x, y, z, w; what is NaN is to stay as it is.
+def read_pose(value: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Convert AirSim's pose to a position and an orientation.
+
+    Args:
+        value: Value that the client sent. NaN components leave the vehicle's values unchanged.
+
+    Returns:
+        (3,) position, m, and (4,) unit quaternion x, y, z, w.
 
     Raises:
-        ValueError: It is no pose, or its orientation has no length.
+        ValueError: If the value is not a pose, or its quaternion has zero length.
     """
     if not isinstance(value, Mapping):
         raise ValueError(f"pose is {shown(value)}: a map of position and orientation is needed")
-    place = numbers_in("position", value.get("position"), "xyz")
-    turn = numbers_in("orientation", value.get("orientation"), "xyzw")
-    length = math.sqrt(float((turn * turn).sum()))
+    position = read_axes("position", value.get("position"), "xyz")
+    orientation = read_axes("orientation", value.get("orientation"), "xyzw")
+    length = math.sqrt(float((orientation * orientation).sum()))
     if length < 1e-3:
-        raise ValueError("orientation has no length: a unit quaternion is needed")
-    return place, turn / length
+        raise ValueError("orientation has zero length: a unit quaternion is needed")
+    return position, orientation / length
 
 
-def yaw_in(degrees: float) -> float:
-    """Convert a yaw, clockwise from north in degrees, into one counter-clockwise from east, rad."""
+def yaw_from_airsim(degrees: float) -> float:
+    """Convert a yaw from degrees clockwise from north to rad counter-clockwise from east."""
     return math.remainder(math.pi / 2 - math.radians(degrees), math.tau)
 
 
-def yaw_out(yaw: float) -> float:
-    """Convert a yaw, counter-clockwise from east in rad, into one clockwise from north, degrees."""
+def yaw_to_airsim(yaw: float) -> float:
+    """Convert a yaw from rad counter-clockwise from east to degrees clockwise from north."""
     return math.degrees(math.remainder(math.pi / 2 - yaw, math.tau))
 
 
-def pose_of(position: np.ndarray, attitude: Any) -> dict[str, Any]:
-    """Write a pose.
+def write_pose(position: np.ndarray, attitude: Any) -> dict[str, Any]:
+    """Convert a pose to AirSim's map.
 
     Args:
-        position: (3,) east, north, up of the start, m.
-        attitude: (4,) body to world, here.
+        position: (3,) position east, north, up of the start, m.
+        attitude: (4,) quaternion x, y, z, w, body (FLU) to world (ENU).
     """
     return {
-        "position": vector(enu_to_ned(position)),
-        "orientation": quaternion(attitude_to_ned(attitude)),
+        "position": write_vector(enu_to_ned(position)),
+        "orientation": write_quaternion(attitude_to_ned(attitude)),
     }
 
 
-def attitude_of(turn: np.ndarray) -> np.ndarray:
-    """Convert an orientation of AirSim into an attitude here, both (4,) x, y, z, w."""
-    attitude = attitude_to_enu(turn)
+def attitude_from_airsim(orientation: np.ndarray) -> np.ndarray:
+    """Convert a quaternion from AirSim's axes (NED, FRD) to those of this package (ENU, FLU).
+
+    Args:
+        orientation: (4,) quaternion x, y, z, w.
+
+    Returns:
+        (4,) unit quaternion x, y, z, w.
+    """
+    attitude = attitude_to_enu(orientation)
     return np.asarray(attitude / math.sqrt(float((attitude * attitude).sum())))

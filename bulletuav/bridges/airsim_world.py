@@ -1,20 +1,21 @@
-"""Vehicles of AirSim's calls in one airspace: what they do, touch and feel, without a network."""
+"""Vehicles of AirSim's API in one airspace: motions, contacts and states, without a network."""
 
 import math
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_values import attitude_of
-from bulletuav.bridges.motions import Answer, Motion, Off, Stay
+from bulletuav.bridges.airsim_values import attitude_from_airsim
+from bulletuav.bridges.motions import DoneCallback, HoldPosition, MotionPrimitive, MotorsOff
 from bulletuav.bridges.setpoints import (
     NORTH,
-    Guide,
-    Order,
+    AirspaceCommand,
     Setpoint,
+    SetpointController,
     State,
-    give,
+    apply_commands,
     make_airspace,
 )
 from bulletuav.earth import Origin
@@ -25,142 +26,146 @@ from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
 
 PHYSICS_HZ, DECISION_HZ = 500, 100
-"""Steps of physics, and of commands, a second"""
+"""Rates of physics steps and of commands, Hz"""
 HOME = (47.641468, -122.140165, 122.0)
-"""Where AirSim's worlds are: latitude, longitude (degrees), altitude (m)"""
+"""Origin of AirSim's worlds: latitude, longitude (degrees), altitude (m)"""
 SPACING = 2.0
-"""Distance between neighbours at the start, m"""
-HARD = 1.0
-"""Speed onto the ground from which on a touch is a collision, m/s"""
-MOST_VEHICLES = 256
-LIDAR: dict[str, Any] = {
+"""Default distance between neighbours at the start, m"""
+MIN_COLLISION_SPEED = 1.0
+"""Minimum impact speed at which ground contact counts as a collision, m/s"""
+MAX_VEHICLES = 256
+"""Maximum number of vehicles"""
+LIDAR_OPTIONS: dict[str, Any] = {
     "num_beams": 36,
     "lidar_elevations": (-45.0, -30.0, -15.0, 0.0, 15.0),
     "max_range": 40.0,
 }
-"""Beams of the range finder: options of `Airspace`"""
+"""Options of `Airspace` for the beams of the lidar"""
 LIDAR_HZ = 10
-"""How often it measures a second"""
+"""Rate of lidar measurements, Hz"""
 
 
 class Collision:
-    """What a vehicle has hit since somebody asked.
+    """Last collision of a vehicle since a client read it.
 
     Attributes:
-        has_collided: Whether it has hit something.
-        time: When, s.
-        name: Of what it hit.
-        number: Of what it hit; -1 for nothing.
-        point, normal: (3,) where, m, and in which direction it was pushed, east, north, up.
-        place: (3,) of the vehicle then, m.
-        depth: How deep shapes overlapped, m.
+        has_collided: Whether the vehicle has collided.
+        time: Time of the collision, s.
+        object_name: Name of the other object.
+        object_id: Number of the other object in `Contacts`; -1 for none.
+        point, normal: (3,) contact point, m, and contact normal towards the vehicle, east, north,
+            up.
+        position: (3,) position of the vehicle at the collision, m.
+        depth: Penetration depth, m.
     """
 
     def __init__(self) -> None:
-        """Begin with nothing."""
-        self.has_collided, self.time, self.name, self.number = False, 0.0, "", -1
-        self.point = self.normal = self.place = np.zeros(3)
+        """Create a record without a collision."""
+        self.has_collided, self.time, self.object_name, self.object_id = False, 0.0, "", -1
+        self.point = self.normal = self.position = np.zeros(3)
         self.depth = 0.0
 
 
-class Vehicle:
-    """One drone.
+class AirsimVehicle:
+    """State of one vehicle: control, arming, motion and collision.
 
     Attributes:
-        name: As clients call it.
-        start: (3,) where it starts, m: the origin of its coordinates.
-        is_ours: Whether a client has asked for control.
-        is_armed: Whether motors may turn.
-        collision: What it has hit.
-        stands: Whether it touches what it can stand on.
+        name: Name that clients use.
+        start: (3,) start position, m: the origin of the vehicle's coordinates.
+        is_api_controlled: Whether a client has API control.
+        is_armed: Whether the motors are armed.
+        collision: Last collision.
+        is_standing: Whether the vehicle touches a surface that it can stand on.
     """
 
-    def __init__(
-        self,
-        name: str,
-        start: np.ndarray,
-        guide: Guide,
-    ) -> None:
-        """Begin on the ground, motors off."""
-        self.name, self.start, self._guide = name, start, guide
+    def __init__(self, name: str, start: np.ndarray, controller: SetpointController) -> None:
+        """Create a vehicle on the ground with stopped motors."""
+        self.name, self.start, self._controller = name, start, controller
         self.collision = Collision()
-        self._motion: Motion = Off()
-        self._answer: Answer | None = None
+        self._motion: MotionPrimitive = MotorsOff()
+        self._done_callback: DoneCallback | None = None
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew; a motion that goes on ends."""
-        self.end(False)
-        self._guide.rest()
-        self._motion = Off()
-        self.is_ours = self.is_armed = False
-        self.collision, self.stands = Collision(), True
+        """Reset the vehicle to its initial state; the present motion fails."""
+        self.finish(False)
+        self._controller.reset()
+        self._motion = MotorsOff()
+        self.is_api_controlled = self.is_armed = False
+        self.collision, self.is_standing = Collision(), True
 
     @property
-    def flies(self) -> bool:
-        """Whether its motors turn."""
-        return not isinstance(self._motion, Off)
+    def is_flying(self) -> bool:
+        """Whether the motors turn."""
+        return not isinstance(self._motion, MotorsOff)
 
-    def begin(self, motion: Motion, answer: Answer) -> None:
-        """Do something else from now on; who asked for what it did is told that it is over."""
-        self.end(False)
-        self._motion, self._answer = motion, answer
+    def start_motion(self, motion: MotionPrimitive, done_callback: DoneCallback) -> None:
+        """Start a motion; the present motion fails.
 
-    def end(self, success: bool) -> None:
-        """Tell who asked for the motion that it is over."""
-        answer, self._answer = self._answer, None
-        if answer is not None:
-            answer(success)
+        Args:
+            motion: The motion.
+            done_callback: Function that is called with the outcome when the motion ends.
+        """
+        self.finish(False)
+        self._motion, self._done_callback = motion, done_callback
 
-    def stay(self, state: State) -> None:
-        """Stay where it is, if it flies."""
-        self.end(False)
-        if self.flies:
-            self._motion = Stay(state)
+    def finish(self, success: bool) -> None:
+        """Report the outcome of the present motion to its client."""
+        done_callback, self._done_callback = self._done_callback, None
+        if done_callback is not None:
+            done_callback(success)
 
-    def moved(self, state: State) -> None:
-        """Stay where it was put, if it flies; it has hit nothing there."""
+    def hold_position(self, state: State) -> None:
+        """End the present motion, and hold the position if the motors turn."""
+        self.finish(False)
+        if self.is_flying:
+            self._motion = HoldPosition(state)
+
+    def reset_after_placement(self, state: State) -> None:
+        """Clear the collision and the held yaw after a placement, and hold the position."""
         self.collision = Collision()
-        self._guide.rest()
-        self.stay(state)
+        self._controller.reset()
+        self.hold_position(state)
 
-    def stop(self) -> None:
-        """Switch motors off."""
-        self.end(False)
-        self._motion = Off()
+    def stop_motors(self) -> None:
+        """End the present motion and stop the motors."""
+        self.finish(False)
+        self._motion = MotorsOff()
 
-    def order(
-        self,
-        state: State,
-        now: float,
-        period: float,
-    ) -> Order | None:
-        """Tell the command of the next step; None for motors off."""
-        wanted = self._motion.order(state, now) if self.is_armed else None
-        if isinstance(wanted, Setpoint):
-            return self._guide.order(wanted, state, period)
-        return wanted
+    def compute_command(self, state: State, now: float, period: float) -> AirspaceCommand | None:
+        """Return the command of the next step; None stops the motors.
 
-    def look(self, state: State, now: float) -> None:
-        """Look whether the motion has come to its end."""
-        if self._answer is None:
+        Args:
+            state: State of the vehicle.
+            now: Time, s.
+            period: Duration of the step, s.
+        """
+        setpoint = self._motion.get_setpoint(state, now) if self.is_armed else None
+        if isinstance(setpoint, Setpoint):
+            return self._controller.compute_command(setpoint, state, period)
+        return setpoint
+
+    def check_motion(self, state: State, now: float) -> None:
+        """End the present motion if it has succeeded or failed."""
+        if self._done_callback is None:
             return
-        outcome = self._motion.outcome(state, now, self.stands)
+        outcome = self._motion.check_outcome(state, now, self.is_standing)
         if outcome is not None:
-            self._motion = self._motion.after(state)
-            self.end(outcome)
+            self._motion = self._motion.get_next_motion(state)
+            self.finish(outcome)
 
 
-class World:
-    """N vehicles in one airspace, which clients fly.
+class AirsimWorld:
+    """N vehicles in one airspace that clients fly.
 
     Attributes:
-        airspace: Where they fly.
-        vehicles: By name, in order.
-        origin: Place on the Earth of the airspace's origin.
-        paused: Whether time stands still.
-        acceleration: (N, 3) of the last step, m/s^2, east, north, up.
-        turning: (N, 3) angular acceleration of the last step, rad/s^2, body.
+        airspace: Airspace of the vehicles.
+        vehicles: Vehicles by name, in order.
+        origin: Geodetic position of the origin of the airspace.
+        paused: Whether simulated time stands still.
+        acceleration: (N, 3) accelerations in the last step, m/s^2, east, north, up.
+        angular_acceleration: (N, 3) angular accelerations in the last step, rad/s^2, body axes
+            (FLU).
     """
 
     def __init__(
@@ -173,68 +178,76 @@ class World:
         lidar: bool = False,
         **options: Any,
     ) -> None:
-        """Put vehicles on the ground; they look north.
+        """Place vehicles on the ground, facing north.
 
         Args:
-            drones: How many there are, or their names. One is called "SimpleFlight", several
-                "Drone1" and so on, as in AirSim's documentation.
-            airframe: Their airframe.
-            places: (N, 2) where they stand, east and north, m; left out, 2 m apart to the east.
+            drones: Number of vehicles, or their names. By default one vehicle is called
+                "SimpleFlight", several are "Drone1", "Drone2" and so on, as in AirSim's
+                documentation.
+            airframe: Airframe of the vehicles.
+            places: (N, 2) start positions, east and north, m; by default 2 m apart to the east.
             home: Latitude, longitude (degrees) and altitude (m) of the origin.
-            lidar: Whether vehicles carry a range finder of 180 beams.
-            **options: More options of `Airspace`, such as obstacles, a layout, sensors or wind.
+            lidar: Whether vehicles carry a lidar with 180 beams.
+            **options: Other options of `Airspace`, such as obstacles, a layout, sensors or wind.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
-        # Names and places, checked together
-        frame = load_airframe(airframe)
-        names = _names(drones)
-        flat = [(SPACING * k, 0.0) for k in range(len(names))] if places is None else places
-        if len(flat) != len(names):
-            raise ValueError(f"places are {len(flat)}: one for each of {len(names)} is needed")
-        self._starts = points_of("places", [(*one, frame.standing_height) for one in flat])
-        # Clients count on the rate of AirSim
+        # Validate names and places together
+        airframe_data = load_airframe(airframe)
+        names = _make_names(drones)
+        start_xy = [(SPACING * k, 0.0) for k in range(len(names))] if places is None else places
+        if len(start_xy) != len(names):
+            raise ValueError(f"places are {len(start_xy)}: one for each of {len(names)} is needed")
+        self._starts = points_of(
+            "places", [(*one, airframe_data.standing_height) for one in start_xy]
+        )
+        # Clients rely on AirSim's rate
         if "decision_hz" in options:
-            raise ValueError(f"decision_hz is {DECISION_HZ} for clients of AirSim: leave it out")
-        # Options of the caller go before the usual ones
-        known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
+            raise ValueError(
+                f"decision_hz is fixed at {DECISION_HZ} for clients of AirSim: leave it out"
+            )
+        # Options of the caller override the defaults
+        airspace_options = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
         if lidar:
-            known |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR}
-        self.airspace = make_airspace(self._starts, frame, **known)
+            airspace_options |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR_OPTIONS}
+        self.airspace = make_airspace(self._starts, airframe_data, **airspace_options)
         self.origin = Origin(*as_sequence("home", home, 3))
-        # Each vehicle starts on its feet and has a guide of its own
+        # Each vehicle has a controller of its own
         self.vehicles = {
-            name: Vehicle(name, start, Guide(frame))
+            name: AirsimVehicle(name, start, SetpointController(airframe_data))
             for name, start in zip(names, self._starts, strict=True)
         }
-        # Clock, and accelerations, which come from differences of velocities
+        # Clock, and accelerations, which are computed from differences of velocities
         self.paused = False
         self._due, self._ticks = 0.0, 0
         self._velocity = self.airspace.swarm.velocity.copy()
         self._rates = self.airspace.swarm.rates.copy()
         self.acceleration = np.zeros_like(self._velocity)
-        self.turning = np.zeros_like(self._rates)
+        self.angular_acceleration = np.zeros_like(self._rates)
         self.reset()
 
     @property
     def time(self) -> float:
-        """Time since the start, s."""
+        """Simulated time, s."""
         return self.airspace.time
 
     @property
     def clock(self) -> float:
-        """Time since the last reset, s: motions go by it, so that they repeat to the last bit."""
+        """Time since the last reset, s.
+
+        Motions use this clock, so that they repeat to the last bit.
+        """
         return self._ticks / DECISION_HZ
 
-    def vehicle(self, name: Any) -> tuple[int, Vehicle]:
-        """Find a vehicle.
+    def vehicle(self, name: Any) -> tuple[int, AirsimVehicle]:
+        """Return the index of a vehicle, and the vehicle.
 
         Args:
-            name: Its name; empty for the first.
+            name: Name of the vehicle; empty for the first.
 
         Raises:
-            ValueError: There is none of that name.
+            ValueError: If no vehicle has that name.
         """
         if name == "":
             name = next(iter(self.vehicles))
@@ -243,7 +256,7 @@ class World:
         return list(self.vehicles).index(name), self.vehicles[name]
 
     def state(self, i: int) -> State:
-        """Tell position, quaternion, velocity and rates of a drone."""
+        """Return position, quaternion, velocity and angular rates of vehicle `i`."""
         swarm = self.airspace.swarm
         return (
             swarm.position[i].tolist(),
@@ -253,130 +266,149 @@ class World:
         )
 
     def step(self) -> None:
-        """Fly for 10 ms.
+        """Step the simulation by 10 ms.
 
         Raises:
-            RuntimeError: The flight diverged, or the airspace is closed.
+            RuntimeError: If the simulation diverged, or the airspace is closed.
         """
-        orders = [
-            vehicle.order(self.state(i), self.clock, self.airspace.period)
+        commands = [
+            vehicle.compute_command(self.state(i), self.clock, self.airspace.period)
             for i, vehicle in enumerate(self.vehicles.values())
         ]
-        give(self.airspace, orders)
+        apply_commands(self.airspace, commands)
         self.airspace.step()
         self._ticks += 1
         swarm, period = self.airspace.swarm, self.airspace.period
         self.acceleration = (swarm.velocity - self._velocity) / period
-        self.turning = (swarm.rates - self._rates) / period
+        self.angular_acceleration = (swarm.rates - self._rates) / period
         self._velocity, self._rates = swarm.velocity.copy(), swarm.rates.copy()
-        self._touch()
+        self._record_contacts()
         for i, vehicle in enumerate(self.vehicles.values()):
-            vehicle.look(self.state(i), self.clock)
+            vehicle.check_motion(self.state(i), self.clock)
 
-    def advance(self, seconds: float) -> int:
-        """Tell how many steps a time takes; what is left over counts for the next time.
+    def count_steps(self, seconds: float) -> int:
+        """Convert a duration to a number of steps, and carry the remainder over to the next call.
 
         Args:
-            seconds: Time to fly, s.
+            seconds: Simulated duration, s.
 
         Returns:
-            Steps.
+            Number of steps.
         """
         self._due += seconds * DECISION_HZ
         steps = math.floor(self._due + 1e-6)
         self._due -= steps
         return max(steps, 0)
 
-    def _touch(self) -> None:
-        """Note what was touched in the last step."""
+    def _record_contacts(self) -> None:
+        """Update collisions and standing of all vehicles from the contacts of the last step."""
         contacts = self.airspace.contacts
         vehicles = list(self.vehicles.values())
-        # Standing is told anew in each step
+        # Standing is determined in each step
         for vehicle in vehicles:
-            vehicle.stands = False
+            vehicle.is_standing = False
         for k, i in enumerate(contacts.drone.tolist()):
-            # A contact from below is what it stands on
+            # A vehicle stands on a contact whose normal points up
             other, normal = int(contacts.other[k]), contacts.normal[k]
             vehicle = vehicles[i]
-            vehicle.stands = vehicle.stands or bool(normal[2] > 0.7)
-            # A soft landing is no collision
-            if other == GROUND and -contacts.velocity[k, 2] < HARD:
+            vehicle.is_standing = vehicle.is_standing or bool(normal[2] > 0.7)
+            # A soft landing is not a collision
+            if other == GROUND and -contacts.velocity[k, 2] < MIN_COLLISION_SPEED:
                 continue
             hit = vehicle.collision = Collision()
             hit.has_collided, hit.time = True, self.time
-            hit.name, hit.number = self._name_of(other), other
+            hit.object_name, hit.object_id = self._get_object_name(other), other
             hit.point, hit.normal = contacts.point[k].copy(), normal.copy()
-            hit.place = self.airspace.swarm.position[i].copy()
+            hit.position = self.airspace.swarm.position[i].copy()
             hit.depth = float(contacts.depth[k])
 
-    def _name_of(self, other: int) -> str:
-        """Name what was touched, by its number in `Contacts`."""
+    def _get_object_name(self, other: int) -> str:
+        """Return the name of an object, given its number in `Contacts`."""
         if other >= 0:
             return list(self.vehicles)[other]
         if other <= FIRST_OBSTACLE:
             return f"Obstacle{FIRST_OBSTACLE - other}"
         return {GROUND: "Ground", CITY: "Building"}[other]
 
-    def place(
-        self,
-        i: int,
-        place: np.ndarray,
-        turn: np.ndarray,
-    ) -> None:
-        """Put a drone somewhere at rest, where it stays if it flew.
+    def place(self, i: int, position: np.ndarray, orientation: np.ndarray) -> None:
+        """Place a vehicle at rest; a flying vehicle holds the position.
 
         Args:
-            i: Its index.
-            place: (3,) north, east, down of its start, m; NaN for as it is.
-            turn: (4,) x, y, z, w of its orientation; NaN for as it is.
+            i: Index of the vehicle.
+            position: (3,) position north, east, down of the vehicle's start, m; NaN leaves a
+                coordinate unchanged.
+            orientation: (4,) quaternion x, y, z, w (FRD to NED); NaN leaves the attitude unchanged.
 
         Raises:
-            ValueError: It would overlap something; all stays as it was.
+            ValueError: If the vehicle would overlap another object; nothing changes then.
         """
         swarm, vehicle = self.airspace.swarm, list(self.vehicles.values())[i]
-        wanted = vehicle.start + np.array([place[1], place[0], -place[2]])
-        wanted = np.where(np.isfinite(wanted), wanted, swarm.position[i])
-        # Who is put onto the ground stands on it, however coordinates are rounded.
-        if abs(wanted[2] - vehicle.start[2]) < 1e-3:
-            wanted[2] = vehicle.start[2]
-        attitude = attitude_of(turn) if np.isfinite(turn).all() else swarm.quaternion[i].copy()
-        speed = "hover" if vehicle.flies else 0.0
-        # As lists, so that errors show plain numbers
-        self.airspace.place(i, wanted.tolist(), attitude.tolist(), rotor_speed=speed)
-        self._forget(i)
-        vehicle.moved(self.state(i))
+        target = vehicle.start + np.array([position[1], position[0], -position[2]])
+        target = np.where(np.isfinite(target), target, swarm.position[i])
+        # A vehicle that is placed on the ground stands on it, despite rounding of coordinates
+        if abs(target[2] - vehicle.start[2]) < 1e-3:
+            target[2] = vehicle.start[2]
+        attitude = (
+            attitude_from_airsim(orientation)
+            if np.isfinite(orientation).all()
+            else swarm.quaternion[i].copy()
+        )
+        rotor_speed = "hover" if vehicle.is_flying else 0.0
+        # Lists, because errors show their numbers plainly
+        self.airspace.place(i, target.tolist(), attitude.tolist(), rotor_speed=rotor_speed)
+        self._reset_accelerations(i)
+        vehicle.reset_after_placement(self.state(i))
 
-    def _forget(self, drones: Any) -> None:
-        """Forget how drones moved before they were placed."""
+    def _reset_accelerations(self, drones: Any) -> None:
+        """Clear the velocity differences of drones that were placed."""
         self._velocity[drones] = self._rates[drones] = 0.0
-        self.acceleration[drones] = self.turning[drones] = 0.0
+        self.acceleration[drones] = self.angular_acceleration[drones] = 0.0
 
     def reset(self) -> None:
-        """Put all vehicles back to where they started, motors off; time goes on."""
+        """Place all vehicles at their start positions with stopped motors; time goes on."""
         for vehicle in self.vehicles.values():
             vehicle.restart()
         self.airspace.place(None, self._starts, NORTH)
-        self._forget(slice(None))
+        self._reset_accelerations(slice(None))
         self._due, self._ticks = 0.0, 0
 
     def warm_up(self) -> None:
-        """Compile what flies, which takes a minute the first time; drones stay where they are."""
+        """Compile the simulation, which takes a minute the first time; the vehicles do not move."""
         self.airspace.warm_up()
         self.reset()
 
     def close(self) -> None:
-        """Free the airspace."""
+        """Close the airspace."""
         self.airspace.close()
 
 
-def _names(drones: int | Sequence[str]) -> tuple[str, ...]:
-    """Tell the names of vehicles, of which there are some or which are given."""
+def _make_names(drones: int | Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the vehicles, given their number or their names."""
     if isinstance(drones, int):
-        count = as_int("drones", drones, 1, MOST_VEHICLES)
+        count = as_int("drones", drones, 1, MAX_VEHICLES)
         return ("SimpleFlight",) if count == 1 else tuple(f"Drone{k + 1}" for k in range(count))
-    names = as_sequence("drones", drones, most=MOST_VEHICLES)
-    if not names or not all(isinstance(one, str) and one for one in names):
-        raise ValueError(f"drones is {shown(drones)}: names, or how many, are needed")
+    names = as_sequence("drones", drones, most=MAX_VEHICLES)
+    if not names or not all(isinstance(name, str) and name for name in names):
+        raise ValueError(
+            f"drones is {shown(drones)}: a number of vehicles, or their names, is needed"
+        )
     if len(set(names)) < len(names):
-        raise ValueError(f"drones is {shown(drones)}: names that differ are needed")
+        raise ValueError(f"drones is {shown(drones)}: names must be unique")
     return names
+
+
+def __getattr__(name: str) -> Any:
+    """Return `AirsimWorld` for its old name `World`, with a DeprecationWarning.
+
+    Raises:
+        AttributeError: If the module has no such name.
+    """
+    if name == "World":
+        warnings.warn(
+            "bulletuav.bridges.airsim_world.World was renamed to AirsimWorld; "
+            "the old name will be removed in the next release",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return AirsimWorld
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

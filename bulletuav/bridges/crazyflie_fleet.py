@@ -9,8 +9,8 @@ from bulletuav.bridges.crazyflie_services import TICK_MS
 from bulletuav.bridges.crazyflie_toc import LOGS
 from bulletuav.bridges.crazyflie_vehicle import CrazyflieVehicle
 from bulletuav.bridges.crtp import Packet
-from bulletuav.bridges.setpoints import euler, give, make_airspace, states_of
-from bulletuav.bridges.starts import starts
+from bulletuav.bridges.setpoints import apply_commands, euler, get_states, make_airspace
+from bulletuav.bridges.starts import make_start_positions
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.earth import pressure
 from bulletuav.vehicle.airframes import load_airframe
@@ -50,7 +50,7 @@ class CrazyflieFleet:
             ValueError: If an option is invalid.
         """
         frame = load_airframe(airframe)
-        places = starts(drones, frame.standing_height, SPACING)
+        places = make_start_positions(drones, frame.standing_height, SPACING)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {DECISION_HZ}, as in the firmware: omit the option")
         settings = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
@@ -85,7 +85,9 @@ class CrazyflieFleet:
         Raises:
             RuntimeError: If the flight diverged, or the airspace is closed.
         """
-        give(self.airspace, [vehicle.order(self.airspace.period) for vehicle in self.vehicles])
+        apply_commands(
+            self.airspace, [vehicle.order(self.airspace.period) for vehicle in self.vehicles]
+        )
         self.airspace.step()
         self.tick += 1
         self._update_vehicles()
@@ -108,7 +110,7 @@ class CrazyflieFleet:
         change = (swarm.velocity - self._velocity) / self.airspace.period
         self._velocity = swarm.velocity.copy()
         motion = zip(change.tolist(), swarm.rotor_speed.tolist(), strict=True)
-        rows = zip(self.vehicles, states_of(swarm), motion, strict=True)
+        rows = zip(self.vehicles, get_states(swarm), motion, strict=True)
         for vehicle, state, (acceleration, speed) in rows:
             vehicle.update_state(state, acceleration, speed, self.time)
 

@@ -15,7 +15,7 @@ from bulletuav.bridges.crazyflie_trajectories import (
     read_pieces,
 )
 from bulletuav.bridges.crtp import Errno, MalformedError, unpack_data
-from bulletuav.bridges.setpoints import Order, State, euler
+from bulletuav.bridges.setpoints import AirspaceCommand, State, euler
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.control.trajectory import Tracker, Trajectory
 from bulletuav.vehicle.airframe import Airframe
@@ -43,7 +43,7 @@ class HighLevelCommander:
         """
         self._airframe, self._memory = airframe, memory
         self._tracker: Tracker | None = None
-        self._final_command: Order | None = None
+        self._final_command: AirspaceCommand | None = None
         self._start_time = 0.0
         self._is_landing = False
         self._group = 0
@@ -62,7 +62,7 @@ class HighLevelCommander:
         """Discard the plan."""
         self._tracker = None
 
-    def order(self, state: State, now: float) -> Order | None:
+    def order(self, state: State, now: float) -> AirspaceCommand | None:
         """Return the flight command at a time, or None without a plan or after a landing."""
         if self._is_landing and self.is_finished(now):
             self.stop()
@@ -73,7 +73,9 @@ class HighLevelCommander:
         position, velocity = np.array(state[0]), np.array(state[2])
         x, y, z, yaw = self._tracker.setpoint(now - self._start_time, position, velocity).tolist()
         numbers = (min(max(value, -MAX_ACCELERATION), MAX_ACCELERATION) for value in (x, y, z))
-        return Order(SetpointLevel.ACCELERATION, (*numbers, math.remainder(yaw, math.tau)))
+        return AirspaceCommand(
+            SetpointLevel.ACCELERATION, (*numbers, math.remainder(yaw, math.tau))
+        )
 
     def target(self, now: float) -> list[float] | None:
         """Return the planned position (3,) at a time, m, or None without a plan."""
@@ -142,7 +144,7 @@ class HighLevelCommander:
         )
         end = plan.at(plan.end)
         numbers = (*end.position.tolist(), math.remainder(end.yaw, math.tau))
-        self._final_command = Order(SetpointLevel.POSITION, numbers)
+        self._final_command = AirspaceCommand(SetpointLevel.POSITION, numbers)
         return Errno.NONE
 
     def _set_group(self, data: bytes, start: TrajectoryStart, now: float) -> Errno:

@@ -178,7 +178,7 @@ class Commander:
         if age > SHUTDOWN_TIMEOUT:
             self.clear()
             return None
-        return self._setpoint if age <= STABILIZE_TIMEOUT else self._setpoint.levelled()
+        return self._setpoint if age <= STABILIZE_TIMEOUT else self._setpoint.to_level()
 
 
 def _clamp(value: float, limit: float) -> float:

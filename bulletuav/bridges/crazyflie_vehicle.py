@@ -17,7 +17,7 @@ from bulletuav.bridges.crtp import (
     pack_data,
     unpack_data,
 )
-from bulletuav.bridges.setpoints import Guide, Order, State
+from bulletuav.bridges.setpoints import AirspaceCommand, SetpointController, State
 from bulletuav.vehicle.airframe import Airframe
 
 LINK_NAME = b"Bitcraze Crazyflie"
@@ -73,7 +73,7 @@ class CrazyflieVehicle:
             LogService(),
             MemoryService(),
         )
-        self._thrust_map, self._guide = ThrustMap(airframe), Guide(airframe)
+        self._thrust_map, self._guide = ThrustMap(airframe), SetpointController(airframe)
         self._commander = Commander(self._thrust_map)
         self._high_level = HighLevelCommander(airframe, self._memory.content)
         self._is_armed, self._is_locked, self._is_crashed = True, False, False
@@ -144,7 +144,7 @@ class CrazyflieVehicle:
         }
         return SupervisorBits(sum(bit for bit, is_set in flags.items() if is_set))
 
-    def order(self, period: float) -> Order | None:
+    def order(self, period: float) -> AirspaceCommand | None:
         """Return the flight command of the next step, or None for motors off.
 
         A low-level setpoint takes priority over the high-level commander until the client releases
@@ -160,12 +160,12 @@ class CrazyflieVehicle:
             return None
         if self._high_level.has_plan and (setpoint is None or self._commander.is_released):
             self._commander.clear()
-            self._guide.rest()
+            self._guide.reset()
             return self._high_level.order(self._state, self._now)
-        if setpoint is None or (setpoint.upward == "thrust" and setpoint.z == 0):
-            self._guide.rest()
+        if setpoint is None or (setpoint.z_mode == "thrust" and setpoint.z == 0):
+            self._guide.reset()
             return None
-        return self._guide.order(setpoint, self._state, period)
+        return self._guide.compute_command(setpoint, self._state, period)
 
     def telemetry(self, pressure: Callable[[float], float]) -> Telemetry:
         """Return the present values of all log variables.

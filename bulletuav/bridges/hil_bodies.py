@@ -1,4 +1,4 @@
-"""Bodies for autopilots that fly in lockstep: what their sensors measure, what their motors do."""
+"""Simulated vehicles for autopilots in lockstep: sensor messages out, motor commands in."""
 
 import math
 from collections.abc import Sequence
@@ -8,8 +8,14 @@ import numpy as np
 
 from bulletuav.bridges.mavlink_fleet import HOME, SPACING
 from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage
-from bulletuav.bridges.setpoints import NORTH, Order, corner_speeds, give, make_airspace
-from bulletuav.bridges.starts import starts
+from bulletuav.bridges.setpoints import (
+    NORTH,
+    AirspaceCommand,
+    apply_commands,
+    compute_corner_speeds,
+    make_airspace,
+)
+from bulletuav.bridges.starts import make_start_positions
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.earth import (
     Origin,
@@ -27,25 +33,26 @@ from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.airframes import load_airframe
 
 STEP_HZ = 250
-"""Steps, and measurements of the inertial unit, a second"""
+"""Rate of simulation steps and of inertial measurements, Hz"""
 SLOW_STEPS, GPS_STEPS = 5, 25
-"""Steps between measurements of compass and barometer, and of the satellite receiver"""
-INERTIAL, SLOW = 0b111111, 0b1111111 << 6
-"""Fields of HIL_SENSOR: accelerometer and gyroscope; compass, pressures, temperature"""
+"""Steps between measurements of the magnetometer and barometer, and of the GPS receiver"""
+INERTIAL_FIELDS, SLOW_FIELDS = 0b111111, 0b1111111 << 6
+"""Bits of `HIL_SENSOR.fields_updated`: accelerometer and gyroscope; magnetometer, pressures and
+temperature"""
 ARMED = 128
-"""Bit of the mode of HIL_ACTUATOR_CONTROLS"""
+"""Bit of `HIL_ACTUATOR_CONTROLS.mode` that is set while the autopilot is armed"""
 GAUSS, KELVIN = 1e-4, 273.15
-"""Teslas in a gauss; the zero of degrees Celsius"""
+"""Teslas per gauss; 0 degrees Celsius in kelvins"""
 
 
 class Noise(NamedTuple):
-    """Standard deviations of what sensors measure.
+    """Standard deviations of the sensor noise.
 
     Attributes:
-        acceleration: m/s^2.
-        rate: rad/s.
-        field: gauss.
-        pressure: hPa.
+        acceleration: Accelerometer, m/s^2.
+        rate: Gyroscope, rad/s.
+        field: Magnetometer, gauss.
+        pressure: Barometer, hPa.
     """
 
     acceleration: float = 0.02
@@ -55,12 +62,14 @@ class Noise(NamedTuple):
 
 
 class HilBodies:
-    """N bodies in one airspace, whose motors autopilots command; they look north at the start.
+    """N vehicles in one airspace, whose motors are commanded by autopilots.
+
+    The vehicles face north at the start.
 
     Attributes:
-        airspace: Where they fly.
-        origin: Place on the Earth of the airspace's origin.
-        tick: Times that sensors have measured: the autopilots' clock, in units of 4 ms.
+        airspace: Airspace of the vehicles.
+        origin: Geodetic position of the origin of the airspace.
+        tick: Number of sensor measurements: the clock of the autopilots, in units of 4 ms.
     """
 
     def __init__(
@@ -73,147 +82,162 @@ class HilBodies:
         seed: int = 0,
         **options: Any,
     ) -> None:
-        """Put bodies on the ground, motors off.
+        """Place the vehicles on the ground with stopped motors.
 
         Args:
-            drones: How many there are, in rows 2 m apart; or where they stand, (N, 2), m.
-            airframe: Their airframe, of four rotors.
+            drones: Number of vehicles, on a grid with a spacing of 2 m; or their positions, (N, 2),
+                m.
+            airframe: Airframe of the vehicles, with four rotors.
             home: Latitude, longitude (degrees) and altitude (m) of the origin.
-            noise: How many times the usual noise sensors have.
-            seed: Of the noise, and of gusts.
-            **options: More options of `Airspace`, such as wind or obstacles.
+            noise: Scale of the sensor noise; 1 is the default noise, 0 is none.
+            seed: Seed of the sensor noise and of the gusts.
+            **options: Other options of `Airspace`, such as wind or obstacles.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
-        frame = load_airframe(airframe)
-        self._frame = frame
-        # Autopilots number the motors by their corners
-        corner_speeds(frame, dict.fromkeys(((1, 1), (1, -1), (-1, 1), (-1, -1)), 0.0))
+        airframe_data = load_airframe(airframe)
+        self._airframe = airframe_data
+        # Autopilots number the motors by corners: fail here if the airframe is not a quadrotor
+        compute_corner_speeds(
+            airframe_data, dict.fromkeys(((1, 1), (1, -1), (-1, 1), (-1, -1)), 0.0)
+        )
         self._noise = np.repeat(Noise(), (3, 3, 3, 1)) * finite("noise", noise, 0.0, 100.0)
-        self._starts = starts(drones, frame.standing_height, SPACING)
+        self._starts = make_start_positions(drones, airframe_data.standing_height, SPACING)
         if "decision_hz" in options:
-            raise ValueError(f"decision_hz is {STEP_HZ} for autopilots: leave it out")
+            raise ValueError(f"decision_hz is fixed at {STEP_HZ} for autopilots: leave it out")
         self.origin = Origin(*as_sequence("home", home, 3))
-        # The field of the Earth at home, in gauss as MAVLink wants it
+        # Magnetic field at home, in gauss as MAVLink defines it
         self._field = magnetic_field(*as_sequence("home", home, 3)) / GAUSS
-        known = {"physics_hz": 2 * STEP_HZ, "decision_hz": STEP_HZ, "seed": seed, **options}
-        self.airspace = make_airspace(self._starts, frame, (SetpointLevel.ROTOR,), **known)
+        airspace_options = {
+            "physics_hz": 2 * STEP_HZ,
+            "decision_hz": STEP_HZ,
+            "seed": seed,
+            **options,
+        }
+        self.airspace = make_airspace(
+            self._starts, airframe_data, (SetpointLevel.ROTOR,), **airspace_options
+        )
         self.tick = 0
         self._rng = np.random.default_rng(seed)
-        self._orders: list[Order | None] = [None] * len(self._starts)
-        self._stand()
+        self._commands: list[AirspaceCommand | None] = [None] * len(self._starts)
+        self._reset_bodies()
 
     def __len__(self) -> int:
-        """Tell how many bodies there are."""
+        """Return the number of vehicles."""
         return len(self._starts)
 
     def warm_up(self) -> None:
-        """Compile what flies, which takes a minute the first time; bodies stay where they are."""
+        """Compile the simulation, which takes a minute the first time; the vehicles do not move."""
         self.airspace.warm_up()
-        self._stand()
+        self._reset_bodies()
 
-    def _stand(self) -> None:
-        """Put all bodies to where they start, at rest."""
+    def _reset_bodies(self) -> None:
+        """Place all vehicles at rest at their start positions."""
         self.airspace.place(None, self._starts, NORTH)
         self._velocity = self.airspace.swarm.velocity.copy()
         self._acceleration = np.zeros_like(self._velocity)
 
     @property
     def stamp(self) -> int:
-        """Time that autopilots are told, us."""
+        """Timestamp of the last measurement, microseconds."""
         return self.tick * (10**6 // STEP_HZ)
 
     def measure(self) -> list[list[OutgoingMessage]]:
-        """Measure; the autopilots' clock goes on.
+        """Measure with all sensors, and advance the clock of the autopilots.
 
         Returns:
-            Messages for each autopilot.
+            MAVLink messages for each autopilot.
         """
         self.tick += 1
         noise = self._rng.standard_normal((len(self), 10)) * self._noise
-        return [self._measured(i, noise[i]) for i in range(len(self))]
+        return [self._make_sensor_messages(i, noise[i]) for i in range(len(self))]
 
-    def _measured(self, i: int, noise: np.ndarray) -> list[OutgoingMessage]:
-        """Make the messages of one body."""
+    def _make_sensor_messages(self, i: int, noise: np.ndarray) -> list[OutgoingMessage]:
+        """Return the sensor messages of vehicle `i`: HIL_SENSOR, and HIL_GPS when it is due."""
         swarm = self.airspace.swarm
         x, y, z = self._acceleration[i].tolist()
-        turn = swarm.quaternion[i]
-        # In forward, right, down; an accelerometer at rest feels gravity as a push up
-        force = flu_to_frd(to_body(turn, (x, y, z + STANDARD_GRAVITY))) + noise[:3]
+        attitude = swarm.quaternion[i]
+        # Forward, right, down. An accelerometer measures specific force: at rest, gravity upwards
+        force = flu_to_frd(to_body(attitude, (x, y, z + STANDARD_GRAVITY))) + noise[:3]
         rates = flu_to_frd(swarm.rates[i]) + noise[3:6]
-        field = flu_to_frd(to_body(turn, self._field)) + noise[6:9]
-        # Pressure in hPa, its altitude, and the temperature there
+        field = flu_to_frd(to_body(attitude, self._field)) + noise[6:9]
+        # Absolute and differential pressure in hPa; then pressure altitude and temperature
         height = float(self.origin.altitude + swarm.position[i, 2])
-        air = (float(pressure(height)) / 100 + float(noise[9]), 0.0)
-        above = (float(geopotential_height(height)), float(temperature(height)) - KELVIN)
-        # Bits of what is new: slow sensors measure in some steps only
-        updated = INERTIAL | (SLOW if self.tick % SLOW_STEPS == 0 else 0)
-        felt = (*force.tolist(), *rates.tolist(), *field.tolist(), *air, *above)
-        told = [OutgoingMessage("hil_sensor", (self.stamp, *felt, updated))]
+        pressures = (float(pressure(height)) / 100 + float(noise[9]), 0.0)
+        baro = (float(geopotential_height(height)), float(temperature(height)) - KELVIN)
+        # Only updated fields are flagged; slow sensors measure in some of the steps
+        updated = INERTIAL_FIELDS | (SLOW_FIELDS if self.tick % SLOW_STEPS == 0 else 0)
+        values = (*force.tolist(), *rates.tolist(), *field.tolist(), *pressures, *baro)
+        messages = [OutgoingMessage("hil_sensor", (self.stamp, *values, updated))]
         if self.tick % GPS_STEPS == 0:
-            told.append(self._located(i))
-        return told
+            messages.append(self._make_gps_message(i))
+        return messages
 
-    def _located(self, i: int) -> OutgoingMessage:
-        """Tell what a satellite receiver measures, without noise: cm, cm/s and 1e-7 degrees."""
+    def _make_gps_message(self, i: int) -> OutgoingMessage:
+        """Return the HIL_GPS message of vehicle `i`, without noise: cm, cm/s and 1e-7 degrees."""
         swarm = self.airspace.swarm
         latitude, longitude, altitude = self.origin.to_geodetic(swarm.position[i]).tolist()
         north, east, down = np.round(enu_to_ned(swarm.velocity[i]) * 100).astype(int).tolist()
-        flat = math.hypot(north, east)
+        ground_speed = math.hypot(north, east)
         course = round(math.degrees(math.atan2(east, north)) * 100) % 36000
-        where = (round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1000), 30, 40)
+        position = (round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1000), 30, 40)
         return OutgoingMessage(
-            "hil_gps", (self.stamp, 3, *where, round(flat), north, east, down, course, 12)
+            "hil_gps",
+            (self.stamp, 3, *position, round(ground_speed), north, east, down, course, 12),
         )
 
     def truth(self, i: int) -> OutgoingMessage:
-        """Tell how a body truly moves: HIL_STATE_QUATERNION."""
+        """Return the true state of vehicle `i` as HIL_STATE_QUATERNION."""
         swarm = self.airspace.swarm
         latitude, longitude, altitude = self.origin.to_geodetic(swarm.position[i]).tolist()
         velocity = np.round(enu_to_ned(swarm.velocity[i]) * 100).astype(int).tolist()
-        turn = attitude_to_ned(swarm.quaternion[i], scalar_first=True).tolist()
+        attitude = attitude_to_ned(swarm.quaternion[i], scalar_first=True).tolist()
         speed = round(float(np.sqrt((swarm.velocity[i] ** 2).sum())) * 100)
         x, y, z = self._acceleration[i].tolist()
         force = flu_to_frd(to_body(swarm.quaternion[i], (x, y, z + STANDARD_GRAVITY)))
-        milli = np.clip(np.round(force / STANDARD_GRAVITY * 1000), -32768, 32767).astype(int)
-        where = (round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1000))
+        milli_g = np.clip(np.round(force / STANDARD_GRAVITY * 1000), -32768, 32767).astype(int)
+        position = (round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1000))
         rates = flu_to_frd(swarm.rates[i]).tolist()
-        rest = (*where, *velocity, speed, speed, *milli.tolist())
-        return OutgoingMessage("hil_state_quaternion", (self.stamp, turn, *rates, *rest))
+        remaining = (*position, *velocity, speed, speed, *milli_g.tolist())
+        return OutgoingMessage("hil_state_quaternion", (self.stamp, attitude, *rates, *remaining))
 
     def command(self, i: int, message: Message) -> None:
-        """Take HIL_ACTUATOR_CONTROLS: shares of the greatest rotor speed.
+        """Set the motor commands of a vehicle from a HIL_ACTUATOR_CONTROLS message.
 
         Args:
-            i: Index of the body.
-            message: Motors in PX4's order: front right, rear left, front left, rear right.
+            i: Index of the vehicle.
+            message: Fractions of the maximum rotor speed in PX4's motor order: front right, rear
+                left, front left, rear right. Motors stop if the autopilot is disarmed.
         """
         if not message.mode & ARMED:
-            self._orders[i] = None
+            self._commands[i] = None
             return
-        shares = [
-            min(max(one, 0.0), 1.0) if math.isfinite(one) else 0.0 for one in message.controls[:4]
+        fractions = [
+            min(max(control, 0.0), 1.0) if math.isfinite(control) else 0.0
+            for control in message.controls[:4]
         ]
-        corners = dict(zip(((1, -1), (-1, 1), (1, 1), (-1, -1)), shares, strict=True))
-        self._orders[i] = Order(SetpointLevel.ROTOR, corner_speeds(self._frame, corners))
+        corners = dict(zip(((1, -1), (-1, 1), (1, 1), (-1, -1)), fractions, strict=True))
+        self._commands[i] = AirspaceCommand(
+            SetpointLevel.ROTOR, compute_corner_speeds(self._airframe, corners)
+        )
 
     def stop(self, i: int) -> None:
-        """Switch the motors of a body off."""
-        self._orders[i] = None
+        """Stop the motors of vehicle `i`."""
+        self._commands[i] = None
 
     def step(self) -> None:
-        """Fly for 4 ms.
+        """Step the simulation by 4 ms.
 
         Raises:
-            RuntimeError: The flight diverged, or the airspace is closed.
+            RuntimeError: If the simulation diverged, or the airspace is closed.
         """
-        give(self.airspace, self._orders)
+        apply_commands(self.airspace, self._commands)
         self.airspace.step()
         swarm = self.airspace.swarm
         self._acceleration = (swarm.velocity - self._velocity) / self.airspace.period
         self._velocity = swarm.velocity.copy()
 
     def close(self) -> None:
-        """Free the airspace."""
+        """Close the airspace."""
         self.airspace.close()

@@ -11,8 +11,8 @@ from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, Sender
 from bulletuav.bridges.mavlink_services import Services
 from bulletuav.bridges.mavlink_telemetry import STEP_HZ
 from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
-from bulletuav.bridges.setpoints import NORTH, give, make_airspace, states_of
-from bulletuav.bridges.starts import starts
+from bulletuav.bridges.setpoints import NORTH, apply_commands, get_states, make_airspace
+from bulletuav.bridges.starts import make_start_positions
 from bulletuav.earth import Origin, attitude_to_ned
 from bulletuav.errors import as_int, as_sequence
 from bulletuav.vehicle.airframes import load_airframe
@@ -63,7 +63,7 @@ class MavlinkFleet:
             ValueError: If an option is invalid.
         """
         frame = load_airframe(airframe)
-        places = starts(drones, frame.standing_height, SPACING)
+        places = make_start_positions(drones, frame.standing_height, SPACING)
         as_int("number of drones", len(places), 1, MAX_VEHICLES)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {STEP_HZ} for MAVLink clients: omit the option")
@@ -105,7 +105,9 @@ class MavlinkFleet:
             RuntimeError: If the flight diverged, or the airspace is closed.
         """
         period = self.airspace.period
-        give(self.airspace, [service.vehicle.pilot.order(period) for service in self.services])
+        apply_commands(
+            self.airspace, [service.vehicle.pilot.order(period) for service in self.services]
+        )
         self.airspace.step()
         self.tick += 1
         self._update_vehicles()
@@ -121,7 +123,7 @@ class MavlinkFleet:
         swarm, contacts = self.airspace.swarm, self.airspace.contacts
         touching = set(contacts.drone[contacts.normal[:, 2] > MIN_SUPPORT_NORMAL].tolist())
         self._geodetic_poses: list[list[float]] | None = None
-        for i, (service, state) in enumerate(zip(self.services, states_of(swarm), strict=True)):
+        for i, (service, state) in enumerate(zip(self.services, get_states(swarm), strict=True)):
             service.vehicle.pilot.update_state(state, self.time, i in touching or self.tick == 0)
 
     def _locate(self, i: int) -> list[float]:

@@ -9,8 +9,15 @@ from bulletuav.bridges.mavlink_items import check_mission
 from bulletuav.bridges.mavlink_parameters import MavlinkParameterService
 from bulletuav.bridges.mavlink_protocol import CommandResult, Mode, RefusedError
 from bulletuav.bridges.mavlink_route import Route
-from bulletuav.bridges.motions import Heading, Land, Motion, Off, Path, Stay
-from bulletuav.bridges.setpoints import Guide, Order, Setpoint, State, euler
+from bulletuav.bridges.motions import (
+    FollowPath,
+    Heading,
+    HoldPosition,
+    Land,
+    MotionPrimitive,
+    MotorsOff,
+)
+from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint, SetpointController, State, euler
 from bulletuav.vehicle.airframe import Airframe
 
 CONTACT_DEBOUNCE_TIME = 0.1
@@ -40,16 +47,16 @@ class Pilot:
         """Initialise on the ground, disarmed."""
         self._airframe, self._site, self._fence = airframe, site, fence
         self._values = parameters.values
-        self._guide = Guide(airframe)
+        self._guide = SetpointController(airframe)
         self.mode, self.is_armed, self.has_landed = Mode.HOLD, False, True
         self.state: State = (list(site.start), [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
         self.now = 0.0
         self.route = Route(site, self._values)
         self.status_texts: list[str] = []
-        self._motion: Motion = Off()
-        self._next_motion: Callable[[], Motion | None] = lambda: None
+        self._motion: MotionPrimitive = MotorsOff()
+        self._next_motion: Callable[[], MotionPrimitive | None] = lambda: None
         self._takeoff_goal: tuple[float, float, float] | None = None
-        self._offboard_setpoint: Setpoint | Order | None = None
+        self._offboard_setpoint: Setpoint | AirspaceCommand | None = None
         self._last_setpoint_time = -math.inf
         self._yaw: float | None = None
         self._contact_change_time = self._last_upright_time = 0.0
@@ -109,13 +116,13 @@ class Pilot:
                 self.status_texts.append("no offboard setpoints: hold")
                 self.enter_mode(Mode.HOLD)
             return
-        if isinstance(self._motion, Off | Stay):
+        if isinstance(self._motion, MotorsOff | HoldPosition):
             return
-        if self._motion.outcome(self.state, self.now, self._is_touching) is None:
+        if self._motion.check_outcome(self.state, self.now, self._is_touching) is None:
             return
         previous = self._motion
-        self._motion = self._next_motion() or previous.after(self.state)
-        if self.mode in (Mode.TAKEOFF, Mode.MISSION) and isinstance(self._motion, Stay):
+        self._motion = self._next_motion() or previous.get_next_motion(self.state)
+        if self.mode in (Mode.TAKEOFF, Mode.MISSION) and isinstance(self._motion, HoldPosition):
             self.mode = Mode.HOLD
 
     def _check_auto_disarm(self) -> None:
@@ -129,29 +136,31 @@ class Pilot:
         """True if an offboard setpoint has arrived within COM_OF_LOSS_T."""
         return self.now - self._last_setpoint_time <= self._values["COM_OF_LOSS_T"]
 
-    def set_offboard_setpoint(self, setpoint: Setpoint | Order) -> None:
+    def set_offboard_setpoint(self, setpoint: Setpoint | AirspaceCommand) -> None:
         """Set the offboard setpoint, which is followed in mode OFFBOARD.
 
         Raises:
             RefusedError: If the setpoint is a position that breaches the geofence.
         """
-        if isinstance(setpoint, Setpoint) and setpoint.across == "position":
+        if isinstance(setpoint, Setpoint) and setpoint.xy_mode == "position":
             self._fence.require_inside("setpoint is", (*setpoint.xy, setpoint.z))
         self._offboard_setpoint, self._last_setpoint_time = setpoint, self.now
 
-    def order(self, period: float) -> Order | None:
+    def order(self, period: float) -> AirspaceCommand | None:
         """Return the flight command of the next step, or None for motors off."""
-        setpoint: Setpoint | Order | None = None
+        setpoint: Setpoint | AirspaceCommand | None = None
         if self.is_armed and self.mode == Mode.OFFBOARD:
             setpoint = self._offboard_setpoint
         elif self.is_armed:
-            setpoint = self._motion.order(self.state, self.now)
-            if isinstance(setpoint, Setpoint) and setpoint.turning == "angle":
-                return self._guide.order(self._limit_yaw_rate(setpoint, period), self.state, period)
+            setpoint = self._motion.get_setpoint(self.state, self.now)
+            if isinstance(setpoint, Setpoint) and setpoint.yaw_mode == "angle":
+                return self._guide.compute_command(
+                    self._limit_yaw_rate(setpoint, period), self.state, period
+                )
         self._yaw = None
         if isinstance(setpoint, Setpoint):
-            return self._guide.order(setpoint, self.state, period)
-        self._guide.rest()
+            return self._guide.compute_command(setpoint, self.state, period)
+        self._guide.reset()
         return setpoint
 
     def _limit_yaw_rate(self, setpoint: Setpoint, period: float) -> Setpoint:
@@ -201,7 +210,7 @@ class Pilot:
 
     def _disarm(self, reason: str) -> None:
         """Switch the motors off, and send the reason to the clients."""
-        self.is_armed, self.mode, self._motion = False, Mode.HOLD, Off()
+        self.is_armed, self.mode, self._motion = False, Mode.HOLD, MotorsOff()
         self.status_texts += [reason] if reason else []
 
     def take_off(self, height: float | None) -> None:
@@ -280,7 +289,7 @@ class Pilot:
         max_distance = self._values["MIS_DIST_1WP"]
         check_mission(self.route.items, self._site, self._fence, max_distance)
 
-    def _start_motion(self, mode: Mode) -> Motion:
+    def _start_motion(self, mode: Mode) -> MotionPrimitive:
         """Return the first motion of a mode."""
         if mode == Mode.TAKEOFF:
             goal, self._takeoff_goal = self._takeoff_goal, None
@@ -290,32 +299,32 @@ class Pilot:
         if mode == Mode.MISSION:
             self.route.set_current_item(0 if self.route.is_over else self.route.current)
             self._next_motion = self._next_mission_motion
-            return self._next_mission_motion() or Stay(self.state)
+            return self._next_mission_motion() or HoldPosition(self.state)
         # On the ground all other modes keep the motors off
         if self.has_landed:
-            return Off()
+            return MotorsOff()
         if mode == Mode.LAND:
             return self._land()
         if mode == Mode.RETURN:
             return self._return()
-        return Stay(self.state, self.now)
+        return HoldPosition(self.state, self.now)
 
-    def _next_mission_motion(self) -> Motion | None:
+    def _next_mission_motion(self) -> MotionPrimitive | None:
         """Return the next motion of the mission, or None at its end."""
         motion = self.route.next_motion(self.state, self.now, self.has_landed)
         if motion == Mode.RETURN:
             self.mode = Mode.RETURN
-            return Off() if self.has_landed else self._return()
+            return MotorsOff() if self.has_landed else self._return()
         if motion == Mode.LAND:
             return self._land()
-        assert motion is None or isinstance(motion, Motion)
+        assert motion is None or isinstance(motion, MotionPrimitive)
         return motion
 
-    def _land(self) -> Motion:
+    def _land(self) -> MotionPrimitive:
         """Return the motion that descends until ground contact."""
         return Land(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
 
-    def _return(self) -> Motion:
+    def _return(self) -> MotionPrimitive:
         """Return the first leg of a return: climb, fly above home, descend, and land."""
         x, y, z = self.state[0]
         home, values = self._site.start, self._values
@@ -324,7 +333,7 @@ class Pilot:
         descent_height = min(return_height, home[2] + values["RTL_DESCEND_ALT"])
         waypoints = iter([(home[0], home[1], return_height), (home[0], home[1], descent_height)])
 
-        def next_leg() -> Motion | None:
+        def next_leg() -> MotionPrimitive | None:
             goal = next(waypoints, None)
             if goal is None:
                 self._next_motion = lambda: None
@@ -335,5 +344,5 @@ class Pilot:
         self._next_motion = next_leg
         return self._leg((x, y, return_height), values["MPC_XY_CRUISE"], Heading())
 
-    def _leg(self, goal: tuple[float, float, float], speed: float, heading: Heading) -> Path:
+    def _leg(self, goal: tuple[float, float, float], speed: float, heading: Heading) -> FollowPath:
         return self.route.plan_leg(self.state, goal, speed, heading, self.now)

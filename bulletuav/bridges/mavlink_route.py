@@ -19,7 +19,13 @@ from bulletuav.bridges.mavlink_items import (
     compute_item_position,
 )
 from bulletuav.bridges.mavlink_protocol import Mode
-from bulletuav.bridges.motions import ACCELERATION, Heading, Hold, Motion, Path
+from bulletuav.bridges.motions import (
+    PATH_ACCELERATION,
+    FollowPath,
+    Heading,
+    HoldSetpoint,
+    MotionPrimitive,
+)
 from bulletuav.bridges.setpoints import Setpoint, State, euler
 
 MAX_WAIT = 1e5
@@ -65,7 +71,7 @@ class Route:
     def set_current_item(self, number: int) -> None:
         """Continue with an item, from its start."""
         self.current = number
-        self._motions: Iterator[Motion | Mode] | None = None
+        self._motions: Iterator[MotionPrimitive | Mode] | None = None
 
     @property
     def speed(self) -> float:
@@ -89,7 +95,7 @@ class Route:
         heading: Heading,
         now: float,
         acceptance_radius: float = MIN_ACCEPTANCE_RADIUS,
-    ) -> Path:
+    ) -> FollowPath:
         """Plan a straight leg to a position, with the vertical speed limited by the parameters.
 
         Args:
@@ -106,10 +112,12 @@ class Route:
         if speed * abs(rise) > max_climb_rate * distance:
             speed = max_climb_rate * distance / abs(rise)
         # Wind may keep the drone away from the goal: end the leg after a timeout
-        limit = distance / speed + speed / ACCELERATION + LEG_TIMEOUT_MARGIN
-        return Path(state, [np.array(goal)], speed, heading, (now, limit), acceptance_radius)
+        limit = distance / speed + speed / PATH_ACCELERATION + LEG_TIMEOUT_MARGIN
+        return FollowPath(state, [np.array(goal)], speed, heading, (now, limit), acceptance_radius)
 
-    def next_motion(self, state: State, now: float, has_landed: bool) -> Motion | Mode | None:
+    def next_motion(
+        self, state: State, now: float, has_landed: bool
+    ) -> MotionPrimitive | Mode | None:
         """Return the next motion of the mission.
 
         Args:
@@ -131,7 +139,7 @@ class Route:
             self.set_current_item(self.current + 1)
         return None
 
-    def _item_motions(self, item: MissionItem) -> Iterator[Motion | Mode]:
+    def _item_motions(self, item: MissionItem) -> Iterator[MotionPrimitive | Mode]:
         """Yield the motions of an item, one by one, from the drone's present position."""
         if item.command == CHANGE_SPEED:
             if item.params[1] > 0:
@@ -145,7 +153,7 @@ class Route:
         else:
             yield from self._position_item_motions(item)
 
-    def _position_item_motions(self, item: MissionItem) -> Iterator[Motion | Mode]:
+    def _position_item_motions(self, item: MissionItem) -> Iterator[MotionPrimitive | Mode]:
         """Yield the motions of an item with a position."""
         current_position = self._state[0]
         goal = compute_item_position(item, self._site, current_position)
@@ -182,12 +190,12 @@ class Route:
         goal: tuple[float, float, float],
         heading: Heading,
         acceptance_radius: float = MIN_ACCEPTANCE_RADIUS,
-    ) -> Path:
+    ) -> FollowPath:
         """Plan a straight leg at the mission's speed."""
         return self.plan_leg(self._state, goal, self.speed, heading, self._now, acceptance_radius)
 
-    def _wait(self, seconds: float) -> Hold:
+    def _wait(self, seconds: float) -> HoldSetpoint:
         """Return a motion that holds the position for a time, s."""
         (x, y, z), quaternion, _, _ = self._state
         setpoint = Setpoint("position", (x, y), "position", z, "angle", euler(quaternion)[2])
-        return Hold(self._now, min(max(seconds, 0.0), MAX_WAIT), setpoint)
+        return HoldSetpoint(self._now, min(max(seconds, 0.0), MAX_WAIT), setpoint)

@@ -18,7 +18,7 @@ from bulletuav.bridges.mavlink_protocol import (
 )
 from bulletuav.bridges.mavlink_telemetry import TelemetryRates, make_message
 from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
-from bulletuav.bridges.setpoints import Order, Setpoint
+from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint
 
 SETPOINTS = (
     "SET_POSITION_TARGET_LOCAL_NED",
@@ -124,7 +124,7 @@ class Services:
             if self._setpoint_sender not in (None, sender) and pilot.has_recent_setpoint:
                 raise RefusedError("setpoints denied: another client sends setpoints")
             # Frames and type masks differ between the messages
-            setpoint: Setpoint | Order
+            setpoint: Setpoint | AirspaceCommand
             if message_type == "SET_ATTITUDE_TARGET":
                 setpoint = mavlink_setpoints.parse_attitude_target(message, vehicle.airframe)
             elif message_type == "SET_POSITION_TARGET_LOCAL_NED":

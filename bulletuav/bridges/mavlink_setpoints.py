@@ -4,7 +4,7 @@ import math
 
 from bulletuav.bridges.mavlink_coordinates import Site
 from bulletuav.bridges.mavlink_protocol import Message, RefusedError
-from bulletuav.bridges.setpoints import Order, Setpoint, State, euler
+from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint, State, euler
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.earth import attitude_to_enu
 from bulletuav.vehicle.airframe import Airframe
@@ -24,7 +24,7 @@ MAX_TILT = math.radians(60)
 """Limit of roll and pitch, rad"""
 
 
-def parse_local_target(message: Message, site: Site, state: State) -> Setpoint | Order:
+def parse_local_target(message: Message, site: Site, state: State) -> Setpoint | AirspaceCommand:
     """Convert a SET_POSITION_TARGET_LOCAL_NED into a setpoint.
 
     Args:
@@ -48,7 +48,7 @@ def parse_local_target(message: Message, site: Site, state: State) -> Setpoint |
     )
 
 
-def parse_global_target(message: Message, site: Site, state: State) -> Setpoint | Order:
+def parse_global_target(message: Message, site: Site, state: State) -> Setpoint | AirspaceCommand:
     """Convert a SET_POSITION_TARGET_GLOBAL_INT into a setpoint; see `parse_local_target`.
 
     Raises:
@@ -63,7 +63,7 @@ def parse_global_target(message: Message, site: Site, state: State) -> Setpoint 
 
 def _make_setpoint(
     message: Message, mask: int, position: tuple[float, float, float], state: State, body: str
-) -> Setpoint | Order:
+) -> Setpoint | AirspaceCommand:
     """Combine the fields that the type mask selects: position, velocity, acceleration and yaw."""
     if mask & FORCE_SET and mask & IGNORE_ACCELERATION != IGNORE_ACCELERATION:
         raise RefusedError("setpoint: forces are not supported")
@@ -84,7 +84,7 @@ def _make_setpoint(
     if not mask & IGNORE_ACCELERATION and not body:
         acceleration = _read_enu_vector(message, "af", mask >> 6, MAX_ACCELERATION)
         held_yaw = yaw if turning == "angle" else euler(state[1])[2]
-        return Order(SetpointLevel.ACCELERATION, (*acceleration, held_yaw))
+        return AirspaceCommand(SetpointLevel.ACCELERATION, (*acceleration, held_yaw))
     raise RefusedError(f"setpoint with mask {message.type_mask:#x} unsupported")
 
 

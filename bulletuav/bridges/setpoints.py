@@ -1,6 +1,7 @@
-"""Setpoints as clients of bridges give them, and the commands of an airspace that follow.
+"""Setpoints of bridge clients, and their conversion to airspace commands.
 
-A setpoint may mix what `SetpointLevel` keeps apart, such as a velocity across and a height to hold.
+A setpoint may combine modes that `SetpointLevel` separates, such as a horizontal velocity and a
+height to hold.
 """
 
 import math
@@ -16,39 +17,43 @@ from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.swarm import Swarm
 
 NORTH = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
-"""Attitude of a drone that looks north"""
-MOST_LEAD = 1.0
-"""How far the yaw to hold may run ahead of the drone, rad"""
+"""Attitude of a drone that faces north: quaternion x, y, z, w"""
+MAX_YAW_LEAD = 1.0
+"""Maximum angle by which the integrated yaw setpoint may lead the yaw of the drone, rad"""
 
 State = tuple[list[float], list[float], list[float], list[float]]
-"""Position, quaternion, velocity, rates of a drone; see `Swarm`"""
+"""Position, quaternion, velocity and angular rates of a drone; see `Swarm`"""
 
 
 def make_airspace(
-    starts: Any,
+    start_positions: Any,
     airframe: Airframe,
     levels: Sequence[SetpointLevel] = tuple(SetpointLevel),
     **options: Any,
 ) -> Airspace:
-    """Make the airspace of a server, in which drones have motors and hear the commands it gives.
+    """Create the airspace of a server, and check that it supports the commands of the server.
 
-    Otherwise the flight would end with its first step, or with a client's first command.
+    Without this check, the simulation would fail in its first step, or at the first command of a
+    client.
 
     Args:
-        starts: (N, 3) where drones start, m.
-        airframe: Their airframe.
+        start_positions: (N, 3) start positions of the drones, m.
+        airframe: Airframe of the drones.
         levels: Setpoint levels that the server commands.
-        **options: More options of `Airspace`.
+        **options: Other options of `Airspace`.
+
+    Returns:
+        The airspace.
 
     Raises:
-        ValueError: An option cannot be, or the dynamics does not take the commands.
+        ValueError: If an option is invalid, or the dynamics does not support the commands.
     """
-    airspace = Airspace(starts, airframe, **options)
+    airspace = Airspace(start_positions, airframe, **options)
     try:
         if airspace.consumes != SetpointLevel.ROTOR:
             raise ValueError(
-                f"dynamics is {shown(options.get('dynamics'))}, which has no motors: servers for "
-                f"programs of others need 'rigid_body' or 'bullet'"
+                f"dynamics is {shown(options.get('dynamics'))}, which has no motors: servers need "
+                f"'rigid_body' or 'bullet'"
             )
         for level in levels:
             airspace.require_level(level)
@@ -58,42 +63,45 @@ def make_airspace(
     return airspace
 
 
-def states_of(swarm: Swarm) -> list[State]:
-    """Tell the states of all drones of an airspace, as lists of numbers."""
+def get_states(swarm: Swarm) -> list[State]:
+    """Return the states of all drones of a swarm, as lists of numbers."""
     arrays = (swarm.position, swarm.quaternion, swarm.velocity, swarm.rates)
     return list(zip(*(array.tolist() for array in arrays), strict=True))
 
 
-def corner_speeds(frame: Airframe, shares: Mapping[tuple[int, int], float]) -> tuple[float, ...]:
-    """Tell the speeds of four rotors, in the order of the URDF.
+def compute_corner_speeds(
+    airframe: Airframe, fractions: Mapping[tuple[int, int], float]
+) -> tuple[float, ...]:
+    """Return the speeds of the four rotors of a quadrotor, in the rotor order of its URDF.
 
     Args:
-        frame: The airframe.
-        shares: Of the greatest speed, by the signs of a rotor's x (forward) and y (left).
+        airframe: Airframe of the drone.
+        fractions: Fractions of the maximum rotor speed. Keys are the signs of a rotor's x (forward)
+            and y (left) coordinates.
 
     Returns:
-        One for each rotor, rad/s.
+        Speed of each rotor, rad/s.
 
     Raises:
-        ValueError: It has not four rotors, one in each corner.
+        ValueError: If the airframe does not have four rotors, one in each corner.
     """
-    corners = [(1 if x > 0 else -1, 1 if y > 0 else -1) for x, y, _ in frame.rotors]
-    if sorted(corners) != sorted(shares):
+    corners = [(1 if x > 0 else -1, 1 if y > 0 else -1) for x, y, _ in airframe.rotors]
+    if sorted(corners) != sorted(fractions):
         raise ValueError(
-            f"{frame.name} has {len(corners)} rotors at corners {shown(corners)}: one in each of "
-            f"four is needed, as those of 'iris'"
+            f"{airframe.name} has {len(corners)} rotors at corners {shown(corners)}: four are "
+            f"needed, one in each corner, as those of 'iris'"
         )
-    return tuple(frame.max_rotor_speed * shares[corner] for corner in corners)
+    return tuple(airframe.max_rotor_speed * fractions[corner] for corner in corners)
 
 
 def euler(quaternion: list[float] | tuple[float, ...]) -> tuple[float, float, float]:
-    """Convert an attitude into Euler angles in the aerospace order.
+    """Convert a quaternion to Euler angles in the aerospace order: yaw, pitch, roll.
 
     Args:
         quaternion: (4,) x, y, z, w, body (FLU) to world (ENU).
 
     Returns:
-        Roll, pitch (nose down) and yaw, rad.
+        Roll, pitch (positive nose down) and yaw, rad.
     """
     x, y, z, w = quaternion
     roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
@@ -103,150 +111,167 @@ def euler(quaternion: list[float] | tuple[float, ...]) -> tuple[float, float, fl
 
 
 class Setpoint(NamedTuple):
-    """What a drone is to do, in the units of this package.
+    """Setpoint of a drone, with separate modes for the horizontal, vertical and yaw axes.
 
     Attributes:
-        across: What `xy` is: "position" (m), "velocity" (world) or "body" (m/s), "attitude" (roll
-            and pitch, rad) or "rates" (rad/s).
+        xy_mode: Meaning of `xy`: "position" (m), "velocity" (m/s, world frame), "body" (m/s,
+            heading frame), "attitude" (roll and pitch, rad) or "rates" (roll and pitch rates,
+            rad/s).
         xy: Two numbers.
-        upward: What `z` is: "position" (m), "velocity" (m/s) or "thrust" (N).
+        z_mode: Meaning of `z`: "position" (m), "velocity" (m/s) or "thrust" (N).
         z: A number.
-        turning: What `yaw` is: "angle" (rad) or "rate" (rad/s).
+        yaw_mode: Meaning of `yaw`: "angle" (rad) or "rate" (rad/s).
         yaw: A number.
-        ahead: Velocity (m/s) and acceleration (m/s^2) that go with a position, six numbers.
+        feedforward: Velocity (m/s) and acceleration (m/s^2) of a moving position setpoint, six
+            numbers; empty for a fixed position.
     """
 
-    across: str
+    xy_mode: str
     xy: tuple[float, float]
-    upward: str
+    z_mode: str
     z: float
-    turning: str = "rate"
+    yaw_mode: str = "rate"
     yaw: float = 0.0
-    ahead: tuple[float, ...] = ()
+    feedforward: tuple[float, ...] = ()
 
-    def levelled(self) -> "Setpoint":
-        """Return the setpoint of a drone that has heard nothing for a while: level, as high."""
-        return Setpoint("attitude", (0.0, 0.0), self.upward, self.z)
+    def to_level(self) -> "Setpoint":
+        """Return a failsafe setpoint with level attitude and the same vertical setpoint.
+
+        Servers use this setpoint when a client has been silent for a while.
+        """
+        return Setpoint("attitude", (0.0, 0.0), self.z_mode, self.z)
 
 
-class Order(NamedTuple):
-    """A command for an airspace: level and numbers."""
+class AirspaceCommand(NamedTuple):
+    """Command for one drone of an airspace.
+
+    Attributes:
+        level: Setpoint level.
+        values: Values of the command, as `level` defines them.
+    """
 
     level: SetpointLevel
-    numbers: tuple[float, ...]
+    values: tuple[float, ...]
 
 
-def give(airspace: Airspace, orders: Sequence[Order | None]) -> None:
-    """Tell each drone of an airspace its command; None is for motors off."""
+def apply_commands(airspace: Airspace, commands: Sequence[AirspaceCommand | None]) -> None:
+    """Send commands to the drones of an airspace.
+
+    Args:
+        airspace: The airspace.
+        commands: Command of each drone; None stops its motors.
+    """
     rows: dict[SetpointLevel | None, list[int]] = {}
-    for i, order in enumerate(orders):
-        rows.setdefault(None if order is None else order.level, []).append(i)
+    for i, command in enumerate(commands):
+        rows.setdefault(None if command is None else command.level, []).append(i)
     for level, drones in rows.items():
         if level is None:
             airspace.stop(drones)
         else:
-            wanted = [order.numbers for order in orders if order and order.level == level]
-            airspace.command(drones, level, wanted)
+            values = [command.values for command in commands if command and command.level == level]
+            airspace.command(drones, level, values)
 
 
-class Guide:
-    """Turns setpoints into commands of an airspace, for one drone."""
+class SetpointController:
+    """Controller that converts the setpoints of one drone to airspace commands."""
 
     def __init__(self, airframe: Airframe) -> None:
-        """Take the loops of the airframe's controller."""
+        """Read the gains of the airframe's position controller."""
         gains = gain_rows([airframe], airframe.max_speed)[0]
         frequency, damping = float(gains["position_frequency"]), float(gains["damping"])
-        self._near = frequency / (2 * damping)
-        self._rate, self._stiffness = 2 * damping * frequency, frequency**2
-        self._mass, self._fastest = airframe.mass, airframe.max_speed
+        self._position_gain = frequency / (2 * damping)
+        self._velocity_gain, self._stiffness = 2 * damping * frequency, frequency**2
+        self._mass, self._max_speed = airframe.mass, airframe.max_speed
         self._yaw: float | None = None
 
-    def rest(self) -> None:
-        """Forget the yaw that was held."""
+    def reset(self) -> None:
+        """Clear the yaw that the drone holds."""
         self._yaw = None
 
-    def order(
-        self,
-        setpoint: Setpoint,
-        state: State,
-        period: float,
-    ) -> Order:
-        """Tell the command for a setpoint.
+    def compute_command(self, setpoint: Setpoint, state: State, period: float) -> AirspaceCommand:
+        """Return the airspace command that tracks a setpoint.
 
         Args:
-            setpoint: What the drone is to do.
-            state: Its state.
+            setpoint: Setpoint of the drone.
+            state: State of the drone.
             period: Time until the next command, s.
 
         Returns:
             The command.
         """
         position, quaternion, velocity, _ = state
-        yaw = self._held_yaw(setpoint, quaternion, period)
-        # Attitudes and rates need a thrust; one that holds a height is worked out here
-        if setpoint.across in ("attitude", "rates"):
+        yaw = self._update_held_yaw(setpoint, quaternion, period)
+        # Attitudes and rates need a thrust; holding a height or a climb rate needs one computed
+        # here
+        if setpoint.xy_mode in ("attitude", "rates"):
             thrust = setpoint.z
-            if setpoint.upward != "thrust":
-                # The climb's error becomes an acceleration, as in the cascade
-                up = self._rate * (self._climb(setpoint, position[2]) - velocity[2])
-                roll, pitch, _ = euler(quaternion)
-                # Share of the thrust that lifts; below a half the drone may sink
-                lean = max(cos(roll) * cos(pitch), 0.5)
-                thrust = self._mass * max(STANDARD_GRAVITY + up, 0.0) / lean
-            if setpoint.across == "attitude":
-                return Order(SetpointLevel.ATTITUDE, (*setpoint.xy, yaw, thrust))
-            rate = setpoint.yaw if setpoint.turning == "rate" else 0.0
-            return Order(SetpointLevel.RATES, (*setpoint.xy, rate, thrust))
-        # Positions: along with what moves, or to a stop
-        if setpoint.across == "position":
-            if setpoint.ahead:
-                return Order(
-                    SetpointLevel.ACCELERATION, (*self._follow(setpoint, position, velocity), yaw)
+            if setpoint.z_mode != "thrust":
+                # As in the cascaded controller, the climb rate error gives an acceleration
+                vertical_acceleration = self._velocity_gain * (
+                    self._compute_climb_rate(setpoint, position[2]) - velocity[2]
                 )
-            return Order(SetpointLevel.POSITION, (*setpoint.xy, setpoint.z, yaw))
-        # Velocities, of which those of the body turn with its heading
+                roll, pitch, _ = euler(quaternion)
+                # Vertical fraction of the thrust; clamped at 0.5, so that a steeply tilted drone
+                # may sink
+                tilt_factor = max(cos(roll) * cos(pitch), 0.5)
+                thrust = (
+                    self._mass * max(STANDARD_GRAVITY + vertical_acceleration, 0.0) / tilt_factor
+                )
+            if setpoint.xy_mode == "attitude":
+                return AirspaceCommand(SetpointLevel.ATTITUDE, (*setpoint.xy, yaw, thrust))
+            yaw_rate = setpoint.yaw if setpoint.yaw_mode == "rate" else 0.0
+            return AirspaceCommand(SetpointLevel.RATES, (*setpoint.xy, yaw_rate, thrust))
+        # Moving positions are tracked with feedforward; fixed ones by the position controller
+        if setpoint.xy_mode == "position":
+            if setpoint.feedforward:
+                return AirspaceCommand(
+                    SetpointLevel.ACCELERATION,
+                    (*self._compute_acceleration(setpoint, position, velocity), yaw),
+                )
+            return AirspaceCommand(SetpointLevel.POSITION, (*setpoint.xy, setpoint.z, yaw))
+        # Velocities; those in the heading frame are rotated to the world frame
         x, y = setpoint.xy
-        if setpoint.across == "body":
+        if setpoint.xy_mode == "body":
             heading = euler(quaternion)[2]
             x, y = (
                 x * cos(heading) - y * sin(heading),
                 x * sin(heading) + y * cos(heading),
             )
-        return Order(SetpointLevel.VELOCITY, (x, y, self._climb(setpoint, position[2]), yaw))
+        return AirspaceCommand(
+            SetpointLevel.VELOCITY, (x, y, self._compute_climb_rate(setpoint, position[2]), yaw)
+        )
 
-    def _climb(self, setpoint: Setpoint, height: float) -> float:
-        """Tell the velocity upwards, m/s, that leads to the height wanted, or is wanted."""
-        if setpoint.upward == "velocity":
+    def _compute_climb_rate(self, setpoint: Setpoint, height: float) -> float:
+        """Return the climb rate of a setpoint, or the one that leads to its height, m/s."""
+        if setpoint.z_mode == "velocity":
             return setpoint.z
-        return min(max(self._near * (setpoint.z - height), -self._fastest), self._fastest)
+        return min(
+            max(self._position_gain * (setpoint.z - height), -self._max_speed), self._max_speed
+        )
 
-    def _follow(
-        self,
-        setpoint: Setpoint,
-        position: list[float],
-        velocity: list[float],
+    def _compute_acceleration(
+        self, setpoint: Setpoint, position: list[float], velocity: list[float]
     ) -> list[float]:
-        """Tell the acceleration that leads to a position that moves."""
-        place = (*setpoint.xy, setpoint.z)
+        """Return the acceleration that tracks a moving position (PD with feedforward), m/s^2."""
+        target = (*setpoint.xy, setpoint.z)
         return [
-            setpoint.ahead[3 + k]
-            + self._rate * (setpoint.ahead[k] - velocity[k])
-            + self._stiffness * (place[k] - position[k])
+            setpoint.feedforward[3 + k]
+            + self._velocity_gain * (setpoint.feedforward[k] - velocity[k])
+            + self._stiffness * (target[k] - position[k])
             for k in range(3)
         ]
 
-    def _held_yaw(
-        self,
-        setpoint: Setpoint,
-        quaternion: list[float],
-        period: float,
-    ) -> float:
-        """Turn the yaw that is held."""
-        if setpoint.turning == "angle":
+    def _update_held_yaw(self, setpoint: Setpoint, quaternion: list[float], period: float) -> float:
+        """Update and return the yaw to hold, rad.
+
+        A yaw rate is integrated. The result may lead the yaw of the drone by at most
+        `MAX_YAW_LEAD`.
+        """
+        if setpoint.yaw_mode == "angle":
             self._yaw = setpoint.yaw
             return setpoint.yaw
         heading = euler(quaternion)[2]
-        held = heading if self._yaw is None else self._yaw
-        lead = math.remainder(held + setpoint.yaw * period - heading, math.tau)
-        self._yaw = math.remainder(heading + min(max(lead, -MOST_LEAD), MOST_LEAD), math.tau)
+        held_yaw = heading if self._yaw is None else self._yaw
+        lead = math.remainder(held_yaw + setpoint.yaw * period - heading, math.tau)
+        self._yaw = math.remainder(heading + min(max(lead, -MAX_YAW_LEAD), MAX_YAW_LEAD), math.tau)
         return self._yaw

@@ -1,4 +1,4 @@
-"""Sockets of servers that fly in real time, and answer meanwhile."""
+"""Sockets of servers that step a simulation in real time and answer clients between steps."""
 
 import contextlib
 import math
@@ -12,26 +12,22 @@ from bulletuav.errors import as_int
 
 Address = tuple[str, int]
 LOG_NAME = "bulletuav.bridges"
-"""Name of the logger of what servers refuse: calls, and connections"""
+"""Name of the logger for rejected calls and connections"""
 
 
-LATE_SHARE = 0.25
-"""Fraction of a step's time in which a server that is late reads: no flood stops the flight"""
+LATE_READ_FRACTION = 0.25
+"""Fraction of the duration of a step for which a late server still reads packets, so that a flood
+of packets cannot stop the flight"""
 
 
-def cannot_listen(
-    host: str,
-    port: int,
-    kind: str,
-    error: OSError,
-) -> OSError:
-    """Make the error for a port that cannot be had.
+def make_listen_error(host: str, port: int, kind: str, error: OSError) -> OSError:
+    """Return the error for a port at which a server cannot listen.
 
     Args:
-        host: Address that was asked for.
-        port: Port that was asked for.
+        host: Requested address.
+        port: Requested port.
         kind: "TCP" or "UDP".
-        error: What the system says.
+        error: Error that the operating system raised.
 
     Returns:
         The error, for the caller to raise.
@@ -42,139 +38,137 @@ def cannot_listen(
     )
 
 
-def listening(host: str, port: int) -> socket.socket:
-    """Open a TCP socket that listens.
+def open_listener(host: str, port: int) -> socket.socket:
+    """Open a TCP socket that listens for connections.
+
+    Args:
+        host: IPv4 or IPv6 address, or host name.
+        port: Port; 0 for a free one.
+
+    Returns:
+        The socket.
 
     Raises:
-        OSError: The port is in use, or there is no such address.
+        OSError: If the port is in use or the address does not exist.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family)
     except OSError as error:
-        raise cannot_listen(host, port, "TCP", error) from error
+        raise make_listen_error(host, port, "TCP", error) from error
 
 
 class DatagramServer(ABC):
-    """UDP sockets, one a drone, around something that flies step by step in real time.
+    """UDP server with one socket for each drone, around a simulation that is stepped in real time.
 
-    Derived classes fly (`_step`), and take datagrams (`_read`).
+    Subclasses implement `_step`, which steps the simulation, and `_read`, which handles datagrams.
 
     Attributes:
-        pacer: Keeps the time; tells how many steps were late.
-        ports: Of each drone.
+        pacer: Real-time pacer; it counts the steps that were late.
+        ports: UDP port of each drone.
     """
 
-    def __init__(
-        self,
-        count: int,
-        host: str,
-        port: int,
-        period: float,
-        speed: float,
-    ) -> None:
-        """Open the ports; clients are answered once it runs.
+    def __init__(self, num_drones: int, host: str, port: int, period: float, speed: float) -> None:
+        """Open one port for each drone; clients are answered while `run` runs.
 
         Args:
-            count: How many drones there are.
-            host: Address to listen at. Whoever can reach it can fly the drones.
-            port: Of the first drone; 0 for free ones.
+            num_drones: Number of drones.
+            host: Address to listen at. Anyone who can reach this address can fly the drones.
+            port: Port of the first drone; 0 for free ports.
             period: Duration of a step, s.
-            speed: Simulated seconds in one of the clock.
+            speed: Real-time factor: simulated seconds per second of wall-clock time.
 
         Raises:
-            ValueError: The port or the speed cannot be.
-            OSError: A port is in use, or there is no such address.
+            ValueError: If the port or the speed is out of range.
+            OSError: If a port is in use or the address does not exist.
         """
-        as_int("port", port, 0, 65536 - count if port else 0)
-        self.pacer = Pacer(period, speed, _sleep=self._answer_for)
+        as_int("port", port, 0, 65536 - num_drones if port else 0)
+        self.pacer = Pacer(period, speed, _sleep=self._serve_packets)
         self._selector = selectors.DefaultSelector()
         self._sockets: list[socket.socket] = []
-        # Drone whose packets are read first
-        self._next = 0
+        # Index of the drone whose packets are read first
+        self._first_drone = 0
         try:
-            for i in range(count):
+            for i in range(num_drones):
                 self._open(host, port + i if port else 0)
         except OSError:
             self.close()
             raise
-        self.ports: list[int] = [one.getsockname()[1] for one in self._sockets]
+        self.ports: list[int] = [sock.getsockname()[1] for sock in self._sockets]
 
     def _open(self, host: str, port: int) -> None:
-        """Open the socket of the next drone."""
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        one = socket.socket(family, socket.SOCK_DGRAM)
-        self._sockets.append(one)
-        one.setblocking(False)
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        self._sockets.append(sock)
+        sock.setblocking(False)
         try:
-            one.bind((host, port))
+            sock.bind((host, port))
         except OSError as error:
-            raise cannot_listen(host, port, "UDP", error) from error
-        self._selector.register(one, selectors.EVENT_READ, len(self._sockets) - 1)
+            raise make_listen_error(host, port, "UDP", error) from error
+        self._selector.register(sock, selectors.EVENT_READ, len(self._sockets) - 1)
 
     def run(self, seconds: float | None = None) -> None:
-        """Fly and answer.
+        """Step the simulation in real time and answer clients.
 
         Args:
-            seconds: How long, simulated; until it is interrupted, if left out.
+            seconds: Simulated duration, s. None runs until interrupted.
 
         Raises:
-            RuntimeError: The flight diverged.
+            RuntimeError: If the simulation diverged.
         """
         steps = math.inf if seconds is None else math.ceil(seconds / self.pacer.period - 1e-6)
-        flown = 0
+        num_steps = 0
         self.pacer.restart()
-        while flown < steps:
+        while num_steps < steps:
             self._step()
-            flown += 1
-            # A late loop does not sleep: packets are taken all the same.
+            num_steps += 1
+            # A late loop does not sleep, but still has to read packets.
             if self.pacer.wait():
-                self._answer_for(0.0)
+                self._serve_packets(0.0)
 
-    def _answer_for(self, seconds: float) -> None:
-        """Answer packets for a time, s, or for a fraction of a step if there is less.
+    def _serve_packets(self, seconds: float) -> None:
+        """Answer packets for a duration, but at least for `LATE_READ_FRACTION` of a step.
 
-        Drones take turns: those whose packets were not read in time are the first ones next time.
+        Drones are served in rotation: the next call starts with the first drone that was not
+        served.
+
+        Args:
+            seconds: Time until the next step, s of wall-clock time.
         """
         start = time.perf_counter()
         end = start + seconds
-        limit = max(end, start + LATE_SHARE * self.pacer.period / self.pacer.speed)
+        limit = max(end, start + LATE_READ_FRACTION * self.pacer.period / self.pacer.speed)
         while True:
             received = self._received()
-            left = 0.0 if received else max(end - time.perf_counter(), 0.0)
-            ready = {key.data for key, _ in self._selector.select(left)}.union(received)
-            for i in sorted(ready, key=lambda i: (i - self._next) % len(self._sockets)):
+            timeout = 0.0 if received else max(end - time.perf_counter(), 0.0)
+            ready = {key.data for key, _ in self._selector.select(timeout)}.union(received)
+            for i in sorted(ready, key=lambda i: (i - self._first_drone) % len(self._sockets)):
                 self._read(i)
-                self._next = i + 1
+                self._first_drone = i + 1
                 if time.perf_counter() >= limit:
                     return
             if time.perf_counter() >= end:
                 return
 
     def _received(self) -> list[int]:
-        """Return the drones that have packets which are received already, but not taken."""
+        """Return the indices of drones with packets that are received but not handled yet."""
         return []
 
     @abstractmethod
     def _step(self) -> None:
-        """Fly one step, and send what is due."""
+        """Step the simulation, and send the messages that are due."""
 
     @abstractmethod
     def _read(self, i: int) -> None:
-        """Take the packets that have come for a drone, as many as may be in one go."""
+        """Handle packets that arrived for drone `i`, up to the limit for one call."""
 
-    def _send_to(
-        self,
-        i: int,
-        datagram: bytes,
-        address: Address,
-    ) -> None:
-        """Send a datagram; one that cannot be sent is lost, as on the radio."""
+    def _send_to(self, i: int, datagram: bytes, address: Address) -> None:
+        """Send a datagram; a datagram that cannot be sent is lost, as on the radio."""
         with contextlib.suppress(OSError):
             self._sockets[i].sendto(datagram, address)
 
     def close(self) -> None:
-        """Close the ports; what flies stays."""
-        for one in self._sockets:
-            one.close()
+        """Close the ports; the simulation stays open."""
+        for sock in self._sockets:
+            sock.close()
         self._selector.close()

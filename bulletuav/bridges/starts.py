@@ -1,4 +1,4 @@
-"""Where drones of bridges stand at the start."""
+"""Start positions of the drones that the servers of `bulletuav.bridges` fly."""
 
 import math
 from collections.abc import Sequence
@@ -7,32 +7,31 @@ import numpy as np
 
 from bulletuav.errors import as_int, points_of
 
-MOST_DRONES = 256
+MAX_DRONES = 256
 
 
-def starts(
-    drones: int | Sequence[Sequence[float]],
-    height: float,
-    spacing: float,
+def make_start_positions(
+    drones: int | Sequence[Sequence[float]], height: float, spacing: float
 ) -> np.ndarray:
-    """Tell where drones stand at the start.
+    """Return the start positions of the drones of a server.
 
     Args:
-        drones: Their number, or (N, 2) where, m.
-        height: Of their centres, m.
-        spacing: Distance between neighbours, if a number is given, m.
+        drones: Number of drones, or (N, 2) positions, east and north, m.
+        height: Height of the centres of the drones, m.
+        spacing: Distance between neighbours on the grid, used if `drones` is a number, m.
 
     Returns:
-        (N, 3) m; of a number, in rows as long as there are rows, the first at the origin.
+        (N, 3) positions, m. For a number of drones: a square grid whose first drone is at the
+        origin.
 
     Raises:
-        ValueError: A number cannot be.
+        ValueError: If the number of drones is out of range, or a position is not a finite number.
     """
     if isinstance(drones, int | np.integer):
-        count = as_int("drones", drones, 1, MOST_DRONES)
+        count = as_int("drones", drones, 1, MAX_DRONES)
         side = math.isqrt(count - 1) + 1
-        places = [(spacing * (k % side), spacing * (k // side)) for k in range(count)]
+        positions = [(spacing * (k % side), spacing * (k // side)) for k in range(count)]
     else:
-        as_int("number of drones", len(drones), 1, MOST_DRONES)
-        places = [(one[0], one[1]) for one in map(tuple, drones)]
-    return points_of("drones", [(*place, height) for place in places])
+        as_int("number of drones", len(drones), 1, MAX_DRONES)
+        positions = [(position[0], position[1]) for position in map(tuple, drones)]
+    return points_of("drones", [(*position, height) for position in positions])

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bulletuav.bridges import airsim, crazyflie, hil, mavlink
-from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
@@ -144,7 +144,7 @@ def _serve_crazyflie(arguments: argparse.Namespace) -> None:
 def _serve_airsim(arguments: argparse.Namespace) -> None:
     """Serve vehicles of AirSim's calls."""
     frame = arguments.airframe or "iris"
-    world = World(arguments.drones, frame, lidar=arguments.lidar, **_options(arguments))
+    world = AirsimWorld(arguments.drones, frame, lidar=arguments.lidar, **_options(arguments))
     world.paused = arguments.paused
     _serve(
         world,

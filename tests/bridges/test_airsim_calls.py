@@ -9,11 +9,18 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from bulletuav.bridges.airsim_calls import CONTINUES, PICTURES, Calls
+from bulletuav.bridges import airsim_world
+from bulletuav.bridges.airsim_calls import CONTINUE_CALLS, IMAGE_CALLS, AirsimCalls
 from bulletuav.bridges.airsim_motions import MOTIONS
-from bulletuav.bridges.airsim_values import attitude_of, pose_in, pose_of, yaw_in, yaw_out
-from bulletuav.bridges.airsim_world import World
-from bulletuav.bridges.motions import ACCELERATION, Ramp
+from bulletuav.bridges.airsim_values import (
+    attitude_from_airsim,
+    read_pose,
+    write_pose,
+    yaw_from_airsim,
+    yaw_to_airsim,
+)
+from bulletuav.bridges.airsim_world import AirsimWorld
+from bulletuav.bridges.motions import PATH_ACCELERATION, TrapezoidalProfile
 from bulletuav.earth import enu_to_ned, pressure
 from bulletuav.geometry.obstacle import Obstacle
 
@@ -40,7 +47,7 @@ class Client:
     """Calls a world, and waits for motions."""
 
     def __init__(self, world):
-        self.world, self.calls = world, Calls(world)
+        self.world, self.calls = world, AirsimCalls(world)
 
     def __call__(self, name, *arguments):
         return self.calls.call(name, list(arguments))
@@ -48,11 +55,11 @@ class Client:
     def begin(self, name, *arguments):
         """Begin a motion; returns the list that its outcome comes into."""
         told = []
-        self.calls.move(name, list(arguments), told.append)
+        self.calls.start_motion(name, list(arguments), told.append)
         return told
 
     def fly(self, seconds):
-        for _ in range(self.calls.steps("simContinueForTime", [seconds])):
+        for _ in range(self.calls.parse_steps("simContinueForTime", [seconds])):
             self.world.step()
 
     def join(self, name, *arguments, most=30.0):
@@ -93,7 +100,7 @@ def make_client():
     made = []
 
     def make(*args, **options):
-        made.append(Client(World(*args, **{"seed": 0, **options})))
+        made.append(Client(AirsimWorld(*args, **{"seed": 0, **options})))
         return made[-1]
 
     yield make
@@ -110,35 +117,35 @@ def client(make_client):
 
 
 def test_yaws_are_clockwise_from_north():
-    assert yaw_in(0) == pytest.approx(math.pi / 2)  # north
-    assert yaw_in(90) == pytest.approx(0)  # east
-    assert yaw_in(-90) == pytest.approx(math.pi)
+    assert yaw_from_airsim(0) == pytest.approx(math.pi / 2)  # north
+    assert yaw_from_airsim(90) == pytest.approx(0)  # east
+    assert yaw_from_airsim(-90) == pytest.approx(math.pi)
     for degrees in (-170, -20, 0, 45, 179):
-        assert yaw_out(yaw_in(degrees)) == pytest.approx(degrees)
+        assert yaw_to_airsim(yaw_from_airsim(degrees)) == pytest.approx(degrees)
 
 
 def test_poses_go_both_ways():
     for k in range(10):
         turn = Rotation.random(random_state=k).as_quat()
         place = np.random.default_rng(k).normal(size=3)
-        told = pose_of(place, turn)
-        down, orientation = pose_in(told)
+        told = write_pose(place, turn)
+        down, orientation = read_pose(told)
         np.testing.assert_allclose(enu_to_ned(down), place)
-        np.testing.assert_allclose(attitude_of(orientation), turn, atol=1e-12)
+        np.testing.assert_allclose(attitude_from_airsim(orientation), turn, atol=1e-12)
 
 
 @pytest.mark.parametrize("length", [0.0, 0.5, 2.0, 40.0])
 def test_a_ramp_is_its_own_integral(length):
-    ramp = Ramp(length, 3.0)
-    times = np.linspace(0, ramp.duration, 4001)
-    far, speed, gain = np.array([ramp.at(time) for time in times]).T
+    profile = TrapezoidalProfile(length, 3.0)
+    times = np.linspace(0, profile.duration, 4001)
+    far, speed, gain = np.array([profile.evaluate(time) for time in times]).T
     assert far[-1] == pytest.approx(length)
     assert speed.max(initial=0) <= 3.0
-    assert np.abs(gain).max() <= ACCELERATION
+    assert np.abs(gain).max() <= PATH_ACCELERATION
     np.testing.assert_allclose(far, np.append(0, np.cumsum(np.diff(times) * speed[1:])), atol=0.02)
     # By hand: 40 m at 3 m/s, with 2 m/s^2: 40 / 3 + 3 / 2 s
     if length == 40.0:
-        assert ramp.duration == pytest.approx(40 / 3 + 1.5)
+        assert profile.duration == pytest.approx(40 / 3 + 1.5)
 
 
 # Motions
@@ -294,13 +301,13 @@ def test_a_motion_that_takes_too_long_fails(client):
 
 
 def test_steps_add_up_to_the_time_that_is_asked_for(client):
-    steps = [client.calls.steps("simContinueForTime", [1 / 30]) for _ in range(30)]
+    steps = [client.calls.parse_steps("simContinueForTime", [1 / 30]) for _ in range(30)]
     assert sum(steps) == 100
     assert set(steps) == {3, 4}
-    assert client.calls.steps("simContinueForFrames", [7]) == 7
+    assert client.calls.parse_steps("simContinueForFrames", [7]) == 7
     for wrong in (-1.0, math.nan, 601.0, "1"):
         with pytest.raises(ValueError, match="seconds is"):
-            client.calls.steps("simContinueForTime", [wrong])
+            client.calls.parse_steps("simContinueForTime", [wrong])
     client("simPause", True)
     assert client("simIsPaused") is True
 
@@ -481,7 +488,7 @@ def test_wind_blows(client):
         ("simSetVehiclePose", [1, True, ""], "a map of position and orientation"),
         ("simSetVehiclePose", [{"position": vector(0.0, 0.0, 1e9)}, True, ""], "position is"),
         ("simSetVehiclePose", [{"position": vector(0.0, 0.0, "1")}, True, ""], "position is"),
-        ("simSetVehiclePose", [pose((0, 0, -1)) | {"orientation": STILL}, True, ""], "no length"),
+        ("simSetVehiclePose", [pose((0, 0, -1)) | {"orientation": STILL}, True, ""], "zero length"),
         ("simSetWind", [vector(0.0, math.nan, 0.0)], "finite numbers are needed"),
         ("simGetImages", [7, ""], "requests is 7"),
         ("armDisarm", [True, ""], "enableApiControl"),
@@ -661,11 +668,11 @@ def try_call(calls, name, arguments):
     """Make a call without network or pictures; return the message of its error, or None."""
     try:
         if name in MOTIONS:
-            calls.move(name, arguments, lambda done: None)
-        elif name in PICTURES:
-            calls.album(name, arguments)
-        elif name in CONTINUES:
-            calls.steps(name, arguments)
+            calls.start_motion(name, arguments, lambda done: None)
+        elif name in IMAGE_CALLS:
+            calls.parse_images(name, arguments)
+        elif name in CONTINUE_CALLS:
+            calls.parse_steps(name, arguments)
         else:
             calls.call(name, arguments)
     except ValueError as error:
@@ -677,7 +684,7 @@ def test_all_calls_check_all_their_arguments(make_client):
     """Odd ones are one clear error, or values that were meant; never anything else."""
     client = make_client(lidar=True)
     client.at((0, 0, -5))
-    assert sorted(ARGUMENTS) == client.calls.names()
+    assert sorted(ARGUMENTS) == client.calls.list_names()
     for name, kinds in ARGUMENTS.items():
         client.ready()
         assert try_call(client.calls, name, [GOOD[kind] for kind in kinds]) is None
@@ -702,11 +709,18 @@ def test_who_has_no_control_does_not_move(client):
 
 
 def test_worlds_that_cannot_be_are_refused():
-    with pytest.raises(ValueError, match="names that differ"):
-        World(["a", "a"])
-    with pytest.raises(ValueError, match="names, or how many"):
-        World([])
+    with pytest.raises(ValueError, match="names must be unique"):
+        AirsimWorld(["a", "a"])
+    with pytest.raises(ValueError, match="a number of vehicles, or their names"):
+        AirsimWorld([])
     with pytest.raises(ValueError, match="places are 1: one for each of 2"):
-        World(2, places=[(0, 0)])
-    with pytest.raises(ValueError, match="decision_hz is 100"):
-        World(1, decision_hz=50)
+        AirsimWorld(2, places=[(0, 0)])
+    with pytest.raises(ValueError, match="decision_hz is fixed at 100"):
+        AirsimWorld(1, decision_hz=50)
+
+
+def test_the_old_name_of_the_world_warns():
+    with pytest.warns(DeprecationWarning, match="renamed to AirsimWorld.*next release"):
+        assert airsim_world.World is AirsimWorld
+    with pytest.raises(AttributeError, match="no attribute 'Worlds'"):
+        _ = airsim_world.Worlds

@@ -12,9 +12,9 @@ import pytest
 from waiting import PATIENCE
 
 from bulletuav.bridges import airsim_drawing, airsim_pictures
-from bulletuav.bridges.airsim_calls import Calls
-from bulletuav.bridges.airsim_pictures import MAX_RESTARTS, DrawingError, Pictures
-from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.airsim_calls import AirsimCalls
+from bulletuav.bridges.airsim_pictures import MAX_RESTARTS, DrawingError, PictureQueue
+from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 
@@ -36,8 +36,8 @@ def make():
     made = []
 
     def make(*args, **options):
-        world = World(*args, **{"seed": 0, **options})
-        made.append((world, Calls(world), Pictures(world)))
+        world = AirsimWorld(*args, **{"seed": 0, **options})
+        made.append((world, AirsimCalls(world), PictureQueue(world)))
         return made[-1]
 
     yield make
@@ -48,7 +48,9 @@ def make():
 
 def wanted(calls, count=1, vehicle=""):
     """An album of some pictures of the first camera."""
-    return calls.album("simGetImages", [[{"camera_name": "0", "image_type": 0}] * count, vehicle])
+    return calls.parse_images(
+        "simGetImages", [[{"camera_name": "0", "image_type": 0}] * count, vehicle]
+    )
 
 
 def settings(dynamics):
@@ -69,7 +71,7 @@ def test_the_process_draws_what_the_server_would_to_the_last_bit(make, dynamics)
 
     async def compare(name, *arguments):
         here = calls.call(name, list(arguments))
-        parts = await pictures.take(calls.album(name, list(arguments)))
+        parts = await pictures.draw(calls.parse_images(name, list(arguments)))
         assert b"".join(parts) == msgpack.packb(here)
         return here
 
@@ -128,7 +130,7 @@ class Stub:
         if self.killed or len(Stub.made) <= Stub.dies:
             raise EOFError
         height = float(poses.position[0, 0, 2])
-        return msgpack.packb([height, exposure.sight.time_stamp])
+        return msgpack.packb([height, exposure.view.time_stamp])
 
     def kill(self):
         self.killed = True
@@ -162,9 +164,9 @@ def test_pictures_show_the_state_when_the_turn_of_their_call_came(make, stub):
 
     async def check():
         world.place(0, np.array((0.0, 0.0, -5.0)), np.array((0.0, 0.0, 0.0, 1.0)))
-        first = asyncio.create_task(pictures.take(wanted(calls, 3)))
+        first = asyncio.create_task(pictures.draw(wanted(calls, 3)))
         await until(lambda: stub.made and stub.made[0].drawn)
-        second = asyncio.create_task(pictures.take(wanted(calls)))
+        second = asyncio.create_task(pictures.draw(wanted(calls)))
         await asyncio.sleep(0)
         # The flight goes on while the first picture is drawn
         before = world.time
@@ -190,7 +192,7 @@ def test_a_process_that_ends_is_started_again_once(make, stub, caplog):
     _, calls, pictures = make(1)
 
     def draw():
-        return asyncio.run(pictures.take(wanted(calls)))
+        return asyncio.run(pictures.draw(wanted(calls)))
 
     with pytest.raises(DrawingError, match="ended .exit code -9.; the next request starts it"):
         draw()
@@ -216,7 +218,7 @@ def test_a_process_that_cannot_start_is_an_error(make, monkeypatch):
     monkeypatch.setattr(airsim_drawing.subprocess, "Popen", refuse)
     _, calls, pictures = make(1)
     with pytest.raises(DrawingError, match="no room for a process"):
-        asyncio.run(pictures.take(wanted(calls)))
+        asyncio.run(pictures.draw(wanted(calls)))
 
 
 def test_no_more_pictures_are_drawn_for_a_client_that_has_gone(make, stub):
@@ -225,10 +227,10 @@ def test_no_more_pictures_are_drawn_for_a_client_that_has_gone(make, stub):
 
     async def check():
         here = [True]
-        gone = asyncio.create_task(pictures.take(wanted(calls, 32), lambda: here[0]))
+        gone = asyncio.create_task(pictures.draw(wanted(calls, 32), lambda: here[0]))
         await until(lambda: stub.made and stub.made[0].drawn)
-        waiting = asyncio.create_task(pictures.take(wanted(calls, 32), lambda: here[0]))
-        other = asyncio.create_task(pictures.take(wanted(calls)))
+        waiting = asyncio.create_task(pictures.draw(wanted(calls, 32), lambda: here[0]))
+        other = asyncio.create_task(pictures.draw(wanted(calls)))
         await asyncio.sleep(0)
         here[0] = False
         for _ in range(2):
@@ -244,7 +246,7 @@ def test_closing_ends_outstanding_pictures(make, stub, caplog):
     _, calls, pictures = make(1)
 
     async def check():
-        tasks = [asyncio.create_task(pictures.take(wanted(calls, 2))) for _ in range(2)]
+        tasks = [asyncio.create_task(pictures.draw(wanted(calls, 2))) for _ in range(2)]
         await until(lambda: stub.made and stub.made[0].drawn)
         pictures.close()
         for task in tasks:
@@ -264,7 +266,7 @@ def test_closing_while_the_process_starts_ends_the_request(make, stub, monkeypat
             stub, "prepare", lambda self, setup: loop.call_soon_threadsafe(pictures.close)
         )
         with pytest.raises(DrawingError, match="the server is closing"):
-            await pictures.take(wanted(calls))
+            await pictures.draw(wanted(calls))
 
     asyncio.run(check())
 
@@ -274,5 +276,5 @@ def test_the_process_that_draws_imports_nothing_from_the_working_folder(tmp_path
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(airsim_drawing.sys, "path", [one for one in airsim_drawing.sys.path if one])
     look = "import importlib.util, sys; sys.exit(importlib.util.find_spec('planted') is not None)"
-    monkeypatch.setattr(airsim_drawing, "START", look)
+    monkeypatch.setattr(airsim_drawing, "CHILD_PROGRAM", look)
     assert airsim_drawing.DrawingProcess().close() == 0

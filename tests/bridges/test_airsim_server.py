@@ -19,8 +19,8 @@ import pytest
 from waiting import PATIENCE, until
 
 from bulletuav.bridges import airsim, airsim_drawing, airsim_pictures
-from bulletuav.bridges.airsim import AirsimServer, Turns
-from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.airsim import AirsimServer, TurnScheduler
+from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.cli import main
 from bulletuav.serving.connections import Limits
 from bulletuav.serving.streams import SWEEP_PERIOD
@@ -71,7 +71,7 @@ def serve():
     running = []
 
     def serve(drones=1, speed=20.0, **options):
-        world = World(drones, seed=0)
+        world = AirsimWorld(drones, seed=0)
         # On a busy machine a client of a test may take long to send its first request
         options.setdefault("limits", Limits(handshake=PATIENCE))
         server = AirsimServer(world, port=0, speed=speed, **options)
@@ -156,7 +156,7 @@ NO_REQUESTS = {
 @pytest.fixture(scope="module")
 def still():
     """A server that waits for a client to fly; tests of no requests share it."""
-    world = World(1, seed=0)
+    world = AirsimWorld(1, seed=0)
     server = AirsimServer(world, port=0, speed=20.0)
     thread = threading.Thread(target=server.run)
     thread.start()
@@ -180,7 +180,7 @@ def test_a_connection_ends_with_the_first_message_that_is_no_request(kind, in_pi
                 answer += more
     assert answer == b""
     vehicle = still.world.vehicle("")[1]
-    assert not vehicle.is_ours
+    assert not vehicle.is_api_controlled
     assert not vehicle.is_armed
 
 
@@ -190,7 +190,7 @@ def test_requests_before_one_that_is_none_are_answered(still, connect):
     assert client.receive() == [1, None, True]
     with pytest.raises(ConnectionError):
         client.receive()
-    assert not still.world.vehicle("")[1].is_ours
+    assert not still.world.vehicle("")[1].is_api_controlled
 
 
 def test_motions_are_answered_when_they_end(serve, connect):
@@ -247,7 +247,7 @@ def test_two_clients_fly_one_drone_and_the_newer_motion_counts(serve, connect):
     ready(first)
     older = first.send("moveByVelocity", 0.0, 0.0, -1.0, 600.0, *FREE, "")
     second.get("ping")
-    until(lambda: server.world.vehicle("")[1].flies)
+    until(lambda: server.world.vehicle("")[1].is_flying)
     assert second.get("hover", "") is True
     assert first.receive() == [older, None, False]
 
@@ -271,7 +271,7 @@ def test_a_client_that_vanishes_leaves_the_drone_flying(serve, connect):
 def survive(server, connect, messages):
     """Send bytes that are no requests, on connections that may be closed for it."""
     rng = np.random.default_rng(messages)
-    names = [*server._calls.names(), "x", "", 5, None]
+    names = [*server._calls.list_names(), "x", "", 5, None]
     odd = [None, True, -1, 2**63, 1.5, float("nan"), "", "Drone1", b"\xff", [], {}, [1, {"x": []}]]
     odd += [{"x_val": 1.0, "y_val": 2.0, "z_val": -3.0}, FREE[1], 3e38]
     client = connect(server)
@@ -402,7 +402,7 @@ def test_a_process_that_hangs_is_killed_and_replaced(serve, connect, monkeypatch
     assert len(client.get("simGetImages", [ONE], "")) == 1
     hung = worker_of(server)
     os.kill(hung, signal.SIGSTOP)
-    monkeypatch.setattr(airsim_drawing, "LONGEST_PICTURE", 0.2)
+    monkeypatch.setattr(airsim_drawing, "PICTURE_TIMEOUT", 0.2)
     error, result = client.ask("simGetImages", [ONE] * 2, "")
     assert "it hung for 0.2 s and was killed" in error
     assert "the next request starts it again" in error
@@ -415,8 +415,8 @@ def test_a_process_that_hangs_is_killed_and_replaced(serve, connect, monkeypatch
 
 
 def test_a_start_that_hangs_is_an_error(serve, connect, monkeypatch):
-    monkeypatch.setattr(airsim_drawing, "START", "import time; time.sleep(1e6)")
-    monkeypatch.setattr(airsim_drawing, "LONGEST_START", 0.2)
+    monkeypatch.setattr(airsim_drawing, "CHILD_PROGRAM", "import time; time.sleep(1e6)")
+    monkeypatch.setattr(airsim_drawing, "START_TIMEOUT", 0.2)
     client = connect(serve())
     assert "it hung for 0.2 s and was killed" in client.ask("simGetImages", [ONE], "")[0]
     assert client.get("ping") is True
@@ -442,7 +442,7 @@ def test_clients_that_wait_hold_their_places_for_a_time_alone(serve, connect):
 
 def test_the_start_of_the_process_stops_nobody(serve, connect, monkeypatch):
     """Neither does a start that never ends, and the server ends nevertheless."""
-    monkeypatch.setattr(airsim_drawing, "START", "import time; time.sleep(1e6)")
+    monkeypatch.setattr(airsim_drawing, "CHILD_PROGRAM", "import time; time.sleep(1e6)")
     server = serve()
     client, other = connect(server), connect(server)
     client.send("simGetImages", [ONE], "")
@@ -667,9 +667,9 @@ def test_refused_motions_are_logged_with_the_remedy(serve, connect, caplog):
 
 def test_turns_end_by_time_not_by_a_number_of_requests(monkeypatch):
     """Of two clients one sends requests of a whole turn each, the other ten times as quick ones."""
-    monkeypatch.setattr(airsim, "LONGEST_TURN", 10)
+    monkeypatch.setattr(airsim, "MAX_TURN_TIME", 10)
     now, order = [0], []
-    turns = Turns(lambda: now[0])
+    scheduler = TurnScheduler(lambda: now[0])
 
     def work(name, cost, count):
         for _ in range(count):
@@ -686,24 +686,26 @@ def test_turns_end_by_time_not_by_a_number_of_requests(monkeypatch):
         yield None
 
     async def both():
-        await asyncio.gather(turns.take(work("slow", 10, 3)), turns.take(work("quick", 1, 15)))
+        await asyncio.gather(
+            scheduler.run(work("slow", 10, 3)), scheduler.run(work("quick", 1, 15))
+        )
 
     asyncio.run(both())
     assert order == ["slow", *["quick"] * 10, "slow", *["quick"] * 5, "slow"]
     # What takes longer than a turn is awaited outside of it, before the client's next request
     order.clear()
-    asyncio.run(turns.take(waits()))
+    asyncio.run(scheduler.run(waits()))
     assert order == ["later", "after"]
 
 
 def test_time_that_is_continued_is_flown_in_turns(monkeypatch):
     """Others run between any two steps that take a turn each."""
-    world, now, seen = World(seed=0), [0.0], []
+    world, now, seen = AirsimWorld(seed=0), [0.0], []
     server = AirsimServer(world, port=0)
-    server._turns = Turns(lambda: now[0])
+    server._scheduler = TurnScheduler(lambda: now[0])
 
     def step():
-        now[0] += airsim.LONGEST_TURN
+        now[0] += airsim.MAX_TURN_TIME
         seen.append("step")
 
     async def others():
@@ -840,7 +842,7 @@ def test_a_client_that_closes_its_own_side_reads_its_answers(serve, connect, lar
 
 def test_a_port_in_use_is_told(serve):
     server = serve()
-    world = World(seed=0)
+    world = AirsimWorld(seed=0)
     with pytest.raises(OSError, match=f"port {server.port} .TCP.: .*another server running"):
         AirsimServer(world, port=server.port)
     with pytest.raises(ValueError, match="port is 70000"):
@@ -854,7 +856,7 @@ def test_a_port_in_use_is_told(serve):
 
 def test_without_msgpack_the_remedy_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "msgpack", None)
-    world = World(seed=0)
+    world = AirsimWorld(seed=0)
     with pytest.raises(ImportError, match=r"bulletuav\[airsim\]|\[airsim\]"):
         AirsimServer(world)
     world.close()

@@ -19,25 +19,25 @@ import msgpack
 import numpy as np
 import pytest
 from bridges.mavlink_client import NAN, Station, common, messages
+from bulletuav.bridges.mavlink_wire import Command, Wire
 from waiting import PATIENCE, until
 
 import bulletuav
 from bulletuav.bridges import sockets
-from bulletuav.bridges.airsim import MAX_ITEMS, MOST_REQUEST, AirsimServer, _MessageReader
-from bulletuav.bridges.airsim_calls import Calls
-from bulletuav.bridges.airsim_world import World
-from bulletuav.bridges.crazyflie import MAX_PACKETS_PER_READ, SERVICES, CrazyflieServer
-from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
+from bulletuav.bridges.airsim import MAX_ITEMS, MAX_REQUEST_BYTES, AirsimServer, _MessageReader
+from bulletuav.bridges.airsim_calls import AirsimCalls
+from bulletuav.bridges.airsim_world import AirsimWorld
+from bulletuav.bridges.crazyflie import MOST_READ, SERVICES, CrazyflieServer
+from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import MalformedError, Packet
 from bulletuav.bridges.hil import LIMITS as HIL_LIMITS
 from bulletuav.bridges.hil import HilServer
 from bulletuav.bridges.hil_bodies import HilBodies
-from bulletuav.bridges.mavlink import LIMITS, MAX_DATAGRAM_SIZE, MavlinkServer
+from bulletuav.bridges.mavlink import LIMITS, MOST_DATAGRAM, MavlinkServer
 from bulletuav.bridges.mavlink_commands import COMMANDS
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-from bulletuav.bridges.mavlink_missions import MAX_MISSION_ITEMS
-from bulletuav.bridges.mavlink_protocol import Command, MavlinkCodec
-from bulletuav.bridges.sockets import LATE_SHARE
+from bulletuav.bridges.mavlink_missions import MOST_ITEMS
+from bulletuav.bridges.sockets import LATE_READ_FRACTION
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
 from bulletuav.dynamics import DYNAMICS
@@ -70,7 +70,7 @@ def unharmed(airspace):
 
 @pytest.fixture(scope="module")
 def world():
-    world = World(1, seed=0)
+    world = AirsimWorld(1, seed=0)
     yield world
     world.close()
 
@@ -143,14 +143,14 @@ def test_longer_datagrams_are_no_packets(make_fleet):
 
 def test_few_packets_are_taken_in_one_go(make_fleet, monkeypatch):
     server, counts = CrazyflieServer(make_fleet(1), port=0), []
-    monkeypatch.setattr(server, "_handle_datagram", lambda *one: counts.append(one))
+    monkeypatch.setattr(server, "_take", lambda *one: counts.append(one))
     udp(server.ports[0], *[b"\xfcping"] * 100)
     taken = []
     while len(counts) < 100:
         before = len(counts)
         server._read(0)
         taken.append(len(counts) - before)
-    assert max(taken) == MAX_PACKETS_PER_READ == 16
+    assert max(taken) == MOST_READ == 16
     server.close()
 
 
@@ -173,11 +173,11 @@ def test_a_flood_to_all_drones_takes_a_fraction_of_a_late_step(
     monkeypatch.setattr(server, "_read", read)
     for _ in range(20):
         before = now[0]
-        server._answer_for(0.0)
-        assert now[0] - before <= LATE_SHARE * server.pacer.period + 0.001
+        server._serve_packets(0.0)
+        assert now[0] - before <= LATE_READ_FRACTION * server.pacer.period + 0.001
     assert reads == [*range(20)] * 3
     before = now[0]
-    server._answer_for(0.008)  # one that is in time answers until the end, and no longer
+    server._serve_packets(0.008)  # one that is in time answers until the end, and no longer
     assert now[0] - before == pytest.approx(0.008, abs=0.0011)
     monkeypatch.undo()
     server.close()
@@ -188,7 +188,7 @@ def test_messages_that_were_received_are_taken_without_new_ones(make_vehicles):
     server = MavlinkServer(make_vehicles(1), port=0, client_port=None)
     frame = bytes(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(common.MAVLink(None, 9)))
     udp(server.ports[0], frame * 60)
-    until(lambda: server._answer_for(0.001) or server.received == 60)
+    until(lambda: server._serve_packets(0.001) or server.received == 60)
     server.close()
 
 
@@ -216,7 +216,7 @@ def test_no_numbers_send_a_crazyflie_out_of_this_world(make_fleet):
 
 def test_what_servers_cannot_fly_is_refused_before_their_port_is_open(capsys):
     """Otherwise the first step, or a client's first command, would end the server."""
-    for make in (World, CrazyflieFleet, MavlinkFleet, HilBodies):
+    for make in (AirsimWorld, Fleet, MavlinkFleet, HilBodies):
         for name in DYNAMICS:
             if name in ("rigid_body", "bullet"):
                 make(1, dynamics=name, seed=0).close()
@@ -294,7 +294,7 @@ def test_bodies_wait_for_room_for_connections(exhausted, caplog):
         assert SPARED not in caplog.text
         exhausted.clear()
         now[0] += 2 * ACCEPT_RETRY
-        until(lambda: server._turn() or len(server._connections[0]) == 1)
+        until(lambda: server._step_lockstep() or len(server._connections[0]) == 1)
         # A connection that is silent makes room for another one
         exhausted.set()
         now[0] += 2 * ACCEPT_RETRY
@@ -365,7 +365,7 @@ PING = request(b"\x90")
         b"\x91\xdd\xff\xff\xff\xff",
         b"\x91\xdf\xff\xff\xff\xff",
         b"\x91\xc9\xff\xff\xff\xff\x05",
-        b"\x91\xdb\xff\xff\xff\xff" + b"x" * 2 * MOST_REQUEST,
+        b"\x91\xdb\xff\xff\xff\xff" + b"x" * 2 * MAX_REQUEST_BYTES,
         b"\x91\xc6\x00\x20\x00\x00" + bytes(2**21),
         b"\x91" + b"\xdd\x00\x10\x00\x00" * 900,  # lists that claim a million items
         b"\x91" + b"\xdf\x00\x08\x00\x00" * 900,
@@ -384,7 +384,7 @@ def test_a_request_that_never_ends_is_bounded(item, speak, caplog):
     piece = b"\xdc\x10\x00" + item * 4096
     assert speak(PING + request(b"\xdc\x10\x00") + piece * 1000) in ([], [[1, 1, None, True]])
     assert speak(PING) == [[1, 1, None, True]]
-    assert any("no msgpack, or too many" in one.message for one in caplog.records)
+    assert any("not msgpack, or too many" in one.message for one in caplog.records)
 
 
 def read_all(reader, data, size=60_000):
@@ -426,7 +426,7 @@ FULL = b"\xdc\x20\x00"
 )
 def test_requests_take_little_more_memory_than_their_bytes(body):
     """Before they are whole, and when they are read; a list of an empty list takes 64 times."""
-    data = request(body)[: MOST_REQUEST - 1]
+    data = request(body)[: MAX_REQUEST_BYTES - 1]
     reader = _MessageReader(msgpack)
     tracemalloc.start()
     try:
@@ -434,13 +434,13 @@ def test_requests_take_little_more_memory_than_their_bytes(body):
         kept, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert kept < 3 * MOST_REQUEST
-    assert most < 6 * MOST_REQUEST
+    assert kept < 3 * MAX_REQUEST_BYTES
+    assert most < 6 * MAX_REQUEST_BYTES
 
 
 def test_requests_are_bounded_one_by_one():
     """Many long ones in a row are no long one, however they are cut."""
-    body = b"\x91\xc6" + (MOST_REQUEST // 2).to_bytes(4) + bytes(MOST_REQUEST // 2)
+    body = b"\x91\xc6" + (MAX_REQUEST_BYTES // 2).to_bytes(4) + bytes(MAX_REQUEST_BYTES // 2)
     reader = _MessageReader(msgpack)
     assert len(read_all(reader, request(body) * 5)) == 5
     assert not reader.is_broken
@@ -457,7 +457,7 @@ def test_calls_are_those_of_a_table(name, speak):
 
 @pytest.mark.parametrize("depth", [10, 400, 900])
 def test_arguments_are_checked_however_deep_they_are(depth, speak, world, caplog):
-    names = Calls(world).names()
+    names = AirsimCalls(world).list_names()
     nested = [b"\x91" + b"\x91" * depth + b"\x01", b"\x92" + b"\x81\xa1x" * depth + b"\x01\xa0"]
     data = b"".join(request(body, name) for name, body in itertools.product(names, nested))
     answers = speak(data + PING)
@@ -468,7 +468,7 @@ def test_arguments_are_checked_however_deep_they_are(depth, speak, world, caplog
 
 
 def test_numbers_that_no_program_means_are_errors_or_cut(world):
-    calls = Calls(world)
+    calls = AirsimCalls(world)
     calls.call("enableApiControl", [True, ""])
     calls.call("armDisarm", [True, ""])
     free = {"is_rate": True, "yaw_or_rate": 0.0}
@@ -485,7 +485,7 @@ def test_numbers_that_no_program_means_are_errors_or_cut(world):
             ("moveOnPath", [[place], 1.0, 5.0, 0, free, -1.0, 1.0, ""]),
         ):
             try:
-                calls.move(name, given, lambda done: None)
+                calls.start_motion(name, given, lambda done: None)
             except ValueError:
                 continue
             for _ in range(3):
@@ -505,7 +505,7 @@ def test_longer_datagrams_and_wrong_checksums_are_no_messages(make_vehicles):
     arm = common.MAVLink_command_long_message(1, 1, Command.ARM, 0, 1, *[0.0] * 6)
     frame = bytes(arm.pack(common.MAVLink(None, 9)))
     broken = [frame[:k] + bytes([frame[k] ^ 1]) + frame[k + 1 :] for k in range(len(frame))]
-    long = bytes(MAX_DATAGRAM_SIZE) + frame
+    long = bytes(MOST_DATAGRAM) + frame
     udp(server.ports[0], *broken, long)
     while server.malformed < len(broken) - 3:  # but for those whose number is no message's
         server._read(0)
@@ -527,7 +527,7 @@ def test_signatures_are_not_checked():
     packer.signing.secret_key, packer.signing.sign_outgoing = bytes(32), True
     frame = bytes(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(packer))
     assert frame[2] & 1
-    assert len(MavlinkCodec(1).read(frame)) == 1
+    assert len(Wire(1).read(frame)) == 1
 
 
 def test_no_numbers_send_a_vehicle_out_of_this_world(make_vehicles):
@@ -575,16 +575,16 @@ def test_no_numbers_send_a_vehicle_out_of_this_world(make_vehicles):
 
 def test_missions_and_peers_have_their_limits(make_vehicles):
     station = Station(make_vehicles(1))
-    for count in (MAX_MISSION_ITEMS + 1, 65535):
+    for count in (MOST_ITEMS + 1, 65535):
         (ack,) = messages(station.send("mission_count", *station.target, count, 0), "MISSION_ACK")
         assert ack.type == common.MAV_MISSION_NO_SPACE
-    assert MAX_MISSION_ITEMS == 500
+    assert MOST_ITEMS == 500
     assert (LIMITS.max_clients, LIMITS.max_pending) == (8, 8)
 
 
 def test_messages_of_other_dialects_are_left_out():
     """Nobody can check their sums, so that any bytes could be one."""
-    wire = MavlinkCodec(1)
+    wire = Wire(1)
     frame = bytes(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(common.MAVLink(None, 9)))
     other = frame[:7] + b"\xff\xff\x7f" + frame[10:]
     assert [one.get_type() for one in wire.read(other + frame)] == ["HEARTBEAT"]
@@ -622,6 +622,6 @@ def test_what_is_no_frame_ends_its_connection(data, in_pieces):
             except ConnectionError:
                 ended = True
         assert ended
-    assert bodies._orders == [None]
+    assert bodies._commands == [None]
     server.close()
     bodies.close()

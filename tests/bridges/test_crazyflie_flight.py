@@ -14,7 +14,7 @@ from bulletuav.bridges import crazyflie_fleet
 from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.crazyflie_setpoints import Commander, ThrustMap, decompress_quaternion
 from bulletuav.bridges.crtp import Packet
-from bulletuav.bridges.setpoints import Guide
+from bulletuav.bridges.setpoints import SetpointController
 from bulletuav.bridges.starts import starts
 
 CF2X = load_airframe("cf2x")
@@ -310,7 +310,7 @@ def test_the_planner_waits_until_low_level_control_is_handed_over(drone, fly):
 
 
 def test_the_yaw_to_hold_does_not_run_away():
-    guide = Guide(CF2X)
+    guide = SetpointController(CF2X)
     setpoint = Commander(ThrustMap(CF2X))._decode_generic(8, struct.pack("<ffff", 0, 0, 0, 720.0))
     state = ([0.0] * 3, [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
     for _ in range(100):

@@ -218,16 +218,16 @@ def test_motors_are_in_the_order_of_px4_and_stand_still_disarmed(serve):
     controls = [0.1, 0.2, 0.3, 0.4, *[math.nan] * 12]
     message = common.MAVLink_hil_actuator_controls_message(0, controls, 128, 1)
     bodies.command(0, message)
-    speeds = np.array(bodies._orders[0].numbers) / IRIS.max_rotor_speed
+    speeds = np.array(bodies._commands[0].values) / IRIS.max_rotor_speed
     found = {(x > 0, y > 0): share for (x, y, _), share in zip(IRIS.rotors, speeds, strict=True)}
     wanted = {(True, False): 0.1, (False, True): 0.2, (True, True): 0.3, (False, False): 0.4}
     assert found == pytest.approx(wanted)
     message.controls = [math.nan, 7.0, -1.0, 1.0, *[0.0] * 12]
     bodies.command(0, message)
-    assert sorted(bodies._orders[0].numbers) == [0, 0, IRIS.max_rotor_speed, IRIS.max_rotor_speed]
+    assert sorted(bodies._commands[0].values) == [0, 0, IRIS.max_rotor_speed, IRIS.max_rotor_speed]
     message.mode = 0
     bodies.command(0, message)
-    assert bodies._orders == [None]
+    assert bodies._commands == [None]
 
 
 def test_two_fly_at_once_and_one_that_goes_falls_alone(start, serve):
@@ -243,7 +243,7 @@ def test_two_fly_at_once_and_one_that_goes_falls_alone(start, serve):
 
 
 def test_one_that_goes_or_is_silent_or_sends_no_mavlink_is_let_go(start, serve, monkeypatch):
-    monkeypatch.setattr(hil, "SILENT", 0.2)
+    monkeypatch.setattr(hil, "ANSWER_TIMEOUT", 0.2)
     server = serve()
     port = server.ports[0]
 
@@ -282,7 +282,7 @@ def step():
             if happens():
                 return True
             server._patience = 0.0
-            server._turn()
+            server._step_lockstep()
             return False
 
         until(turn, every=0.0)
@@ -307,8 +307,8 @@ def flies_after(server, step, port=None):
     """Connect an autopilot, and return True once it is the body's."""
     connection = Connection(port or server.ports[0])
     step(server, lambda: server._links[0] is not None)
-    is_ours = server._links[0].peer.endswith(f":{connection.socket.getsockname()[1]}")
-    return is_ours, connection
+    is_api_controlled = server._links[0].peer.endswith(f":{connection.socket.getsockname()[1]}")
+    return is_api_controlled, connection
 
 
 def test_a_page_or_a_silent_connection_takes_no_body(serve, step):
@@ -319,11 +319,11 @@ def test_a_page_or_a_silent_connection_takes_no_body(serve, step):
     page = socket.create_connection(("127.0.0.1", server.ports[0]))
     page.sendall(b"POST / HTTP/1.1\r\nOrigin: https://evil.example\r\n\r\n" + body)
     step(server, lambda: ended(page))
-    assert server.bodies._orders == [None]
+    assert server.bodies._commands == [None]
     silent = [socket.create_connection(("127.0.0.1", server.ports[0])) for _ in range(20)]
     step(server, lambda: sum(map(ended, silent)) >= 16)
-    is_ours, connection = flies_after(server, step)
-    assert is_ours
+    is_api_controlled, connection = flies_after(server, step)
+    assert is_api_controlled
     for one in (page, *silent, connection.socket):
         one.close()
 
@@ -332,19 +332,19 @@ def test_an_autopilot_that_reads_but_never_answers_is_dropped_in_time(serve, ste
     """Heartbeats alone do not keep it; the next one gets the body."""
     now = [0.0]
     server = serve(clock=lambda: now[0])
-    is_ours, mute = flies_after(server, step)
-    assert is_ours
-    step(server, lambda: server._links[0].begun is not None)
-    now[0] = hil.START - 1
+    is_api_controlled, mute = flies_after(server, step)
+    assert is_api_controlled
+    step(server, lambda: server._links[0].first_sent_time is not None)
+    now[0] = hil.START_TIMEOUT - 1
     mute.send("heartbeat", 2, 12, 0, 0, 0, 3)
     for _ in range(5):
-        server._turn()
+        server._step_lockstep()
     assert server._links[0] is not None
-    now[0] = hil.START + 1
+    now[0] = hil.START_TIMEOUT + 1
     step(server, lambda: ended(mute.socket))
     assert "has not answered any measurement" in caplog.text
-    is_ours, other = flies_after(server, step)
-    assert is_ours
+    is_api_controlled, other = flies_after(server, step)
+    assert is_api_controlled
     for one in (mute, other):
         one.socket.close()
 
@@ -353,11 +353,11 @@ def test_an_autopilot_waits_for_the_others_as_long_as_it_takes(serve, step):
     """It is sent nothing meanwhile, so that it cannot answer."""
     now = [0.0]
     server = serve(2, clock=lambda: now[0])
-    is_ours, connection = flies_after(server, step)
+    is_api_controlled, connection = flies_after(server, step)
     now[0] = 1e4
     for _ in range(3):
-        server._turn()
-    assert is_ours
+        server._step_lockstep()
+    assert is_api_controlled
     assert not ended(connection.socket)
     # Unless another one comes for its body, and it has been silent for a minute
     other = Connection(server.ports[0])
@@ -422,7 +422,7 @@ def test_ports_in_use_and_airframes_of_other_shapes_are_refused(serve):
         HilBodies(1, "firefly")
     with pytest.raises(ValueError, match="hummingbird has 4 rotors at corners"):
         HilBodies(1, "hummingbird")
-    with pytest.raises(ValueError, match="decision_hz is 250"):
+    with pytest.raises(ValueError, match="decision_hz is fixed at 250"):
         HilBodies(1, decision_hz=100)
 
 

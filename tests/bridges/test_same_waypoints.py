@@ -8,7 +8,7 @@ from bridges.crtp_client import Drone
 from bridges.mavlink_client import MISSION, Station
 from bridges.test_airsim_calls import FREE, Client
 
-from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.airsim_world import AirsimWorld
 
 WAYPOINTS = [(2, 0, 1), (2, 2, 1), (0, 2, 1.5), (-2, 2, 1), (-2, 0, 1.5), (0, 0, 1)]
 """Forward, left and up of the start, m"""
@@ -37,7 +37,7 @@ def by_cflib(make_fleet):
 
 def by_airsim(make_fleet):
     """A `moveToPosition` for each; the next when it has answered."""
-    world = World(1, "cf2x", seed=0)
+    world = AirsimWorld(1, "cf2x", seed=0)
     client, track = Client(world), []
     step = world.step
 
