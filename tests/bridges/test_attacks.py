@@ -19,7 +19,6 @@ import msgpack
 import numpy as np
 import pytest
 from bridges.mavlink_client import NAN, Station, common, messages
-from bulletuav.bridges.mavlink_wire import Command, Wire
 from waiting import PATIENCE, until
 
 import bulletuav
@@ -27,16 +26,17 @@ from bulletuav.bridges import sockets
 from bulletuav.bridges.airsim import MAX_ITEMS, MAX_REQUEST_BYTES, AirsimServer, _MessageReader
 from bulletuav.bridges.airsim_calls import AirsimCalls
 from bulletuav.bridges.airsim_world import AirsimWorld
-from bulletuav.bridges.crazyflie import MOST_READ, SERVICES, CrazyflieServer
-from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.crazyflie import MAX_PACKETS_PER_READ, SERVICES, CrazyflieServer
+from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.crtp import MalformedError, Packet
 from bulletuav.bridges.hil import LIMITS as HIL_LIMITS
 from bulletuav.bridges.hil import HilServer
 from bulletuav.bridges.hil_bodies import HilBodies
-from bulletuav.bridges.mavlink import LIMITS, MOST_DATAGRAM, MavlinkServer
+from bulletuav.bridges.mavlink import LIMITS, MAX_DATAGRAM_SIZE, MavlinkServer
 from bulletuav.bridges.mavlink_commands import COMMANDS
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-from bulletuav.bridges.mavlink_missions import MOST_ITEMS
+from bulletuav.bridges.mavlink_missions import MAX_MISSION_ITEMS
+from bulletuav.bridges.mavlink_protocol import Command, MavlinkCodec
 from bulletuav.bridges.sockets import LATE_READ_FRACTION
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
@@ -143,14 +143,14 @@ def test_longer_datagrams_are_no_packets(make_fleet):
 
 def test_few_packets_are_taken_in_one_go(make_fleet, monkeypatch):
     server, counts = CrazyflieServer(make_fleet(1), port=0), []
-    monkeypatch.setattr(server, "_take", lambda *one: counts.append(one))
+    monkeypatch.setattr(server, "_handle_datagram", lambda *one: counts.append(one))
     udp(server.ports[0], *[b"\xfcping"] * 100)
     taken = []
     while len(counts) < 100:
         before = len(counts)
         server._read(0)
         taken.append(len(counts) - before)
-    assert max(taken) == MOST_READ == 16
+    assert max(taken) == MAX_PACKETS_PER_READ == 16
     server.close()
 
 
@@ -216,7 +216,7 @@ def test_no_numbers_send_a_crazyflie_out_of_this_world(make_fleet):
 
 def test_what_servers_cannot_fly_is_refused_before_their_port_is_open(capsys):
     """Otherwise the first step, or a client's first command, would end the server."""
-    for make in (AirsimWorld, Fleet, MavlinkFleet, HilBodies):
+    for make in (AirsimWorld, CrazyflieFleet, MavlinkFleet, HilBodies):
         for name in DYNAMICS:
             if name in ("rigid_body", "bullet"):
                 make(1, dynamics=name, seed=0).close()
@@ -505,7 +505,7 @@ def test_longer_datagrams_and_wrong_checksums_are_no_messages(make_vehicles):
     arm = common.MAVLink_command_long_message(1, 1, Command.ARM, 0, 1, *[0.0] * 6)
     frame = bytes(arm.pack(common.MAVLink(None, 9)))
     broken = [frame[:k] + bytes([frame[k] ^ 1]) + frame[k + 1 :] for k in range(len(frame))]
-    long = bytes(MOST_DATAGRAM) + frame
+    long = bytes(MAX_DATAGRAM_SIZE) + frame
     udp(server.ports[0], *broken, long)
     while server.malformed < len(broken) - 3:  # but for those whose number is no message's
         server._read(0)
@@ -527,7 +527,7 @@ def test_signatures_are_not_checked():
     packer.signing.secret_key, packer.signing.sign_outgoing = bytes(32), True
     frame = bytes(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(packer))
     assert frame[2] & 1
-    assert len(Wire(1).read(frame)) == 1
+    assert len(MavlinkCodec(1).read(frame)) == 1
 
 
 def test_no_numbers_send_a_vehicle_out_of_this_world(make_vehicles):
@@ -575,16 +575,16 @@ def test_no_numbers_send_a_vehicle_out_of_this_world(make_vehicles):
 
 def test_missions_and_peers_have_their_limits(make_vehicles):
     station = Station(make_vehicles(1))
-    for count in (MOST_ITEMS + 1, 65535):
+    for count in (MAX_MISSION_ITEMS + 1, 65535):
         (ack,) = messages(station.send("mission_count", *station.target, count, 0), "MISSION_ACK")
         assert ack.type == common.MAV_MISSION_NO_SPACE
-    assert MOST_ITEMS == 500
+    assert MAX_MISSION_ITEMS == 500
     assert (LIMITS.max_clients, LIMITS.max_pending) == (8, 8)
 
 
 def test_messages_of_other_dialects_are_left_out():
     """Nobody can check their sums, so that any bytes could be one."""
-    wire = Wire(1)
+    wire = MavlinkCodec(1)
     frame = bytes(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(common.MAVLink(None, 9)))
     other = frame[:7] + b"\xff\xff\x7f" + frame[10:]
     assert [one.get_type() for one in wire.read(other + frame)] == ["HEARTBEAT"]

@@ -15,7 +15,7 @@ from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.crazyflie_setpoints import Commander, ThrustMap, decompress_quaternion
 from bulletuav.bridges.crtp import Packet
 from bulletuav.bridges.setpoints import SetpointController
-from bulletuav.bridges.starts import starts
+from bulletuav.bridges.starts import make_start_positions
 
 CF2X = load_airframe("cf2x")
 EBUSY, EINVAL, ENOENT, ENOEXEC, ENOMEM = 16, 22, 2, 8, 12
@@ -71,17 +71,17 @@ def test_any_32_bits_are_a_unit_quaternion():
 
 
 def test_places_of_drones_lie_apart():
-    places = starts(10, 0.02, 0.5)
+    places = make_start_positions(10, 0.02, 0.5)
     assert places.shape == (10, 3)
     assert places[0].tolist() == [0, 0, 0.02]
     gaps = np.linalg.norm(places[:, None] - places[None], axis=2) + 9 * np.eye(10)
     assert gaps.min() == 0.5
-    assert starts([(1, 2), (3, 4)], 0.1, 0.5).tolist() == [[1, 2, 0.1], [3, 4, 0.1]]
+    assert make_start_positions([(1, 2), (3, 4)], 0.1, 0.5).tolist() == [[1, 2, 0.1], [3, 4, 0.1]]
     with pytest.raises(ValueError, match="decision_hz is 100"):
         CrazyflieFleet(1, decision_hz=50)
     for wrong in (0, 257, []):
         with pytest.raises(ValueError, match="drones is"):
-            starts(wrong, 0.1, 0.5)
+            make_start_positions(wrong, 0.1, 0.5)
 
 
 def test_the_former_name_of_the_fleet_warns():
@@ -278,7 +278,7 @@ def test_without_setpoints_it_levels_out_and_then_stops():
     commander.set_setpoint(packet, 10.0, (False, True))
     assert commander.current(10.5).xy == (0.5, 0.0)
     level = commander.current(10.51)
-    assert (level.across, level.xy, level.upward, level.yaw) == ("attitude", (0, 0), "velocity", 0)
+    assert (level.xy_mode, level.xy, level.z_mode, level.yaw) == ("attitude", (0, 0), "velocity", 0)
     assert level.z == pytest.approx(0.1)
     assert commander.current(12.0) is not None
     assert commander.current(12.01) is None
@@ -314,8 +314,8 @@ def test_the_yaw_to_hold_does_not_run_away():
     setpoint = Commander(ThrustMap(CF2X))._decode_generic(8, struct.pack("<ffff", 0, 0, 0, 720.0))
     state = ([0.0] * 3, [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
     for _ in range(100):
-        order = guide.order(setpoint, state, 0.01)
-    assert order.numbers[3] == pytest.approx(1.0)
+        order = guide.compute_command(setpoint, state, 0.01)
+    assert order.values[3] == pytest.approx(1.0)
 
 
 # The supervisor
