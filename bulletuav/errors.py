@@ -110,11 +110,7 @@ def naming(path: Path) -> Iterator[None]:
         raise ValueError(f"{path}: {error}") from None
 
 
-def unknown(
-    what: str,
-    name: object,
-    choices: Iterable[str],
-) -> ValueError:
+def unknown(what: str, name: object, choices: Iterable[str]) -> ValueError:
     """Make the error for a name that is not among the choices.
 
     Args:
@@ -173,11 +169,7 @@ def memory() -> int:
         return USUAL_MEMORY
 
 
-def require_memory(
-    what: str,
-    needed: float,
-    remedy: str,
-) -> None:
+def require_memory(what: str, needed: float, remedy: str) -> None:
     """Refuse what this machine cannot hold, before any of it is allocated.
 
     Args:
@@ -196,11 +188,7 @@ def require_memory(
         )
 
 
-def require_file(
-    what: str,
-    path: object,
-    remedy: str,
-) -> Path:
+def require_file(what: str, path: object, remedy: str) -> Path:
     """Check that a path leads to a file.
 
     Args:
@@ -252,12 +240,7 @@ def read_file(path: Path, newline: str | None = None) -> str:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from None
 
 
-def as_int(
-    name: str,
-    value: object,
-    least: int,
-    most: int | None = None,
-) -> int:
+def as_int(name: str, value: object, least: int, most: int | None = None) -> int:
     """Check that a value is a whole number within bounds.
 
     Args:
@@ -282,10 +265,7 @@ def as_int(
 
 
 def finite(
-    name: str,
-    value: object,
-    least: float | None = None,
-    most: float | None = None,
+    name: str, value: object, least: float | None = None, most: float | None = None
 ) -> float:
     """Check that a value is a finite number within bounds.
 
@@ -319,10 +299,7 @@ def finite(
 
 
 def as_sequence(
-    name: str,
-    value: Any,
-    count: int | None = None,
-    most: int | None = None,
+    name: str, value: Any, count: int | None = None, most: int | None = None
 ) -> tuple[Any, ...]:
     """Check that a value is a list, a tuple or an array of one axis.
 
@@ -399,11 +376,7 @@ def points_of(name: str, value: object) -> np.ndarray:
     return points
 
 
-def choose(
-    what: str,
-    name: object,
-    table: Mapping[str, Entry],
-) -> Entry:
+def choose(what: str, name: object, table: Mapping[str, Entry]) -> Entry:
     """Look a name up in a table.
 
     Args:

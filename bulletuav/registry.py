@@ -78,11 +78,7 @@ def register(kind: str, name: str | None = None) -> Callable[[Ingredient], Ingre
     return decorated
 
 
-def find(
-    kind: str,
-    source: Any,
-    accepts: Callable[[Any], bool],
-) -> Any:
+def find(kind: str, source: Any, accepts: Callable[[Any], bool]) -> Any:
     """Find an ingredient.
 
     Args:
@@ -219,12 +215,7 @@ def _entry_points(_: tuple[str, ...]) -> Any:
     return importlib.metadata.entry_points()
 
 
-def _imported(
-    kind: str,
-    module: str,
-    attribute: str,
-    accepts: Callable[[Any], bool],
-) -> Any:
+def _imported(kind: str, module: str, attribute: str, accepts: Callable[[Any], bool]) -> Any:
     """Import `module:attribute`."""
     given = f"{kind} {module}:{attribute}"
     if not all(module.split(".")):  # of which only some are errors of the import

@@ -101,11 +101,7 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
         self._chooses = spec.action.choices is not None
 
     def get_env_fun(
-        self,
-        num_envs: int,
-        continuous_actions: bool,
-        seed: int | None,
-        device: Any,
+        self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], DroneTensorEnv]:
         """Tell what makes the environment of so many worlds; see BenchMARL."""
         options = {"return_state": True, "infos": (SUCCESS,), **self.config}
@@ -189,11 +185,7 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
         return told
 
     @staticmethod
-    def render_callback(
-        experiment: Any,
-        env: Any,
-        data: Any,
-    ) -> torch.Tensor:
+    def render_callback(experiment: Any, env: Any, data: Any) -> torch.Tensor:
         """Take a picture of the first world."""
         return torch.from_numpy(env.base_env.render().copy())
 

@@ -131,11 +131,7 @@ def _observing(observer: ObservationBuilder, config: RunConfig) -> list[Layer]:
     return layers
 
 
-def _observed(
-    observer: ObservationBuilder,
-    config: RunConfig,
-    rows: np.ndarray,
-) -> np.ndarray:
+def _observed(observer: ObservationBuilder, config: RunConfig, rows: np.ndarray) -> np.ndarray:
     """Bound and scale rows, without the environment's rounding to single precision after it."""
     low, high = _bounds(observer)
     bounded = np.clip(np.asarray(rows, dtype=float), low, high)

@@ -63,12 +63,7 @@ class UserSum(BaseFeaturesExtractor):
 
     ways: torch.Tensor
 
-    def __init__(
-        self,
-        observation_space: Box,
-        num_drones: int = 3,
-        size: int = 48,
-    ) -> None:
+    def __init__(self, observation_space: Box, num_drones: int = 3, size: int = 48) -> None:
         """Make the layers.
 
         Args:

@@ -68,10 +68,7 @@ class MlflowWriter(KVWriter):
         return run
 
     def write(
-        self,
-        key_values: dict[str, Any],
-        key_excluded: dict[str, tuple[str, ...]],
-        step: int = 0,
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
         """Write numbers at a step, without those that are not finite, and texts as tags."""
         now = int(1000 * time.time())
@@ -92,10 +89,7 @@ class MlflowWriter(KVWriter):
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        _: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
     ) -> None:
         """Tell MLflow how the run has ended: done, interrupted, or by an error."""
         status = "FINISHED" if kind is None else "FAILED"

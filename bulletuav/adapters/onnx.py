@@ -57,23 +57,14 @@ class _Graph:
         self.constants.append(numpy_helper.from_array(array, name))
         return name
 
-    def add(
-        self,
-        operator: str,
-        *inputs: str,
-        **attributes: Any,
-    ) -> str:
+    def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
         """Add an operator on named values and give the name of what it computes."""
         name = f"value_{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, inputs, [name], **attributes))
         return name
 
 
-def write_onnx(
-    policy: Deployed,
-    path: Path,
-    precision: str = "float",
-) -> list[Path]:
+def write_onnx(policy: Deployed, path: Path, precision: str = "float") -> list[Path]:
     """Write a policy as an ONNX model: (drones, D) "observation" to (drones, S) "setpoint".
 
     Args:
@@ -122,12 +113,7 @@ def write_onnx(
     return [path]
 
 
-def run_onnx(
-    path: Path,
-    rows: np.ndarray,
-    policy: Deployed,
-    precision: str,
-) -> np.ndarray:
+def run_onnx(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.ndarray:
     """Run a file of `write_onnx` by onnxruntime.
 
     Args:
@@ -150,99 +136,55 @@ def _told(labels: Iterable[Label]) -> str:
     return "\n".join(f"{one.name}, {one.unit}, {one.low:.9g} to {one.high:.9g}" for one in labels)
 
 
-def _clip(
-    graph: _Graph,
-    value: str,
-    layer: Clip,
-) -> str:
+def _clip(graph: _Graph, value: str, layer: Clip) -> str:
     above = graph.add("Max", value, graph.constant(layer.low))
     return graph.add("Min", above, graph.constant(layer.high))
 
 
-def _affine(
-    graph: _Graph,
-    value: str,
-    layer: Affine,
-) -> str:
+def _affine(graph: _Graph, value: str, layer: Affine) -> str:
     scaled = graph.add("Mul", value, graph.constant(layer.scale))
     return graph.add("Add", scaled, graph.constant(layer.offset))
 
 
-def _symlog(
-    graph: _Graph,
-    value: str,
-    layer: Symlog,
-) -> str:
+def _symlog(graph: _Graph, value: str, layer: Symlog) -> str:
     size = graph.add("Mul", graph.add("Abs", value), graph.constant(layer.scale))
     grown = graph.add("Log", graph.add("Add", size, graph.constant(1.0)))
     return graph.add("Mul", graph.add("Sign", value), grown)
 
 
-def _dense(
-    graph: _Graph,
-    value: str,
-    layer: Dense,
-) -> str:
+def _dense(graph: _Graph, value: str, layer: Dense) -> str:
     product = graph.add("MatMul", value, graph.constant(layer.weight.T))
     return graph.add("Add", product, graph.constant(layer.bias))
 
 
-def _tanh(
-    graph: _Graph,
-    value: str,
-    layer: Tanh,
-) -> str:
+def _tanh(graph: _Graph, value: str, layer: Tanh) -> str:
     return graph.add("Tanh", value)
 
 
-def _relu(
-    graph: _Graph,
-    value: str,
-    layer: Relu,
-) -> str:
+def _relu(graph: _Graph, value: str, layer: Relu) -> str:
     return graph.add("Max", value, graph.constant(0.0))
 
 
-def _square_root(
-    graph: _Graph,
-    value: str,
-    layer: SquareRoot,
-) -> str:
+def _square_root(graph: _Graph, value: str, layer: SquareRoot) -> str:
     return graph.add("Sqrt", graph.add("Max", value, graph.constant(0.0)))
 
 
-def _limit_norm(
-    graph: _Graph,
-    value: str,
-    layer: LimitNorm,
-) -> str:
+def _limit_norm(graph: _Graph, value: str, layer: LimitNorm) -> str:
     most = graph.constant(layer.most)
     norm = graph.add("ReduceL2", value, axes=[-1], keepdims=1)
     share = graph.add("Div", most, graph.add("Max", norm, most))
     return graph.add("Mul", value, share)
 
 
-def _choose(
-    graph: _Graph,
-    value: str,
-    layer: Choose,
-) -> str:
+def _choose(graph: _Graph, value: str, layer: Choose) -> str:
     return graph.add("ArgMax", value, axis=-1, keepdims=0)
 
 
-def _lookup(
-    graph: _Graph,
-    value: str,
-    layer: Lookup,
-) -> str:
+def _lookup(graph: _Graph, value: str, layer: Lookup) -> str:
     return graph.add("Gather", graph.constant(layer.rows), value)
 
 
-def _swarm(
-    graph: _Graph,
-    value: str,
-    layer: Swarm,
-) -> str:
+def _swarm(graph: _Graph, value: str, layer: Swarm) -> str:
     parts = []
     if len(layer.own):
         parts.append(_columns(graph, value, layer.own, layer.scale))
@@ -254,24 +196,14 @@ def _swarm(
     return graph.add("Concat", *parts, axis=1)
 
 
-def _columns(
-    graph: _Graph,
-    value: str,
-    columns: np.ndarray,
-    scale: float,
-) -> str:
+def _columns(graph: _Graph, value: str, columns: np.ndarray, scale: float) -> str:
     """Add compressed numbers of an observation."""
     return _symlog(
         graph, graph.add("Gather", value, graph.constant(columns), axis=1), Symlog(scale)
     )
 
 
-def _each_other(
-    graph: _Graph,
-    value: str,
-    kind: Others,
-    layer: Swarm,
-) -> str:
+def _each_other(graph: _Graph, value: str, kind: Others, layer: Swarm) -> str:
     """Add what is made of each other of a kind, (drones, K, F); zeros for who is not there."""
     others = graph.add("Gather", value, graph.constant(kind.columns), axis=1)
     parts = [_symlog(graph, others, Symlog(layer.scale))]
@@ -287,11 +219,7 @@ def _each_other(
     return graph.add("Mul", each, graph.add("Sign", size))
 
 
-def _approach(
-    graph: _Graph,
-    others: str,
-    motion: np.ndarray,
-) -> list[str]:
+def _approach(graph: _Graph, others: str, motion: np.ndarray) -> list[str]:
     """Add where others come closest if both fly straight on: place, distance, time."""
     # Relative position and velocity of each other drone
     position, velocity = (

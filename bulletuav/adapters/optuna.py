@@ -27,11 +27,7 @@ Tried = tuple[Mapping[str, Any], float]
 
 
 def suggest(
-    space: Space,
-    tried: Sequence[Tried],
-    count: int,
-    seed: Sequence[int],
-    maximise: bool,
+    space: Space, tried: Sequence[Tried], count: int, seed: Sequence[int], maximise: bool
 ) -> list[dict[str, Any]]:
     """Choose the values of further trials, by a tree-structured Parzen estimator.
 
@@ -83,10 +79,7 @@ def _decode(one: Range | Choices, value: Any) -> Any:
 
 
 def _known(
-    drawn: Mapping[str, BaseDistribution],
-    space: Space,
-    values: Mapping[str, Any],
-    result: float,
+    drawn: Mapping[str, BaseDistribution], space: Space, values: Mapping[str, Any], result: float
 ) -> Any:
     """Make a trial of Optuna's that is over."""
     params = {

@@ -21,11 +21,7 @@ ABOUT = b"bulletuav"
 """Key of what a file tells of itself"""
 
 
-def write_table(
-    columns: Mapping[str, Any],
-    about: Any,
-    path: Path,
-) -> None:
+def write_table(columns: Mapping[str, Any], about: Any, path: Path) -> None:
     """Write columns as one file, compressed.
 
     Args:

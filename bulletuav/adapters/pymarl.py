@@ -298,11 +298,7 @@ class PymarlEnv(LabelledEnvironment):
         self.aviary.close()
 
 
-def _check(
-    spec: EnvSpec,
-    common_reward: bool,
-    tells_apart: bool,
-) -> None:
+def _check(spec: EnvSpec, common_reward: bool, tells_apart: bool) -> None:
     """Raise ValueError for environments that these programs cannot take."""
     if spec.action.choices is None:
         raise ValueError(
@@ -320,10 +316,7 @@ def _check(
 
 
 def make_pymarl(
-    flavour: str,
-    map_name: TaskSource | None = None,
-    key: TaskSource | None = None,
-    **env_args: Any,
+    flavour: str, map_name: TaskSource | None = None, key: TaskSource | None = None, **env_args: Any
 ) -> PymarlEnv:
     """Make an environment of what stands in `env_args` of a configuration.
 
@@ -343,9 +336,7 @@ def make_pymarl(
 
 
 def register_pymarl(
-    registry: MutableMapping[str, Any],
-    name: str = "bulletuav",
-    flavour: str = "epymarl",
+    registry: MutableMapping[str, Any], name: str = "bulletuav", flavour: str = "epymarl"
 ) -> None:
     """Enter the environment into a program's registry.
 

@@ -22,9 +22,7 @@ PARTS = 4
 
 
 def spread(
-    address: str,
-    work: Callable[[Sequence[Item]], list[Result]],
-    items: Sequence[Item],
+    address: str, work: Callable[[Sequence[Item]], list[Result]], items: Sequence[Item]
 ) -> Iterator[Result]:
     """Let the nodes of a cluster do some work; what a node that dies had begun, others do again.
 

@@ -31,11 +31,7 @@ GOAL_SIZE = 6.0
 CITY_COLOUR = (150, 152, 158)
 
 
-def write_rrd(
-    flight: Flight,
-    colours: np.ndarray,
-    path: Path,
-) -> None:
+def write_rrd(flight: Flight, colours: np.ndarray, path: Path) -> None:
     """Write a recorded flight as one file.
 
     Args:
@@ -76,10 +72,7 @@ def _views() -> rrb.Blueprint:
 
 
 def _add_drones(
-    stream: rr.RecordingStream,
-    flight: Flight,
-    about: Mapping[str, Any],
-    colours: np.ndarray,
+    stream: rr.RecordingStream, flight: Flight, about: Mapping[str, Any], colours: np.ndarray
 ) -> None:
     """Add drones, their paths and their goals, each up to its last decision."""
     time, position, quaternion = (flight[name] for name in ("time", "position", "quaternion"))
@@ -108,11 +101,7 @@ def _add_drones(
         _send(stream, "world/goals", time, columns.partition([goal.shape[1]] * len(time)))
 
 
-def _add_curves(
-    stream: rr.RecordingStream,
-    flight: Flight,
-    colours: np.ndarray,
-) -> None:
+def _add_curves(stream: rr.RecordingStream, flight: Flight, colours: np.ndarray) -> None:
     """Add altitudes and what each decision gave, a line for each drone while it flies."""
     rows = rows_flown(flight)
     altitude = flight["position"][:, :, 2]
@@ -133,11 +122,7 @@ def _names(drones: Sized) -> list[str]:
     return [f"drone_{i}" for i in range(len(drones))]
 
 
-def _add_obstacles(
-    stream: rr.RecordingStream,
-    flight: Flight,
-    shapes: list[Any],
-) -> None:
+def _add_obstacles(stream: rr.RecordingStream, flight: Flight, shapes: list[Any]) -> None:
     """Add obstacles, which may move."""
     for k, shape in enumerate(shapes):
         entity = f"world/obstacles/{k}"
@@ -168,22 +153,13 @@ def _add_motion(
     _send(stream, entity, time, columns)
 
 
-def _send(
-    stream: rr.RecordingStream,
-    entity: str,
-    time: np.ndarray,
-    columns: Any,
-) -> None:
+def _send(stream: rr.RecordingStream, entity: str, time: np.ndarray, columns: Any) -> None:
     """Add columns, a row for each time, s."""
     index = rr.TimeColumn(TIME, duration=np.round(time * 1e9).astype("timedelta64[ns]"))
     stream.send_columns(entity, [index], columns, strict=True)
 
 
-def _add_shape(
-    stream: rr.RecordingStream,
-    entity: str,
-    told: Mapping[str, Any],
-) -> None:
+def _add_shape(stream: rr.RecordingStream, entity: str, told: Mapping[str, Any]) -> None:
     """Add a part of an airframe, or an obstacle; parts also tell where they are in the body."""
     place = []
     if "position" in told:

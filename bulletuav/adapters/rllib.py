@@ -226,13 +226,7 @@ def _make(task: TaskSource, options: dict[str, Any]) -> ParallelEnv:
     return parallel_env(task, **options)
 
 
-def log_outcomes(
-    *,
-    metrics_logger: Any,
-    env: Any,
-    env_index: int,
-    **_: Any,
-) -> None:
+def log_outcomes(*, metrics_logger: Any, env: Any, env_index: int, **_: Any) -> None:
     """Log how an episode ended, for RLlib's `callbacks(on_episode_end=log_outcomes)`.
 
     Means of the last 100 episodes are in the results of `train` below "env_runners": "success",
@@ -249,10 +243,7 @@ def log_outcomes(
 
 
 def policies(
-    task: TaskSource,
-    by: str = "swarm",
-    train: Sequence[str] | None = None,
-    **options: Any,
+    task: TaskSource, by: str = "swarm", train: Sequence[str] | None = None, **options: Any
 ) -> dict[str, Any]:
     """Say which drones share a policy, for `config.multi_agent(**policies(...))`.
 
@@ -293,12 +284,7 @@ def policies(
     }
 
 
-def _policy_of(
-    names: Mapping[str, str],
-    agent_id: str,
-    episode: Any,
-    **_: Any,
-) -> str:
+def _policy_of(names: Mapping[str, str], agent_id: str, episode: Any, **_: Any) -> str:
     """Tell RLlib the policy of an agent."""
     return names[agent_id]
 

@@ -78,12 +78,7 @@ def ros_names(names: tuple[str, ...]) -> list[str]:
 class _Messages:
     """Makes the messages of a flight."""
 
-    def __init__(
-        self,
-        flight: Flight,
-        stamps: list[int],
-        types: Any,
-    ) -> None:
+    def __init__(self, flight: Flight, stamps: list[int], types: Any) -> None:
         """Keep the flight, the stamp of each row, ns, and classes of messages by name."""
         self._flight = flight
         self._stamps = stamps

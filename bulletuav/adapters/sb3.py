@@ -352,12 +352,7 @@ class DroneVecEnv(Environment, VecEnv):
         value = self._render_mode if attr_name == "render_mode" else getattr(self, attr_name)
         return [value] * len(list(self._get_indices(indices)))
 
-    def set_attr(
-        self,
-        attr_name: str,
-        value: Any,
-        indices: VecEnvIndices = None,
-    ) -> None:
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Refuse to set an attribute.
 
         Raises:

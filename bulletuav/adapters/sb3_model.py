@@ -18,11 +18,7 @@ class Sb3Model(SharedPolicy):
     """
 
     def __init__(
-        self,
-        aviary: Aviary,
-        algorithm: str,
-        path: str | Path,
-        trust: bool = False,
+        self, aviary: Aviary, algorithm: str, path: str | Path, trust: bool = False
     ) -> None:
         """Load a model.
 

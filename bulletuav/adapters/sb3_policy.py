@@ -31,10 +31,7 @@ FEATURES: dict[str | None, type | None] = {
 
 
 def policy_arguments(
-    model: Mapping[str, Any],
-    num_drones: int,
-    labels: Sequence[Label],
-    pictures: bool,
+    model: Mapping[str, Any], num_drones: int, labels: Sequence[Label], pictures: bool
 ) -> dict[str, Any]:
     """Make the arguments of stable-baselines3's policy.
 

@@ -48,12 +48,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
     """
 
     def __init__(
-        self,
-        task: TaskSource,
-        team: str,
-        opponents: Opponents,
-        trust: bool = False,
-        **options: Any,
+        self, task: TaskSource, team: str, opponents: Opponents, trust: bool = False, **options: Any
     ) -> None:
         """Make the environment; see `team_env`."""
         # What opponents learned with gives way to options of the call.
@@ -226,11 +221,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         self.env.close()
 
 
-def _side_by_side(
-    seen: ByAgent,
-    agents: list[str],
-    space: Space[Any],
-) -> np.ndarray:
+def _side_by_side(seen: ByAgent, agents: list[str], space: Space[Any]) -> np.ndarray:
     """Stack the agents' observations of a space, (N, ...); zeros where there is none."""
     nothing = np.zeros(space.shape or (), dtype=space.dtype)
     return np.stack([seen.get(agent, nothing) for agent in agents])
@@ -251,12 +242,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     def __init__(
-        self,
-        task: TaskSource,
-        team: str,
-        opponents: Opponents,
-        trust: bool = False,
-        **options: Any,
+        self, task: TaskSource, team: str, opponents: Opponents, trust: bool = False, **options: Any
     ) -> None:
         """Make the environment; see `team_env`."""
         self.env = TeamAviary(task, team, opponents, trust, **options)

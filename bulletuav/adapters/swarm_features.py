@@ -27,11 +27,7 @@ class SwarmFeatures(BaseFeaturesExtractor):
     """
 
     def __init__(
-        self,
-        observation_space: Box,
-        layout: Layout,
-        size: int = 32,
-        scale: float = 1.0,
+        self, observation_space: Box, layout: Layout, size: int = 32, scale: float = 1.0
     ) -> None:
         """Make the layers.
 
@@ -69,12 +65,7 @@ class SwarmFeatures(BaseFeaturesExtractor):
             parts += [each.sum(1) / 2, each.amax(1)]
         return torch.cat(parts, 1)
 
-    def _each(
-        self,
-        word: str,
-        known: torch.Tensor,
-        own: torch.Tensor,
-    ) -> torch.Tensor:
+    def _each(self, word: str, known: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
         """Pass (B, K, numbers) of others, each with the own (B, numbers), through MLPs."""
         layers: Any = self.each[word]
         first, second = layers[0], layers[2]

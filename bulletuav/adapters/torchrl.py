@@ -257,12 +257,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             self._given[place] = numbers
         return self._given
 
-    def _told(
-        self,
-        observations: Observation,
-        info: dict[str, Any],
-        flown: np.ndarray,
-    ) -> Told:
+    def _told(self, observations: Observation, info: dict[str, Any], flown: np.ndarray) -> Told:
         """Collect what is told of all worlds, zeros for drones that have not flown (W, N)."""
         told: Told = {("observation",): observations}
         if isinstance(observations, dict):
@@ -338,11 +333,7 @@ def _index(rows: list[int]) -> Any:
     return slice(rows[0], rows[-1] + 1) if side_by_side else np.array(rows)
 
 
-def _action_spec(
-    action: Action,
-    rows: list[int],
-    one_hot: bool,
-) -> Any:
+def _action_spec(action: Action, rows: list[int], one_hot: bool) -> Any:
     """Make the spec of the actions of some drones.
 
     In a mixed swarm all have as many numbers as the widest of them; others ignore the last ones.

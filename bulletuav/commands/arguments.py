@@ -167,9 +167,7 @@ def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def parse_pairs(
-    option: str,
-    pairs: Iterable[str],
-    known: Mapping[str, Any] = MappingProxyType({}),
+    option: str, pairs: Iterable[str], known: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
     """Parse NAME=VALUE pairs.
 

@@ -188,11 +188,7 @@ def _generated(options: dict[str, Any]) -> tuple[City, Statistics]:
     return generate(target if numbers else kind, side, rng, irregularity), target
 
 
-def _refuse_others(
-    options: dict[str, Any],
-    known: Container[str],
-    what: str,
-) -> None:
+def _refuse_others(options: dict[str, Any], known: Container[str], what: str) -> None:
     """Raise ValueError for an option that has no meaning."""
     for name in options:
         if name not in known:

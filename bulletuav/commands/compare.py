@@ -109,9 +109,7 @@ def _names(text: str) -> list[str]:
 
 
 def _cases(
-    arguments: argparse.Namespace,
-    options: dict[str, Any],
-    dynamics: list[str] | None,
+    arguments: argparse.Namespace, options: dict[str, Any], dynamics: list[str] | None
 ) -> list[_Case]:
     """List every policy in every task, difficulty and dynamics, with all options that it needs."""
     combinations = itertools.product(
@@ -132,12 +130,7 @@ def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
     return [{option: value} if value else {} for value in values or [""]]
 
 
-def _case_options(
-    task: str,
-    name: str,
-    options: dict[str, Any],
-    trust: bool,
-) -> dict[str, Any]:
+def _case_options(task: str, name: str, options: dict[str, Any], trust: bool) -> dict[str, Any]:
     """Complete the options for a policy; trained ones keep their own action."""
     policy = find_policy(name, task, trust)
     if policy.models and policy.actions:
@@ -147,9 +140,7 @@ def _case_options(
 
 
 def _evaluate(
-    arguments: argparse.Namespace,
-    cases: list[_Case],
-    folders: list[Path],
+    arguments: argparse.Namespace, cases: list[_Case], folders: list[Path]
 ) -> list[Evaluation]:
     """Evaluate the cases, or a piece of each, in turn, each in a folder of its own."""
     results = []

@@ -151,11 +151,7 @@ def completed_case(
     return task, policy, options, arguments.out or Path(home) / run_name(task, policy, options)
 
 
-def run_name(
-    task: str,
-    policy: str,
-    options: dict[str, Any],
-) -> str:
+def run_name(task: str, policy: str, options: dict[str, Any]) -> str:
     """Make a folder's name for a run from its task, difficulty, dynamics and policy."""
     dynamics = [options["dynamics"]] if "dynamics" in options else []
     name = "-".join([task, options.get("difficulty", "default"), *dynamics, policy])

@@ -60,11 +60,7 @@ FORMATS: dict[str, tuple[str, Callable[[Recording, Path], None]]] = {
 """Name of the file beside the recording, and what writes it, by format"""
 
 
-def _write_c(
-    policy: Deployed,
-    path: Path,
-    precision: str,
-) -> tuple[list[Path], float]:
+def _write_c(policy: Deployed, path: Path, precision: str) -> tuple[list[Path], float]:
     files = write_c(policy, path, precision)
     # Where there is no compiler there is nothing to compare by.
     if compiler() is None:
@@ -72,11 +68,7 @@ def _write_c(
     return files, _difference(policy, run_c(path, policy.observations(), policy, precision))
 
 
-def _write_onnx(
-    policy: Deployed,
-    path: Path,
-    precision: str,
-) -> tuple[list[Path], float]:
+def _write_onnx(policy: Deployed, path: Path, precision: str) -> tuple[list[Path], float]:
     from bulletuav.adapters.onnx import run_onnx, write_onnx  # which needs an extra
 
     files = write_onnx(policy, path, precision)

@@ -133,11 +133,7 @@ def _prepare_folder(out: Path) -> None:
         old.unlink(missing_ok=True)
 
 
-def _draw(
-    recording: Recording,
-    aviary: Aviary,
-    arguments: argparse.Namespace,
-) -> list[Path]:
+def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -> list[Path]:
     """Draw the tracks and, unless it is not wanted, an animation."""
     # Who flew, for the titles
     airframes = ", ".join(sorted({airframe.name for airframe in aviary.options.airframe}))

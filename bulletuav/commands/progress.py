@@ -38,11 +38,7 @@ class Report:
 
 
 @contextlib.contextmanager
-def show_progress(
-    activity: str,
-    total: int,
-    unit: str,
-) -> Iterator[Report]:
+def show_progress(activity: str, total: int, unit: str) -> Iterator[Report]:
     """Show how much of something is done.
 
     Args:
@@ -79,12 +75,7 @@ def _compiled(compilation: Compilation) -> str:
 
 
 @contextlib.contextmanager
-def _bar(
-    console: Console,
-    activity: str,
-    total: int,
-    unit: str,
-) -> Iterator[Show]:
+def _bar(console: Console, activity: str, total: int, unit: str) -> Iterator[Show]:
     """Show a bar with the time that remains; while functions are compiled, one for them."""
     columns = (
         TextColumn("{task.description}"),
@@ -132,11 +123,7 @@ def _bar(
 
 
 @contextlib.contextmanager
-def _lines(
-    activity: str,
-    total: int,
-    unit: str,
-) -> Iterator[Show]:
+def _lines(activity: str, total: int, unit: str) -> Iterator[Show]:
     """Print a line at the beginning, every `LINE_PERIOD`, and when all is done."""
     begin: float | None = None  # when the first report came: what was before is no part of it
     next_line = 0.0  # when the next line about compilation is due

@@ -90,10 +90,7 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _serve(
-    flown: Any,
-    make: Callable[[], Any],
-    told: Callable[[Any], str],
-    seconds: float | None,
+    flown: Any, make: Callable[[], Any], told: Callable[[Any], str], seconds: float | None
 ) -> None:
     """Open the ports, compile, tell where they are, and serve; close all at the end.
 

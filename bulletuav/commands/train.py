@@ -250,11 +250,7 @@ def _stages_without(base: RunConfig, given: Mapping[str, Any]) -> list[dict[str,
     return stages if any(stage != stages[0] for stage in stages) else stages[:1]
 
 
-def _with_action(
-    task: str,
-    algo: str,
-    options: dict[str, Any],
-) -> dict[str, Any]:
+def _with_action(task: str, algo: str, options: dict[str, Any]) -> dict[str, Any]:
     """Give DQN, which chooses among discrete actions, those of `discrete` unless it has others."""
     if algo != "dqn":
         return options

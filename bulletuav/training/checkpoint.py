@@ -118,11 +118,7 @@ def _restore(model: Any, folder: Path) -> None:
         _fill(model.replay_buffer, load_file(folder / REPLAY))
 
 
-def _write(
-    arrays: dict[str, np.ndarray],
-    path: Path,
-    about: dict[str, str] | None = None,
-) -> None:
+def _write(arrays: dict[str, np.ndarray], path: Path, about: dict[str, str] | None = None) -> None:
     """Write arrays by name, and what is told about them."""
     with whole_file(path) as part:
         # A full disk raises an error of safetensors.

@@ -152,11 +152,7 @@ def _check(kind: Any, settings: dict[str, Any]) -> None:
             settings[name] = finite(name, value, *bounds)
 
 
-def _require_memory(
-    algo: str,
-    settings: dict[str, Any],
-    env: DroneVecEnv,
-) -> None:
+def _require_memory(algo: str, settings: dict[str, Any], env: DroneVecEnv) -> None:
     """Raise ValueError, with both figures, for what does not fit into the machine."""
     observed = flatdim(env.observation_space)
     acted = math.prod(env.action_space.shape or (1,))

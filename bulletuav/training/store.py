@@ -165,12 +165,7 @@ class Store:
         """Return the folder of a checkpoint."""
         return self.folder / CHECKPOINTS / f"{number:03d}"
 
-    def add(
-        self,
-        row: Row,
-        updates: list[Row],
-        curriculum: dict[str, Any],
-    ) -> None:
+    def add(self, row: Row, updates: list[Row], curriculum: dict[str, Any]) -> None:
         """Keep a row of the curve, once its checkpoint is complete.
 
         Args:

@@ -224,12 +224,7 @@ def _place(folder: Path, number: int) -> Path:
     return folder / RUNS / f"{number:03d}"
 
 
-def _submit(
-    pool: Executor,
-    study: Study,
-    values: Mapping[str, Any],
-    place: Path,
-) -> Future[Any]:
+def _submit(pool: Executor, study: Study, values: Mapping[str, Any], place: Path) -> Future[Any]:
     """Begin a trial; one whose settings are impossible together has failed at once."""
     try:
         config = with_values(study.run, values)

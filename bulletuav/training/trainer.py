@@ -84,13 +84,7 @@ def train(
         return store.rows
 
 
-def _train(
-    config: RunConfig,
-    store: Store,
-    progress: Progress,
-    told: Told,
-    mlflow: bool,
-) -> None:
+def _train(config: RunConfig, store: Store, progress: Progress, told: Told, mlflow: bool) -> None:
     """Train until all steps are done."""
     # Told before worlds are made, rather than by an import far below
     if importlib.util.find_spec("tensorboard") is None:
@@ -125,12 +119,7 @@ def _train(
         chapters.end()
 
 
-def _logger(
-    config: RunConfig,
-    folder: Path,
-    mlflow: bool,
-    open_things: ExitStack,
-) -> Any:
+def _logger(config: RunConfig, folder: Path, mlflow: bool, open_things: ExitStack) -> Any:
     """Make the logger of stable-baselines3; what it writes to is closed with `open_things`."""
     from stable_baselines3.common.logger import configure
 
@@ -143,11 +132,7 @@ def _logger(
     return logger
 
 
-def _model(
-    config: RunConfig,
-    env: DroneVecEnv,
-    store: Store,
-) -> Any:
+def _model(config: RunConfig, env: DroneVecEnv, store: Store) -> Any:
     """Make a new model, or one that stands where the last checkpoint does."""
     model = make_model(config, env)
     if not store.rows:
@@ -162,12 +147,7 @@ class _Chapters(BaseCallback):
     """Begins and ends chapters between two rollouts, and sums up the episodes of each."""
 
     def __init__(
-        self,
-        config: RunConfig,
-        env: DroneVecEnv,
-        store: Store,
-        progress: Progress,
-        told: Told,
+        self, config: RunConfig, env: DroneVecEnv, store: Store, progress: Progress, told: Told
     ) -> None:
         super().__init__()
         self._config = config
