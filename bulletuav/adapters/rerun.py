@@ -1,6 +1,6 @@
-"""Recorded flights as files of the viewer Rerun (.rrd); needs the extra `rerun`.
+"""Export of recorded flights for the viewer Rerun (.rrd); needs the extra `rerun`.
 
-Rerun keeps places in single precision; times and curves are exact.
+Rerun stores positions in single precision; times and curves are exact.
 """
 
 from collections.abc import Mapping, Sized
@@ -23,36 +23,36 @@ except ImportError:
     raise missing("writing for Rerun", "rerun") from None
 
 TIME = "time"
-"""Name of the timeline, s since the start"""
+"""Name of the timeline, in s since the start"""
 PATH_WIDTH = 1.5
-"""Width of drones' paths, in points of the screen"""
+"""Width of the paths of drones, in screen points"""
 GOAL_SIZE = 6.0
-"""Radius of goals, in points of the screen"""
+"""Radius of goals, in screen points"""
 CITY_COLOUR = (150, 152, 158)
 
 
 def write_rrd(flight: Flight, colours: np.ndarray, path: Path) -> None:
-    """Write a recorded flight as one file.
+    """Write a recorded flight as one .rrd file.
 
     Args:
-        flight: Arrays of the recording, as `Recording.everything()` returns them; of version 5.
-        colours: (N, 4) red, green, blue and opacity of each drone, from 0 to 1.
-        path: The file; replaced if it is there.
+        flight: Arrays of a recording of version 5, as `Recording.everything()` returns them.
+        colours: (N, 4) RGBA colour of each drone, from 0 to 1.
+        path: The file; an existing file is replaced.
 
     Raises:
-        ValueError: An array is damaged.
-        OSError: The file cannot be written.
-        RuntimeError: The variable RERUN has turned Rerun off.
+        ValueError: If an array is damaged.
+        OSError: If the file cannot be written.
+        RuntimeError: If the environment variable RERUN disables Rerun.
     """
     check(flight)
     about = parse_json(str(flight["scene/about"]), "its description")
     with whole_file(path) as part:
-        part.touch()  # so that a folder that is not there gets Python's error
+        part.touch()  # raises Python's error if the folder does not exist
         with rr.RecordingStream("bulletuav", send_properties=False) as stream:
             if not rr.is_enabled(stream):
                 raise RuntimeError("Rerun is off by the variable RERUN: unset it, and export again")
             stream.save(part, _views())
-            # Right-handed with z up: ENU.
+            # Right-handed with z up: ENU
             stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
             shades = (255 * colours).astype(np.uint8)
             _add_drones(stream, flight, about, shades)
@@ -62,7 +62,7 @@ def write_rrd(flight: Flight, colours: np.ndarray, path: Path) -> None:
 
 
 def _views() -> rrb.Blueprint:
-    """Arrange the scene beside the curves."""
+    """Return the layout: the 3-D scene on the left, the curves on the right."""
     curves = [
         rrb.TimeSeriesView(origin=name, name=name) for name in ("altitude", "reward", "separation")
     ]
@@ -74,17 +74,17 @@ def _views() -> rrb.Blueprint:
 def _add_drones(
     stream: rr.RecordingStream, flight: Flight, about: Mapping[str, Any], colours: np.ndarray
 ) -> None:
-    """Add drones, their paths and their goals, each up to its last decision."""
+    """Log drones, their paths and their goals, each up to the last decision of the drone."""
     time, position, quaternion = (flight[name] for name in ("time", "position", "quaternion"))
-    # A drone's path ends with its last decision
+    # The path of a drone ends with its last decision
     rows = rows_flown(flight)
     for i, end in enumerate(rows):
         body = f"world/drones/{i}"
         _add_motion(stream, body, time[:end], position[:end, i], quaternion[:end, i])
-        # The parts hang below the body, which carries them along
+        # Child entities inherit the transform of the body
         for k, shape in enumerate(about["airframes"][about["airframe_of"][i]]["parts"]):
             _add_shape(stream, f"{body}/{k}", shape)
-    # Paths do not change while time goes by
+    # Paths are static
     paths = rr.LineStrips3D(
         [position[:end, i] for i, end in enumerate(rows)],
         colors=colours,
@@ -102,11 +102,11 @@ def _add_drones(
 
 
 def _add_curves(stream: rr.RecordingStream, flight: Flight, colours: np.ndarray) -> None:
-    """Add altitudes and what each decision gave, a line for each drone while it flies."""
+    """Log altitudes and results of decisions, one curve for each drone while it flies."""
     rows = rows_flown(flight)
     altitude = flight["position"][:, :, 2]
     for name, values in {"altitude": altitude, **results(flight)}.items():
-        # What a decision gave is told at its end, and drones that left tell nothing.
+        # A result is plotted at the end of its decision; NaN after the drone has left
         time = flight["time"][-len(values) :]
         ends = np.array(rows) - (len(flight["time"]) - len(time))
         flown = np.where(np.arange(len(time))[:, None] < ends, values, np.nan)
@@ -118,12 +118,11 @@ def _add_curves(stream: rr.RecordingStream, flight: Flight, colours: np.ndarray)
 
 
 def _names(drones: Sized) -> list[str]:
-    """Name each drone."""
     return [f"drone_{i}" for i in range(len(drones))]
 
 
 def _add_obstacles(stream: rr.RecordingStream, flight: Flight, shapes: list[Any]) -> None:
-    """Add obstacles, which may move."""
+    """Log obstacles, which may move."""
     for k, shape in enumerate(shapes):
         entity = f"world/obstacles/{k}"
         position, quaternion = flight["obstacle"][:, k], flight["scene/obstacle_quaternion"][:, k]
@@ -132,7 +131,7 @@ def _add_obstacles(stream: rr.RecordingStream, flight: Flight, shapes: list[Any]
 
 
 def _add_city(stream: rr.RecordingStream, flight: Flight) -> None:
-    """Add one mesh of all buildings, if there are any."""
+    """Log one mesh of all buildings, if there are any."""
     sizes = flight["scene/hull_size"]
     hulls = np.split(flight["scene/hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
     boxes = flight["building"][: len(flight["building"]) - len(sizes)]
@@ -148,19 +147,19 @@ def _add_motion(
     position: np.ndarray,
     quaternion: np.ndarray,
 ) -> None:
-    """Add how something moves in the world; quaternions are x, y, z, w, as Rerun's are."""
+    """Log the pose of an entity in the world; quaternions are (x, y, z, w), as in Rerun."""
     columns = rr.Transform3D.columns(translation=position, quaternion=quaternion)
     _send(stream, entity, time, columns)
 
 
 def _send(stream: rr.RecordingStream, entity: str, time: np.ndarray, columns: Any) -> None:
-    """Add columns, a row for each time, s."""
+    """Log columns, one row for each time in s."""
     index = rr.TimeColumn(TIME, duration=np.round(time * 1e9).astype("timedelta64[ns]"))
     stream.send_columns(entity, [index], columns, strict=True)
 
 
 def _add_shape(stream: rr.RecordingStream, entity: str, told: Mapping[str, Any]) -> None:
-    """Add a part of an airframe, or an obstacle; parts also tell where they are in the body."""
+    """Log a part of an airframe, with its pose in the body, or an obstacle."""
     place = []
     if "position" in told:
         place = [rr.Transform3D(translation=told["position"], quaternion=told["quaternion"])]
@@ -168,7 +167,7 @@ def _add_shape(stream: rr.RecordingStream, entity: str, told: Mapping[str, Any])
 
 
 def _look(told: Mapping[str, Any]) -> Any:
-    """Make what Rerun draws of a shape."""
+    """Convert a shape to a Rerun archetype."""
     kind, half = told["kind"], told["half"]
     colour = tuple(round(255 * share) for share in told["colour"])
     solid = {"colors": colour, "fill_mode": rr.components.FillMode.Solid}
@@ -182,6 +181,6 @@ def _look(told: Mapping[str, Any]) -> Any:
 
 
 def _mesh(solids: Solids, colour: tuple[int, ...]) -> rr.Mesh3D:
-    """Make a mesh of convex pieces."""
+    """Convert convex solids to a Rerun mesh."""
     corners, triangles = solids.mesh
     return rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, albedo_factor=colour)

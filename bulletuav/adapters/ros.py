@@ -1,8 +1,8 @@
-"""Recorded flights as ROS 2 messages: topics, and what makes the messages of each.
+"""Conversion of recorded flights to ROS 2 topics and messages.
 
-Frames are those of REP 103 and REP 105, as in this package: `map` is ENU, and each drone's
-`drone_0/base_link` is FLU. Stamps begin with 0 at the start of the flight. Classes of messages come
-from whoever writes them.
+Frames follow REP 103 and REP 105, as in this package: `map` is ENU, and `drone_0/base_link` of each
+drone is FLU. Time stamps begin with 0 at the start of the flight. The caller provides the message
+classes.
 """
 
 import functools
@@ -16,24 +16,24 @@ from bulletuav.adapters.flights import Flight, results, rows_flown
 from bulletuav.geometry.rotation import to_body
 
 MAP = "map"
-"""Name of the world's frame"""
+"""Name of the world frame"""
 NANOSECONDS = 10**9
 """Nanoseconds in a second"""
 UNTOLD = np.zeros(36)
-"""Covariance of poses and twists, of which nothing is told"""
+"""Covariance of poses and twists, all zero: unknown"""
 
 Row = Callable[[int], Any]
-"""Makes the message of a row of states"""
+"""Function that makes the message of a state row"""
 
 
 class Topic(NamedTuple):
     """A topic of a flight.
 
     Attributes:
-        name: Its name, which ROS takes.
-        kind: Type of its messages.
-        rows: Rows of states that have a message.
-        message: Makes the message of a row.
+        name: Valid ROS name of the topic.
+        kind: Message type.
+        rows: State rows that have a message.
+        message: Function that makes the message of a row.
     """
 
     name: str
@@ -43,32 +43,32 @@ class Topic(NamedTuple):
 
 
 def stamps_of(flight: Flight) -> list[int]:
-    """Give the stamp of each row of states, ns."""
+    """Return the time stamp of each state row, ns."""
     return [round(time * NANOSECONDS) for time in flight["time"].tolist()]
 
 
 def topics_of(flight: Flight, types: Any) -> list[Topic]:
-    """List the topics of a flight, in the order in which they are written.
+    """Return the topics of a flight, in the order in which they are written.
 
     Args:
         flight: Arrays of the recording, as `Recording.everything()` returns them.
-        types: Classes of messages by name, those of rosbags.
+        types: Message classes of rosbags by name.
     """
     topics = list(_Messages(flight, stamps_of(flight), types).topics())
     names = ros_names(tuple(topic.name for topic in topics))
     return [topic._replace(name=name) for name, topic in zip(names, topics, strict=True)]
 
 
-@functools.lru_cache(maxsize=1)  # live, each decision has the same
+@functools.lru_cache(maxsize=1)  # in a live view, all decisions have the same topics
 def ros_names(names: tuple[str, ...]) -> list[str]:
-    """Make names that ROS takes: letters, digits and underscores, and none of them twice."""
+    """Convert names to unique valid ROS names of letters, digits and underscores."""
     made: list[str] = []
     for name in names:
-        # Slashes part the words of a topic
+        # Slashes separate the tokens of a topic name
         words = re.sub(r"[^A-Za-z0-9/]+", "_", name).split("/")
-        # A word may not begin with a digit
+        # A token must not begin with a digit
         text = "".join(f"/_{word}" if word[0].isdigit() else f"/{word}" for word in words if word)
-        # Names that became the same are told apart by more underscores
+        # Duplicates get further underscores
         while text in made:
             text += "_"
         made.append(text)
@@ -76,21 +76,21 @@ def ros_names(names: tuple[str, ...]) -> list[str]:
 
 
 class _Messages:
-    """Makes the messages of a flight."""
+    """Factory of the messages of a flight."""
 
     def __init__(self, flight: Flight, stamps: list[int], types: Any) -> None:
-        """Keep the flight, the stamp of each row, ns, and classes of messages by name."""
+        """Set the flight, the time stamp of each row (ns), and message classes by name."""
         self._flight = flight
         self._stamps = stamps
         self._types = types
 
     def topics(self) -> Iterator[Topic]:
-        """List the topics by names that are their own."""
+        """Yield the topics, with names that may be invalid in ROS."""
         flight = self._flight
         everywhere = range(len(self._stamps))
         rows = [range(count) for count in rows_flown(flight)]
         imu = flight.get("reading/imu")
-        # A decision is judged at its end.
+        # Results of a decision are stamped at its end
         judged = {
             name: np.concatenate([values[:1], values]) for name, values in results(flight).items()
         }
@@ -111,7 +111,7 @@ class _Messages:
                 yield Topic(f"{name}/{result}", "std_msgs/msg/Float64", own[1:], row)
 
     def _make(self, kind: str, *fields: Any) -> Any:
-        """Make a message of its fields, in their order."""
+        """Make a message from its fields in order."""
         return self._types[kind](*fields)
 
     def _header(self, k: int, frame: str) -> Any:
@@ -125,7 +125,7 @@ class _Messages:
         return self._make("geometry_msgs/msg/Point", *values)
 
     def _turn(self, values: Iterable[float]) -> Any:
-        """Make a quaternion of x, y, z, w, which is the order of both."""
+        """Make a quaternion from (x, y, z, w), the order of both this package and ROS."""
         return self._make("geometry_msgs/msg/Quaternion", *values)
 
     def _number(self, values: np.ndarray) -> Row:
@@ -133,7 +133,7 @@ class _Messages:
         return lambda k: self._make("std_msgs/msg/Float64", listed[k])
 
     def _transforms(self, rows: list[range]) -> Row:
-        """Tell where the drones are that fly."""
+        """Return a function that makes the transforms of the active drones."""
         position, quaternion = self._flight["position"], self._flight["quaternion"]
 
         def one(k: int, i: int) -> Any:
@@ -152,8 +152,8 @@ class _Messages:
         return message
 
     def _odometry(self, i: int) -> Row:
-        """Tell a drone's state; ROS wants twists in axes of the body."""
-        # As lists, whose numbers messages take without a conversion each
+        """Return a function that makes the odometry of a drone, with the twist in body axes."""
+        # Lists of Python floats need no conversion for each message
         columns = (self._flight[name] for name in ("position", "quaternion", "velocity", "rates"))
         position, quaternion, velocity, rates = (column[:, i].tolist() for column in columns)
 
@@ -161,7 +161,7 @@ class _Messages:
             pose = self._make(
                 "geometry_msgs/msg/Pose", self._point(position[k]), self._turn(quaternion[k])
             )
-            # Recordings have velocities in the world and rates in the body already
+            # Recorded velocities are in world axes, and rates already in body axes
             linear = to_body(tuple(quaternion[k]), tuple(velocity[k]))
             twist = self._make(
                 "geometry_msgs/msg/Twist", self._vector(linear), self._vector(rates[k])
@@ -189,10 +189,10 @@ class _Messages:
         )
 
     def _imu(self, reading: np.ndarray, i: int) -> Row:
-        """Tell specific forces and angular velocities; an attitude is not measured."""
+        """Return a function that makes IMU messages of specific force and angular velocity."""
         force, rates = reading[:, :3].tolist(), reading[:, 3:6].tolist()
         untold = np.zeros(9)
-        none = np.array([-1.0, *untold[1:]])  # how ROS says that there is no attitude
+        none = np.array([-1.0, *untold[1:]])  # ROS convention: there is no attitude estimate
         still = self._turn((0.0, 0.0, 0.0, 1.0))
         return lambda k: self._make(
             "sensor_msgs/msg/Imu",
@@ -204,5 +204,5 @@ class _Messages:
 
 
 def _body(i: int) -> str:
-    """Name the frame of a drone's body."""
+    """Return the name of the body frame of a drone."""
     return f"drone_{i}/base_link"
