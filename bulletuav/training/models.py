@@ -1,4 +1,4 @@
-"""Models of stable-baselines3 from a run's settings."""
+"""Creation of stable-baselines3 models from the settings of a run."""
 
 import inspect
 import itertools
@@ -36,40 +36,40 @@ OURS = (
     "tensorboard_log",
     "_init_setup_model",
 )
-"""Arguments that a run gives itself"""
+"""Arguments that the run sets and users cannot"""
 LEAST = {"gradient_steps": -1, "learning_starts": 0}
-"""Least values of whole numbers; of others it is 1, or the default where that is less"""
+"""Minimum of integer settings; for others it is 1, or the default if smaller"""
 MOST = 10**12
-"""Largest whole number that a setting may be"""
+"""Maximum of integer settings"""
 MOST_LAYERS = 100
-"""Layers that a network may have"""
+"""Maximum number of layers of a network"""
 SHARES = ("gamma", "gae_lambda", "tau")
-"""Settings from 0 to 1"""
+"""Settings with values from 0 to 1"""
 NUMBER_BYTES = 4
-"""Bytes of a number in buffers and networks"""
+"""Size of a number in buffers and networks, bytes"""
 OTHERS = 6
-"""Numbers that are kept of a transition beside what is seen and done"""
+"""Numbers stored for each transition besides observations and actions"""
 ON_POLICY = ("ppo", "a2c")
-"""Algorithms that learn from rollouts"""
+"""On-policy algorithms, which learn from rollouts"""
 
 
 def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
-    """Make a model with the weights that the run's seed gives.
+    """Create a model with initial weights from the seed of the run.
 
-    Settings are the arguments of the algorithm's class. Some have a meaning of their own:
-    `learning_rate` [a, b] falls linearly from a to b over the run. `action_noise` is the deviation
-    of Gaussian noise on each number of an action. `features` names what observed numbers go through
-    first, of `bulletuav.adapters`: "symlog", also the default, "swarm", "user_sum", or None.
+    Settings are the arguments of the class of the algorithm, with these exceptions: `learning_rate`
+    [a, b] falls linearly from a to b over the run. `action_noise` is the standard deviation of
+    Gaussian noise on each number of an action. `features` names the feature extractor of
+    `bulletuav.adapters`: "symlog" (the default), "swarm", "user_sum", or None.
 
     Args:
-        config: The run.
-        env: What it learns in.
+        config: Settings of the run.
+        env: The training environment.
 
     Returns:
-        The model, of the algorithm's class.
+        The model, an instance of the class of the algorithm.
 
     Raises:
-        ValueError: The algorithm does not take a setting, or the machine cannot hold the model.
+        ValueError: If the algorithm has no such setting, or the model exceeds the memory.
     """
     settings = config.settings
     kind = algorithm(config.algo)
@@ -80,24 +80,24 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
         choose("features", features, named)
     arguments = policy_arguments(settings, env.num_drones, env.labels, pictures)
     del settings["features"]
-    # What the algorithm does not take is found before anything large is made.
+    # Check settings before anything large is allocated
     _check(kind, settings)
     settings["policy_kwargs"] = arguments
     _require_memory(config.algo, settings, env)
     _translate(settings, env)
     if not pictures:
-        # Buffers that leave out slots without a drone.
+        # Buffers that drop slots without a drone
         if config.algo in ON_POLICY:
             settings.setdefault("rollout_buffer_class", LivingRollouts)
         else:
             settings.setdefault("replay_buffer_class", LivingReplay)
     elif env.num_drones > 1:
         raise ValueError(
-            "pictures are learned from with one drone a world: "
-            "SB3's buffers for them know of no empty slots"
+            "training on images needs one drone in each world: "
+            "SB3's buffers for images cannot drop empty slots"
         )
     try:
-        # Minibatches of living drones never divide the rollout, of which SB3 would warn.
+        # SB3 warns if minibatches do not divide the rollout, which never holds here
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="(?s).*mini-batch")
             return kind(
@@ -113,11 +113,11 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
 
 
 def check_settings(config: RunConfig) -> None:
-    """Check the algorithm's settings of a run without making anything.
+    """Check the algorithm settings of a run, without creating a model.
 
     Raises:
-        ValueError: The algorithm does not take one of them; the nearest names are told.
-        ImportError: The extra `sb3` is missing.
+        ValueError: If the algorithm has no such setting. The message suggests the closest names.
+        ImportError: If the extra `sb3` is not installed.
     """
     settings = config.settings
     del settings["features"]
@@ -125,10 +125,10 @@ def check_settings(config: RunConfig) -> None:
 
 
 def _check(kind: Any, settings: dict[str, Any]) -> None:
-    """Check the settings, and make numbers of the kind that their defaults are.
+    """Check the settings, and convert numbers to the types of their defaults.
 
-    Raises ValueError for those that the algorithm's class does not take, and for numbers of another
-    kind than its own.
+    Raises ValueError for settings that the class of the algorithm does not have, and for values of
+    another type.
     """
     known = {
         name: one.default
@@ -138,7 +138,7 @@ def _check(kind: Any, settings: dict[str, Any]) -> None:
     for name, value in settings.items():
         if name not in known:
             raise unknown(f"setting of {kind.__name__}:", name, [*known, "features"])
-        # Bools are ints in Python, and so come first; lists are for `_translate`.
+        # Check bools first, as they are ints in Python; `_translate` handles lists
         default = known[name]
         is_list = isinstance(value, list | tuple)
         if isinstance(default, bool):
@@ -153,7 +153,7 @@ def _check(kind: Any, settings: dict[str, Any]) -> None:
 
 
 def _require_memory(algo: str, settings: dict[str, Any], env: DroneVecEnv) -> None:
-    """Raise ValueError, with both figures, for what does not fit into the machine."""
+    """Raise ValueError if buffers or networks exceed the memory of this machine."""
     observed = flatdim(env.observation_space)
     acted = math.prod(env.action_space.shape or (1,))
     if algo in ON_POLICY:
@@ -165,7 +165,7 @@ def _require_memory(algo: str, settings: dict[str, Any], env: DroneVecEnv) -> No
             "lower n_steps or worlds",
         )
     else:
-        # A transition holds what was seen before and after.
+        # A transition has the observations before and after the step
         row = (2 * observed + acted + OTHERS) * NUMBER_BYTES
         for name in ("buffer_size", "batch_size"):
             size = settings[name]
@@ -174,7 +174,7 @@ def _require_memory(algo: str, settings: dict[str, Any], env: DroneVecEnv) -> No
 
 
 def _require_networks(widths: Any, observed: int) -> None:
-    """Raise ValueError for networks that do not fit into the machine."""
+    """Raise ValueError if networks exceed the memory of this machine."""
     lists = list(widths.values()) if isinstance(widths, Mapping) else [widths]
     for layers in lists:
         named = as_sequence("net_arch of policy_kwargs", layers, most=MOST_LAYERS)
@@ -188,7 +188,7 @@ def _require_networks(widths: Any, observed: int) -> None:
 
 
 def _translate(settings: dict[str, Any], env: DroneVecEnv) -> None:
-    """Make objects of the settings that stand for some."""
+    """Convert settings to objects of stable-baselines3: schedules and noise."""
     from stable_baselines3.common.noise import NormalActionNoise
     from stable_baselines3.common.utils import LinearSchedule
 
@@ -200,7 +200,7 @@ def _translate(settings: dict[str, Any], env: DroneVecEnv) -> None:
         settings["learning_rate"] = LinearSchedule(first, last, 1.0)
     if isinstance(settings.get("train_freq"), list):
         settings["train_freq"] = tuple(settings["train_freq"])
-    # Discrete actions have no noise.
+    # Discrete actions have no noise
     noise = settings.get("action_noise")
     if noise is not None and isinstance(env.action_space, Box):
         size = env.action_space.shape[0]

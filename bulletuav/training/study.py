@@ -1,4 +1,4 @@
-"""A study: training runs whose settings vary, chosen by what earlier ones came to."""
+"""Hyperparameter studies: training runs whose settings are chosen from earlier results."""
 
 import csv
 import dataclasses
@@ -22,11 +22,11 @@ from bulletuav.training.campaign import processes, train_in_process
 from bulletuav.training.store import FolderError, Row, evaluation_conditions, locked
 
 STUDY = "study.yaml"
-"""File with the settings of a study, in its folder"""
+"""File with the settings of a study"""
 TRIALS = "trials.csv"
-"""File with the trials, in their order"""
+"""File with the trials in order"""
 RUNS = "trials"
-"""Folder of the trials' runs"""
+"""Folder of the runs of the trials"""
 FALLING = (
     "collision",
     "conflict",
@@ -38,21 +38,21 @@ FALLING = (
     "energy",
     "latency",
 )
-"""Metrics of which less is better"""
+"""Metrics where lower is better"""
 MOST_TRIALS = 10_000
-"""Most trials of a study"""
+"""Maximum number of trials of a study"""
 
 
 @dataclass(frozen=True)
 class Study:
-    """The settings that decide a study.
+    """Settings of a study.
 
     Attributes:
-        run: What does not vary. Its seed is that of the study, too.
-        space: What varies.
-        metric: What the last evaluation of each run is judged by, one of `METRICS`.
-        trials: How many runs are trained.
-        batch: Runs that are chosen at once, knowing nothing of each other.
+        run: Settings that do not vary. Its seed is also that of the study.
+        space: Search space.
+        metric: Objective: one of `METRICS`, of the last evaluation of each run.
+        trials: Number of runs.
+        batch: Number of trials that are suggested at a time, from the same results.
     """
 
     run: RunConfig
@@ -65,7 +65,7 @@ class Study:
         """Check all settings.
 
         Raises:
-            ValueError: One is impossible.
+            ValueError: If a setting is invalid.
         """
         choose("metric", self.metric, METRICS)
         as_int("trials", self.trials, 1, MOST_TRIALS)
@@ -77,18 +77,18 @@ class Study:
         """Read the settings from a YAML file.
 
         Args:
-            path: A file as `text` writes it, or one by hand: `version`, `run` (as `run.yaml`),
-                `space` (see `parse_space`), and any other.
-            trust: Whether modules that it names as `module:Name` may be imported.
+            path: A file as `text` writes it, or a hand-written file with `version`, `run` (as
+                `run.yaml`), `space` (see `parse_space`), and other settings.
+            trust: If True, modules that the file names as `module:Name` may be imported.
 
         Raises:
-            ValueError: The file is of another kind or version, or holds an impossible setting.
-            FileNotFoundError: There is no such file.
+            ValueError: If the file has another format or version, or an invalid setting.
+            FileNotFoundError: If the file does not exist.
         """
         values = read_settings(path, f"{STUDY} of a study", trust)
         known = [field.name for field in dataclasses.fields(cls)]
         try:
-            # Files may be written by hand, so names are checked first
+            # Files may be written by hand, so check names first
             for name in values:
                 if name not in known:
                     raise unknown("setting of a study:", name, known)
@@ -104,11 +104,11 @@ class Study:
 
     @property
     def maximise(self) -> bool:
-        """Whether more of the metric is better."""
+        """True if higher values of the metric are better."""
         return self.metric not in FALLING
 
     def text(self) -> str:
-        """Write the settings as YAML, which `read` takes back."""
+        """Return the settings as YAML, which `read` parses."""
         run = self.run.plain()
         del run["version"]
         space = {name: one.plain() for name, one in self.space.items()}
@@ -120,11 +120,11 @@ class Trial(NamedTuple):
     """A run of a study.
 
     Attributes:
-        number: Its number, from 0.
-        values: What varies, by name.
-        result: The metric of its last evaluation; NaN where it failed.
-        error: Why it failed.
-        folder: Where its run is.
+        number: Index of the trial, from 0.
+        values: Values of the varied settings by name.
+        result: Metric of the last evaluation; NaN if the trial failed.
+        error: Reason of the failure; empty if the trial succeeded.
+        folder: Folder of the run.
     """
 
     number: int
@@ -141,28 +141,28 @@ def run_study(
     progress: Callable[[int], None] = lambda trials: None,
     told: Callable[[str], None] = lambda text: None,
 ) -> list[Trial]:
-    """Train the runs of a study, a batch at a time.
+    """Train the runs of a study, one batch at a time.
 
-    What a batch tries follows from the seed and from the batches before. So neither timing nor the
-    number of processes changes anything. A call with the same study goes on where one was
-    interrupted, and one with more trials goes on with these.
+    The values of a batch depend only on the seed and on the results of earlier batches. Timing and
+    the number of processes therefore do not change the study. A call with the same study resumes an
+    interrupted one, and a call with more trials continues it.
 
     Args:
         study: The study.
-        folder: The folder, made if it is not there.
-        workers: Processes, of which each trains one run at a time.
-        progress: Told the trials done so far.
-        told: Told in words what was best so far.
+        folder: The folder, created if missing.
+        workers: Number of processes; each trains one run at a time.
+        progress: Called with the number of finished trials.
+        told: Called with a text of the best trial so far.
 
     Returns:
-        The trials in their order.
+        The trials in order.
 
     Raises:
-        FolderError: The folder holds another study, or another process works in it.
-        ValueError: All trials failed.
-        ImportError: The extra `tune` or `sb3` is missing.
+        FolderError: If the folder has another study, or is locked by another process.
+        ValueError: If all trials failed.
+        ImportError: If the extra `tune` or `sb3` is not installed.
     """
-    # Imported here, as only from here on the extras are needed.
+    # Imported here, as these modules need extras
     from bulletuav.adapters.optuna import suggest
     from bulletuav.training.models import check_settings
 
@@ -172,7 +172,7 @@ def run_study(
     with locked(folder), processes(workers) as pool:
         _begin(study, folder)
         progress(0)
-        # A batch is chosen from the results of those before, whoever was faster
+        # A batch depends on the results of earlier batches, whatever their order of completion
         while len(trials) < study.trials:
             tried = [(trial.values, trial.result) for trial in trials]
             count = min(study.batch, study.trials - len(trials))
@@ -182,7 +182,7 @@ def run_study(
                 _submit(pool, study, values, _place(folder, len(trials) + k))
                 for k, values in enumerate(batch)
             ]
-            # In the order of the trials, and written after each
+            # Collect results in the order of the trials, and write the table after each
             for values, future in zip(batch, futures, strict=True):
                 number = len(trials)
                 outcome = _outcome(future, study.metric)
@@ -196,21 +196,21 @@ def run_study(
 
 
 def best_trials(study: Study, trials: Sequence[Trial]) -> list[Trial]:
-    """Sort the trials that did not fail, best first; of equals the earlier comes first."""
+    """Return the successful trials, best first; ties are in order of the trials."""
     done = [trial for trial in trials if not trial.error]
     return sorted(done, key=lambda trial: trial.result, reverse=study.maximise)
 
 
 def trial_conditions(study: Study, trial: Trial) -> Conditions:
-    """Return the conditions of the result of a trial that did not fail."""
+    """Return the evaluation conditions of a successful trial."""
     return evaluation_conditions(with_values(study.run, trial.values))
 
 
 def _begin(study: Study, folder: Path) -> None:
-    """Write the settings, or check that they are those of the folder."""
+    """Write the settings, or check that they match those in the folder."""
     path = folder / STUDY
     if path.exists():
-        # Modules that the study itself names are the user's own.
+        # Trust only modules that the study itself names
         known = Study.read(path, MODULE_NAME.search(study.text()) is not None)
         if dataclasses.replace(known, trials=study.trials).text() != study.text():
             raise ValueError(
@@ -220,12 +220,11 @@ def _begin(study: Study, folder: Path) -> None:
 
 
 def _place(folder: Path, number: int) -> Path:
-    """Return the folder of a trial's run."""
     return folder / RUNS / f"{number:03d}"
 
 
 def _submit(pool: Executor, study: Study, values: Mapping[str, Any], place: Path) -> Future[Any]:
-    """Begin a trial; one whose settings are impossible together has failed at once."""
+    """Start a trial; a trial with an invalid combination of settings fails immediately."""
     try:
         config = with_values(study.run, values)
     except ValueError as error:
@@ -237,8 +236,8 @@ def _submit(pool: Executor, study: Study, values: Mapping[str, Any], place: Path
 
 
 def _outcome(future: Future[list[Row]], metric: str) -> tuple[float, str]:
-    """Wait for a trial; gives its result, or NaN and why it failed."""
-    # Other errors, such as a full disk, are none of the trial's settings, and end the study.
+    """Wait for a trial, and return its result, or NaN and the reason of the failure."""
+    # Other errors, such as a full disk, are not due to the settings, and end the study
     try:
         result = float(future.result()[-1][metric])
     except FolderError:
@@ -249,7 +248,7 @@ def _outcome(future: Future[list[Row]], metric: str) -> tuple[float, str]:
 
 
 def _table(study: Study, trials: list[Trial]) -> str:
-    """Write the trials as CSV with the conditions of their results; values are in JSON."""
+    """Return the trials as CSV with their conditions; values are in JSON."""
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(["trial", study.metric, *study.space, "error", *Conditions._fields])
@@ -262,6 +261,6 @@ def _table(study: Study, trials: list[Trial]) -> str:
 
 
 def _words(study: Study, trials: list[Trial]) -> str:
-    """Say what was best so far."""
+    """Return a text with the best trial so far."""
     best = best_trials(study, trials)
     return f"best {study.metric} {best[0].result:.4g} in trial {best[0].number}" if best else ""
