@@ -116,7 +116,7 @@ def test_what_has_no_form_is_refused(tmp_path):
     (tmp_path / "run.yaml").write_text(config.text())
     weights = (shipped("crossing") / "policy.safetensors").read_bytes()
     (tmp_path / "policy.safetensors").write_bytes(weights)
-    with pytest.raises(ValueError, match="action 'velocity_increment' has no form"):
+    with pytest.raises(ValueError, match="action 'velocity_increment' cannot be exported"):
         deployed(tmp_path)
     (tmp_path / "run.yaml").write_text(
         RunConfig("crossing", options={"observation": "goal"}).text()
@@ -128,7 +128,7 @@ def test_what_has_no_form_is_refused(tmp_path):
         _asdict = dict
 
     one = Deployed("x", (), (), (Unknown(),), lambda rows: rows)
-    with pytest.raises(ValueError, match="a layer Unknown has no form in C"):
+    with pytest.raises(ValueError, match="a layer Unknown cannot be written in C"):
         write_c(one, tmp_path / "policy.c")
     with pytest.raises(ValueError, match="a name of letters"):
         write_c(one, tmp_path / "my-policy.c")
@@ -154,4 +154,4 @@ def test_the_command_tells_how_well_they_agree(tmp_path, capsys):
     assert "precision" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["export", str(tmp_path), "--to", "mcap", "--precision", "float"])
-    assert "--precision is of policies" in capsys.readouterr().err
+    assert "--precision is for policies" in capsys.readouterr().err

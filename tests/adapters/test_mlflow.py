@@ -115,5 +115,5 @@ def test_a_place_that_is_none_is_told_before_anything_is_trained(tmp_path, monke
 def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mlflow", None)
     monkeypatch.delitem(sys.modules, "bulletuav.adapters.mlflow")
-    with pytest.raises(ImportError, match="telling MLflow of a training needs the extra 'mlflow'"):
+    with pytest.raises(ImportError, match="logging a training to MLflow needs the extra 'mlflow'"):
         train(CONFIG, tmp_path / "run", mlflow=True)

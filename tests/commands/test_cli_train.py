@@ -87,7 +87,7 @@ def test_an_interrupt_tells_how_to_go_on(tmp_path, capsys, monkeypatch):
     with pytest.raises(SystemExit) as end:
         main(["train", "obstacles", *TINY, "--out", "run"])
     assert end.value.code == 130
-    assert "the same command goes on from the last checkpoint in run" in capsys.readouterr().err
+    assert "the same command resumes from the last checkpoint in run" in capsys.readouterr().err
 
 
 class OneProcess(Campaign):

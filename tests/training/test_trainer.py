@@ -247,7 +247,7 @@ def test_signals_cost_no_more_than_the_chapter_that_they_cut(tmp_path):
         process.send_signal(number)
         _, said = process.communicate(timeout=PATIENCE)
         assert process.returncode == code, said
-        assert ("the same command goes on" in said) == (number == 2)
+        assert ("the same command resumes" in said) == (number == 2)
         reached = count_rows(folder)
         assert reached < 60
     train(learner, folder)
