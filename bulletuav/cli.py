@@ -18,7 +18,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from bulletuav import interrupts
-from bulletuav.errors import missing, unknown
+from bulletuav.errors import missing_extra, unknown
 from bulletuav.policies import policy_names
 from bulletuav.tasks import list_tasks
 from bulletuav.version import __version__
@@ -117,7 +117,7 @@ def _complete() -> None:
     try:
         import argcomplete
     except ImportError:
-        raise missing("completing words in a shell", "completion") from None
+        raise missing_extra("completing words in a shell", "completion") from None
     parser, commands = _parser(os.environ.get("COMP_LINE", "").split(" ")[1:-1])
     offered = {"task": list_tasks, "policy": policy_names}
     for command in commands.values():
@@ -164,7 +164,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt as interrupt:
         # Commands that keep results raise it again with a text that says which
         sys.stderr.write(f"{str(interrupt) or interrupts.TEXT}\n")
-        sys.exit(interrupts.STATUS)
+        sys.exit(interrupts.EXIT_STATUS)
 
 
 def _run(words: Sequence[str]) -> None:
@@ -191,7 +191,7 @@ def _run(words: Sequence[str]) -> None:
     if rest:
         command.error(f"unexpected argument {rest[0]}: the command takes no further arguments")
     try:
-        with interrupts.raising():
+        with interrupts.raise_interrupts():
             _module(arguments.command).run(arguments)
             # Flush here, so that a closed pipe is noticed now and not when Python exits. Without an
             # open standard output, sys.stdout is None.

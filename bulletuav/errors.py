@@ -1,8 +1,8 @@
 """Validation of user input, and error messages that name the wrong value and the remedy.
 
-Functions that return an error (`unknown`, `missing`) leave the `raise` to the caller. Functions
-that validate (`as_int`, `finite`, `as_sequence`, `numbers_of`, `points_of`) return the value
-converted to the type that the package uses, and raise ValueError if the value is invalid.
+Functions that return an error (`unknown`, `missing_extra`) leave the `raise` to the caller.
+Functions that validate (`as_int`, `finite`, `as_sequence`, `numbers_of`, `points_of`) return the
+value converted to the type that the package uses, and raise ValueError if the value is invalid.
 """
 
 import contextlib
@@ -20,9 +20,9 @@ import numpy as np
 
 Entry = TypeVar("Entry")
 
-MOST_SHOWN = 200
+MAX_SHOWN = 200
 """Maximum number of characters of a value that a message shows."""
-USUAL_MEMORY = 16 * 2**30
+DEFAULT_MEMORY = 16 * 2**30
 """Memory in bytes that is assumed if the operating system does not report it."""
 GIB = 2**30
 """Bytes in a gibibyte."""
@@ -45,9 +45,9 @@ class _Shown(reprlib.Repr):
         self.maxtuple = 12
         self.maxset = 12
         self.maxdict = 12
-        self.maxstring = MOST_SHOWN
-        self.maxother = MOST_SHOWN
-        self.maxlong = MOST_SHOWN
+        self.maxstring = MAX_SHOWN
+        self.maxother = MAX_SHOWN
+        self.maxlong = MAX_SHOWN
 
 
 _SHOWN = _Shown()
@@ -68,7 +68,7 @@ def shown(value: object) -> str:
     Never raises, even if the `__repr__` of the value does.
     """
     try:
-        if isinstance(value, float | str) and len(str(value)) < MOST_SHOWN:
+        if isinstance(value, float | str) and len(str(value)) < MAX_SHOWN:
             text = repr(value)
         else:
             text = _SHOWN.repr(value)
@@ -76,10 +76,10 @@ def shown(value: object) -> str:
     except Exception:
         text = f"<{type(value).__name__} that cannot be shown>"
     text = " ".join(text.split("\n"))
-    return text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    return text if len(text) <= 2 * MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
 
 
-def printable(text: str) -> str:
+def printable_text(text: str) -> str:
     """Return a text that can be encoded, with invalid bytes (as in file names) escaped."""
     return text.encode(errors="backslashreplace").decode()
 
@@ -87,7 +87,7 @@ def printable(text: str) -> str:
 def reason_of(error: Exception) -> str:
     """Describe an error on one line: its type and its message, truncated if it is long."""
     text = " ".join(str(error).split())
-    cut = text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    cut = text if len(text) <= 2 * MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
     return f"{type(error).__name__}: {cut}" if cut else type(error).__name__
 
 
@@ -122,13 +122,13 @@ def unknown(what: str, name: object, choices: Iterable[str]) -> ValueError:
     Returns:
         The error, for the caller to raise.
     """
-    return ValueError(f"unknown {what} {shown(name)}: {nearest(name, choices)}")
+    return ValueError(f"unknown {what} {shown(name)}: {suggest_names(name, choices)}")
 
 
-def nearest(name: object, choices: Iterable[str]) -> str:
+def suggest_names(name: object, choices: Iterable[str]) -> str:
     """Return a hint with the valid names closest to a name, or with all if none is close."""
     choices = sorted(choices)
-    text = name[:MOST_SHOWN] if isinstance(name, str) else ""
+    text = name[:MAX_SHOWN] if isinstance(name, str) else ""
     near = difflib.get_close_matches(text, choices, n=3, cutoff=0.5)
     if near:
         return f"did you mean {' or '.join(map(repr, near))}?"
@@ -149,7 +149,7 @@ def install(extra: str) -> str:
     return f"pip install -c {pins} {what}"
 
 
-def missing(what: str, extra: str) -> ImportError:
+def missing_extra(what: str, extra: str) -> ImportError:
     """Return the error for a feature whose optional dependencies (extra) are not installed.
 
     Args:
@@ -163,16 +163,16 @@ def missing(what: str, extra: str) -> ImportError:
     return ImportError(f"{what} needs the extra {extra!r}: {install(extra)}")
 
 
-def memory() -> int:
-    """Return the physical memory of this machine in bytes, or `USUAL_MEMORY` if unknown."""
+def total_memory() -> int:
+    """Return the physical memory of this machine in bytes, or `DEFAULT_MEMORY` if unknown."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     # Windows has no sysconf
     except (AttributeError, ValueError, OSError):
-        return USUAL_MEMORY
+        return DEFAULT_MEMORY
 
 
-def require_memory(what: str, needed: float, remedy: str) -> None:
+def require_available_memory(what: str, needed: float, remedy: str) -> None:
     """Raise an error if an allocation would exceed the memory of this machine.
 
     Args:
@@ -183,7 +183,7 @@ def require_memory(what: str, needed: float, remedy: str) -> None:
     Raises:
         ValueError: If the size exceeds the physical memory. The message contains both figures.
     """
-    available = memory()
+    available = total_memory()
     if needed > available:
         raise ValueError(
             f"{what} need about {needed / GIB:.3g} GiB, "
@@ -378,7 +378,7 @@ def points_of(name: str, value: object) -> np.ndarray:
     return points
 
 
-def choose(what: str, name: object, table: Mapping[str, Entry]) -> Entry:
+def find_choice(what: str, name: object, table: Mapping[str, Entry]) -> Entry:
     """Look up a name in a table of choices.
 
     Args:

@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from bulletuav.errors import printable
+from bulletuav.errors import printable_text
 
 
 @contextlib.contextmanager
@@ -42,4 +42,4 @@ def replace_file(path: str | Path, text: str) -> None:
         OSError: If the file cannot be written. The message contains the path.
     """
     with whole_file(path) as part:
-        part.write_text(printable(text), encoding="utf-8")
+        part.write_text(printable_text(text), encoding="utf-8")

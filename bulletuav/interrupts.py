@@ -18,10 +18,10 @@ import sys
 # No other imports, such as `typing`: the handler must be installed as early as possible
 from collections.abc import Iterator
 
-STATUS = 130
+EXIT_STATUS = 130
 """Exit status after an interrupt: 128 + SIGINT, as in shells"""
 TEXT = "interrupted"
-RETRY = 0.05
+RETRY_DELAY = 0.05
 """Delay before an interrupt that could not be raised is sent again, s"""
 _was_raised = False
 """True after an interrupt has raised KeyboardInterrupt"""
@@ -37,22 +37,22 @@ def is_command() -> bool:
     return name == "bulletuav" and sys.argv[0] in sys.orig_argv
 
 
-def end(number: int, frame: object) -> None:
+def exit_on_interrupt(number: int, frame: object) -> None:
     """Write one line and end the process: the signal handler while no command runs."""
     os.write(2, f"{TEXT}\n".encode())
-    os._exit(STATUS)
+    os._exit(EXIT_STATUS)
 
 
 @contextlib.contextmanager
-def raising() -> Iterator[None]:
+def raise_interrupts() -> Iterator[None]:
     """Make interrupts raise KeyboardInterrupt inside the `with` block of a command."""
     global _was_raised
-    if signal.getsignal(signal.SIGINT) is not end:
+    if signal.getsignal(signal.SIGINT) is not exit_on_interrupt:
         yield
         return
-    following: signal._HANDLER = end
+    following: signal._HANDLER = exit_on_interrupt
     hook = sys.unraisablehook
-    sys.unraisablehook = _retry
+    sys.unraisablehook = _resend_interrupt
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield
@@ -66,7 +66,7 @@ def raising() -> Iterator[None]:
         sys.unraisablehook = hook
 
 
-def _leave() -> None:
+def _exit_after_interrupt() -> None:
     """End the process with status 130 after an interrupt, as the last exit handler.
 
     Without this handler, Python ends by the signal, with another status, if KeyboardInterrupt has
@@ -76,16 +76,16 @@ def _leave() -> None:
         # A stream is None if the process was started without it
         for stream in filter(None, (sys.stdout, sys.stderr)):
             stream.flush()
-        os._exit(STATUS)
+        os._exit(EXIT_STATUS)
 
 
-def _retry(lost: "sys.UnraisableHookArgs") -> None:
+def _resend_interrupt(lost: "sys.UnraisableHookArgs") -> None:
     """Send an interrupt again that arrived in a callback from C, where it cannot propagate."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
         import threading
         from _thread import interrupt_main
 
-        timer = threading.Timer(RETRY, interrupt_main)
+        timer = threading.Timer(RETRY_DELAY, interrupt_main)
         timer.daemon = True
         timer.start()
     else:
@@ -93,7 +93,7 @@ def _retry(lost: "sys.UnraisableHookArgs") -> None:
 
 
 @contextlib.contextmanager
-def kept_from_children() -> Iterator[None]:
+def block_interrupts() -> Iterator[None]:
     """Block interrupts in processes that are started inside the `with` block.
 
     A terminal sends an interrupt to all processes of a command. Only the parent process is to
@@ -110,5 +110,5 @@ def kept_from_children() -> Iterator[None]:
 
 
 if is_command() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    signal.signal(signal.SIGINT, end)
-    atexit.register(_leave)  # registered first, so called last
+    signal.signal(signal.SIGINT, exit_on_interrupt)
+    atexit.register(_exit_after_interrupt)  # registered first, so called last

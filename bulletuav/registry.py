@@ -18,7 +18,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from bulletuav.errors import nearest, shown, unknown
+from bulletuav.errors import shown, suggest_names, unknown
 
 Ingredient = TypeVar("Ingredient")
 
@@ -148,8 +148,8 @@ def require_declared(kind: str, ingredient: type, base: type, remedy: str = "") 
             if name not in known and not is_helper:
                 raise ValueError(
                     f"{kind} {one.__name__} has {name!r}, which is no attribute of a {kind}: "
-                    f"{nearest(name, public)} {remedy}Names of helpers begin with an underscore, "
-                    f"or are annotated in the class"
+                    f"{suggest_names(name, public)} {remedy}Names of helpers begin with an "
+                    f"underscore, or are annotated in the class"
                 )
 
 
@@ -230,7 +230,7 @@ def _imported(kind: str, module: str, attribute: str, accepts: Callable[[Any], b
         raise ValueError(f"{given} cannot be imported: {error}") from None
     if not hasattr(home, attribute):
         public = [one for one in vars(home) if one[0] != "_"]
-        raise ValueError(f"{given} is not there: {nearest(attribute, public)}")
+        raise ValueError(f"{given} is not there: {suggest_names(attribute, public)}")
     found = getattr(home, attribute)
     if not accepts(found):
         raise ValueError(f"{given} is {shown(found)}: that is no {kind}")

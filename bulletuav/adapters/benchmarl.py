@@ -19,16 +19,16 @@ from typing import Any
 
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
-from bulletuav.errors import choose, install, missing
+from bulletuav.errors import find_choice, install, missing_extra
 from bulletuav.tasks import find_task, list_tasks
 
 NAME = "bulletuav"
 """Name of the environment in BenchMARL, the prefix of its task names"""
-OWN = ("group_map", "return_state", "infos")
+TENSOR_ENV_OPTIONS = ("group_map", "return_state", "infos")
 """Options of `DroneTensorEnv` that are not options of the environment"""
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Environment variable that makes Hydra print full tracebacks"""
-UNTOLD = "default"
+TASK_DEFAULT = "default"
 """Value in Hydra's configuration that stands for the default of the task"""
 SUCCESS = "success"
 """Info that is logged for each drone"""
@@ -43,7 +43,7 @@ def require_version() -> None:
     try:
         found = version("torchrl")
     except PackageNotFoundError:
-        raise missing("training with BenchMARL", "benchmarl") from None
+        raise missing_extra("training with BenchMARL", "benchmarl") from None
     if tuple(map(int, found.split(".")[:2])) >= (0, 12):
         raise ImportError(
             f"BenchMARL needs torchrl below 0.12, and {found} is installed: the extras 'torchrl' "
@@ -65,7 +65,7 @@ try:
 
     from bulletuav.adapters.torchrl import PROCESSES, DroneTensorEnv
 except ImportError:
-    raise missing("training with BenchMARL", "benchmarl") from None
+    raise missing_extra("training with BenchMARL", "benchmarl") from None
 
 
 class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
@@ -88,7 +88,7 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
         """
         super().__init__(name, config)
         self._source = {task.upper(): task for task in list_tasks()}.get(name.upper(), name)
-        own = (*PROCESSES, *OWN)
+        own = (*PROCESSES, *TENSOR_ENV_OPTIONS)
         spec = EnvSpec(
             self._source, 1, {key: value for key, value in self.config.items() if key not in own}
         )
@@ -98,7 +98,7 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
                 f"take vectors from this adapter, leave images out or train with TorchRL itself"
             )
         self._horizon = spec.options.horizon
-        self._chooses = spec.action.choices is not None
+        self._is_discrete = spec.action.choices is not None
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
@@ -114,11 +114,11 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
 
     def supports_continuous_actions(self) -> bool:
         """Return True if actions are continuous."""
-        return not self._chooses
+        return not self._is_discrete
 
     def supports_discrete_actions(self) -> bool:
         """Return True if actions are discrete, or no action is given and so may be discrete."""
-        return self._chooses or "action" not in self.config
+        return self._is_discrete or "action" not in self.config
 
     def max_steps(self, env: Any) -> int:
         """Return the maximum number of decisions of an episode."""
@@ -135,11 +135,11 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
 
     def observation_spec(self, env: Any) -> Any:
         """Return the spec of the observations."""
-        return self._parts(env, "observation")
+        return self._select_specs(env, "observation")
 
     def info_spec(self, env: Any) -> Any:
         """Return the spec of the infos, or None without infos."""
-        return self._parts(env, "info") if self.config.get("infos", (SUCCESS,)) else None
+        return self._select_specs(env, "info") if self.config.get("infos", (SUCCESS,)) else None
 
     def state_spec(self, env: Any) -> Any:
         """Return the spec of the global state, or None without it."""
@@ -156,7 +156,7 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
         """Return None: all actions are always available."""
         return
 
-    def _parts(self, env: Any, name: str) -> Any:
+    def _select_specs(self, env: Any, name: str) -> Any:
         """Select one entry of each group from the observation spec."""
         spec = env.full_observation_spec_unbatched
         parts = {
@@ -173,7 +173,7 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
     @staticmethod
     def log_info(batch: Any) -> dict[str, float]:
         """Return the success rate of the drones whose episodes ended in a batch, by group."""
-        told = {}
+        rates = {}
         for key in batch["next"].keys(include_nested=True):
             if key[1:] == ("info", SUCCESS):
                 group = key[0]
@@ -181,8 +181,8 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
                 last = batch[group, "mask"] & ~batch["next", group, "mask"]
                 if last.any():
                     reached = batch["next", group, "info", SUCCESS][last]
-                    told[f"collection/{group}/info/drone_success"] = float(reached.mean())
-        return told
+                    rates[f"collection/{group}/info/drone_success"] = float(reached.mean())
+        return rates
 
     @staticmethod
     def render_callback(experiment: Any, env: Any, data: Any) -> torch.Tensor:
@@ -199,8 +199,8 @@ class _DroneTask(Task):  # type: ignore[misc]  # has no types
 
     def get_task(self, config: dict[str, Any] | None = None) -> DroneTaskClass:
         """Return the task with the given options, and the defaults of the task for the others."""
-        told = {key: value for key, value in (config or {}).items() if value != UNTOLD}
-        return DroneTaskClass(self.name, told)
+        given = {key: value for key, value in (config or {}).items() if value != TASK_DEFAULT}
+        return DroneTaskClass(self.name, given)
 
 
 DroneTask = _DroneTask("DroneTask", {name.upper(): None for name in list_tasks()}, module=__name__)
@@ -212,23 +212,23 @@ def option_names(task: str) -> list[str]:
     config = find_task(task).Config
     listed = [
         *PROCESSES,
-        *OWN,
+        *TENSOR_ENV_OPTIONS,
         *(one.name for kind in (EnvOptions, config) for one in fields(kind)),
     ]
     return list(dict.fromkeys(listed))
 
 
-def register() -> None:
+def register_benchmarl() -> None:
     """Register the tasks with BenchMARL and Hydra; repeated calls have no further effect."""
     store = ConfigStore.instance()
     for task in DroneTask:
         name = task.name.lower()
         task_config_registry[f"{NAME}/{name}"] = task
-        node = dict.fromkeys(option_names(name), UNTOLD)
+        node = dict.fromkeys(option_names(name), TASK_DEFAULT)
         store.store(group=f"task/{NAME}", name=name, node=node)
 
 
-register()
+register_benchmarl()
 
 
 def check_arguments(arguments: Sequence[str]) -> None:
@@ -245,16 +245,16 @@ def check_arguments(arguments: Sequence[str]) -> None:
     known = {"task": task_config_registry, "algorithm": algorithm_config_registry}
     for what, table in known.items():
         for name in values[what].split(",") if what in values else ():
-            choose(what, name, table)
+            find_choice(what, name, table)
     tasks = [name.partition("/") for name in values.get("task", "").split(",")]
     if all(folder == NAME for folder, _, _ in tasks):
         options = {option: None for _, _, name in tasks for option in option_names(name)}
         for key in values:
             if key.startswith("task."):
-                choose("option", key.split(".")[1], options)
+                find_choice("option", key.split(".")[1], options)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def run_benchmarl(arguments: Sequence[str] | None = None) -> None:
     """Run the command line of BenchMARL.
 
     Args:
@@ -283,4 +283,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 if __name__ == "__main__":
     # Import by name, so that objects that BenchMARL pickles can be loaded elsewhere
-    importlib.import_module("bulletuav.adapters.benchmarl").main()
+    importlib.import_module("bulletuav.adapters.benchmarl").run_benchmarl()

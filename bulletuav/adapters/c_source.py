@@ -123,7 +123,7 @@ def _source(policy: Deployed, name: str, precision: str) -> str:
         width = given
         widths.append(width)
     # Both buffers have the width of the widest layer
-    room = max(widths)
+    buffer_size = max(widths)
     is_swarm = any(isinstance(layer, Swarm) for layer in policy.layers)
     suffix = "f" if precision == "float" else ""
     # Two buffers: dense layers read from one and write to the other
@@ -138,7 +138,7 @@ typedef {precision} number;
 {"".join(tables)}{_approach(precision) if is_swarm else ""}
 void {name}({_arguments(policy, "number")})
 {{
-    number x[{room}], y[{room}];
+    number x[{buffer_size}], y[{buffer_size}];
     int i, j = 0{", other" if is_swarm else ""};
     for (i = 0; i < {len(policy.inputs)}; i++) x[i] = observation[i];
 {"".join(steps)}    for (i = 0; i < {len(policy.outputs)}; i++) setpoint[i] = x[i];
@@ -285,27 +285,27 @@ def _swarm(f: Fields, width: int, given: int) -> str:
 def _others(kind: Fields, own: int, scale: str, place: int) -> str:
     """Return code that writes sum and maximum over the others of one kind to y[place:]."""
     columns, motion = kind["columns"], kind["motion"]
-    count, told = columns.shape
+    count, width = columns.shape
     size = kind["layers"][-1]["bias"].shape[0]
     # Inputs for one other: its columns and, if they include its motion, the closest approach
-    known = told + (APPROACH if motion.shape[0] else 0)
+    known = width + (APPROACH if motion.shape[0] else 0)
     # Longest vector between the layers, for the size of the C arrays
-    room = max(layer["weight"].shape[1] for layer in kind["layers"])
-    room = max(room, *(layer["bias"].shape[0] for layer in kind["layers"]))
-    column = f"x[{columns}[{told} * other + i]]"
+    buffer_size = max(layer["weight"].shape[1] for layer in kind["layers"])
+    buffer_size = max(buffer_size, *(layer["bias"].shape[0] for layer in kind["layers"]))
+    column = f"x[{columns}[{width} * other + i]]"
     # An absent drone is encoded as zeros, and left out of sum and maximum
     steps = f"""    for (i = 0; i < {2 * size}; i++) y[{place} + i] = 0;
     for (other = 0; other < {count}; other++) {{
-        number here[{room}], next[{room}];
+        number here[{buffer_size}], next[{buffer_size}];
         int there = 0;
-        for (i = 0; i < {told}; i++) {{
+        for (i = 0; i < {width}; i++) {{
             there |= {column} != 0;
             here[i] = SYMLOG({scale}, {column});
         }}
         if (!there) continue;
 """
     if motion.shape[0]:
-        steps += f"        approach(x, {columns} + {told} * other, {motion}, here + {told});\n"
+        steps += f"        approach(x, {columns} + {width} * other, {motion}, here + {width});\n"
     # The layers take the drone's own features after those of the other
     if own:
         steps += f"        for (i = 0; i < {own}; i++) here[{known} + i] = y[i];\n"
@@ -343,7 +343,7 @@ LAYERS: dict[type[Layer], Callable[[Fields, int, int], str]] = {
 """Functions that write the C code of each type of layer, from fields, input and output width"""
 
 
-def compiler() -> str | None:
+def find_compiler() -> str | None:
     """Return the path of a C compiler, or None if none is installed."""
     return shutil.which("gcc") or shutil.which("cc")
 
@@ -363,7 +363,7 @@ def run_c(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.
     Raises:
         ValueError: If no compiler is installed, or the file does not compile.
     """
-    found = compiler()
+    found = find_compiler()
     if found is None:
         raise ValueError("no C compiler is installed (gcc or cc)")
     kind: Any = ctypes.c_float if precision == "float" else ctypes.c_double

@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 from bulletuav.control.actions import Action
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.errors import nearest, shown
+from bulletuav.errors import shown, suggest_names
 from bulletuav.policies.find import read_run_config
 from bulletuav.policies.layers import (
     Affine,
@@ -43,13 +43,13 @@ SETPOINTS = {
     SetpointLevel.RATES: (("p", "rad/s"), ("q", "rad/s"), ("r", "rad/s"), ("thrust", "N")),
 }
 """Name and unit of each number of a setpoint, see `SetpointLevel`; rotor speeds are not listed"""
-AFFINE = ("target_position", "attitude", "rates", "rpm", "hover_rpm")
+AFFINE_ACTIONS = ("target_position", "attitude", "rates", "rpm", "hover_rpm")
 """Actions whose setpoints are affine functions of the action"""
-LIMITED = ("velocity", "acceleration")
+LIMITED_ACTIONS = ("velocity", "acceleration")
 """Actions whose setpoints are scaled actions with a limited norm"""
 YAW = 3
 """Index of the yaw in position, velocity and acceleration setpoints, where it is always 0"""
-TRIED = 256
+NUM_SAMPLES = 256
 """Number of observations on which an exported file is compared with the policy"""
 
 
@@ -82,7 +82,7 @@ class Deployed(NamedTuple):
             np.clip([getattr(label, name) for label in self.inputs], -1e3, 1e3)
             for name in ("low", "high")
         )
-        share = rng.uniform(-0.05, 1.05, (TRIED, len(self.inputs)))
+        share = rng.uniform(-0.05, 1.05, (NUM_SAMPLES, len(self.inputs)))
         return np.asarray(low + share * (high - low), dtype=np.float32)
 
 
@@ -159,9 +159,9 @@ def _setpoints(action: Action) -> tuple[tuple[Label, ...], list[Layer]]:
         rows = _decoded(action, np.arange(action.choices)[:, None])
         width = YAW if action.level in SETPOINTS else rows.shape[1]
         layers: list[Layer] = [Lookup(rows[:, :width])]
-    elif action.name in AFFINE:
+    elif action.name in AFFINE_ACTIONS:
         layers = [_affine(action)]
-    elif action.name in LIMITED:
+    elif action.name in LIMITED_ACTIONS:
         scale = _affine(action)
         layers = [scale, LimitNorm(float(scale.scale[0]))]
     elif action.name == "rotor":
@@ -170,10 +170,10 @@ def _setpoints(action: Action) -> tuple[tuple[Label, ...], list[Layer]]:
         half = most * most / 2
         layers = [Affine(half, half), SquareRoot()]
     else:
-        known = (*AFFINE, *LIMITED, "rotor", "discrete", "discrete_27")
+        known = (*AFFINE_ACTIONS, *LIMITED_ACTIONS, "rotor", "discrete", "discrete_27")
         raise ValueError(
             f"action {shown(action.name)} cannot be exported: train with one of "
-            f"{', '.join(known)}{nearest(action.name, known)}"
+            f"{', '.join(known)}{suggest_names(action.name, known)}"
         )
     return _labels(action, layers), layers
 
@@ -204,7 +204,7 @@ def _labels(action: Action, layers: list[Layer]) -> tuple[Label, ...]:
     else:
         size = action.size(0)
         edges = np.stack([action.low[0, :size], action.high[0, :size]])
-        if action.name in LIMITED:
+        if action.name in LIMITED_ACTIONS:
             # The norm is limited at corners only: bounds of single axes are the scale
             scale = cast(Affine, layers[0]).scale
             ends = tuple(edges * scale)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from gymnasium.spaces import Box
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.policies.features import BLOCKED, FAR, LINE_OF_SIGHT
 from bulletuav.sensors.sight import AHEAD
 
@@ -17,10 +17,10 @@ try:
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from torch import nn
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 
-class Symlog(BaseFeaturesExtractor):
+class SymlogFeatures(BaseFeaturesExtractor):
     """Symmetric logarithm of each number: sign(x) ln(1 + scale |x|).
 
     It compresses large distances, and needs no running statistics. D. Hafner, J. Pasukonis, J. Ba,
@@ -118,11 +118,11 @@ class UserSum(BaseFeaturesExtractor):
         # Log gain of each user at each drone, this drone first, and at the places ahead of this
         # drone
         ways = torch.cat([users, users - others[:, None]], 2)
-        now = log_gain(ways, sight)
+        now = log_path_gain(ways, sight)
         here = now[..., :1]
         elsewhere = now[..., 1:].amax(2, keepdim=True)
         lead = here - elsewhere
-        gain = log_gain(users - self.ways, ahead) - here
+        gain = log_path_gain(users - self.ways, ahead) - here
         # All inputs are scaled to the order of 1
         known = torch.cat(
             [
@@ -140,7 +140,7 @@ class UserSum(BaseFeaturesExtractor):
         return torch.cat([own / FAR, flat / FAR, each], 1)
 
 
-def log_gain(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
+def log_path_gain(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
     """Return the natural logarithm of received power relative to the power at 1 m.
 
     See `log_distance` in `bulletuav.network.pathloss`.

@@ -4,15 +4,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-Flight = Mapping[str, np.ndarray]
+FlightArrays = Mapping[str, np.ndarray]
 """Arrays of a recording by name, as `Recording.everything()` returns them"""
 RESULTS = ("reward", "separation", "conflicts", "collision", "success")
 """Names of the arrays (T, N) of results of each decision, besides the infos"""
-LATEST = 2**31
+MAX_STAMP = 2**31
 """Limit of ROS time stamps, s"""
 
 
-def check(flight: Flight) -> None:
+def check_flight(flight: FlightArrays) -> None:
     """Check shapes and types of the arrays that exporters read.
 
     Raises:
@@ -40,11 +40,11 @@ def check(flight: Flight) -> None:
         if flight[name].shape != shape or flight[name].dtype.kind not in "biuf":
             raise ValueError(f"{name!r} of the recording is damaged: numbers {shape} are needed")
     # ROS time stamps have 32 bits for the seconds
-    if not ((time >= 0) & (time < LATEST)).all():
-        raise ValueError(f"'time' of the recording is damaged: 0 to {LATEST} s are needed")
+    if not ((time >= 0) & (time < MAX_STAMP)).all():
+        raise ValueError(f"'time' of the recording is damaged: 0 to {MAX_STAMP} s are needed")
 
 
-def rows_flown(flight: Flight) -> list[int]:
+def count_flown_rows(flight: FlightArrays) -> list[int]:
     """Return the number of state rows of each drone, up to the end of its last decision."""
     # The flight of a drone is one interval from the start
     flown = flight["alive"][:-1].astype(bool).sum(axis=0)
@@ -52,7 +52,7 @@ def rows_flown(flight: Flight) -> list[int]:
     return counts
 
 
-def results(flight: Flight) -> dict[str, np.ndarray]:
+def decision_results(flight: FlightArrays) -> dict[str, np.ndarray]:
     """Return the results of each decision, arrays (T, N) by name, rewards first.
 
     Infos with several numbers for each drone are left out.

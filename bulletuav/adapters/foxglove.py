@@ -12,17 +12,17 @@ import threading
 import time
 from typing import Any
 
-from bulletuav.adapters.flights import Flight
+from bulletuav.adapters.flights import FlightArrays
 from bulletuav.adapters.ros import stamps_of, topics_of
 from bulletuav.envs.refusals import LineLimit
 from bulletuav.envs.viewer import join_address
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 
 try:
     from foxglove import Channel, Context, Schema, start_server
     from rosbags.typesys import Stores, get_typestore
 except ImportError:
-    raise missing("showing flights in Foxglove", "foxglove") from None
+    raise missing_extra("showing flights in Foxglove", "foxglove") from None
 
 LOGGERS = ("server", "connected_client", "connected_client.poller")
 """Loggers below `foxglove.websocket` that report each invalid message of a client"""
@@ -30,12 +30,12 @@ for _name in LOGGERS:
     logging.getLogger(f"foxglove.websocket.{_name}").addFilter(LineLimit())
 NAME = "bulletuav"
 """Name of the server"""
-FIRST = (("/time", "std_msgs/msg/Float64"), ("/tf", "tf2_msgs/msg/TFMessage"))
+FIRST_TOPICS = (("/time", "std_msgs/msg/Float64"), ("/tf", "tf2_msgs/msg/TFMessage"))
 """Topics that every flight has, advertised before it begins"""
-LINGER = 1.0
+CLOSE_TIMEOUT = 1.0
 """Maximum time to wait on closing, s, so that viewers receive the end of the flight: Foxglove's
 library drops queued messages when its server stops, and does not report the length of its queue"""
-LOOK_PERIOD = 0.02
+POLL_PERIOD = 0.02
 """Period of the checks whether viewers are still connected, s"""
 
 
@@ -59,7 +59,7 @@ class FoxgloveServer:
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._context = Context()
         self._channels: dict[str, Channel] = {}
-        self._came = threading.Event()
+        self._subscribed = threading.Event()
         self._is_closed = False
         try:
             self._server = start_server(
@@ -72,12 +72,12 @@ class FoxgloveServer:
                 f"if another live view is running, choose another port"
             ) from error
         self.address = f"ws://{join_address(host, self._server.port)}"
-        for name, kind in FIRST:
+        for name, kind in FIRST_TOPICS:
             self._channel(name, kind)
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
         """Record that a viewer has subscribed; a callback of Foxglove's library."""
-        self._came.set()
+        self._subscribed.set()
 
     def on_unsubscribe(self, client: Any, channel: Any) -> None:
         """Do nothing: each channel knows its subscribers."""
@@ -89,13 +89,13 @@ class FoxgloveServer:
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait until a viewer subscribes to a topic; return False after a timeout."""
-        return self._came.wait(seconds)
+        return self._subscribed.wait(seconds)
 
     def begin_anew(self) -> None:
         """Start a new session: viewers discard the previous flight."""
         self._server.clear_session()
 
-    def send(self, flight: Flight) -> None:
+    def send(self, flight: FlightArrays) -> None:
         """Send the last state of a flight, and the first one at the start of the flight.
 
         Args:
@@ -122,12 +122,12 @@ class FoxgloveServer:
         return self._channels[name]
 
     def close(self) -> None:
-        """Close the port; wait up to `LINGER` until viewers have received the end of the flight.
+        """Close the port; before, wait up to `CLOSE_TIMEOUT` for viewers to receive the rest.
 
         Further calls do nothing.
         """
-        end = time.monotonic() + LINGER
+        end = time.monotonic() + CLOSE_TIMEOUT
         while not self._is_closed and self.is_watched and time.monotonic() < end:
-            time.sleep(LOOK_PERIOD)
+            time.sleep(POLL_PERIOD)
         self._is_closed = True
         self._server.stop()

@@ -6,22 +6,22 @@ It needs the extra `mcap`, but no ROS installation.
 import tempfile
 from pathlib import Path
 
-from bulletuav.adapters.flights import Flight, check
+from bulletuav.adapters.flights import FlightArrays, check_flight
 from bulletuav.adapters.ros import stamps_of, topics_of
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.files import whole_file
 
 try:
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 except ImportError:
-    raise missing("writing MCAP", "mcap") from None
+    raise missing_extra("writing MCAP", "mcap") from None
 
 BAG_VERSION = 8
 """Version of the bag format, that of ROS 2 Jazzy"""
 
 
-def write_mcap(flight: Flight, path: Path) -> None:
+def write_mcap(flight: FlightArrays, path: Path) -> None:
     """Write a recorded flight as one MCAP file.
 
     Args:
@@ -32,7 +32,7 @@ def write_mcap(flight: Flight, path: Path) -> None:
         ValueError: If an array is damaged.
         OSError: If the file cannot be written.
     """
-    check(flight)
+    check_flight(flight)
     store = get_typestore(Stores.ROS2_JAZZY)
     topics = topics_of(flight, store.types)
     # The writer creates a folder that contains the file

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium.spaces import Space
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 
 try:
     import h5py  # noqa: F401  # which Minari needs for its default format
@@ -16,10 +16,10 @@ try:
     from minari.data_collector.episode_buffer import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
 except ImportError:
-    raise missing("writing a dataset of Minari", "dataset") from None
+    raise missing_extra("writing a dataset of Minari", "dataset") from None
 
 
-class Flight(NamedTuple):
+class MinariEpisode(NamedTuple):
     """One episode of T decisions of one drone.
 
     Attributes:
@@ -42,7 +42,7 @@ class Flight(NamedTuple):
 
 
 def write_minari(
-    flights: Iterable[Flight],
+    flights: Iterable[MinariEpisode],
     spaces: tuple[Space[Any], Space[Any]],
     about: Mapping[str, Any],
     name: str,
@@ -67,14 +67,14 @@ def write_minari(
     folder.mkdir(parents=True)
     # Minari 0.5.4 fails with relative paths
     storage = MinariStorage.new(folder.resolve(), *spaces, data_format="hdf5")
-    told = []
+    metadata = []
 
     def buffers() -> Iterator[EpisodeBuffer]:
         for flight in flights:
-            told.append(dict(flight.about))
+            metadata.append(dict(flight.about))
             yield EpisodeBuffer(None, flight.seed, None, *flight[1:-1])
 
     storage.update_episodes(buffers())  # one call for all: each call opens the file again
-    storage.update_episode_metadata(told, range(len(told)))
+    storage.update_episode_metadata(metadata, range(len(metadata)))
     storage.update_metadata({"dataset_id": name, "minari_version": __version__, **about})
     return folder

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.files import replace_file
 from bulletuav.policies.run import RunConfig
 
@@ -19,7 +19,7 @@ try:
     from mlflow.exceptions import MlflowException
     from stable_baselines3.common.logger import KVWriter
 except ImportError:
-    raise missing("logging a training to MLflow", "mlflow") from None
+    raise missing_extra("logging a training to MLflow", "mlflow") from None
 
 EXPERIMENT = "bulletuav"
 """Name of the MLflow experiment of all runs"""
@@ -45,13 +45,15 @@ class MlflowWriter(KVWriter):
         """
         try:
             self._client = MlflowClient()
-            self._run = self._resumed(folder / RUN_ID) or self._begun(config, folder / RUN_ID)
+            self._run = self._resume_run(folder / RUN_ID) or self._create_run(
+                config, folder / RUN_ID
+            )
         except MlflowException as error:
             raise RuntimeError(
                 f"MLflow rejects the run: {error.message}; see MLFLOW_TRACKING_URI"
             ) from None
 
-    def _resumed(self, file: Path) -> str | None:
+    def _resume_run(self, file: Path) -> str | None:
         """Resume the run whose id the file stores; return None if there is no file."""
         if not file.exists():
             return None
@@ -59,14 +61,14 @@ class MlflowWriter(KVWriter):
         self._client.update_run(run, status="RUNNING")
         return run
 
-    def _begun(self, config: RunConfig, file: Path) -> str:
+    def _create_run(self, config: RunConfig, file: Path) -> str:
         """Create a run, and store its id in the file."""
         known = self._client.get_experiment_by_name(EXPERIMENT)
         place = known.experiment_id if known else self._client.create_experiment(EXPERIMENT)
         name = f"{config.task}-{config.algo}-{config.seed}"
         run: str = self._client.create_run(place, run_name=name).info.run_id
-        told = [Param(key, str(value)) for key, value in config.plain().items()]
-        self._client.log_batch(run, params=told)
+        params = [Param(key, str(value)) for key, value in config.plain().items()]
+        self._client.log_batch(run, params=params)
         replace_file(file, run + "\n")
         return run
 
@@ -79,10 +81,10 @@ class MlflowWriter(KVWriter):
         numbers = {key: float(key_values[key]) for key in key_values.keys() - texts.keys()}
         for key, text in texts.items():
             self._client.set_tag(self._run, key, text)
-        told = [
+        metrics = [
             Metric(key, value, now, step) for key, value in numbers.items() if math.isfinite(value)
         ]
-        self._client.log_batch(self._run, metrics=told)
+        self._client.log_batch(self._run, metrics=metrics)
 
     def close(self) -> None:
         """Do nothing: `__exit__` ends the run."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.adapters.deployed import Deployed
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.files import whole_file
 from bulletuav.policies.layers import (
     Affine,
@@ -32,7 +32,7 @@ try:
     import onnxruntime
     from onnx import TensorProto, checker, helper, numpy_helper
 except ImportError:
-    raise missing("writing ONNX", "onnx") from None
+    raise missing_extra("writing ONNX", "onnx") from None
 
 OPSET = 17
 """ONNX operator set, which runtimes since 2022 support"""
@@ -105,8 +105,11 @@ def write_onnx(policy: Deployed, path: Path, precision: str = "float") -> list[P
         doc_string=policy.about,
     )
     # Labels of the numbers, as metadata
-    told = {"observation": _told(policy.inputs), "setpoint": _told(policy.outputs)}
-    helper.set_model_props(model, told)
+    metadata = {
+        "observation": _describe_labels(policy.inputs),
+        "setpoint": _describe_labels(policy.outputs),
+    }
+    helper.set_model_props(model, metadata)
     # Validate the model before the file is replaced
     checker.check_model(model, full_check=True)
     with whole_file(path) as part:
@@ -132,7 +135,7 @@ def run_onnx(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> 
     return np.asarray(given, dtype=float)
 
 
-def _told(labels: Iterable[Label]) -> str:
+def _describe_labels(labels: Iterable[Label]) -> str:
     """Return one line for each label, with name, unit and bounds."""
     return "\n".join(f"{one.name}, {one.unit}, {one.low:.9g} to {one.high:.9g}" for one in labels)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.policies.space import Choices, Range, Space
 
 try:
@@ -20,14 +20,14 @@ try:
         IntDistribution,
     )
 except ImportError:
-    raise missing("tuning", "tune") from None
+    raise missing_extra("tuning", "tune") from None
 
-Tried = tuple[Mapping[str, Any], float]
+FinishedTrial = tuple[Mapping[str, Any], float]
 """Values of a trial by name, and its result, NaN if it failed"""
 
 
 def suggest(
-    space: Space, tried: Sequence[Tried], count: int, seed: Sequence[int], maximise: bool
+    space: Space, finished: Sequence[FinishedTrial], count: int, seed: Sequence[int], maximise: bool
 ) -> list[dict[str, Any]]:
     """Suggest the values of further trials by a tree-structured Parzen estimator.
 
@@ -36,7 +36,7 @@ def suggest(
 
     Args:
         space: Search space.
-        tried: Finished trials.
+        finished: Finished trials.
         count: Number of trials to suggest.
         seed: Integers that seed the sampler.
         maximise: If True, larger results are better.
@@ -51,8 +51,8 @@ def suggest(
         sampler = optuna.samplers.TPESampler(seed=number, multivariate=True, constant_liar=True)
         direction = "maximize" if maximise else "minimize"
         study = optuna.create_study(sampler=sampler, direction=direction)
-        for values, result in tried:
-            study.add_trial(_known(drawn, space, values, result))
+        for values, result in finished:
+            study.add_trial(_finished_trial(drawn, space, values, result))
         asked = [study.ask(drawn).params for _ in range(count)]
     return [
         {name: _decode(space[name], value) for name, value in params.items()} for params in asked
@@ -62,23 +62,23 @@ def suggest(
 def _distribution(one: Range | Choices) -> BaseDistribution:
     """Convert a range to a distribution of Optuna, whose choices must be strings, not lists."""
     if not isinstance(one, Range):
-        return CategoricalDistribution(list(_named(one)))
+        return CategoricalDistribution(list(_choices_by_text(one)))
     if one.is_whole:
         return IntDistribution(int(one.low), int(one.high), log=one.log, step=int(one.step or 1))
     return FloatDistribution(one.low, one.high, log=one.log, step=one.step)
 
 
-def _named(one: Choices) -> dict[str, Any]:
+def _choices_by_text(one: Choices) -> dict[str, Any]:
     """Return the choices by their JSON texts."""
     return {json.dumps(value): value for value in one.values}
 
 
 def _decode(one: Range | Choices, value: Any) -> Any:
     """Convert a value that Optuna drew to a setting."""
-    return value if isinstance(one, Range) else _named(one)[value]
+    return value if isinstance(one, Range) else _choices_by_text(one)[value]
 
 
-def _known(
+def _finished_trial(
     drawn: Mapping[str, BaseDistribution], space: Space, values: Mapping[str, Any], result: float
 ) -> Any:
     """Return a finished trial as an Optuna trial."""

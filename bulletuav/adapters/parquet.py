@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.errors import missing, reason_of
+from bulletuav.errors import missing_extra, reason_of
 from bulletuav.files import whole_file
 from bulletuav.parsing import parse_json
 
@@ -15,7 +15,7 @@ try:
     import pyarrow as pa
     from pyarrow import parquet
 except ImportError:
-    raise missing("writing a dataset", "dataset") from None
+    raise missing_extra("writing a dataset", "dataset") from None
 
 ABOUT = b"bulletuav"
 """Key of the metadata of this package in a file"""
@@ -34,9 +34,9 @@ def write_table(columns: Mapping[str, Any], about: Any, path: Path) -> None:
         OSError: If the file cannot be written.
     """
     table = pa.table({name: _column(values) for name, values in columns.items()})
-    told = {ABOUT: json.dumps(about).encode()}
+    metadata = {ABOUT: json.dumps(about).encode()}
     with whole_file(path) as part:
-        parquet.write_table(table.replace_schema_metadata(told), part, compression="zstd")
+        parquet.write_table(table.replace_schema_metadata(metadata), part, compression="zstd")
 
 
 def read_about(path: Path) -> Any:

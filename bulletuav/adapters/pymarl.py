@@ -24,7 +24,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.reset_options import reset_options
-from bulletuav.errors import as_int, choose, shown
+from bulletuav.errors import as_int, find_choice, shown
 from bulletuav.files import whole_file
 from bulletuav.policies.features import symlog as compress
 from bulletuav.tasks import TaskSource
@@ -80,13 +80,13 @@ class PymarlEnv(LabelledEnvironment):
         Raises:
             ValueError: If an option is invalid or unknown.
         """
-        self._tells_apart = choose("flavour", flavour, FLAVOURS)
-        self._join: Callable[[np.ndarray], Any] = choose(
+        self._splits_ends = find_choice("flavour", flavour, FLAVOURS)
+        self._combine_rewards: Callable[[np.ndarray], Any] = find_choice(
             "reward_scalarisation", reward_scalarisation, SCALARISATIONS
         )
         # Check the options before the world is created, which is slow
         spec = EnvSpec(task, 1, {**options, "action": action})
-        _check(spec, common_reward, self._tells_apart)
+        _check(spec, common_reward, self._splits_ends)
         self.aviary = Aviary(task, 1, action=action, **options)
         # Form of observations and rewards
         self._observer = self.aviary.observer
@@ -132,8 +132,8 @@ class PymarlEnv(LabelledEnvironment):
         self._pictures.clear()
         self._totals.forget(np.ones(1, dtype=bool))
         self._present[:] = True
-        self._see(observations)
-        return self.get_obs(), {} if self._tells_apart else self.get_state()
+        self._store_observations(observations)
+        return self.get_obs(), {} if self._splits_ends else self.get_state()
 
     @exclusive
     def step(self, actions: Any) -> tuple[Any, ...]:
@@ -164,7 +164,7 @@ class PymarlEnv(LabelledEnvironment):
         self._totals.add(step, flown[None])
         # Truncated drones count as present, so that value estimates bootstrap
         self._present = flown & ~step.terminated[0]
-        self._see(step.observations)
+        self._store_observations(step.observations)
         over = not self.aviary.alive.any()
         limit = over and bool(step.truncated[0, flown].any())
         info: dict[str, Any] = {"episode_limit": limit}
@@ -173,7 +173,7 @@ class PymarlEnv(LabelledEnvironment):
             totals = self._totals.of_world(0).items()
             info |= {name.replace("/", "_"): total for name, total in totals}
         reward = self._reward(step.rewards[0])
-        if self._tells_apart:
+        if self._splits_ends:
             return self.get_obs(), reward, over and not limit, limit, info
         return reward, over, info
 
@@ -193,11 +193,11 @@ class PymarlEnv(LabelledEnvironment):
     def _reward(self, rewards: np.ndarray) -> float | list[float]:
         """Return the common reward of rewards (N,), or the rewards as a list."""
         if self._common:
-            return float(self._join(rewards))
+            return float(self._combine_rewards(rewards))
         own: list[float] = rewards.tolist()
         return own
 
-    def _see(self, observations: Any) -> None:
+    def _store_observations(self, observations: Any) -> None:
         """Store observations (1, N, D), with zeros for drones that have left."""
         seen = np.where(self._present[:, None], observations[0], 0.0)
         self._observed = self._compressed(seen)
@@ -299,7 +299,7 @@ class PymarlEnv(LabelledEnvironment):
         self.aviary.close()
 
 
-def _check(spec: EnvSpec, common_reward: bool, tells_apart: bool) -> None:
+def _check(spec: EnvSpec, common_reward: bool, splits_ends: bool) -> None:
     """Raise ValueError for environments that these programs do not support."""
     if spec.action.choices is None:
         raise ValueError(
@@ -312,7 +312,7 @@ def _check(spec: EnvSpec, common_reward: bool, tells_apart: bool) -> None:
             f"a drone observes {shown(space)}: these programs take a vector; choose "
             f"observation_format='vector' and an observation without images"
         )
-    if not common_reward and not tells_apart:
+    if not common_reward and not splits_ends:
         raise ValueError("common_reward is False: of these programs EPyMARL alone takes that")
 
 
@@ -349,5 +349,5 @@ def register_pymarl(
     Raises:
         ValueError: If the flavour is unknown.
     """
-    choose("flavour", flavour, FLAVOURS)
+    find_choice("flavour", flavour, FLAVOURS)
     registry[name] = functools.partial(make_pymarl, flavour)

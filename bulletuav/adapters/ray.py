@@ -5,23 +5,23 @@ import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from bulletuav.errors import missing, shown
+from bulletuav.errors import missing_extra, shown
 
 try:
     import ray
     from ray.exceptions import RayTaskError
 except ImportError:
-    raise missing("flying on a Ray cluster", "ray") from None
+    raise missing_extra("flying on a Ray cluster", "ray") from None
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-PATIENCE = 5.0
+CONNECT_TIMEOUT = 5.0
 """Connection timeout, s"""
-PARTS = 4
+TASKS_PER_CPU = 4
 """Tasks for each CPU: a node that fails loses at most one task for each of its CPUs"""
 
 
-def spread(
+def map_on_cluster(
     address: str, work: Callable[[Sequence[Item]], list[Result]], items: Sequence[Item]
 ) -> Iterator[Result]:
     """Map a function over items on a Ray cluster, and retry the tasks of nodes that fail.
@@ -42,7 +42,7 @@ def spread(
     with _cluster(address):
         # Several tasks for each CPU balance the load
         processors = int(ray.cluster_resources().get("CPU", 1))
-        size = max(1, len(items) // (PARTS * max(1, processors)))
+        size = max(1, len(items) // (TASKS_PER_CPU * max(1, processors)))
         parts = [items[first : first + size] for first in range(0, len(items), size)]
 
         def done_by_one(part: Sequence[Item]) -> list[Result]:
@@ -68,7 +68,7 @@ def _cluster(address: str) -> Iterator[None]:
         return
     # Ray itself waits for minutes if nothing answers
     try:
-        _require_answer(address)
+        _require_connection(address)
         ray.init(address=address, log_to_driver=False, logging_level="error")
     except (OSError, ValueError, RuntimeError) as error:
         raise ConnectionError(
@@ -81,8 +81,8 @@ def _cluster(address: str) -> Iterator[None]:
         ray.shutdown()
 
 
-def _require_answer(address: str) -> None:
+def _require_connection(address: str) -> None:
     """Raise OSError if HOST:PORT accepts no connection; Ray itself waits for minutes."""
     host, colon, port = address.rpartition(":")
     if colon and port.isdecimal() and "/" not in host:
-        socket.create_connection((host, int(port)), PATIENCE).close()
+        socket.create_connection((host, int(port)), CONNECT_TIMEOUT).close()

@@ -9,8 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.adapters.flights import Flight, check, results, rows_flown
-from bulletuav.errors import missing
+from bulletuav.adapters.flights import (
+    FlightArrays,
+    check_flight,
+    count_flown_rows,
+    decision_results,
+)
+from bulletuav.errors import missing_extra
 from bulletuav.files import whole_file
 from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE
 from bulletuav.geometry.solids import Solids
@@ -20,7 +25,7 @@ try:
     import rerun as rr
     import rerun.blueprint as rrb
 except ImportError:
-    raise missing("writing for Rerun", "rerun") from None
+    raise missing_extra("writing for Rerun", "rerun") from None
 
 TIME = "time"
 """Name of the timeline, in s since the start"""
@@ -31,7 +36,7 @@ GOAL_SIZE = 6.0
 CITY_COLOUR = (150, 152, 158)
 
 
-def write_rrd(flight: Flight, colours: np.ndarray, path: Path) -> None:
+def write_rrd(flight: FlightArrays, colours: np.ndarray, path: Path) -> None:
     """Write a recorded flight as one .rrd file.
 
     Args:
@@ -44,7 +49,7 @@ def write_rrd(flight: Flight, colours: np.ndarray, path: Path) -> None:
         OSError: If the file cannot be written.
         RuntimeError: If the environment variable RERUN disables Rerun.
     """
-    check(flight)
+    check_flight(flight)
     about = parse_json(str(flight["scene/about"]), "its description")
     with whole_file(path) as part:
         part.touch()  # raises Python's error if the folder does not exist
@@ -72,12 +77,12 @@ def _views() -> rrb.Blueprint:
 
 
 def _add_drones(
-    stream: rr.RecordingStream, flight: Flight, about: Mapping[str, Any], colours: np.ndarray
+    stream: rr.RecordingStream, flight: FlightArrays, about: Mapping[str, Any], colours: np.ndarray
 ) -> None:
     """Log drones, their paths and their goals, each up to the last decision of the drone."""
     time, position, quaternion = (flight[name] for name in ("time", "position", "quaternion"))
     # The path of a drone ends with its last decision
-    rows = rows_flown(flight)
+    rows = count_flown_rows(flight)
     for i, end in enumerate(rows):
         body = f"world/drones/{i}"
         _add_motion(stream, body, time[:end], position[:end, i], quaternion[:end, i])
@@ -95,24 +100,24 @@ def _add_drones(
     # Goals may move: one set of points for each time
     goal = flight["goal"]
     if goal.shape[1]:
-        look = rr.Points3D.from_fields(colors=colours, radii=rr.Radius.ui_points(GOAL_SIZE))
-        stream.log("world/goals", look, static=True, strict=True)
+        style = rr.Points3D.from_fields(colors=colours, radii=rr.Radius.ui_points(GOAL_SIZE))
+        stream.log("world/goals", style, static=True, strict=True)
         columns = rr.Points3D.columns(positions=goal.reshape(-1, 3))
         _send(stream, "world/goals", time, columns.partition([goal.shape[1]] * len(time)))
 
 
-def _add_curves(stream: rr.RecordingStream, flight: Flight, colours: np.ndarray) -> None:
+def _add_curves(stream: rr.RecordingStream, flight: FlightArrays, colours: np.ndarray) -> None:
     """Log altitudes and results of decisions, one curve for each drone while it flies."""
-    rows = rows_flown(flight)
+    rows = count_flown_rows(flight)
     altitude = flight["position"][:, :, 2]
-    for name, values in {"altitude": altitude, **results(flight)}.items():
+    for name, values in {"altitude": altitude, **decision_results(flight)}.items():
         # A result is plotted at the end of its decision; NaN after the drone has left
         time = flight["time"][-len(values) :]
         ends = np.array(rows) - (len(flight["time"]) - len(time))
         flown = np.where(np.arange(len(time))[:, None] < ends, values, np.nan)
         entity = rr.new_entity_path(name.split("/"))
-        look = rr.SeriesLines(colors=colours, names=_names(rows))
-        stream.log(entity, look, static=True, strict=True)
+        style = rr.SeriesLines(colors=colours, names=_names(rows))
+        stream.log(entity, style, static=True, strict=True)
         columns = rr.Scalars.columns(scalars=flown.reshape(-1))
         _send(stream, entity, time, columns.partition([len(rows)] * len(time)))
 
@@ -121,7 +126,7 @@ def _names(drones: Sized) -> list[str]:
     return [f"drone_{i}" for i in range(len(drones))]
 
 
-def _add_obstacles(stream: rr.RecordingStream, flight: Flight, shapes: list[Any]) -> None:
+def _add_obstacles(stream: rr.RecordingStream, flight: FlightArrays, shapes: list[Any]) -> None:
     """Log obstacles, which may move."""
     for k, shape in enumerate(shapes):
         entity = f"world/obstacles/{k}"
@@ -130,7 +135,7 @@ def _add_obstacles(stream: rr.RecordingStream, flight: Flight, shapes: list[Any]
         _add_shape(stream, f"{entity}/shape", shape)
 
 
-def _add_city(stream: rr.RecordingStream, flight: Flight) -> None:
+def _add_city(stream: rr.RecordingStream, flight: FlightArrays) -> None:
     """Log one mesh of all buildings, if there are any."""
     sizes = flight["scene/hull_size"]
     hulls = np.split(flight["scene/hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
@@ -158,21 +163,21 @@ def _send(stream: rr.RecordingStream, entity: str, time: np.ndarray, columns: An
     stream.send_columns(entity, [index], columns, strict=True)
 
 
-def _add_shape(stream: rr.RecordingStream, entity: str, told: Mapping[str, Any]) -> None:
+def _add_shape(stream: rr.RecordingStream, entity: str, shape: Mapping[str, Any]) -> None:
     """Log a part of an airframe, with its pose in the body, or an obstacle."""
     place = []
-    if "position" in told:
-        place = [rr.Transform3D(translation=told["position"], quaternion=told["quaternion"])]
-    stream.log(entity, _look(told), *place, static=True, strict=True)
+    if "position" in shape:
+        place = [rr.Transform3D(translation=shape["position"], quaternion=shape["quaternion"])]
+    stream.log(entity, _archetype(shape), *place, static=True, strict=True)
 
 
-def _look(told: Mapping[str, Any]) -> Any:
+def _archetype(shape: Mapping[str, Any]) -> Any:
     """Convert a shape to a Rerun archetype."""
-    kind, half = told["kind"], told["half"]
-    colour = tuple(round(255 * share) for share in told["colour"])
+    kind, half = shape["kind"], shape["half"]
+    colour = tuple(round(255 * share) for share in shape["colour"])
     solid = {"colors": colour, "fill_mode": rr.components.FillMode.Solid}
     if kind == HULL:
-        return _mesh(Solids(np.zeros((0, 2, 3)), (np.array(told["corners"]),)), colour)
+        return _mesh(Solids(np.zeros((0, 2, 3)), (np.array(shape["corners"]),)), colour)
     if kind == SPHERE:
         return rr.Ellipsoids3D(half_sizes=half, **solid)
     if kind == CYLINDER:

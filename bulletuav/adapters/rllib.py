@@ -25,7 +25,7 @@ from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.parallel import parallel_env
 from bulletuav.envs.teams import team_rows
-from bulletuav.errors import choose, missing, shown
+from bulletuav.errors import find_choice, missing_extra, shown
 from bulletuav.policies.features import symlog
 from bulletuav.tasks import TaskSource
 
@@ -34,13 +34,13 @@ try:
     import torch
     from ray.rllib.env.multi_agent_env import MultiAgentEnv
 except ImportError:
-    raise missing("learning with RLlib", "rllib") from None
+    raise missing_extra("learning with RLlib", "rllib") from None
 
 __all__ = ["DroneMultiAgentEnv", "connect", "log_outcomes", "policies", "rows_function"]
 
 ALL = "__all__"
 """Key of the end of the whole episode in RLlib's dicts"""
-KINDS = {"swarm": "drones", "team": None, "drone": None}
+GROUPINGS = {"swarm": "drones", "team": None, "drone": None}
 """Groupings of drones that share a policy, and the name of the policy if there is only one"""
 CONNECT_TIMEOUT = 5.0
 """Connection timeout of a cluster, s"""
@@ -132,14 +132,14 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
         seen, rewards, terminated, truncated, infos = self.env.step(action_dict)
         self._add(infos)
         ended = [agent for agent in seen if agent not in self.env.agents]
-        told = {agent: self._totals[agent] if agent in ended else {} for agent in seen}
+        outcomes = {agent: self._totals[agent] if agent in ended else {} for agent in seen}
         over = not self.env.agents
         cut = over and any(truncated.values())
         if over:
-            self._conclude()
+            self._compute_outcome()
         self.agents = self.env.agents[:] or self.agents
         terminated = {**terminated, ALL: over and not cut}
-        return self._shown(seen), rewards, terminated, {ALL: cut}, told
+        return self._shown(seen), rewards, terminated, {ALL: cut}, outcomes
 
     def _shown(self, seen: Mapping[str, Any]) -> dict[str, Any]:
         if not self._symlog:
@@ -156,7 +156,7 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
             total["success"] = info["success"]
             total["collision"] = max(total.get("collision", 0.0), info["collision"])
 
-    def _conclude(self) -> None:
+    def _compute_outcome(self) -> None:
         """Compute the outcome: the mean of the totals over all drones."""
         all_of = list(self._totals.values())
         self.outcome = {
@@ -260,7 +260,7 @@ def policies(
     Raises:
         ValueError: If the grouping or a policy is unknown, or an option is invalid.
     """
-    one = choose("by", by, KINDS)
+    one = find_choice("by", by, GROUPINGS)
     # The task defines the teams; no world is needed
     kind = EnvSpec(task, 1, options).task
     agents = [f"drone_{i}" for i in range(len(kind.team))]
@@ -275,7 +275,7 @@ def policies(
     chosen = (
         known
         if train is None
-        else [choose("policy", name, {k: k for k in known}) for name in train]
+        else [find_choice("policy", name, {k: k for k in known}) for name in train]
     )
     return {
         "policies": set(known),
@@ -306,7 +306,7 @@ def rows_function(algorithm: Any, policy: str = "drones") -> Callable[[np.ndarra
         ValueError: If the policy is unknown, or recurrent.
     """
     names = list(algorithm.config.policies)
-    module = algorithm.get_module(choose("policy", policy, {name: name for name in names}))
+    module = algorithm.get_module(find_choice("policy", policy, {name: name for name in names}))
     if module.is_stateful():
         raise ValueError(
             f"policy {policy!r} is recurrent: only policies without memory are supported"
@@ -318,8 +318,8 @@ def rows_function(algorithm: Any, policy: str = "drones") -> Callable[[np.ndarra
     def rows(observations: np.ndarray) -> np.ndarray:
         seen = compressed(observations) if is_compressed else observations
         with torch.no_grad():
-            told = module.forward_inference({"obs": torch.as_tensor(seen)})
-        likely = kind.from_logits(told["action_dist_inputs"]).to_deterministic().sample().numpy()
+            outputs = module.forward_inference({"obs": torch.as_tensor(seen)})
+        likely = kind.from_logits(outputs["action_dist_inputs"]).to_deterministic().sample().numpy()
         if not isinstance(space, Box):
             return np.asarray(likely)
         # The output of the network is in [-1, 1], whatever the bounds of the action
@@ -348,14 +348,14 @@ def connect(address: str | None = None, **options: Any) -> None:
         "on this machine alone"
     )
     if address != "auto":
-        _require_answer(address, remedy)
+        _require_connection(address, remedy)
     try:
         ray.init(address=address, **options)
     except ConnectionError:
         raise ConnectionError(f"there is no Ray cluster at {address!r}: {remedy}") from None
 
 
-def _require_answer(address: str, remedy: str) -> None:
+def _require_connection(address: str, remedy: str) -> None:
     """Raise ConnectionError if nothing listens at HOST:PORT; Ray itself waits for a minute."""
     host, _, port = address.rpartition(":")
     if not host or not port.isdigit():

@@ -19,7 +19,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import drone_action_space
-from bulletuav.errors import as_int, missing, numbers_of, shown
+from bulletuav.errors import as_int, missing_extra, numbers_of, shown
 from bulletuav.tasks.observations.observer import Observation, part
 
 try:
@@ -28,9 +28,9 @@ try:
     from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
     from ray.rllib.env.vector.vector_multi_agent_env import VectorMultiAgentEnv
 except ImportError:
-    raise missing("learning with RLlib", "rllib") from None
+    raise missing_extra("learning with RLlib", "rllib") from None
 
-OF_EVALUATION = 1_000_000
+EVALUATION_SEED_OFFSET = 1_000_000
 """Offset that RLlib adds to the seeds of evaluation runners"""
 ByWorld = list[dict[str, Any]]
 """Values by agent, for each world"""
@@ -38,7 +38,7 @@ Results = tuple[ByWorld, ByWorld, ByWorld, ByWorld, ByWorld]
 """Observations, rewards, terminated, truncated and infos of a step"""
 
 
-class World(MultiAgentEnv):  # type: ignore[misc]  # has no types
+class WorldSpaces(MultiAgentEnv):  # type: ignore[misc]  # has no types
     """Agents and spaces of one world, which RLlib reads; `DroneVectorEnv` steps the world.
 
     Attributes:
@@ -103,7 +103,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         self.single_action_space = Dict(self.single_action_spaces)
         spaces = (self.single_observation_spaces, self.single_action_spaces)
         # RLlib needs one environment for each world, of which it reads the spaces
-        self.envs = [World(spaces) for _ in range(num_envs)]
+        self.envs = [WorldSpaces(spaces) for _ in range(num_envs)]
         self._totals = EpisodeTotals()
 
     @exclusive
@@ -263,4 +263,6 @@ class BatchEnvRunner(MultiAgentEnvRunner):  # type: ignore[misc]  # has no types
         if seed is None:
             return None
         runner = self.worker_index or 0
-        return int(seed + runner * self.num_envs + OF_EVALUATION * self.config.in_evaluation)
+        return int(
+            seed + runner * self.num_envs + EVALUATION_SEED_OFFSET * self.config.in_evaluation
+        )

@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.adapters.flights import Flight, results, rows_flown
+from bulletuav.adapters.flights import FlightArrays, count_flown_rows, decision_results
 from bulletuav.geometry.rotation import to_body
 
 MAP = "map"
 """Name of the world frame"""
 NANOSECONDS = 10**9
 """Nanoseconds in a second"""
-UNTOLD = np.zeros(36)
+ZERO_COVARIANCE = np.zeros(36)
 """Covariance of poses and twists, all zero: unknown"""
 
 Row = Callable[[int], Any]
@@ -42,12 +42,12 @@ class Topic(NamedTuple):
     message: Row
 
 
-def stamps_of(flight: Flight) -> list[int]:
+def stamps_of(flight: FlightArrays) -> list[int]:
     """Return the time stamp of each state row, ns."""
     return [round(time * NANOSECONDS) for time in flight["time"].tolist()]
 
 
-def topics_of(flight: Flight, types: Any) -> list[Topic]:
+def topics_of(flight: FlightArrays, types: Any) -> list[Topic]:
     """Return the topics of a flight, in the order in which they are written.
 
     Args:
@@ -78,7 +78,7 @@ def ros_names(names: tuple[str, ...]) -> list[str]:
 class _Messages:
     """Factory of the messages of a flight."""
 
-    def __init__(self, flight: Flight, stamps: list[int], types: Any) -> None:
+    def __init__(self, flight: FlightArrays, stamps: list[int], types: Any) -> None:
         """Set the flight, the time stamp of each row (ns), and message classes by name."""
         self._flight = flight
         self._stamps = stamps
@@ -88,11 +88,12 @@ class _Messages:
         """Yield the topics, with names that may be invalid in ROS."""
         flight = self._flight
         everywhere = range(len(self._stamps))
-        rows = [range(count) for count in rows_flown(flight)]
+        rows = [range(count) for count in count_flown_rows(flight)]
         imu = flight.get("reading/imu")
         # Results of a decision are stamped at its end
-        judged = {
-            name: np.concatenate([values[:1], values]) for name, values in results(flight).items()
+        stamped_results = {
+            name: np.concatenate([values[:1], values])
+            for name, values in decision_results(flight).items()
         }
         yield Topic("time", "std_msgs/msg/Float64", everywhere, self._number(flight["time"]))
         yield Topic("tf", "tf2_msgs/msg/TFMessage", everywhere, self._transforms(rows))
@@ -106,7 +107,7 @@ class _Messages:
                 yield Topic(f"{name}/goal", "geometry_msgs/msg/PointStamped", own, self._goal(i))
             if imu is not None:
                 yield Topic(f"{name}/imu", "sensor_msgs/msg/Imu", own, self._imu(imu[:, i], i))
-            for result, values in judged.items():
+            for result, values in stamped_results.items():
                 row = self._number(values[:, i])
                 yield Topic(f"{name}/{result}", "std_msgs/msg/Float64", own[1:], row)
 
@@ -124,7 +125,7 @@ class _Messages:
     def _point(self, values: Iterable[float]) -> Any:
         return self._make("geometry_msgs/msg/Point", *values)
 
-    def _turn(self, values: Iterable[float]) -> Any:
+    def _quaternion(self, values: Iterable[float]) -> Any:
         """Make a quaternion from (x, y, z, w), the order of both this package and ROS."""
         return self._make("geometry_msgs/msg/Quaternion", *values)
 
@@ -140,7 +141,7 @@ class _Messages:
             move = self._make(
                 "geometry_msgs/msg/Transform",
                 self._vector(position[k, i].tolist()),
-                self._turn(quaternion[k, i].tolist()),
+                self._quaternion(quaternion[k, i].tolist()),
             )
             header = self._header(k, MAP)
             return self._make("geometry_msgs/msg/TransformStamped", header, _body(i), move)
@@ -159,7 +160,7 @@ class _Messages:
 
         def message(k: int) -> Any:
             pose = self._make(
-                "geometry_msgs/msg/Pose", self._point(position[k]), self._turn(quaternion[k])
+                "geometry_msgs/msg/Pose", self._point(position[k]), self._quaternion(quaternion[k])
             )
             # Recorded velocities are in world axes, and rates already in body axes
             linear = to_body(tuple(quaternion[k]), tuple(velocity[k]))
@@ -170,8 +171,8 @@ class _Messages:
                 "nav_msgs/msg/Odometry",
                 self._header(k, MAP),
                 _body(i),
-                self._make("geometry_msgs/msg/PoseWithCovariance", pose, UNTOLD),
-                self._make("geometry_msgs/msg/TwistWithCovariance", twist, UNTOLD),
+                self._make("geometry_msgs/msg/PoseWithCovariance", pose, ZERO_COVARIANCE),
+                self._make("geometry_msgs/msg/TwistWithCovariance", twist, ZERO_COVARIANCE),
             )
 
         return message
@@ -191,15 +192,17 @@ class _Messages:
     def _imu(self, reading: np.ndarray, i: int) -> Row:
         """Return a function that makes IMU messages of specific force and angular velocity."""
         force, rates = reading[:, :3].tolist(), reading[:, 3:6].tolist()
-        untold = np.zeros(9)
-        none = np.array([-1.0, *untold[1:]])  # ROS convention: there is no attitude estimate
-        still = self._turn((0.0, 0.0, 0.0, 1.0))
+        zero_covariance = np.zeros(9)
+        no_attitude = np.array(
+            [-1.0, *zero_covariance[1:]]
+        )  # ROS convention: there is no attitude estimate
+        still = self._quaternion((0.0, 0.0, 0.0, 1.0))
         return lambda k: self._make(
             "sensor_msgs/msg/Imu",
             self._header(k, _body(i)),
-            *(still, none),
-            *(self._vector(rates[k]), untold),
-            *(self._vector(force[k]), untold),
+            *(still, no_attitude),
+            *(self._vector(rates[k]), zero_covariance),
+            *(self._vector(force[k]), zero_covariance),
         )
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.adapters.features import Symlog
+from bulletuav.adapters.features import SymlogFeatures as Symlog
 from bulletuav.adapters.sb3_buffers import LivingReplay, LivingRollouts
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.common_spaces import common_observation
@@ -30,7 +30,7 @@ from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.step import Step
 from bulletuav.envs.viewer import require_single
-from bulletuav.errors import as_int, missing, shown
+from bulletuav.errors import as_int, missing_extra, shown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation, part
 
@@ -41,7 +41,7 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 
 __all__ = [
@@ -277,8 +277,8 @@ class DroneVecEnv(Environment, VecEnv):
         if self._shared_reward:
             mean = earned.mean(axis=1, keepdims=True)
             earned = np.broadcast_to(mean, earned.shape)
-        told = np.where(flown, earned, np.nan)
-        rewards = self._wide(told, np.nan)
+        masked = np.where(flown, earned, np.nan)
+        rewards = self._wide(masked, np.nan)
         observations = self._start(over) if over.any() else step.observations
         return self._rows(observations), rewards.astype(np.float32), dones, infos
 

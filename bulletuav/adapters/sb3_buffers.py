@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Space
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 
 try:
     import torch
     from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
     from stable_baselines3.common.type_aliases import RolloutBufferSamples
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 
 class LivingRollouts(RolloutBuffer):

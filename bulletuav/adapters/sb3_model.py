@@ -52,8 +52,8 @@ class Sb3Model(SharedPolicy):
         ):
             if own.shape != needed.shape or type(own) is not type(needed):
                 raise ValueError(
-                    f"{path} was trained for {name} in a {_told(needed)}, "
-                    f"and here they are in a {_told(own)}"
+                    f"{path} was trained for {name} in a {_describe_space(needed)}, "
+                    f"and here they are in a {_describe_space(own)}"
                 )
 
     def _choose(self, rows: Any) -> np.ndarray:
@@ -61,6 +61,6 @@ class Sb3Model(SharedPolicy):
         return np.asarray(self._model.predict(rows, deterministic=True)[0])
 
 
-def _told(space: Any) -> str:
+def _describe_space(space: Any) -> str:
     """Describe a space in a message."""
     return f"{type(space).__name__} of shape {space.shape}"

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 
-from bulletuav.adapters.features import Symlog, UserSum
+from bulletuav.adapters.features import SymlogFeatures, UserSum
 from bulletuav.adapters.sb3 import algorithm, own_random, single_thread
 from bulletuav.adapters.swarm_features import SwarmFeatures
-from bulletuav.errors import missing, unknown
+from bulletuav.errors import missing_extra, unknown
 from bulletuav.policies.neural_network import HIGH, LOW
 from bulletuav.policies.swarm_features import find_layout
 from bulletuav.sensors.base import Label
@@ -19,10 +19,10 @@ try:
     from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
     from stable_baselines3.common.vec_env import VecTransposeImage
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 FEATURES: dict[str | None, type | None] = {
-    "symlog": Symlog,
+    "symlog": SymlogFeatures,
     "swarm": SwarmFeatures,
     "user_sum": UserSum,
     None: None,
@@ -57,14 +57,14 @@ def policy_arguments(
     if features is not None and not pictures:
         arguments.setdefault("features_extractor_class", FEATURES[features])
     # "user_sum" depends on the number of drones, "swarm" on the layout of the observation
-    told: dict[str, Any] = {}
+    extra: dict[str, Any] = {}
     if features == "user_sum":
-        told = {"num_drones": num_drones}
+        extra = {"num_drones": num_drones}
     elif features == "swarm" and not pictures:
-        told = {"layout": find_layout(labels)}
-    if told:
+        extra = {"layout": find_layout(labels)}
+    if extra:
         arguments["features_extractor_kwargs"] = {
-            **told,
+            **extra,
             **arguments.get("features_extractor_kwargs", {}),
         }
     return arguments

@@ -24,7 +24,7 @@ from bulletuav.envs.parallel import (
 from bulletuav.envs.reset_options import refuse_setting
 from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.teams import team_names, team_rows
-from bulletuav.errors import choose, numbers_of, shown
+from bulletuav.errors import find_choice, numbers_of, shown
 from bulletuav.policies import Policy, PolicySource, find_policy
 from bulletuav.policies.versus import TeamPolicies, joint_options
 from bulletuav.tasks import TaskSource
@@ -59,7 +59,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         self._trust = trust
         groups = self.env.group_map
         self.team = team
-        self.possible_agents: list[str] = choose("team", team, groups)
+        self.possible_agents: list[str] = find_choice("team", team, groups)
         self.group_map = {team: self.possible_agents}
         self.metadata = {**self.env.metadata, "group_map": self.group_map}
         self.render_mode = self.env.render_mode
@@ -95,11 +95,11 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the observation space of an agent, the same object in each call."""
-        return choose("agent", agent, self.observation_spaces)
+        return find_choice("agent", agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> Space[Any]:
         """Return the action space of an agent, the same object in each call."""
-        return choose("agent", agent, self.action_spaces)
+        return find_choice("agent", agent, self.action_spaces)
 
     @exclusive
     def reset(
@@ -114,7 +114,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         self._policy = self._made
         self._policy.reset(np.ones(1, dtype=bool))
         self.agents = self.possible_agents[:]
-        return self._own(self._seen), self._own(infos)
+        return self._select_team(self._seen), self._select_team(infos)
 
     @property
     def np_random(self) -> np.random.Generator:
@@ -139,21 +139,21 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         check_agents(actions, self.agents, self.possible_agents)
         if not self.agents:
             return {}, {}, {}, {}, {}
-        results = self.env.step({**self._opposed(), **actions})
+        results = self.env.step({**self._opponent_actions(), **actions})
         self._seen = {agent: results[0][agent] for agent in self.env.agents}
         self.agents = [agent for agent in self.agents if agent in self.env.agents]
-        seen, rewards, terminated, truncated, infos = map(self._own, results)
+        seen, rewards, terminated, truncated, infos = map(self._select_team, results)
         return seen, rewards, terminated, truncated, infos
 
-    def _own(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
+    def _select_team(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
         """Select the entries of the agents of the team."""
         return {agent: by_agent[agent] for agent in self.possible_agents if agent in by_agent}
 
-    def _opposed(self) -> ByAgent:
+    def _opponent_actions(self) -> ByAgent:
         """Return the actions of the active opponents from their policies."""
         env = self.env
         assert self._policy is not None  # there was a reset
-        actions = self._policy.act(self._all_seen(), env.aviary.swarm)[0]
+        actions = self._policy.act(self._stack_observations(), env.aviary.swarm)[0]
         opposed: ByAgent = {}
         for i, agent in enumerate(env.possible_agents):
             if agent in env.agents and agent not in self.possible_agents:
@@ -162,15 +162,15 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
                 opposed[agent] = int(actions[i, 0]) if is_choice else actions[i, :size]
         return opposed
 
-    def _all_seen(self) -> Observation:
+    def _stack_observations(self) -> Observation:
         """Stack the last observations, (1, N, ...), with zeros for drones that have left."""
         env, space = self.env, self._observer.space()
         if not isinstance(space, Dict):
-            return _side_by_side(self._seen, env.possible_agents, space)[None]
+            return _stack(self._seen, env.possible_agents, space)[None]
         entries: Observation = {}
         for name, one in space.items():
             seen = {agent: observed[name] for agent, observed in self._seen.items()}
-            entries[name] = _side_by_side(seen, env.possible_agents, one)[None]
+            entries[name] = _stack(seen, env.possible_agents, one)[None]
         return entries
 
     @exclusive
@@ -203,7 +203,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
             raise
         self._policy = self._made
         self.agents = [agent for agent in self.possible_agents if agent in self.env.agents]
-        return self._own(self._seen)
+        return self._select_team(self._seen)
 
     @exclusive
     def state_hash(self) -> str:
@@ -221,7 +221,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         self.env.close()
 
 
-def _side_by_side(seen: ByAgent, agents: list[str], space: Space[Any]) -> np.ndarray:
+def _stack(seen: ByAgent, agents: list[str], space: Space[Any]) -> np.ndarray:
     """Stack observations of agents, (N, ...), with zeros for missing ones."""
     nothing = np.zeros(space.shape or (), dtype=space.dtype)
     return np.stack([seen.get(agent, nothing) for agent in agents])
@@ -254,7 +254,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         self.observation_space, self.action_space = (self._joined(one) for one in boxes)
         aviary = self.env.env.aviary
         sizes = [aviary.action.size(i) for i in team_rows(aviary.task)[team]]
-        self._cuts = np.cumsum(sizes)[:-1]
+        self._split_indices = np.cumsum(sizes)[:-1]
         self._config = aviary.task.config
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -320,7 +320,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
             raise ValueError(
                 f"action has shape {numbers.shape}: {self.action_space.shape} is needed"
             )
-        parts = np.split(numbers, self._cuts)
+        parts = np.split(numbers, self._split_indices)
         given = dict(zip(self._agents, parts, strict=True))
         flying = {agent: given[agent] for agent in self.env.agents}
         seen, rewards, _, truncated, infos = self.env.step(flying)
@@ -331,7 +331,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
     def _observed(self, seen: ByAgent) -> np.ndarray:
         space = self.env.observation_spaces[self._agents[0]]
-        flat: np.ndarray = _side_by_side(seen, self._agents, space).ravel()
+        flat: np.ndarray = _stack(seen, self._agents, space).ravel()
         return flat
 
     @exclusive

@@ -4,7 +4,7 @@ from typing import Any
 
 from gymnasium.spaces import Box
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.policies.swarm_features import LOOK_AHEAD, TINY, Layout
 
 try:
@@ -12,7 +12,7 @@ try:
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from torch import nn
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 
 class SwarmFeatures(BaseFeaturesExtractor):

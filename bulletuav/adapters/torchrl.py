@@ -21,7 +21,7 @@ from bulletuav.envs.environment import Environment
 from bulletuav.envs.reset_options import MASK
 from bulletuav.envs.teams import team_rows
 from bulletuav.envs.workers import batch_env
-from bulletuav.errors import as_int, as_sequence, choose, missing, shown
+from bulletuav.errors import as_int, as_sequence, find_choice, missing_extra, shown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
@@ -32,7 +32,7 @@ try:
     from torchrl.envs import EnvBase
     from torchrl.envs.utils import MarlGroupMapType, check_marl_grouping
 except ImportError:
-    raise missing("an environment of TorchRL", "torchrl") from None
+    raise missing_extra("an environment of TorchRL", "torchrl") from None
 
 
 ENDS = ("done", "terminated", "truncated")
@@ -43,7 +43,7 @@ PROCESSES = ("workers", "start_method", "timeout")
 """Options of `batch_env` that are not options of the environment"""
 
 
-Told = dict[tuple[str, ...], Any]
+Arrays = dict[tuple[str, ...], Any]
 """Arrays (W, N, ...) of drones by their key in a group, and the state (W, K)"""
 
 
@@ -107,7 +107,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         options["autoreset_mode"] = "Disabled"
         self.batch = batch_env(task, num_worlds, **options)
         self.is_closed = False
-        self.num_worlds, self._tells_state = num_worlds, return_state
+        self.num_worlds, self._has_state = num_worlds, return_state
         self.n_agents = spec.options.num_drones
         rows = {group: [int(one[6:]) for one in own] for group, own in self.group_map.items()}
         self._rows = {group: _index(own) for group, own in rows.items()}
@@ -119,7 +119,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._alive, self._terminated, self._truncated = np.zeros((3, num_worlds, drones), bool)
         self._seed: int | None = None
         self._unseeded = np.zeros(num_worlds, dtype=bool)
-        self._last: Told = {}
+        self._last: Arrays = {}
         self._make_specs(spec, rows)
 
     def _make_specs(self, spec: EnvSpec, groups: dict[str, list[int]]) -> None:
@@ -128,7 +128,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         action, seen, reward, done = (Composite(device=self.device) for _ in range(4))
         # "done" of the world is that of all drones; groups have their own entries, too
         done.update(dict.fromkeys(ENDS, self._flag(1)))
-        if self._tells_state:
+        if self._has_state:
             seen["state"] = self._number(len(spec.state.labels))
         # The shape of a spec has no axis of worlds
         for group, rows in groups.items():
@@ -136,8 +136,8 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             chosen = _action_spec(spec.action, rows, self._one_hot).to(self.device)
             entries = {"observation": self._observed(count), "mask": self._flag(count)}
             if self._infos:
-                told = dict.fromkeys(self._infos, self._number(count, 1))
-                entries["info"] = Composite(told, shape=(count,))
+                arrays = dict.fromkeys(self._infos, self._number(count, 1))
+                entries["info"] = Composite(arrays, shape=(count,))
             action[group] = Composite({"action": chosen}, shape=(count,))
             seen[group] = Composite(entries, shape=(count,))
             reward[group] = Composite({"reward": self._number(count, 1)}, shape=(count,))
@@ -196,14 +196,14 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         kept = ~worlds[:, None]
         self._terminated, self._truncated = self._terminated & kept, self._truncated & kept
         self._alive = self.batch.alive
-        told = self._told(observations, info, self._alive)
+        arrays = self._collect_arrays(observations, info, self._alive)
         if kept.any():
             # Other worlds keep the last values
-            for name, array in told.items():
+            for name, array in arrays.items():
                 mixed = self._last[name].copy()
                 mixed[worlds] = array[worlds]
-                told[name] = mixed
-        return self._tensors(told)
+                arrays[name] = mixed
+        return self._tensors(arrays)
 
     def _reset_proc_data(
         self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase
@@ -240,7 +240,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._truncated = self._truncated | truncated
         self._alive = self.batch.alive
         # Observations after the step, and rewards of the step, by group
-        out = self._tensors(self._told(observations, info, flown))
+        out = self._tensors(self._collect_arrays(observations, info, flown))
         earned = rewards.astype(np.float32)[..., None]
         for group, rows in self._rows.items():
             out.get(group).set("reward", torch.from_numpy(earned[:, rows]))
@@ -257,24 +257,26 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             self._given[place] = numbers
         return self._given
 
-    def _told(self, observations: Observation, info: dict[str, Any], flown: np.ndarray) -> Told:
+    def _collect_arrays(
+        self, observations: Observation, info: dict[str, Any], flown: np.ndarray
+    ) -> Arrays:
         """Collect the arrays of all worlds, with zeros for drones not in `flown` (W, N)."""
-        told: Told = {("observation",): observations}
+        arrays: Arrays = {("observation",): observations}
         if isinstance(observations, dict):
-            told = {("observation", name): array for name, array in observations.items()}
+            arrays = {("observation", name): array for name, array in observations.items()}
         for name in self._infos:
-            told["info", name] = choose("info", name, info).astype(np.float32)[..., None]
+            arrays["info", name] = find_choice("info", name, info).astype(np.float32)[..., None]
         if not flown.all():
             # In place: no other code uses these arrays
-            for array in told.values():
+            for array in arrays.values():
                 array[~flown] = 0
-        if self._tells_state:
-            told[STATE] = self.batch.state()
-        return told
+        if self._has_state:
+            arrays[STATE] = self.batch.state()
+        return arrays
 
-    def _tensors(self, told: Told) -> TensorDict:
+    def _tensors(self, arrays: Arrays) -> TensorDict:
         """Convert arrays and ends of episodes to tensors."""
-        self._last = told
+        self._last = arrays
         over: np.ndarray = ~np.any(self._alive, axis=1)
         terminated: np.ndarray = np.all(self._terminated, axis=1)
         whole = (over, terminated, over & ~terminated)
@@ -283,8 +285,8 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         source: dict[str, Any] = {
             name: torch.from_numpy(array[:, None]) for name, array in zip(ENDS, whole, strict=True)
         }
-        of_drones = dict(told)
-        if self._tells_state:
+        of_drones = dict(arrays)
+        if self._has_state:
             source["state"] = torch.from_numpy(of_drones.pop(STATE))
         of_drones |= {(name,): array[..., None] for name, array in zip(ENDS, ends, strict=True)}
         of_drones["mask",] = self._alive.copy()
@@ -319,7 +321,7 @@ def _groups(given: Any, spec: EnvSpec) -> dict[str, list[str]]:
         return {team: [f"drone_{i}" for i in rows] for team, rows in teams.items()}
     agents = [f"drone_{i}" for i in range(spec.options.num_drones)]
     if isinstance(given, str):
-        given = choose("group_map", given, MarlGroupMapType.__members__)
+        given = find_choice("group_map", given, MarlGroupMapType.__members__)
     if isinstance(given, MarlGroupMapType):
         given = given.get_group_map(agents)
     groups = {name: list(own) for name, own in given.items()}

@@ -29,12 +29,12 @@ class EpisodeTotals:
             step: The results of the step.
             flown: (W, N) bool, drones that were active in the step.
         """
-        told = step.info
-        for name in told:
+        info = step.info
+        for name in info:
             if name.startswith("reward/") or name == "conflicts":
-                self._of(name, flown)[flown] += told[name][flown]
-        self._of("success", flown)[flown] = told["success"][flown]
-        self._of("collision", flown)[flown] += told["collision"][flown]
+                self._of(name, flown)[flown] += info[name][flown]
+        self._of("success", flown)[flown] = info["success"][flown]
+        self._of("collision", flown)[flown] += info["collision"][flown]
         np.minimum(self.by_name["collision"], 1.0, out=self.by_name["collision"])
 
     def _of(self, name: str, flown: np.ndarray) -> np.ndarray:

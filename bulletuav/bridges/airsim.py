@@ -26,7 +26,7 @@ from bulletuav.envs.connections import Clock, Connections, FullError, Limits
 from bulletuav.envs.pacer import Pacer
 from bulletuav.envs.refusals import Refusals
 from bulletuav.envs.streams import Stream, StreamServer
-from bulletuav.errors import as_int, missing, shown
+from bulletuav.errors import as_int, missing_extra, shown
 
 PORT = 41451
 """Port that clients connect to, unless they are told another"""
@@ -114,7 +114,7 @@ class AirsimServer:
         try:
             import msgpack
         except ImportError:
-            raise missing("serving clients of AirSim", "airsim") from None
+            raise missing_extra("serving clients of AirSim", "airsim") from None
         # The package is optional, so that it is kept rather than imported above
         self._msgpack = msgpack
         as_int("port", port, 0, 65535)

@@ -215,7 +215,7 @@ def show_episodes(total: int) -> Iterator[Advance]:
         yield advance
 
 
-def out_folder(path: Path) -> Path:
+def make_out_folder(path: Path) -> Path:
     """Create the output folder of a command if it does not exist.
 
     Raises:

@@ -24,9 +24,9 @@ from bulletuav.city.maps import draw_map
 from bulletuav.city.model import City
 from bulletuav.city.render import render
 from bulletuav.city.statistics import KINDS, Statistics, realised
-from bulletuav.commands.arguments import out_folder
+from bulletuav.commands.arguments import make_out_folder
 from bulletuav.commands.output import print_files, print_table
-from bulletuav.errors import as_int, choose
+from bulletuav.errors import as_int, find_choice
 from bulletuav.files import replace_file, whole_file
 from bulletuav.report.pictures import blank_figure, save_figure
 
@@ -138,7 +138,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Generate or import a city, print its statistics and write the files."""
     city, target = _city(arguments)
     measured = realised(city, target)
-    out = out_folder(arguments.out)
+    out = make_out_folder(arguments.out)
     files = [out / "map.png", out / "city.obj", out / "statistics.json", out / "city.png"]
     map_file, obj_file, statistics_file, picture_file = files
 
@@ -167,7 +167,7 @@ def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
     if file is None:
         return _generated(options)
     # The extension selects the importer, whose parameters are the valid options
-    reader = choose(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
+    reader = find_choice(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
     _refuse_others(options, inspect.signature(reader).parameters, f"an import of {file}")
     # The report is printed as a table, so its one-line warning is not needed
     with warnings.catch_warnings(action="ignore", category=MendedWarning):
@@ -179,7 +179,7 @@ def _generated(options: dict[str, Any]) -> tuple[City, Statistics]:
     _refuse_others(options, GENERATOR, "a generated city")
     kind = options.get("kind", "urban")
     numbers = {name: options[name] for name in NUMBERS if name in options}
-    target = dataclasses.replace(choose("kind of city", kind, KINDS), **numbers)
+    target = dataclasses.replace(find_choice("kind of city", kind, KINDS), **numbers)
     side = options.get("side", 500.0)
     irregularity = options.get("irregularity", 0.0)
     rng = np.random.default_rng(as_int("seed", options.get("seed", 0), least=0))
@@ -201,13 +201,13 @@ def _described(city: City, measured: Measured) -> dict[str, Any]:
         for name, (value, target) in measured.items()
     }
     report = city.report
-    told = {} if report is None else {"import": _described_import(report)}
+    extra = {} if report is None else {"import": _described_import(report)}
     return {
         "name": city.name,
         "side_m": city.side,
         "buildings": len(city.heights),
         "statistics": statistics,
-        **told,
+        **extra,
     }
 
 

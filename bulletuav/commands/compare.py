@@ -12,7 +12,7 @@ from bulletuav.commands.arguments import (
     add_options,
     add_sharing,
     given_options,
-    out_folder,
+    make_out_folder,
     print_piece,
     show_episodes,
 )
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> None:
         raise ValueError("--difficulty and --difficulties: give one of them")
     if arguments.against not in (None, *arguments.policies):
         raise unknown("policy in --against,", arguments.against, arguments.policies)
-    out = out_folder(arguments.out)
+    out = make_out_folder(arguments.out)
     cases = _cases(arguments, options, dynamics)
     folders = [out / "runs" / run_name(*case) for case in cases]
     if arguments.piece is not None:

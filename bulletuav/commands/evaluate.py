@@ -80,8 +80,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print the score and write the files."""
     # Check arguments before any episode is flown
-    usual = _set_run(arguments)
-    task, policy, options, out = completed_case(arguments, "evaluation", usual or {})
+    defaults = _set_run(arguments)
+    task, policy, options, out = completed_case(arguments, "evaluation", defaults or {})
     with show_episodes(shared_episodes(arguments)) as advance:
         result = evaluate_case(
             arguments,
@@ -98,9 +98,9 @@ def run(arguments: argparse.Namespace) -> None:
         return
     files = write_evaluation(result, out)
     which = "other options" if given_options(arguments) else "options"
-    print_score(result, f", {which} of {config_file(Path(policy))}" if usual is not None else "")
+    print_score(result, f", {which} of {config_file(Path(policy))}" if defaults is not None else "")
     print_table(_table(result))
-    print(_pace(result))
+    print(_describe_speed(result))
     print_files(files)
 
 
@@ -132,14 +132,14 @@ def _set_run(arguments: argparse.Namespace) -> dict[str, Any] | None:
 
 
 def completed_case(
-    arguments: argparse.Namespace, home: str, usual: Mapping[str, Any] = MappingProxyType({})
+    arguments: argparse.Namespace, home: str, defaults: Mapping[str, Any] = MappingProxyType({})
 ) -> tuple[str, str, dict[str, Any], Path]:
     """Complete the arguments of a command by the defaults of the task and the policy.
 
     Args:
         arguments: Parsed arguments of a command with a task, `--policy`, `--out` and `--trust`.
         home: Parent of the output folder if no folder is given.
-        usual: Default options of the environment.
+        defaults: Default options of the environment.
 
     Returns:
         Task, policy, options of the environment, and output folder.
@@ -147,7 +147,7 @@ def completed_case(
     task = arguments.task
     policy = arguments.policy or find_task(task).baseline
     spec = find_policy(policy, task, arguments.trust)
-    options = spec.complete(task, {**usual, **given_options(arguments)})
+    options = spec.complete(task, {**defaults, **given_options(arguments)})
     return task, policy, options, arguments.out or Path(home) / run_name(task, policy, options)
 
 
@@ -254,7 +254,7 @@ def _interval(estimate: Estimate) -> str:
     return f"{estimate.low:.4g} to {estimate.high:.4g}"
 
 
-def _pace(result: Evaluation) -> str:
+def _describe_speed(result: Evaluation) -> str:
     """Return a text with the speed of the simulation relative to real time."""
     if not result.flight:
         return "all episodes were already in the folder"

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.adapters.c_source import PRECISIONS, compiler, run_c, write_c
+from bulletuav.adapters.c_source import PRECISIONS, find_compiler, run_c, write_c
 from bulletuav.adapters.deployed import Deployed, deployed
 from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recording import REMEDY
 from bulletuav.commands.arguments import add_trust
 from bulletuav.commands.output import print_files
-from bulletuav.errors import choose, reason_of
+from bulletuav.errors import find_choice, reason_of
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.replay import read_run
 
@@ -63,7 +63,7 @@ FORMATS: dict[str, tuple[str, Callable[[Recording, Path], None]]] = {
 def _write_c(policy: Deployed, path: Path, precision: str) -> tuple[list[Path], float]:
     files = write_c(policy, path, precision)
     # The comparison needs a compiler
-    if compiler() is None:
+    if find_compiler() is None:
         return files, math.nan
     return files, _difference(policy, run_c(path, policy.observations(), policy, precision))
 
@@ -119,7 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the file of a flight or a policy."""
-    choose("format", arguments.to, {**FORMATS, **POLICIES})
+    find_choice("format", arguments.to, {**FORMATS, **POLICIES})
     if arguments.to in POLICIES:
         _export_policy(arguments)
         return
@@ -139,16 +139,16 @@ def _export_policy(arguments: argparse.Namespace) -> None:
     """Write a policy, and print how well the file agrees with the original."""
     name, write = POLICIES[arguments.to]
     precision = arguments.precision or PRECISIONS[0]
-    choose("precision", precision, dict.fromkeys(PRECISIONS))
+    find_choice("precision", precision, dict.fromkeys(PRECISIONS))
     files, difference = write(
         deployed(arguments.run, arguments.trust), arguments.out or arguments.run / name, precision
     )
     if precision == "double" and difference > AGREEMENT:
         raise ValueError(f"{files[0]} differs from the policy by {difference:.2g}: report it")
     print_files(files)
-    told = (
+    text = (
         "not compared: no C compiler is installed"
         if math.isnan(difference)
         else f"setpoints agree with the policy to {difference:.1g}"
     )
-    print(f"{told} ({precision})")
+    print(f"{text} ({precision})")

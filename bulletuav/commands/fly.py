@@ -18,7 +18,7 @@ from bulletuav.commands.arguments import (
     add_options,
     add_trust,
     given_options,
-    out_folder,
+    make_out_folder,
 )
 from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
@@ -137,7 +137,7 @@ def _prepare_folder(out: Path) -> None:
     """Create the folder and delete old pictures; raise ValueError for evaluation folders."""
     if (out / EPISODES).exists():
         raise ValueError(f"--out {out} holds an evaluation: choose another folder")
-    for old in (*out_folder(out).glob("flight.*"), out / REPLAY):
+    for old in (*make_out_folder(out).glob("flight.*"), out / REPLAY):
         old.unlink(missing_ok=True)
 
 
@@ -165,8 +165,8 @@ def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -
 
 def shown_infos(task: Task[Any]) -> Mapping[str, str]:
     """Return the labels of the infos that a task shows, by name of the info."""
-    untold = () if task.has_goals else ("goal_distance",)
-    return {name: label for name, label in task.shows.items() if name not in untold}
+    hidden = () if task.has_goals else ("goal_distance",)
+    return {name: label for name, label in task.shows.items() if name not in hidden}
 
 
 def _table(recording: Recording, aviary: Aviary, seed: int) -> Table:

@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import JustifyMethod
 from rich.table import Table
 
-from bulletuav.commands.arguments import out_folder
+from bulletuav.commands.arguments import make_out_folder
 from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.identification.constants import BATTERY, CONSTANTS, GROUPS
@@ -119,7 +119,7 @@ def run(arguments: argparse.Namespace) -> None:
             progress=lambda share: report(100 * share),
         )
     # Plot the prediction of the longest held-out flight
-    out = out_folder(arguments.out)
+    out = make_out_folder(arguments.out)
     picture = out / "prediction.png"
     shown = max(result.kept, key=lambda one: len(one.part.windows))
     title = f"{result.before.name}: {shown.part.flight.log.path.name}, held out"

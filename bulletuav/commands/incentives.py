@@ -8,7 +8,7 @@ from bulletuav.commands.arguments import (
     add_episodes,
     add_options,
     given_options,
-    out_folder,
+    make_out_folder,
     show_episodes,
 )
 from bulletuav.commands.output import print_files
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Compare returns, print the summary and write the tables."""
     options = given_options(arguments)
-    out = out_folder(arguments.out)
+    out = make_out_folder(arguments.out)
     # Each task at each difficulty
     cases = [
         (task, difficulty)
@@ -94,9 +94,9 @@ def run(arguments: argparse.Namespace) -> None:
         if case not in worst or one.gap.low < worst[case].gap.low:
             worst[case] = one
     files = [out / "incentives.md", out / "all.md"]
-    table = markdown(list(worst.values()))
+    table = incentives_table(list(worst.values()))
     replace_file(files[0], table)
-    replace_file(files[1], markdown(found))
+    replace_file(files[1], incentives_table(found))
     print(table)
     print_files(files)
 
@@ -108,7 +108,7 @@ def _difficulties(task: str, asked: str | None) -> list[str]:
     return list(find_task(task).difficulties)
 
 
-def markdown(found: list[Incentive]) -> str:
+def incentives_table(found: list[Incentive]) -> str:
     """Return comparisons as a markdown table, with episodes and seeds in the caption."""
     flown = "; ".join(dict.fromkeys(one.conditions.flown for one in found))
     lines = [

@@ -14,7 +14,7 @@ from rich.text import Text
 PADDING = 2
 """Width of the padding of a cell, in characters"""
 
-LEAST_PROSE, MOST_PROSE = 40, 100
+MIN_TEXT_WIDTH, MAX_TEXT_WIDTH = 40, 100
 """Minimum and maximum width of wrapped text; narrower terminals wrap it themselves"""
 
 
@@ -49,12 +49,12 @@ def print_table(table: Table) -> None:
         print(table.caption)
 
 
-def _column_widths(rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
+def _column_widths(rows: Sequence[Sequence[str]], total_width: int) -> list[int] | None:
     """Distribute the width of a terminal over the columns of a table.
 
     Args:
         rows: Texts of all cells, including headings.
-        room: Total width of all columns.
+        total_width: Total width of all columns.
 
     Returns:
         The width of each column, at least that of its longest word; None if the columns do not fit.
@@ -62,10 +62,10 @@ def _column_widths(rows: Sequence[Sequence[str]], room: int) -> list[int] | None
     columns = list(zip(*rows, strict=True))
     needed = [max(_longest(text.split()) for text in column) for column in columns]
     widths = [max(_longest(text.splitlines()) for text in column) for column in columns]
-    if sum(needed) > room:
+    if sum(needed) > total_width:
         return None
     # Narrow the widest column that is not at its minimum
-    while sum(widths) > room:
+    while sum(widths) > total_width:
         slack = [width if width > need else 0 for width, need in zip(widths, needed, strict=True)]
         widths[slack.index(max(slack))] -= 1
     return widths
@@ -105,7 +105,7 @@ def _lines(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterable[s
 
 def print_text(text: str) -> None:
     """Print a text, wrapped to the width of the terminal; list items stay separate lines."""
-    width = min(max(shutil.get_terminal_size().columns, LEAST_PROSE), MOST_PROSE)
+    width = min(max(shutil.get_terminal_size().columns, MIN_TEXT_WIDTH), MAX_TEXT_WIDTH)
     for line in text.replace("\n  ", " ").splitlines():
         print(textwrap.fill(line, width, subsequent_indent="  ", break_on_hyphens=False))
 

@@ -15,13 +15,13 @@ LINE_PERIOD = 10.0
 """Minimum time between two lines, s"""
 DRAWING_PERIOD = 0.1
 """Minimum time between two redraws of a bar, s"""
-USUAL_FUNCTIONS = 270
+EXPECTED_FUNCTIONS = 270
 """Typical number of functions compiled on the first run: 246 (point_mass) to 300 (bullet)"""
 Show = Callable[[float, str], None]
 """Function that displays the finished amount and a note"""
 
 
-class Report:
+class ProgressReport:
     """Callback that displays the finished amount with the last note."""
 
     def __init__(self, show: Show) -> None:
@@ -38,7 +38,7 @@ class Report:
 
 
 @contextlib.contextmanager
-def show_progress(activity: str, total: int, unit: str) -> Iterator[Report]:
+def show_progress(activity: str, total: int, unit: str) -> Iterator[ProgressReport]:
     """Show the progress of an activity.
 
     Args:
@@ -57,7 +57,7 @@ def show_progress(activity: str, total: int, unit: str) -> Iterator[Report]:
         display = _lines(activity, total, unit)
     try:
         with display as show:
-            yield Report(show)
+            yield ProgressReport(show)
     finally:
         dispatcher.COMPILATION.forget_watch()
 
@@ -70,7 +70,7 @@ def _working_time() -> float:
 def _compiled(compilation: Compilation) -> str:
     """Return a text with the progress of the compilation."""
     number = compilation.num_functions
-    left = f" of about {USUAL_FUNCTIONS}" if number <= USUAL_FUNCTIONS else ""
+    left = f" of about {EXPECTED_FUNCTIONS}" if number <= EXPECTED_FUNCTIONS else ""
     return f"{number}{left} functions, {compilation.seconds:.0f} s (the first time only)"
 
 
@@ -101,7 +101,7 @@ def _bar(console: Console, activity: str, total: int, unit: str) -> Iterator[Sho
         def show_compilation(compilation: Compilation) -> None:
             if "compiling" not in bars:
                 bars["compiling"] = progress.add_task(
-                    "compiling", total=USUAL_FUNCTIONS, amount="", note=""
+                    "compiling", total=EXPECTED_FUNCTIONS, amount="", note=""
                 )
             number, amount = compilation.num_functions, _compiled(compilation)
             progress.update(bars["compiling"], completed=number, amount=amount)

@@ -11,7 +11,7 @@ from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.commands.progress import show_progress
 from bulletuav.envs.viewer import join_address
-from bulletuav.errors import choose
+from bulletuav.errors import find_choice
 
 ABOUT = {
     "help": "serve simulated drones to cflib, AirSim, MAVLink or PX4 programs",
@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Start the server of the given protocol."""
-    choose("kind of server", arguments.kind, KINDS)(arguments)
+    find_choice("kind of server", arguments.kind, KINDS)(arguments)
 
 
 def _options(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -93,14 +93,14 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _serve(
-    flown: Any, make: Callable[[], Any], told: Callable[[Any], str], seconds: float | None
+    flown: Any, make: Callable[[], Any], describe: Callable[[Any], str], seconds: float | None
 ) -> None:
     """Open the ports, compile, print the addresses, and serve; close everything at the end.
 
     Args:
         flown: The simulated drones.
         make: Function that opens the ports and returns the server.
-        told: Function that returns the line to print for a server.
+        describe: Function that returns the line to print for a server.
         seconds: Duration in s; None for no limit.
     """
     try:
@@ -108,7 +108,7 @@ def _serve(
         try:
             with show_progress("compiling", 1, "servers"):
                 flown.warm_up()
-            print(told(server), flush=True)
+            print(describe(server), flush=True)
             server.run(seconds)
         finally:
             server.close()
@@ -116,13 +116,13 @@ def _serve(
         flown.close()
 
 
-def _at(arguments: argparse.Namespace, usual: int) -> tuple[str, int, float]:
+def _address(arguments: argparse.Namespace, default_port: int) -> tuple[str, int, float]:
     """Return address, port and speed."""
-    port = usual if arguments.port is None else arguments.port
+    port = default_port if arguments.port is None else arguments.port
     return arguments.host, port, arguments.speed
 
 
-def _places(host: str, ports: list[int], scheme: str = "") -> str:
+def _format_addresses(host: str, ports: list[int], scheme: str = "") -> str:
     """Return the addresses of a server: the first and the last if ports are consecutive."""
     places = [f"{scheme}{join_address(host, port)}" for port in ports]
     if len(ports) > 2 and ports == list(range(ports[0], ports[0] + len(ports))):
@@ -135,8 +135,10 @@ def _serve_crazyflie(arguments: argparse.Namespace) -> None:
     fleet = Fleet(arguments.drones, arguments.airframe or "cf2x", **_options(arguments))
     _serve(
         fleet,
-        lambda: crazyflie.CrazyflieServer(fleet, *_at(arguments, crazyflie.PORT)),
-        lambda server: f"{len(fleet)} drones at {_places(arguments.host, server.ports, 'udp://')}",
+        lambda: crazyflie.CrazyflieServer(fleet, *_address(arguments, crazyflie.PORT)),
+        lambda server: (
+            f"{len(fleet)} drones at {_format_addresses(arguments.host, server.ports, 'udp://')}"
+        ),
         arguments.seconds,
     )
 
@@ -148,7 +150,7 @@ def _serve_airsim(arguments: argparse.Namespace) -> None:
     world.paused = arguments.paused
     _serve(
         world,
-        lambda: airsim.AirsimServer(world, *_at(arguments, airsim.PORT)),
+        lambda: airsim.AirsimServer(world, *_address(arguments, airsim.PORT)),
         lambda server: f"{', '.join(world.vehicles)} at {join_address(server.host, server.port)}",
         arguments.seconds,
     )
@@ -160,9 +162,9 @@ def _serve_mavlink(arguments: argparse.Namespace) -> None:
     clients = arguments.client_port
     _serve(
         fleet,
-        lambda: mavlink.MavlinkServer(fleet, *_at(arguments, mavlink.PORT), clients),
+        lambda: mavlink.MavlinkServer(fleet, *_address(arguments, mavlink.PORT), clients),
         lambda server: (
-            f"{len(fleet)} vehicles at {_places(arguments.host, server.ports)}; "
+            f"{len(fleet)} vehicles at {_format_addresses(arguments.host, server.ports)}; "
             f"they send to ports {clients} to {clients + len(fleet) - 1}"
         ),
         arguments.seconds,
@@ -175,9 +177,10 @@ def _serve_hil(arguments: argparse.Namespace) -> None:
     bodies = HilBodies(arguments.drones, arguments.airframe or "iris", **options)
     _serve(
         bodies,
-        lambda: hil.HilServer(bodies, *_at(arguments, hil.PORT)),
+        lambda: hil.HilServer(bodies, *_address(arguments, hil.PORT)),
         lambda server: (
-            f"{len(bodies)} bodies wait for autopilots at {_places(arguments.host, server.ports)}"
+            f"{len(bodies)} bodies wait for autopilots at "
+            f"{_format_addresses(arguments.host, server.ports)}"
         ),
         arguments.seconds,
     )

@@ -198,11 +198,11 @@ def ends_table(task: type[Task[Any]]) -> Table:
     table = _table("ends of an episode, with default options")
     for one in task.ends:
         table.add_row(one.__name__, "terminated", _summary(one))
-    told = option_texts(task.Config)
+    descriptions = option_texts(task.Config)
     for name in ENDING:
-        if name in told:
+        if name in descriptions:
             value = getattr(spec.task.config, name)
-            table.add_row(name, repr(value), told[name])
+            table.add_row(name, repr(value), descriptions[name])
     if spec.options.battery_capacity is not None:
         table.add_row("battery", "terminated", "The battery is empty.")
     table.add_row("horizon", "truncated", f"After {spec.options.horizon} decisions.")
@@ -236,9 +236,9 @@ def options_table(task: type[Task[Any]]) -> Table:
         A table with name, default and description of each option.
     """
     table = _table("options and their defaults")
-    told = option_texts(task.Config)
+    descriptions = option_texts(task.Config)
     for name, default in _defaults(task).items():
-        table.add_row(name, repr(default), told.get(name, ""))
+        table.add_row(name, repr(default), descriptions.get(name, ""))
     for name, value in task.defaults.items():
         table.add_row(name, repr(value), "Common to all tasks, see below.")
     if (actions := _default_actions(task)) is not None:

@@ -12,7 +12,7 @@ from bulletuav.commands.arguments import (
     add_options,
     add_trust,
     given_options,
-    out_folder,
+    make_out_folder,
     parse_pairs,
     show_episodes,
 )
@@ -35,7 +35,7 @@ from bulletuav.policies.run import (
 )
 from bulletuav.report.charts import plot_curves
 from bulletuav.tasks import find_task
-from bulletuav.training.campaign import Campaign, learning_table, wall_time
+from bulletuav.training.campaign import Campaign, describe_wall_time, learning_table
 from bulletuav.training.store import (
     CURVE,
     UPDATES,
@@ -62,7 +62,7 @@ ABOUT = {
 }
 Result = TypeVar("Result")
 """Result of a function"""
-GIVEN = ("seed", "steps", "worlds", "evaluations", "episodes")
+RUN_ARGUMENTS = ("seed", "steps", "worlds", "evaluations", "episodes")
 """Arguments that are fields of `RunConfig` under the same name"""
 
 
@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run(parser)
     parser.add_argument(
         "--seeds",
-        type=seeds,
+        type=parse_seeds,
         metavar="A,B",
         help="train once with each seed, and plot all learning curves",
     )
@@ -106,7 +106,9 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     """Add the settings of a training run, and the options of its environment."""
     # Algorithm
     parser.add_argument("--algo", help=f"algorithm: {', '.join(ALGORITHMS)} (default: ppo)")
-    parser.add_argument("--steps", type=count, help="total decisions of all drones, such as 2e6")
+    parser.add_argument(
+        "--steps", type=parse_count, help="total decisions of all drones, such as 2e6"
+    )
     parser.add_argument(
         "--seed", type=int, help="random seed; equal seeds give equal weights (default: 0)"
     )
@@ -135,7 +137,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
 
 
-def count(text: str) -> int:
+def parse_count(text: str) -> int:
     """Parse an integer, which may be written as 2e6.
 
     Raises:
@@ -147,7 +149,7 @@ def count(text: str) -> int:
     return int(number)
 
 
-def seeds(text: str) -> list[int]:
+def parse_seeds(text: str) -> list[int]:
     """Parse comma-separated integers, without duplicates.
 
     Raises:
@@ -199,7 +201,9 @@ def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
         options = _with_action(base.task, algo, options)
 
     changes: dict[str, Any] = {
-        name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None
+        name: getattr(arguments, name)
+        for name in RUN_ARGUMENTS
+        if getattr(arguments, name) is not None
     }
     # Evaluations use the other options automatically
     held = {name: value for name, value in given.items() if name not in (*INTERFACE, *SCENE)}
@@ -270,11 +274,11 @@ def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
 
     # By default each run has its own folder
     default = Path("training") / f"{config.task}-{config.algo}-{config.seed}"
-    out = out_folder(arguments.out or default)
+    out = make_out_folder(arguments.out or default)
     print_conditions(f"in training: {training_conditions(config)}")
     with show_progress(f"training {config.task}", config.steps, "steps") as report:
         mlflow = arguments.mlflow
-        rows = or_tell(out, lambda: train(config, out, report, report.note, mlflow))
+        rows = with_resume_hint(out, lambda: train(config, out, report, report.note, mlflow))
     _finish(
         arguments,
         out,
@@ -286,7 +290,7 @@ def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
 
 def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:
     """Train each configuration with each seed, in folders below `runs`."""
-    out = out_folder(arguments.out or Path("training"))
+    out = make_out_folder(arguments.out or Path("training"))
     chosen = arguments.seeds or ([0, 1, 2] if arguments.seed is None else [arguments.seed])
     runs = [dataclasses.replace(config, seed=seed) for config in configs for seed in chosen]
     campaign = Campaign(runs, out / "runs", arguments.mlflow)
@@ -294,11 +298,11 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
         print_conditions(f"evaluations in training: {conditions}")
     with show_progress(f"training {len(runs)} runs", campaign.total, "steps") as report:
         workers = arguments.workers
-        learned = or_tell(out, lambda: campaign.train(workers, report, report.note))
-    _finish(arguments, out, learned, [campaign.place(config) for config in runs], [])
+        learned = with_resume_hint(out, lambda: campaign.train(workers, report, report.note))
+    _finish(arguments, out, learned, [campaign.run_folder(config) for config in runs], [])
 
 
-def or_tell(out: Path, work: Callable[[], Result]) -> Result:
+def with_resume_hint(out: Path, work: Callable[[], Result]) -> Result:
     """Call a function; after an interrupt, report how to resume.
 
     Args:
@@ -355,7 +359,7 @@ def _finish(
     print(table.read_text(encoding="utf-8"))
     for config, rows in runs:
         named = f"{config.task}, {config.algo}, action {config.action}, seed {config.seed}"
-        print(f"{named}: {wall_time(rows)}")
+        print(f"{named}: {describe_wall_time(rows)}")
     for score in scores:
         print_score(score, f", options of {Path(score.about['policy']) / CONFIG}")
     print_files([*files, table, picture])

@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import Any
 
 from bulletuav.analysis.metrics import METRICS
-from bulletuav.commands.arguments import out_folder, parse_pairs
+from bulletuav.commands.arguments import make_out_folder, parse_pairs
 from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.commands.train import (
     add_run,
     base_config,
-    or_tell,
     print_conditions,
     run_config,
+    with_resume_hint,
 )
 from bulletuav.errors import shown
 from bulletuav.files import replace_file
@@ -38,7 +38,7 @@ ABOUT = {
   bulletuav tune --study study/study.yaml --out again
   bulletuav train --config study/trials/000/run.yaml --steps 4e6 --out long""",
 }
-GIVEN = ("metric", "trials", "batch")
+STUDY_ARGUMENTS = ("metric", "trials", "batch")
 """Arguments that are settings of a study under the same name"""
 KEYS = ("low", "high", "step")
 """Values between colons, in this order"""
@@ -91,10 +91,12 @@ def run(arguments: argparse.Namespace) -> None:
     """Run the study, print the results and plot them."""
     # An interrupted study continues with the missing trials
     study = _study(arguments)
-    out = out_folder(arguments.out or Path("tuning") / study.run.task)
+    out = make_out_folder(arguments.out or Path("tuning") / study.run.task)
     print_conditions(f"evaluations of the trials: {evaluation_conditions(study.run)}")
     with show_progress(f"tuning {study.run.task}", study.trials, "trials") as report:
-        trials = or_tell(out, lambda: run_study(study, out, arguments.workers, report, report.note))
+        trials = with_resume_hint(
+            out, lambda: run_study(study, out, arguments.workers, report, report.note)
+        )
     # Results, as a table and a picture
     table, picture = out / "study.md", out / "study.png"
     text = study_table(study, trials)
@@ -114,13 +116,15 @@ def _study(arguments: argparse.Namespace) -> Study:
         raise ValueError("tune what? Give one of TASK, --config FILE or --study FILE")
     # Given options override the file
     settings: dict[str, Any] = {
-        name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None
+        name: getattr(arguments, name)
+        for name in STUDY_ARGUMENTS
+        if getattr(arguments, name) is not None
     }
     space: Space = {}
     if arguments.study is not None:
         known = Study.read(arguments.study, arguments.trust)
         base, space = known.run, known.space
-        settings = {name: getattr(known, name) for name in GIVEN} | settings
+        settings = {name: getattr(known, name) for name in STUDY_ARGUMENTS} | settings
     else:
         base = base_config(arguments, arguments.task)
     # Without --search, a study file keeps its search space
@@ -131,16 +135,16 @@ def _study(arguments: argparse.Namespace) -> Study:
 
 def _searched(pairs: list[str]) -> dict[str, Any]:
     """Parse --search to the form of a study file."""
-    return {name: _range(name, told) for name, told in parse_pairs("--search", pairs).items()}
+    return {name: _range(name, value) for name, value in parse_pairs("--search", pairs).items()}
 
 
-def _range(name: str, told: Any) -> dict[str, Any]:
+def _range(name: str, value: Any) -> dict[str, Any]:
     """Convert a value with colons or commas to a range or choices."""
-    if isinstance(told, list | tuple):
-        return {"choices": list(told)}
-    parts = str(told).split(":")
+    if isinstance(value, list | tuple):
+        return {"choices": list(value)}
+    parts = str(value).split(":")
     if len(parts) not in (2, 3):
-        raise ValueError(f"--search {name}={shown(told)}: {FORM}")
+        raise ValueError(f"--search {name}={shown(value)}: {FORM}")
     named = [f"{key}={part}" for key, part in zip(KEYS, parts, strict=False)]
     numbers = parse_pairs("--search", named)
     if numbers.get("step") == "log":

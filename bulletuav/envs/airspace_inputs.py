@@ -13,7 +13,7 @@ from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.envs.resolve import airframes_of, make_tuples
 from bulletuav.envs.viewer import VIEWERS
-from bulletuav.errors import UnknownOptionError, finite, nearest, numbers_of, shown
+from bulletuav.errors import UnknownOptionError, finite, numbers_of, shown, suggest_names
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor
@@ -82,7 +82,7 @@ def airspace_options(
     for name in given:
         if name not in known:
             raise UnknownOptionError(
-                f"unknown option of Airspace: {name!r}: {nearest(name, known)}"
+                f"unknown option of Airspace: {name!r}: {suggest_names(name, known)}"
             )
     # Positions tell how many drones there are
     places = numbers_of("position is", position)

@@ -29,7 +29,7 @@ from bulletuav.envs.marks import drone_marks
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine, sensor_setup
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import FIELD_OF_VIEW, Renderer
-from bulletuav.errors import as_int, as_sequence, choose, finite, points_of, shown
+from bulletuav.errors import as_int, as_sequence, find_choice, finite, points_of, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, from_euler, product, to_world
 from bulletuav.geometry.scenery import Scenery
@@ -167,7 +167,7 @@ class AirspaceParts(Environment):
         self._require_open()
         rows, _ = rows_of(drones, len(self.airframes))
         if isinstance(rotor_speed, str):
-            rotor_speed = choose("rotor_speed", rotor_speed, {"hover": self.hover_speed})[rows]
+            rotor_speed = find_choice("rotor_speed", rotor_speed, {"hover": self.hover_speed})[rows]
         fastest = self._dynamics.flight.parameters["max_rotor_speed"][0, rows]
         rotors = self._dynamics.flight.parameters["num_rotors"][0, rows]
         has = np.arange(self.hover_speed.shape[1]) < np.expand_dims(rotors, -1)

@@ -10,7 +10,7 @@ from bulletuav.dynamics.setpoints import CONVERTED
 from bulletuav.envs.agents import in_c
 from bulletuav.envs.airspace_inputs import YAW, numbers
 from bulletuav.envs.options import EnvOptions
-from bulletuav.errors import choose
+from bulletuav.errors import find_choice
 
 LEVELS = {one.name.lower(): one for one in SetpointLevel}
 """Setpoint levels by name"""
@@ -39,7 +39,7 @@ def level_of(
     elif isinstance(level, np.integer) and level in LEVELS.values():  # as `levels` tells it
         chosen = SetpointLevel(int(level))
     else:
-        chosen = choose(
+        chosen = find_choice(
             "setpoint level", level.lower() if isinstance(level, str) else level, LEVELS
         )
     # Nothing leads up: a dynamics of points has no attitude to command

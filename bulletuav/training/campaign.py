@@ -19,16 +19,16 @@ from typing import Any
 
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.errors import as_int
-from bulletuav.interrupts import kept_from_children
+from bulletuav.interrupts import block_interrupts
 from bulletuav.parsing import read_json
 from bulletuav.policies.run import RunConfig
-from bulletuav.training.store import STATE, WALL, Row, number_rows
+from bulletuav.training.store import STATE, WALL_COLUMNS, Row, number_rows
 
-Learned = tuple[RunConfig, list[Row]]
+TrainedRun = tuple[RunConfig, list[Row]]
 """Settings and learning curve of a run"""
-TOLD = ("return", "success", "conflict", "collision", "completed")
+TABLE_METRICS = ("return", "success", "conflict", "collision", "completed")
 """Metrics in the table of results"""
-LOOK = 1.0
+POLL_PERIOD = 1.0
 """Polling period of the progress of the runs, s"""
 
 
@@ -53,7 +53,7 @@ class Campaign:
         self._folder = folder
         self._mlflow = mlflow
 
-    def place(self, config: RunConfig) -> Path:
+    def run_folder(self, config: RunConfig) -> Path:
         """Return the folder of a run."""
         return self._folder / config.task / str(config.seed)
 
@@ -61,8 +61,8 @@ class Campaign:
         self,
         workers: int = 1,
         progress: Callable[[int], None] = lambda steps: None,
-        told: Callable[[str], None] = lambda text: None,
-    ) -> list[Learned]:
+        note: Callable[[str], None] = lambda text: None,
+    ) -> list[TrainedRun]:
         """Train all runs.
 
         Finished runs are not trained again; others resume from their last checkpoint. If a run
@@ -71,7 +71,7 @@ class Campaign:
         Args:
             workers: Number of processes; each trains one run at a time.
             progress: Called with the number of finished steps of all runs.
-            told: Called with a text of the last evaluation of each run.
+            note: Called with a text of the last evaluation of each run.
 
         Returns:
             Settings and learning curve of each run.
@@ -79,13 +79,13 @@ class Campaign:
         Raises:
             Exception: Any error of a run.
         """
-        with processes(workers) as pool:
-            with kept_from_children():
+        with training_processes(workers) as pool:
+            with block_interrupts():
                 futures = [
-                    pool.submit(train_in_process, config, self.place(config), self._mlflow)
+                    pool.submit(train_in_process, config, self.run_folder(config), self._mlflow)
                     for config in self.configs
                 ]
-            self._watch(futures, progress, told)
+            self._watch(futures, progress, note)
         progress(self.total)
         return [
             (config, future.result()) for config, future in zip(self.configs, futures, strict=True)
@@ -95,17 +95,19 @@ class Campaign:
         self,
         futures: Sequence[Future[list[Row]]],
         progress: Callable[[int], None],
-        told: Callable[[str], None],
+        note: Callable[[str], None],
     ) -> None:
         """Report the progress until all runs are done, or raise the error of a failed run."""
-        while wait(futures, LOOK, FIRST_EXCEPTION).not_done and not any(map(_failed, futures)):
-            last = [_last(self.place(config)) for config in self.configs]
-            told(self._words(last))
+        while wait(futures, POLL_PERIOD, FIRST_EXCEPTION).not_done and not any(
+            map(_failed, futures)
+        ):
+            last = [_last(self.run_folder(config)) for config in self.configs]
+            note(self._describe_progress(last))
             progress(sum(int(row["steps"]) for row in last if row))
         for future in filter(_failed, futures):
             future.result()
 
-    def _words(self, last: Sequence[Row]) -> str:
+    def _describe_progress(self, last: Sequence[Row]) -> str:
         """Return a text with return and success of the last evaluation of each run."""
         return "; ".join(
             f"{config.task} {config.seed}: evaluated return {row['return']:.4g}, success "
@@ -116,7 +118,7 @@ class Campaign:
 
 
 @contextlib.contextmanager
-def processes(workers: int) -> Iterator[Executor]:
+def training_processes(workers: int) -> Iterator[Executor]:
     """Start a pool of training processes, which are killed if the block raises an error.
 
     Args:
@@ -133,7 +135,7 @@ def processes(workers: int) -> Iterator[Executor]:
     # PyTorch's threads do not survive a fork
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupts) as pool:
         try:
             yield pool
         except BaseException as error:
@@ -153,13 +155,13 @@ def _failed(future: Future[Any]) -> bool:
     return future.done() and future.exception() is not None
 
 
-def _leave_interrupts() -> None:
+def _ignore_interrupts() -> None:
     """Ignore interrupts in a worker: the parent process handles them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def train_in_process(config: RunConfig, folder: Path, mlflow: bool = False) -> list[Row]:
-    """Train one run in a process of `processes`; see `bulletuav.training.trainer.train`."""
+    """Train one run in a worker process; see `bulletuav.training.trainer.train`."""
     from bulletuav.training.trainer import train
 
     parent = multiprocessing.parent_process()
@@ -181,19 +183,19 @@ def _last(folder: Path) -> Row:
         return {}
 
 
-def wall_time(rows: Sequence[Row]) -> str:
+def describe_wall_time(rows: Sequence[Row]) -> str:
     """Return a text with the wall time of a run, and its fractions by activity.
 
     Args:
         rows: Learning curve of the run.
     """
-    seconds = {name: sum(row[name] for row in rows) for name in WALL}
+    seconds = {name: sum(row[name] for row in rows) for name in WALL_COLUMNS}
     whole = sum(row["seconds"] for row in rows)
     parts = ", ".join(f"{name} {100 * one / whole:.0f} %" for name, one in seconds.items())
     return f"{whole / 60:.1f} minutes: {parts}"
 
 
-def learning_table(runs: Sequence[Learned], scores: Sequence[Evaluation]) -> str:
+def learning_table(runs: Sequence[TrainedRun], scores: Sequence[Evaluation]) -> str:
     """Return a table of runs with their cost and the scores of their final policies.
 
     Args:
@@ -205,14 +207,14 @@ def learning_table(runs: Sequence[Learned], scores: Sequence[Evaluation]) -> str
     """
     estimates = [score.estimates() for score in scores]
     # Metrics with a value in at least one run
-    shown = [name for name in TOLD if any(found[name].episodes for found in estimates)]
+    shown = [name for name in TABLE_METRICS if any(found[name].episodes for found in estimates)]
     headings = [
         "task",
         "algorithm",
         "seed",
         "steps",
         "minutes",
-        *WALL,
+        *WALL_COLUMNS,
         "steps/s",
         "difficulty",
         "dynamics",
@@ -236,7 +238,10 @@ def learning_table(runs: Sequence[Learned], scores: Sequence[Evaluation]) -> str
                     str(config.seed),
                     f"{last['steps']:,.0f}",
                     f"{seconds / 60:.1f}",
-                    *(f"{100 * sum(row[name] for row in rows) / seconds:.0f} %" for name in WALL),
+                    *(
+                        f"{100 * sum(row[name] for row in rows) / seconds:.0f} %"
+                        for name in WALL_COLUMNS
+                    ),
                     f"{last['steps'] / seconds:,.0f}",
                     conditions.difficulty,
                     conditions.dynamics,

@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.files import whole_file
 from bulletuav.parsing import parse_json
 from bulletuav.policies.neural_network import HIGH, LOW, read_weights
@@ -26,7 +26,7 @@ try:
         recursive_setattr,
     )
 except ImportError:
-    raise missing("training", "sb3") from None
+    raise missing_extra("training", "sb3") from None
 
 COUNTERS = (
     "num_timesteps",
@@ -39,7 +39,7 @@ COUNTERS = (
 """Counters of a model on which training depends, for the algorithms that have them"""
 
 
-def save(model: Any, folder: Path) -> None:
+def save_checkpoint(model: Any, folder: Path) -> None:
     """Write a checkpoint of a model.
 
     Args:
@@ -69,7 +69,7 @@ def save(model: Any, folder: Path) -> None:
         _write(_rows(buffer), folder / REPLAY)
 
 
-def restore(model: Any, folder: Path) -> None:
+def restore_checkpoint(model: Any, folder: Path) -> None:
     """Restore a checkpoint into a new model of the same settings.
 
     Args:

@@ -20,15 +20,15 @@ from bulletuav.adapters.sb3_policy import FEATURES, policy_arguments
 from bulletuav.errors import (
     as_int,
     as_sequence,
-    choose,
+    find_choice,
     finite,
-    require_memory,
+    require_available_memory,
     shown,
     unknown,
 )
 from bulletuav.policies.run import RunConfig, whole_number
 
-OURS = (
+RESERVED_ARGUMENTS = (
     "policy",
     "env",
     "seed",
@@ -37,17 +37,17 @@ OURS = (
     "_init_setup_model",
 )
 """Arguments that the run sets and users cannot"""
-LEAST = {"gradient_steps": -1, "learning_starts": 0}
+MIN_INTEGERS = {"gradient_steps": -1, "learning_starts": 0}
 """Minimum of integer settings; for others it is 1, or the default if smaller"""
-MOST = 10**12
+MAX_INTEGER = 10**12
 """Maximum of integer settings"""
-MOST_LAYERS = 100
+MAX_LAYERS = 100
 """Maximum number of layers of a network"""
-SHARES = ("gamma", "gae_lambda", "tau")
+FRACTIONS = ("gamma", "gae_lambda", "tau")
 """Settings with values from 0 to 1"""
 NUMBER_BYTES = 4
 """Size of a number in buffers and networks, bytes"""
-OTHERS = 6
+NUM_EXTRA = 6
 """Numbers stored for each transition besides observations and actions"""
 ON_POLICY = ("ppo", "a2c")
 """On-policy algorithms, which learn from rollouts"""
@@ -77,7 +77,7 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     features = settings["features"]
     if features is not None:
         named = {name: one for name, one in FEATURES.items() if name is not None}
-        choose("features", features, named)
+        find_choice("features", features, named)
     arguments = policy_arguments(settings, env.num_drones, env.labels, pictures)
     del settings["features"]
     # Check settings before anything large is allocated
@@ -133,7 +133,7 @@ def _check(kind: Any, settings: dict[str, Any]) -> None:
     known = {
         name: one.default
         for name, one in inspect.signature(kind).parameters.items()
-        if name not in OURS
+        if name not in RESERVED_ARGUMENTS
     }
     for name, value in settings.items():
         if name not in known:
@@ -145,10 +145,10 @@ def _check(kind: Any, settings: dict[str, Any]) -> None:
             if not isinstance(value, bool):
                 raise ValueError(f"{name} is {value!r}: True or False is needed")
         elif isinstance(default, int) and not is_list:
-            least = LEAST.get(name, min(default, 1))
-            settings[name] = as_int(name, whole_number(value), least, MOST)
+            minimum = MIN_INTEGERS.get(name, min(default, 1))
+            settings[name] = as_int(name, whole_number(value), minimum, MAX_INTEGER)
         elif isinstance(default, float) and not is_list:
-            bounds = (0, 1) if name in SHARES else ()
+            bounds = (0, 1) if name in FRACTIONS else ()
             settings[name] = finite(name, value, *bounds)
 
 
@@ -158,18 +158,18 @@ def _require_memory(algo: str, settings: dict[str, Any], env: DroneVecEnv) -> No
     acted = math.prod(env.action_space.shape or (1,))
     if algo in ON_POLICY:
         steps = settings["n_steps"]
-        row = (observed + acted + OTHERS) * NUMBER_BYTES
-        require_memory(
+        row = (observed + acted + NUM_EXTRA) * NUMBER_BYTES
+        require_available_memory(
             f"rollouts of n_steps {steps} in {env.num_envs} slots (worlds times drones)",
             steps * env.num_envs * row,
             "lower n_steps or worlds",
         )
     else:
         # A transition has the observations before and after the step
-        row = (2 * observed + acted + OTHERS) * NUMBER_BYTES
+        row = (2 * observed + acted + NUM_EXTRA) * NUMBER_BYTES
         for name in ("buffer_size", "batch_size"):
             size = settings[name]
-            require_memory(f"transitions of {name} {size}", size * row, f"lower {name}")
+            require_available_memory(f"transitions of {name} {size}", size * row, f"lower {name}")
     _require_networks(settings["policy_kwargs"].get("net_arch", []), observed)
 
 
@@ -177,10 +177,10 @@ def _require_networks(widths: Any, observed: int) -> None:
     """Raise ValueError if networks exceed the memory of this machine."""
     lists = list(widths.values()) if isinstance(widths, Mapping) else [widths]
     for layers in lists:
-        named = as_sequence("net_arch of policy_kwargs", layers, most=MOST_LAYERS)
-        sizes = [as_int("net_arch", size, 1, MOST) for size in named]
+        named = as_sequence("net_arch of policy_kwargs", layers, most=MAX_LAYERS)
+        sizes = [as_int("net_arch", size, 1, MAX_INTEGER) for size in named]
         weights = sum(one * two for one, two in itertools.pairwise([observed, *sizes]))
-        require_memory(
+        require_available_memory(
             f"networks of net_arch {shown(widths)}",
             weights * NUMBER_BYTES,
             "lower net_arch in policy_kwargs",

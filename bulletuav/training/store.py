@@ -31,7 +31,7 @@ CURVE = "curve.csv"
 """File of the learning curve"""
 UPDATES = "updates.csv"
 """File of training statistics by update"""
-WALL = ("simulation", "update", "evaluation")
+WALL_COLUMNS = ("simulation", "update", "evaluation")
 """Columns of the curve with the wall time by activity"""
 STATE = "state.json"
 """File with the progress of the run"""
@@ -114,7 +114,9 @@ class Store:
         try:
             state = read_json(self.folder / STATE)
             # Runs of older versions have no wall time by activity
-            self.rows = [dict.fromkeys(WALL, math.nan) | row for row in number_rows(state["rows"])]
+            self.rows = [
+                dict.fromkeys(WALL_COLUMNS, math.nan) | row for row in number_rows(state["rows"])
+            ]
             self.curriculum = state["curriculum"]
             if not isinstance(self.curriculum, dict):
                 raise TypeError(f"its curriculum is {shown(self.curriculum)}")
@@ -271,7 +273,7 @@ def _read_rows(path: Path, steps: int) -> list[Row]:
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Lock a folder for this process; create it if missing.
 
     Args:
@@ -298,7 +300,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
+def open_store(folder: Path, config: RunConfig) -> Iterator[Store]:
     """Open the store of a run, and lock its folder.
 
     Args:
@@ -309,9 +311,9 @@ def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
         The store.
 
     Raises:
-        FolderError: See `locked` and `Store`.
+        FolderError: See `lock_folder` and `Store`.
     """
-    with locked(folder):
+    with lock_folder(folder):
         yield Store(folder, config)
 
 

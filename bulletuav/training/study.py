@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.metrics import METRICS
-from bulletuav.errors import as_int, choose, shown, unknown
+from bulletuav.errors import as_int, find_choice, shown, unknown
 from bulletuav.files import replace_file
-from bulletuav.interrupts import kept_from_children
+from bulletuav.interrupts import block_interrupts
 from bulletuav.policies.run import MODULE_NAME, VERSION, RunConfig, read_settings, write_settings
 from bulletuav.policies.space import Space, check_space, parse_space, with_values
-from bulletuav.training.campaign import processes, train_in_process
-from bulletuav.training.store import FolderError, Row, evaluation_conditions, locked
+from bulletuav.training.campaign import train_in_process, training_processes
+from bulletuav.training.store import FolderError, Row, evaluation_conditions, lock_folder
 
 STUDY = "study.yaml"
 """File with the settings of a study"""
@@ -27,7 +27,7 @@ TRIALS = "trials.csv"
 """File with the trials in order"""
 RUNS = "trials"
 """Folder of the runs of the trials"""
-FALLING = (
+MINIMISED = (
     "collision",
     "conflict",
     "conflicts",
@@ -39,7 +39,7 @@ FALLING = (
     "latency",
 )
 """Metrics where lower is better"""
-MOST_TRIALS = 10_000
+MAX_TRIALS = 10_000
 """Maximum number of trials of a study"""
 
 
@@ -67,9 +67,9 @@ class Study:
         Raises:
             ValueError: If a setting is invalid.
         """
-        choose("metric", self.metric, METRICS)
-        as_int("trials", self.trials, 1, MOST_TRIALS)
-        as_int("batch", self.batch, 1, MOST_TRIALS)
+        find_choice("metric", self.metric, METRICS)
+        as_int("trials", self.trials, 1, MAX_TRIALS)
+        as_int("batch", self.batch, 1, MAX_TRIALS)
         check_space(self.run, self.space)
 
     @classmethod
@@ -105,7 +105,7 @@ class Study:
     @property
     def maximise(self) -> bool:
         """True if higher values of the metric are better."""
-        return self.metric not in FALLING
+        return self.metric not in MINIMISED
 
     def text(self) -> str:
         """Return the settings as YAML, which `read` parses."""
@@ -139,7 +139,7 @@ def run_study(
     folder: Path,
     workers: int = 1,
     progress: Callable[[int], None] = lambda trials: None,
-    told: Callable[[str], None] = lambda text: None,
+    note: Callable[[str], None] = lambda text: None,
 ) -> list[Trial]:
     """Train the runs of a study, one batch at a time.
 
@@ -152,7 +152,7 @@ def run_study(
         folder: The folder, created if missing.
         workers: Number of processes; each trains one run at a time.
         progress: Called with the number of finished trials.
-        told: Called with a text of the best trial so far.
+        note: Called with a text of the best trial so far.
 
     Returns:
         The trials in order.
@@ -169,8 +169,8 @@ def run_study(
     for name, one in study.space.items():
         check_settings(with_values(study.run, {name: one.first}))
     trials: list[Trial] = []
-    with locked(folder), processes(workers) as pool:
-        _begin(study, folder)
+    with lock_folder(folder), training_processes(workers) as pool:
+        _write_settings(study, folder)
         progress(0)
         # A batch depends on the results of earlier batches, whatever their order of completion
         while len(trials) < study.trials:
@@ -179,16 +179,16 @@ def run_study(
             seed = (study.run.seed, len(trials))
             batch = suggest(study.space, tried, count, seed, study.maximise)
             futures = [
-                _submit(pool, study, values, _place(folder, len(trials) + k))
+                _submit(pool, study, values, _run_folder(folder, len(trials) + k))
                 for k, values in enumerate(batch)
             ]
             # Collect results in the order of the trials, and write the table after each
             for values, future in zip(batch, futures, strict=True):
                 number = len(trials)
                 outcome = _outcome(future, study.metric)
-                trials.append(Trial(number, values, *outcome, _place(folder, number)))
+                trials.append(Trial(number, values, *outcome, _run_folder(folder, number)))
                 replace_file(folder / TRIALS, _table(study, trials))
-                told(_words(study, trials))
+                note(_describe_best(study, trials))
                 progress(len(trials))
     if all(trial.error for trial in trials):
         raise ValueError(f"all trials failed, the first one because: {trials[0].error}")
@@ -206,7 +206,7 @@ def trial_conditions(study: Study, trial: Trial) -> Conditions:
     return evaluation_conditions(with_values(study.run, trial.values))
 
 
-def _begin(study: Study, folder: Path) -> None:
+def _write_settings(study: Study, folder: Path) -> None:
     """Write the settings, or check that they match those in the folder."""
     path = folder / STUDY
     if path.exists():
@@ -219,7 +219,7 @@ def _begin(study: Study, folder: Path) -> None:
     replace_file(path, study.text())
 
 
-def _place(folder: Path, number: int) -> Path:
+def _run_folder(folder: Path, number: int) -> Path:
     return folder / RUNS / f"{number:03d}"
 
 
@@ -231,7 +231,7 @@ def _submit(pool: Executor, study: Study, values: Mapping[str, Any], place: Path
         future: Future[Any] = Future()
         future.set_exception(error)
         return future
-    with kept_from_children():
+    with block_interrupts():
         return pool.submit(train_in_process, config, place)
 
 
@@ -260,7 +260,7 @@ def _table(study: Study, trials: list[Trial]) -> str:
     return table.getvalue()
 
 
-def _words(study: Study, trials: list[Trial]) -> str:
+def _describe_best(study: Study, trials: list[Trial]) -> str:
     """Return a text with the best trial so far."""
     best = best_trials(study, trials)
     return f"best {study.metric} {best[0].result:.4g} in trial {best[0].number}" if best else ""

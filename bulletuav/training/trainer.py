@@ -15,7 +15,7 @@ from bulletuav.adapters.sb3 import BaseCallback, DroneVecEnv, single_thread
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.analysis.metrics import METRICS
 from bulletuav.envs.curriculum import Curriculum
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.policies.run import RunConfig
 from bulletuav.training import checkpoint
 from bulletuav.training.models import make_model
@@ -25,20 +25,20 @@ from bulletuav.training.store import (
     Row,
     Store,
     evaluation_conditions,
-    opened,
+    open_store,
     training_conditions,
 )
 from bulletuav.training.wall_time import WallTime
 
 MLFLOW = "bulletuav.adapters.mlflow"
 """Module that logs to MLflow; it needs the extra `mlflow`"""
-MOST_UPDATES = 1000
+MAX_UPDATES = 1000
 """Maximum number of points that a run logs to TensorBoard and `updates.csv`"""
 Progress = Callable[[int], None]
 """Callback with the number of finished steps"""
-Told = Callable[[str], None]
+Note = Callable[[str], None]
 """Callback with a text about the training"""
-TOLD = {
+CURVE_COLUMNS = {
     "return": "r",
     "decisions": "l",
     "success": "success",
@@ -52,7 +52,7 @@ def train(
     config: RunConfig,
     out: Path,
     progress: Progress = lambda steps: None,
-    told: Told = lambda text: None,
+    note: Note = lambda text: None,
     mlflow: bool = False,
 ) -> list[Row]:
     """Train a policy, and store everything in a folder.
@@ -66,7 +66,7 @@ def train(
         config: Settings of the run.
         out: The folder.
         progress: Called with the number of finished steps.
-        told: Called with a text of return, success and speed when episodes end.
+        note: Called with a text of return, success and speed when episodes end.
         mlflow: If True, also log to MLflow; see `bulletuav.adapters.mlflow`.
 
     Returns:
@@ -78,20 +78,20 @@ def train(
         RuntimeError: If MLflow cannot be reached.
     """
     single_thread()
-    with opened(out, config) as store:
+    with open_store(out, config) as store:
         if not store.finished:
-            _train(config, store, progress, told, mlflow)
+            _train(config, store, progress, note, mlflow)
         progress(config.steps)
         return store.rows
 
 
-def _train(config: RunConfig, store: Store, progress: Progress, told: Told, mlflow: bool) -> None:
+def _train(config: RunConfig, store: Store, progress: Progress, note: Note, mlflow: bool) -> None:
     """Train until all steps are done."""
     # Check before worlds are created: stable-baselines3 imports it much later
     if importlib.util.find_spec("tensorboard") is None:
-        raise missing("training, which logs to TensorBoard,", "sb3")
-    with ExitStack() as open_things:
-        logger = _logger(config, store.folder, mlflow, open_things)
+        raise missing_extra("training, which logs to TensorBoard,", "sb3")
+    with ExitStack() as exit_stack:
+        logger = _logger(config, store.folder, mlflow, exit_stack)
         env = DroneVecEnv(
             config.task,
             config.worlds,
@@ -100,7 +100,7 @@ def _train(config: RunConfig, store: Store, progress: Progress, told: Told, mlfl
             config.shared_reward,
             **config.options,
         )
-        open_things.callback(env.close)
+        exit_stack.callback(env.close)
         # If the store has rows, the model resumes from the last checkpoint
         model = _model(config, env, store)
         model.set_logger(logger)
@@ -109,26 +109,26 @@ def _train(config: RunConfig, store: Store, progress: Progress, told: Told, mlfl
         logger.record("evaluation/conditions", str(evaluation_conditions(config)))
         logger.dump(model.num_timesteps)
         # The callback evaluates and saves at the end of segments
-        chapters = _Chapters(config, env, store, progress, told)
+        segments = _Segments(config, env, store, progress, note)
         # Only the remaining steps
         model.learn(
             config.steps - model.num_timesteps,
-            callback=chapters,
+            callback=segments,
             log_interval=None,
             reset_num_timesteps=False,
         )
-        chapters.end()
+        segments.end()
 
 
-def _logger(config: RunConfig, folder: Path, mlflow: bool, open_things: ExitStack) -> Any:
-    """Make the logger of stable-baselines3; `open_things` closes its outputs."""
+def _logger(config: RunConfig, folder: Path, mlflow: bool, exit_stack: ExitStack) -> Any:
+    """Make the logger of stable-baselines3; `exit_stack` closes its outputs."""
     from stable_baselines3.common.logger import configure
 
     logger = configure(str(folder / "tensorboard"), ["tensorboard"])
-    open_things.callback(logger.close)
+    exit_stack.callback(logger.close)
     if mlflow:
         adapter = importlib.import_module(MLFLOW)
-        run = open_things.enter_context(adapter.MlflowWriter(config, folder))
+        run = exit_stack.enter_context(adapter.MlflowWriter(config, folder))
         logger.output_formats.append(run)
     return logger
 
@@ -138,24 +138,24 @@ def _model(config: RunConfig, env: DroneVecEnv, store: Store) -> Any:
     model = make_model(config, env)
     if not store.rows:
         return model
-    checkpoint.restore(model, store.last)
+    checkpoint.restore_checkpoint(model, store.last)
     env.curriculum.restore(store.curriculum)
     env.decisions = int(store.rows[-1]["decisions"])
     return model
 
 
-class _Chapters(BaseCallback):
+class _Segments(BaseCallback):
     """Callback that starts and ends segments between rollouts, and collects their episodes."""
 
     def __init__(
-        self, config: RunConfig, env: DroneVecEnv, store: Store, progress: Progress, told: Told
+        self, config: RunConfig, env: DroneVecEnv, store: Store, progress: Progress, note: Note
     ) -> None:
         super().__init__()
         self._config = config
         self._env = env
         self._store = store
         self._progress = progress
-        self._told = told
+        self._note = note
         # Episodes of the segment, how many of them are logged, and its rows of updates
         self._episodes: list[dict[str, float]] = []
         self._counted = 0
@@ -167,7 +167,7 @@ class _Chapters(BaseCallback):
         """End the segment if it is due, and start a segment if none is open."""
         self._wall.part = "simulation"
         if self._is_open:
-            self._tell_update()
+            self._log_update()
         # The curve starts with the untrained policy
         if not self._store.rows:
             self.end()
@@ -183,9 +183,9 @@ class _Chapters(BaseCallback):
     def _begin(self) -> None:
         """Start a segment: new episodes, and random numbers independent of earlier segments."""
         model: Any = self.model
-        chapter = np.random.SeedSequence([self._config.seed, len(self._store.rows)])
+        segment = np.random.SeedSequence([self._config.seed, len(self._store.rows)])
         # 31 bits: the seed must be positive as a signed integer
-        seed = chapter.generate_state(1)[0] >> 1
+        seed = segment.generate_state(1)[0] >> 1
         model.set_random_seed(int(seed))
         # model.env includes the wrapper that SB3 adds for images
         model._last_obs = model.env.reset()
@@ -200,16 +200,16 @@ class _Chapters(BaseCallback):
         """Count the following wall time as update."""
         self._wall.part = "update"
 
-    def _tell_update(self) -> None:
+    def _log_update(self) -> None:
         """Log the statistics since the last entry to TensorBoard and `updates.csv`, if due."""
         steps = self.num_timesteps
         rows = self._updates or self._store.updates
         since = steps - (rows[-1]["steps"] if rows else 0)
-        if since * MOST_UPDATES < self._config.steps:
+        if since * MAX_UPDATES < self._config.steps:
             return
         fresh = self._episodes[self._counted :]
         self._counted = len(self._episodes)
-        found = {f"rollout/{name}": _mean(fresh, key) for name, key in TOLD.items()}
+        found = {f"rollout/{name}": _mean(fresh, key) for name, key in CURVE_COLUMNS.items()}
         # The logger already has the numbers of the algorithm, such as losses
         logger = self.model.logger
         found |= {
@@ -229,11 +229,11 @@ class _Chapters(BaseCallback):
             if info:
                 self._episodes.append(info["episode"] | {"success": info["is_success"]})
         if len(self._episodes) > before:
-            self._told(self._words())
+            self._note(self._describe_progress())
         self._progress(self.num_timesteps)
         return True
 
-    def _words(self) -> str:
+    def _describe_progress(self) -> str:
         """Return a text with return, success and speed of the training."""
         recent = self._episodes[-RECENT:]
         seconds = sum(self._wall.seconds().values())
@@ -249,11 +249,11 @@ class _Chapters(BaseCallback):
         model: Any = self.model
         config = self._config
         if self._is_open:
-            self._tell_update()
+            self._log_update()
         # Count the following wall time as evaluation
         self._wall.part = "evaluation"
         folder = self._store.next
-        checkpoint.save(model, folder)
+        checkpoint.save_checkpoint(model, folder)
         # Evaluate the checkpoint as users would
         evaluation = evaluate(
             config.task,
@@ -272,7 +272,7 @@ class _Chapters(BaseCallback):
             "stage": self._env.curriculum.stage,
             "seconds": sum(wall.values()),
             **wall,
-            **{f"train/{name}": _mean(self._episodes, key) for name, key in TOLD.items()},
+            **{f"train/{name}": _mean(self._episodes, key) for name, key in CURVE_COLUMNS.items()},
             **{name: found[name].mean for name in METRICS},
         }
         # Once the segment is stored, an interrupt can only lose its row in TensorBoard

@@ -2,7 +2,7 @@
 
 import time
 
-from bulletuav.training.store import WALL
+from bulletuav.training.store import WALL_COLUMNS
 
 
 class WallTime:
@@ -10,13 +10,13 @@ class WallTime:
 
     def __init__(self) -> None:
         """Start the clock with the activity "simulation"."""
-        self._seconds = dict.fromkeys(WALL, 0.0)
-        self._part = WALL[0]
+        self._seconds = dict.fromkeys(WALL_COLUMNS, 0.0)
+        self._part = WALL_COLUMNS[0]
         self._since = time.perf_counter()
 
     @property
     def part(self) -> str:
-        """The current activity, one of `WALL`."""
+        """The current activity, one of `WALL_COLUMNS`."""
         return self._part
 
     @part.setter

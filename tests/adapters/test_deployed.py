@@ -84,7 +84,7 @@ def agree(policy, run, precision):
 
 
 @pytest.mark.parametrize("precision", ["float", "double"])
-@pytest.mark.skipif(c_source.compiler() is None, reason="needs a C compiler")
+@pytest.mark.skipif(c_source.find_compiler() is None, reason="needs a C compiler")
 def test_c_does_what_the_policy_does(policy, precision, tmp_path):
     source, header = write_c(policy, tmp_path / "pilot.c", precision)
     agree(policy, lambda *given: run_c(source, *given), precision)
@@ -140,7 +140,7 @@ def test_labels_cannot_end_the_comment_of_a_header(tmp_path):
     one = Deployed("x", (label,), (label,), layers, lambda rows: 0 * rows)
     source, header = write_c(one, tmp_path / "policy.c", "double")
     assert header.read_text().count("*/") == 1
-    if c_source.compiler() is not None:
+    if c_source.find_compiler() is not None:
         np.testing.assert_array_equal(run_c(source, np.ones((1, 1)), one, "double"), [[0.0]])
 
 

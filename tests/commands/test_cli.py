@@ -13,7 +13,7 @@ import pytest
 import bulletuav
 from bulletuav.analysis.benchmark import FLOORS
 from bulletuav.cli import COMMANDS, main
-from bulletuav.commands.progress import USUAL_FUNCTIONS, show_progress
+from bulletuav.commands.progress import EXPECTED_FUNCTIONS, show_progress
 from bulletuav.compiled import dispatcher
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine import engine
@@ -648,7 +648,7 @@ def test_about_as_many_functions_are_compiled_as_are_announced(dynamics, tmp_pat
         check=True,
     )
     compiled = len(list(tmp_path.rglob("*.nbc")))
-    assert compiled == pytest.approx(USUAL_FUNCTIONS, rel=0.2)
+    assert compiled == pytest.approx(EXPECTED_FUNCTIONS, rel=0.2)
 
 
 def test_how_far_it_is_is_a_bar_on_a_terminal():
@@ -673,7 +673,7 @@ def test_how_far_it_is_is_a_bar_on_a_terminal():
     os.close(theirs)
     said = os.read(mine, 65536).decode()
     assert "compiling" in said
-    assert f"1 of about {USUAL_FUNCTIONS} functions" in said
+    assert f"1 of about {EXPECTED_FUNCTIONS} functions" in said
     last = said.rpartition("flying")[2]
     assert "3 of 3 episodes" in last
     assert "compiling" not in last

@@ -93,8 +93,8 @@ def test_an_interrupt_tells_how_to_go_on(tmp_path, capsys, monkeypatch):
 class OneProcess(Campaign):
     """Which starts faster."""
 
-    def train(self, workers=1, progress=lambda steps: None, told=lambda text: None):
-        return [(config, trainer.train(config, self.place(config))) for config in self.configs]
+    def train(self, workers=1, progress=lambda steps: None, note=lambda text: None):
+        return [(config, trainer.train(config, self.run_folder(config))) for config in self.configs]
 
 
 def test_several_seeds_make_one_table_and_one_picture(tmp_path, capsys, monkeypatch):
