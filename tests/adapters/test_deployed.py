@@ -6,7 +6,7 @@ from safetensors.numpy import save_file
 
 from bulletuav.adapters import c_source
 from bulletuav.adapters.c_source import run_c, write_c
-from bulletuav.adapters.deployed import AFFINE, LIMITED, Deployed, deployed
+from bulletuav.adapters.deployed import AFFINE_ACTIONS, LIMITED_ACTIONS, Deployed, deployed
 from bulletuav.cli import main
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.policies.layers import Choose, Dense
@@ -26,7 +26,10 @@ SWARM = {
     "without motion": {"observation": ("goal", "obstacles"), "num_obstacles": 2},
 }
 CASES = {
-    **{action: ("ppo", {"action": action}) for action in (*AFFINE, *LIMITED, "rotor")},
+    **{
+        action: ("ppo", {"action": action})
+        for action in (*AFFINE_ACTIONS, *LIMITED_ACTIONS, "rotor")
+    },
     "squashed": ("sac", {}),
     "choices": ("dqn", {"action": "discrete_27"}),
     "normalised": ("ppo", {"normalise": True}),
