@@ -122,11 +122,11 @@ class Firmware:
         force, rates, (x, y, z, w), velocity = felt
         turn = (rates[0], -rates[1], -rates[2])
         place = (0.0, 0.0, 100.0, 101325.0)
-        told = struct.pack("<18d", now, *turn, *-force, w, x, -y, -z, *velocity, *place)
-        self._out.sendto(told, ("127.0.0.1", STATE))
+        packet = struct.pack("<18d", now, *turn, *-force, w, x, -y, -z, *velocity, *place)
+        self._out.sendto(packet, ("127.0.0.1", STATE))
         pulses = [1500 + round(500 * min(max(one, -1.0), 1.0)) for one in sticks]
-        told = struct.pack("<d16H", now, *pulses, *[1000] * (16 - len(pulses)))
-        self._out.sendto(told, ("127.0.0.1", STICKS))
+        packet = struct.pack("<d16H", now, *pulses, *[1000] * (16 - len(pulses)))
+        self._out.sendto(packet, ("127.0.0.1", STICKS))
         with contextlib.suppress(BlockingIOError):
             while True:
                 shares = struct.unpack("<4f", self._motors.recv(64)[:16])
@@ -171,7 +171,7 @@ def fly(drones: int, program: Path, folder: Path) -> list[np.ndarray]:
     frame = load_airframe("racer")
     places = np.array([(0.0, 2.0 * i, frame.standing_height) for i in range(drones)])
     order = [CORNERS.index(tuple(np.sign(rotor[:2]).astype(int))) for rotor in frame.rotors]
-    told, fleet = [], []
+    rows, fleet = [], []
     with contextlib.ExitStack() as stack:
         airspace = Airspace(places, frame, physics_hz=2 * HZ, decision_hz=HZ)
         stack.callback(airspace.close)
@@ -206,11 +206,11 @@ def fly(drones: int, program: Path, folder: Path) -> list[np.ndarray]:
             if flown >= 0:
                 _, left, up = np.array([axes(turn) for turn in state[1]])[:, :, 2].T
                 lean = np.degrees((np.arcsin(left), np.arccos(np.minimum(up, 1.0))))
-                told.append((flown, state[0].copy(), *lean))
+                rows.append((flown, state[0].copy(), *lean))
             if pacer.wait():  # no catching up: for the firmware time would run fast
                 pacer.restart()
     print(f"{pacer.late} steps were late, by {1000 * pacer.latest:.0f} ms at most")
-    return [np.array(one) for one in zip(*told, strict=True)]
+    return [np.array(one) for one in zip(*rows, strict=True)]
 
 
 def report(flown: list[np.ndarray]) -> None:

@@ -64,18 +64,18 @@ class Flight:
     def step(self) -> None:
         """Step, and print the contacts that begin."""
         self.airspace.step()
-        told, time = self.airspace.contacts, self.airspace.time
+        contacts, time = self.airspace.contacts, self.airspace.time
         self.rows.append((time, self.airspace.swarm.position[0, 2]))
-        for k, other in enumerate(told.other):
+        for k, other in enumerate(contacts.other):
             if other not in self.touched:
-                x, y, z = told.point[k].round(2) + 0.0  # no -0
-                speed = np.linalg.norm(told.velocity[k])
+                x, y, z = contacts.point[k].round(2) + 0.0  # no -0
+                speed = np.linalg.norm(contacts.velocity[k])
                 print(
                     f"{time:.2f} s: touches {self.names[int(other)]} at ({x:.2f}, {y:.2f}, "
-                    f"{z:.2f}) m with {speed:.2f} m/s and {1000 * told.impulse[k]:.1f} mN s"
+                    f"{z:.2f}) m with {speed:.2f} m/s and {1000 * contacts.impulse[k]:.1f} mN s"
                 )
                 self.hits.append((time, z))
-        self.touched = set(told.other.tolist())
+        self.touched = set(contacts.other.tolist())
 
     def fly(self, seconds: float) -> None:
         """Step for some seconds."""

@@ -101,8 +101,8 @@ class School:
     def _right(self) -> torch.Tensor:
         """Return the actions of the teachers, (M, A)."""
         pairs = zip(self._teachers, self.envs, strict=True)
-        told = [teacher.act(None, env.aviary.swarm) for teacher, env in pairs]
-        rows = np.concatenate([one.reshape(-1, one.shape[-1]) for one in told])
+        actions = [teacher.act(None, env.aviary.swarm) for teacher, env in pairs]
+        rows = np.concatenate([one.reshape(-1, one.shape[-1]) for one in actions])
         return torch.from_numpy(rows.astype(np.float32)).clamp(-1.0, 1.0)
 
 
@@ -111,7 +111,7 @@ def learn(lesson: Lesson, args: argparse.Namespace) -> None:
     torch.manual_seed(args.seed)
     plan = Plan(lesson.task, lesson.options, lesson.batches, steps=1, log_std=-2.0)
     school = School(lesson, plan, args.seed)
-    agent = Agent(school.envs[0], plan, told=0)
+    agent = Agent(school.envs[0], plan, state_size=0)
     optimiser = torch.optim.Adam(agent.parameters(), args.rate)
     steps = lesson.rounds * lesson.updates
     falls = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: 1 - step / steps)
@@ -139,9 +139,9 @@ def main() -> None:
     args = parse_arguments()
     torch.set_num_threads(1)
     begin = time.perf_counter(), time.process_time()
-    told = {name: getattr(args, name) for name in ("rounds", "decisions", "updates")}
+    given = {name: getattr(args, name) for name in ("rounds", "decisions", "updates")}
     lesson = LESSONS[args.lesson]
-    learn(lesson._replace(**{name: value for name, value in told.items() if value}), args)
+    learn(lesson._replace(**{name: value for name, value in given.items() if value}), args)
     wall, cpu = time.perf_counter() - begin[0], time.process_time() - begin[1]
     print(f"learned for {wall:.0f} s, {cpu:.0f} s of one core")
 

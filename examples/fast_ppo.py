@@ -118,9 +118,9 @@ class Agent(nn.Module):
     def forward(self, seen: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return mean actions (M, A) and values (M,)."""
         known = self.features_extractor(seen)
-        told = torch.cat([known, torch.sign(state) * torch.log1p(state.abs())], 1)
+        critic_input = torch.cat([known, torch.sign(state) * torch.log1p(state.abs())], 1)
         mean = self.action_net(self.mlp_extractor["policy_net"](known))
-        return mean, self.value_net(self.mlp_extractor["value_net"](told)).squeeze(-1)
+        return mean, self.value_net(self.mlp_extractor["value_net"](critic_input)).squeeze(-1)
 
     def log_prob(self, mean: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         """Return the log probability density of actions."""
@@ -160,10 +160,10 @@ class Worlds:
         """Return the state for the critic, (M, K); K = 0 without state."""
         if not self._with_state:
             return torch.zeros(len(self.seen), 0)
-        told = [np.repeat(env.state(), env.num_drones, axis=0) for env in self.envs]
+        states = [np.repeat(env.state(), env.num_drones, axis=0) for env in self.envs]
         # States of smaller worlds are padded with zeros
-        most = max(one.shape[1] for one in told)
-        return self._rows([np.pad(one, ((0, 0), (0, most - one.shape[1]))) for one in told])
+        most = max(one.shape[1] for one in states)
+        return self._rows([np.pad(one, ((0, 0), (0, most - one.shape[1]))) for one in states])
 
     def step(self, actions: torch.Tensor) -> torch.Tensor:
         """Step all worlds; return (4, M): flown, reward, terminated, done."""
@@ -181,7 +181,7 @@ class Worlds:
 @torch.no_grad()
 def collect(worlds: Worlds, agent: Agent, plan: Plan) -> list[torch.Tensor]:
     """Collect a rollout: observation, state, action, log density, advantage and return."""
-    seen, states, actions, before, values, told = [], [], [], [], [], []
+    seen, states, actions, before, values, results = [], [], [], [], [], []
     for _ in range(plan.decisions):
         seen.append(worlds.seen)
         states.append(worlds.state())
@@ -189,9 +189,9 @@ def collect(worlds: Worlds, agent: Agent, plan: Plan) -> list[torch.Tensor]:
         actions.append(mean + agent.log_std.exp() * torch.randn_like(mean))
         before.append(agent.log_prob(mean, actions[-1]))
         values.append(value)
-        told.append(worlds.step(actions[-1]))
+        results.append(worlds.step(actions[-1]))
     values.append(agent(worlds.seen, worlds.state())[1])
-    flown, reward, ended, done = torch.stack(told, 1)
+    flown, reward, ended, done = torch.stack(results, 1)
     advantage, after = torch.zeros_like(reward), torch.zeros(len(worlds.seen))
     for t in reversed(range(plan.decisions)):
         # Advantages do not cross the end of an episode

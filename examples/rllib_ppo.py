@@ -110,14 +110,14 @@ def train(algorithm: Any, iterations: int) -> None:
     """Train, and print success and return of training episodes."""
     began = time.perf_counter()
     for k in range(iterations):
-        told = algorithm.train()["env_runners"]
-        steps = int(told["num_env_steps_sampled_lifetime"])
+        results = algorithm.train()["env_runners"]
+        steps = int(results["num_env_steps_sampled_lifetime"])
         seconds = time.perf_counter() - began
         text = f"iteration {k + 1}, {steps} decisions, {seconds:.0f} s"
         # Without finished episodes there are no results
-        drone = told.get("episode_return_mean", math.nan) / TASK["num_drones"]
+        drone = results.get("episode_return_mean", math.nan) / TASK["num_drones"]
         if math.isfinite(drone):
-            text += f": success {told['success']:.2f}, return of a drone {drone:.2f}"
+            text += f": success {results['success']:.2f}, return of a drone {drone:.2f}"
         print(text, flush=True)
 
 

@@ -118,9 +118,9 @@ class Vdn:
         share = max(0.05, 1 - 0.95 * done / self.plan.explore)
         return torch.where(torch.rand(best.shape) < share, self.random(seen), best)
 
-    def learn(self, seen: Array, action: Array, told: Array, after: Array) -> None:
+    def learn(self, seen: Array, action: Array, results: Array, after: Array) -> None:
         """Update the Q values."""
-        reward, flown, goes_on = told.unbind(-1)
+        reward, flown, goes_on = results.unbind(-1)
         value = self.actor(seen).gather(-1, action.long()).squeeze(-1)
         with torch.no_grad():
             best = self.actor(after).argmax(-1, keepdim=True)
@@ -168,9 +168,9 @@ class Maddpg:
         parts = torch.cat([seen.sign() * seen.abs().log1p(), action, torch.ones_like(flown)], -1)
         return (parts * flown)[:, self._order].flatten(2)
 
-    def learn(self, seen: Array, action: Array, told: Array, after: Array) -> None:
+    def learn(self, seen: Array, action: Array, results: Array, after: Array) -> None:
         """Update the critic, and then the actor."""
-        reward, flown, goes_on = told.unsqueeze(-1).unbind(-2)
+        reward, flown, goes_on = results.unsqueeze(-1).unbind(-2)
         actor, critic = self.targets
         with torch.no_grad():
             joint = self._joint(after, torch.tanh(actor(after)), goes_on)

@@ -83,10 +83,10 @@ class Agent(nn.Module):
     def __init__(self, env: DroneTensorEnv, central: bool) -> None:
         super().__init__()
         seen = env.observation_spec[GROUP, "observation"].shape[-1]
-        told = env.observation_spec["state"].shape[-1] if central else 0
+        state_size = env.observation_spec["state"].shape[-1] if central else 0
         size = env.full_action_spec[GROUP, "action"].shape[-1]
         self.central = central
-        self.actor, self.critic = network(seen, size, 0.01), network(seen + told, 1, 1.0)
+        self.actor, self.critic = network(seen, size, 0.01), network(seen + state_size, 1, 1.0)
         self.log_std = nn.Parameter(torch.full((size,), -1.0))
 
     def policy(self, observation: torch.Tensor) -> torch.distributions.Independent:
@@ -121,10 +121,10 @@ def collect(env: DroneTensorEnv, agent: Agent, now: Any) -> tuple[Any, Any]:
 def advantages(agent: Agent, flight: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return advantages, value targets, and inputs of the critic."""
     inputs, after = agent.critic_input(flight), agent.critic_input(flight["next"])
-    told = [flight["next", GROUP, name] for name in ("reward", "done", "terminated")]
+    ends = [flight["next", GROUP, name] for name in ("reward", "done", "terminated")]
     # The axes are (W, T, N, 1): time is axis 1
     advantage, target = vec_generalized_advantage_estimate(
-        GAMMA, LAMBDA, agent.critic(inputs), agent.critic(after), *told, time_dim=1
+        GAMMA, LAMBDA, agent.critic(inputs), agent.critic(after), *ends, time_dim=1
     )
     return advantage.squeeze(-1), target.squeeze(-1), inputs
 
