@@ -249,8 +249,8 @@ def as_int(name: str, value: object, least: int, most: int | None = None) -> int
     Args:
         name: What the number is, for the message.
         value: A Python or NumPy integer; bools raise ValueError.
-        least: Least number allowed.
-        most: Greatest number allowed; any when left out.
+        least: Minimum allowed value.
+        most: Maximum allowed value; no maximum if None.
 
     Returns:
         The value as an int.
@@ -275,8 +275,8 @@ def finite(
     Args:
         name: What the number is, for the message.
         value: Any real number; bools raise ValueError.
-        least: Least number allowed; any when left out.
-        most: Greatest number allowed; any finite one when left out.
+        least: Minimum allowed value; no minimum if None.
+        most: Maximum allowed value; any finite number if None.
 
     Returns:
         The value as a Python float.

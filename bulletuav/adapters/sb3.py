@@ -7,9 +7,9 @@ Every drone of a batch of worlds is a slot of a `VecEnv`:
 
 A drone whose episode has ended is absent until its whole world is reset, but stable-baselines3
 needs a transition of every slot in every step. In transitions of slots without a drone the reward
-is NaN, so that they cannot be learned from unnoticed. `LivingRollouts` and `LivingReplay` drop
-these transitions, which therefore affect no loss, advantage, statistic or sample. With one drone in
-each world there are no such slots, and the buffers of stable-baselines3 itself can be used.
+is NaN, so that training on them cannot go unnoticed. `LivingRollouts` and `LivingReplay` drop these
+transitions, which therefore affect no loss, advantage, statistic or sample. With one drone in each
+world there are no such slots, and the buffers of stable-baselines3 itself can be used.
 """
 
 import contextlib

@@ -1,6 +1,6 @@
 """Environment for TorchRL: W worlds in one batch, with a group of agents for each team.
 
-Tensors are views of the arrays of the batched environment, and one call steps all worlds:
+Tensors are made from the arrays of the batched environment, so that one call steps all worlds:
 
     env = DroneTensorEnv("crossing", num_worlds=64, dynamics="point_mass")
     flight = env.rollout(100, break_when_any_done=False)
