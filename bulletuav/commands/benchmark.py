@@ -51,7 +51,9 @@ def run(arguments: argparse.Namespace) -> None:
     """Measure, and print the results."""
     if arguments.stages is not None:
         if arguments.drones is not None or arguments.seconds is not None:
-            raise ValueError("--stages measures a task with its defaults: leave --drones and --seconds out")
+            raise ValueError(
+                "--stages uses the defaults of the task: leave --drones and --seconds out"
+            )
         _print_stages(arguments.stages)
         return
     sizes = tuple(SIZES if arguments.drones is None else arguments.drones)
