@@ -48,7 +48,7 @@ from bulletuav.policies.run import (
 )
 from bulletuav.report.verification import ROW, ROW_POLICY
 from bulletuav.tasks import find_task
-from bulletuav.training.campaign import processes
+from bulletuav.training.campaign import training_processes
 from bulletuav.training.store import CURVE
 from bulletuav.training.trainer import EVALUATION_SEED, train
 
@@ -302,7 +302,7 @@ def _made(rows: Sequence[Row], out: Path, workers: int) -> Iterator[str]:
             make(row, out)
             yield row.name
         return
-    with processes(workers) as pool:
+    with training_processes(workers) as pool:
         futures = {pool.submit(make, row, out): row.name for row in rows}
         for future in as_completed(futures):
             future.result()

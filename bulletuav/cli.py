@@ -1,6 +1,6 @@
-"""Command line `bulletuav`: finds the command, runs it, and turns errors into one line.
+"""Command line `bulletuav`: find the command, run it, and report errors on one line.
 
-Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merge`, `train`,
+The commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merge`, `train`,
 `tune`, `verify`, `replay`, `export`, `identify`, `incentives`, `serve`, `benchmark` and `doctor`.
 """
 
@@ -18,7 +18,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from bulletuav import interrupts
-from bulletuav.errors import missing, unknown
+from bulletuav.errors import missing_extra, unknown
 from bulletuav.policies import policy_names
 from bulletuav.tasks import list_tasks
 from bulletuav.version import __version__
@@ -52,7 +52,7 @@ EPILOG = """first example:
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):
-    """Formatter that wraps texts of one line; those of several lines are laid out already."""
+    """Formatter that wraps single-line texts and keeps the layout of multi-line texts."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         if "\n" in text:
@@ -61,28 +61,29 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser whose errors are one line on standard error and exit code 2."""
+    """Parser that reports an error as one line on standard error and exits with code 2."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Offer the nearest choice for a word that is none, as argparse of Python 3.14 can."""
+        """Suggest the closest match for an invalid choice, as argparse of Python 3.14 does."""
         if action.choices is not None and value not in action.choices:
             what = "command" if action.dest == "command" else f"value of {action.option_strings[0]}"
             raise argparse.ArgumentError(None, str(unknown(what, value, action.choices)))
 
 
 def _module(name: str) -> ModuleType:
-    """Import a command, once it is asked for: all of them take seconds."""
+    """Import the module of a command on demand: importing all of them takes seconds."""
     return importlib.import_module(f"bulletuav.commands.{name}")
 
 
 def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
-    """Build the parser of the command line, and those of its commands by name.
+    """Build the parser of the command line, and the parsers of the commands by name.
 
     Args:
-        words: Words after `bulletuav`. Where the first names a command, the parser knows no other.
+        words: Arguments after `bulletuav`. If the first one is a command, only the parser of this
+            command is built.
     """
     parser = _Parser(
         prog="bulletuav",
@@ -112,11 +113,11 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
 
 
 def _complete() -> None:
-    """Tell a shell that asks what words come next, where the extra `completion` is installed."""
+    """Print the completions that a shell requests, if the extra `completion` is installed."""
     try:
         import argcomplete
     except ImportError:
-        raise missing("completing words in a shell", "completion") from None
+        raise missing_extra("completing words in a shell", "completion") from None
     parser, commands = _parser(os.environ.get("COMP_LINE", "").split(" ")[1:-1])
     offered = {"task": list_tasks, "policy": policy_names}
     for command in commands.values():
@@ -128,9 +129,10 @@ def _complete() -> None:
 
 
 def _check_known(words: Iterable[str], parser: argparse.ArgumentParser) -> None:
-    """Complain about the first option that the command does not have.
+    """Report the first option that the command does not have.
 
-    Before argparse does: it would miss a required option instead of naming the one misspelt.
+    This check runs before argparse, which would report a missing required option instead of the
+    misspelt one.
     """
     known = [option for action in parser._actions for option in action.option_strings]
     options = (word.partition("=")[0] for word in words if word.startswith("--"))
@@ -141,9 +143,9 @@ def _check_known(words: Iterable[str], parser: argparse.ArgumentParser) -> None:
         if near:
             hint = f"did you mean {near[0]}?"
         elif "--set" in known:
-            hint = "options without an argument of their own go by --set NAME=VALUE"
+            hint = "environment options that are not listed in --help are set by --set NAME=VALUE"
         else:
-            hint = "there is none of that name"
+            hint = "there is no such option"
         parser.error(f"unknown argument {option}: {hint}")
 
 
@@ -151,26 +153,26 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line.
 
     Args:
-        argv: Words after `bulletuav`; those of the process when left out.
+        argv: Arguments after `bulletuav`; `sys.argv[1:]` if None.
 
     Raises:
-        SystemExit: With code 2 after one line on standard error, for bad input; 130 after one line
-            for an interrupt; 128 + SIGPIPE where the reader of the output has gone.
+        SystemExit: With code 2 after one line on standard error, for invalid input; 130 after one
+            line, for an interrupt; 128 + SIGPIPE if the reader of the output has closed the pipe.
     """
     try:
         _run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt as interrupt:
-        # Commands that keep something raise it again, with a text that says what
+        # Commands that keep results raise it again with a text that says which
         sys.stderr.write(f"{str(interrupt) or interrupts.TEXT}\n")
-        sys.exit(interrupts.STATUS)
+        sys.exit(interrupts.EXIT_STATUS)
 
 
 def _run(words: Sequence[str]) -> None:
-    """Find the command, run it, and turn errors of bad input into one line; see `main`."""
-    # Names of files may have bytes that a strict stream refuses, when all work is done
+    """Find the command, run it, and report invalid input on one line; see `main`."""
+    # File names may contain bytes that a strict stream cannot encode, after all work is done
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")
-    if "" not in sys.path:  # the current folder, last of all, for names such as mine:Policy
+    if "" not in sys.path:  # the current folder, last, for names such as mine:Policy
         sys.path.append("")
     if "_ARGCOMPLETE" in os.environ:
         _complete()
@@ -187,22 +189,22 @@ def _run(words: Sequence[str]) -> None:
         parser.error("no COMMAND is given")
     command = commands[arguments.command]
     if rest:
-        command.error(f"unknown argument {rest[0]}: there is no place for it")
+        command.error(f"unexpected argument {rest[0]}: the command takes no further arguments")
     try:
-        with interrupts.raising():
+        with interrupts.raise_interrupts():
             _module(arguments.command).run(arguments)
-            # A closed pipe is to be noticed here, not when Python ends. Without an open standard
-            # output there is no stream.
+            # Flush here, so that a closed pipe is noticed now and not when Python exits. Without an
+            # open standard output, sys.stdout is None.
             if sys.stdout is not None:
                 sys.stdout.flush()
     except BrokenPipeError:
-        # The reader has seen enough, as in `bulletuav tasks mec | head`. What Python flushes
-        # at its end goes nowhere, so that it does not complain again.
+        # The reader has closed the pipe, as in `bulletuav tasks mec | head`. Python's flush at exit
+        # goes to devnull, so that it raises no second error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
     except MemoryError as error:
-        figures = error or "no figures told"
+        figures = error or "size unknown"
         command.error(f"memory ran out ({figures}): ask for fewer worlds, drones, users or workers")
     except (ValueError, OSError, RuntimeError, ImportError) as error:
-        # These are the errors of bad input; others are bugs and keep their traceback.
+        # Errors of invalid input; all others are bugs and keep their traceback
         command.error(" ".join(str(error).split()))

@@ -1,8 +1,8 @@
-"""Checks of what users give, and error messages that name the wrong value and the remedy.
+"""Validation of user input, and error messages that name the wrong value and the remedy.
 
-Functions that return an error (`unknown`, `missing`) leave the `raise` to the caller. Functions
-that check (`as_int`, `finite`, `as_sequence`, `numbers_of`, `points_of`) return the value in the
-type that the package keeps, and raise ValueError otherwise.
+Functions that return an error (`unknown`, `missing_extra`) leave the `raise` to the caller.
+Functions that validate (`as_int`, `finite`, `as_sequence`, `numbers_of`, `points_of`) return the
+value converted to the type that the package uses, and raise ValueError if the value is invalid.
 """
 
 import contextlib
@@ -20,23 +20,23 @@ import numpy as np
 
 Entry = TypeVar("Entry")
 
-MOST_SHOWN = 200
-"""Most characters of a value that a message shows."""
-USUAL_MEMORY = 16 * 2**30
-"""Bytes of memory that are assumed where the machine does not tell how much it has."""
+MAX_SHOWN = 200
+"""Maximum number of characters of a value that a message shows."""
+DEFAULT_MEMORY = 16 * 2**30
+"""Memory in bytes that is assumed if the operating system does not report it."""
 GIB = 2**30
 """Bytes in a gibibyte."""
 
 CHECKOUT = Path(__file__).parents[1]
-"""Folder of constraints.txt in a checkout: beside the package."""
+"""Folder of constraints.txt in a checkout: the parent folder of the package."""
 SHARED = Path(sys.prefix, "share", "bulletuav")
-"""Folder of constraints.txt after an install: where the wheel puts it."""
+"""Folder of constraints.txt after an installation from a wheel."""
 PINS = "constraints"
-"""Folder beside constraints.txt, with a file for each extra that has versions of its own."""
+"""Folder next to constraints.txt, with one file for each extra that pins its own versions."""
 
 
 class _Shown(reprlib.Repr):
-    """A repr that cuts long lists, texts and numbers, so that they fit into a message."""
+    """A repr that truncates long lists, strings and numbers, so that they fit into a message."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -45,9 +45,9 @@ class _Shown(reprlib.Repr):
         self.maxtuple = 12
         self.maxset = 12
         self.maxdict = 12
-        self.maxstring = MOST_SHOWN
-        self.maxother = MOST_SHOWN
-        self.maxlong = MOST_SHOWN
+        self.maxstring = MAX_SHOWN
+        self.maxother = MAX_SHOWN
+        self.maxlong = MAX_SHOWN
 
 
 _SHOWN = _Shown()
@@ -56,82 +56,79 @@ _SHOWN = _Shown()
 class UnknownOptionError(ValueError, TypeError):
     """Error for an option that does not exist.
 
-    It is a ValueError, as all refused values are, and also a TypeError, which Python raises for an
-    unknown keyword: callers that pass keywords on expect that one.
+    The error is a ValueError, like every error for an invalid value, and also a TypeError, which
+    Python raises for an unknown keyword argument and which callers that pass keyword arguments
+    expect.
     """
 
 
 def shown(value: object) -> str:
-    """Format a value for a message: its repr on one line, cut where it is long.
+    """Format a value for a message: its repr on one line, truncated if it is long.
 
-    Never raises, whatever the value's own repr does.
+    Never raises, even if the `__repr__` of the value does.
     """
     try:
-        if isinstance(value, float | str) and len(str(value)) < MOST_SHOWN:
+        if isinstance(value, float | str) and len(str(value)) < MAX_SHOWN:
             text = repr(value)
         else:
             text = _SHOWN.repr(value)
-    # A number of too many digits, or an object whose repr is broken.
+    # An integer with too many digits, or an object whose __repr__ raises
     except Exception:
         text = f"<{type(value).__name__} that cannot be shown>"
     text = " ".join(text.split("\n"))
-    return text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    return text if len(text) <= 2 * MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
 
 
-def printable(text: str) -> str:
-    """Return a text that can be drawn and written: names of files may have other bytes in them."""
+def printable_text(text: str) -> str:
+    """Return a text that can be encoded, with invalid bytes (as in file names) escaped."""
     return text.encode(errors="backslashreplace").decode()
 
 
 def reason_of(error: Exception) -> str:
-    """Describe an error on one line, cut where it is long: its type and what it says."""
+    """Describe an error on one line: its type and its message, truncated if it is long."""
     text = " ".join(str(error).split())
-    cut = text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    cut = text if len(text) <= 2 * MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
     return f"{type(error).__name__}: {cut}" if cut else type(error).__name__
 
 
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Name a file in each ValueError of what is done with its content, unless it is named.
+    """Add the path of a file to each ValueError that is raised inside the `with` block.
 
     Args:
-        path: The file, or its folder.
+        path: The file, or its folder. Messages that contain the path already stay unchanged.
 
     Raises:
-        ValueError: One was raised.
+        ValueError: If the block raises one.
     """
     try:
         yield
     except ValueError as error:
-        # The folder of a name alone is ".", which is in most messages
+        # The parent of a bare file name is ".", which most messages contain
         folder = str(path.parent) if path.parent.name else str(path)
         if str(path) in str(error) or folder in str(error):
             raise
         raise ValueError(f"{path}: {error}") from None
 
 
-def unknown(
-    what: str,
-    name: object,
-    choices: Iterable[str],
-) -> ValueError:
-    """Make the error for a name that is not among the choices.
+def unknown(what: str, name: object, choices: Iterable[str]) -> ValueError:
+    """Return the error for a name that is not among the choices.
 
     Args:
-        what: What the name stands for, such as "task".
-        name: The value that was given.
-        choices: The names that exist; the nearest ones are offered.
+        what: Kind of the name, such as "task".
+        name: The unknown name.
+        choices: The valid names. The message suggests the closest matches.
 
     Returns:
         The error, for the caller to raise.
     """
-    return ValueError(f"unknown {what} {shown(name)}: {nearest(name, choices)}")
+    return ValueError(f"unknown {what} {shown(name)}: {suggest_names(name, choices)}")
 
 
-def nearest(name: object, choices: Iterable[str]) -> str:
-    """Offer the choices nearest to a name, or all of them where none is near."""
+def suggest_names(name: object, choices: Iterable[str]) -> str:
+    """Return a hint with the valid names closest to a name, or with all if none is close."""
     choices = sorted(choices)
-    text = name[:MOST_SHOWN] if isinstance(name, str) else ""
+    text = name[:MAX_SHOWN] if isinstance(name, str) else ""
     near = difflib.get_close_matches(text, choices, n=3, cutoff=0.5)
     if near:
         return f"did you mean {' or '.join(map(repr, near))}?"
@@ -139,9 +136,10 @@ def nearest(name: object, choices: Iterable[str]) -> str:
 
 
 def install(extra: str) -> str:
-    """Tell the command that installs an extra at tested versions.
+    """Return the command that installs an extra at tested versions.
 
-    The versions come from a file: without them pip fetches a PyTorch of several gigabytes.
+    The versions come from a constraints file. Without these constraints, pip downloads a PyTorch
+    build of several gigabytes.
     """
     in_checkout = (CHECKOUT / "setup.cfg").is_file()
     folder = CHECKOUT if in_checkout else SHARED
@@ -151,44 +149,41 @@ def install(extra: str) -> str:
     return f"pip install -c {pins} {what}"
 
 
-def missing(what: str, extra: str) -> ImportError:
-    """Make the error for something that needs an extra which is not installed.
+def missing_extra(what: str, extra: str) -> ImportError:
+    """Return the error for a feature whose optional dependencies (extra) are not installed.
 
     Args:
-        what: What the user wanted to do, such as "training".
+        what: The feature, such as "training".
         extra: Name of the extra, such as "sb3".
 
     Returns:
-        The error, for the caller to raise; it tells the command that installs the extra.
+        The error, for the caller to raise. The message contains the command that installs the
+        extra.
     """
     return ImportError(f"{what} needs the extra {extra!r}: {install(extra)}")
 
 
-def memory() -> int:
-    """Tell how many bytes of memory this machine has, or `USUAL_MEMORY` where it does not say."""
+def total_memory() -> int:
+    """Return the physical memory of this machine in bytes, or `DEFAULT_MEMORY` if unknown."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    # Windows has no sysconf.
+    # Windows has no sysconf
     except (AttributeError, ValueError, OSError):
-        return USUAL_MEMORY
+        return DEFAULT_MEMORY
 
 
-def require_memory(
-    what: str,
-    needed: float,
-    remedy: str,
-) -> None:
-    """Refuse what this machine cannot hold, before any of it is allocated.
+def require_available_memory(what: str, needed: float, remedy: str) -> None:
+    """Raise an error if an allocation would exceed the memory of this machine.
 
     Args:
-        what: What is asked for, in the plural.
-        needed: Bytes that it takes, about.
+        what: Name of the objects to allocate, in the plural.
+        needed: Approximate size in bytes.
         remedy: What the user can do.
 
     Raises:
-        ValueError: It is more than the machine has; both figures are named.
+        ValueError: If the size exceeds the physical memory. The message contains both figures.
     """
-    available = memory()
+    available = total_memory()
     if needed > available:
         raise ValueError(
             f"{what} need about {needed / GIB:.3g} GiB, "
@@ -196,24 +191,20 @@ def require_memory(
         )
 
 
-def require_file(
-    what: str,
-    path: object,
-    remedy: str,
-) -> Path:
-    """Check that a path leads to a file.
+def require_file(what: str, path: object, remedy: str) -> Path:
+    """Check that a path points to an existing file.
 
     Args:
-        what: What the file is, such as "airframe".
-        path: The path that was given; "~" is expanded.
+        what: Kind of the file, such as "airframe".
+        path: A text or a Path; "~" is expanded.
         remedy: What the user can do.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: It is no path at all.
-        FileNotFoundError: There is no such file.
+        ValueError: If the value cannot be a path.
+        FileNotFoundError: If the file does not exist.
     """
     if not isinstance(path, str | Path):
         raise ValueError(
@@ -223,7 +214,7 @@ def require_file(
         found = Path(path).expanduser()
         if found.is_file():
             return found
-    # The name is too long or holds a NUL, or the home folder is of nobody.
+    # The name is too long or contains NUL, or there is no such user for "~user"
     except (OSError, ValueError, RuntimeError) as error:
         raise ValueError(
             f"{what} {shown(str(path))} is no path of a file: {error.args[-1]}; {remedy}"
@@ -232,14 +223,14 @@ def require_file(
 
 
 def read_file(path: Path, newline: str | None = None) -> str:
-    """Read a text file in UTF-8; a byte order mark, as Windows' editors write it, is left out.
+    """Read a text file in UTF-8, and skip the byte order mark that Windows editors write.
 
     Args:
         path: The file.
         newline: As in `open`.
 
     Raises:
-        ValueError: It is no text in UTF-8, or cannot be read; the message names the file.
+        ValueError: If the file is not UTF-8 or cannot be read. The message contains the path.
     """
     try:
         with path.open(encoding="utf-8-sig", newline=newline) as file:
@@ -252,25 +243,20 @@ def read_file(path: Path, newline: str | None = None) -> str:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from None
 
 
-def as_int(
-    name: str,
-    value: object,
-    least: int,
-    most: int | None = None,
-) -> int:
-    """Check that a value is a whole number within bounds.
+def as_int(name: str, value: object, least: int, most: int | None = None) -> int:
+    """Check that a value is an integer within bounds.
 
     Args:
         name: What the number is, for the message.
-        value: A Python or numpy integer; bools are refused.
-        least: Least number allowed.
-        most: Greatest number allowed; any when left out.
+        value: A Python or NumPy integer; bools raise ValueError.
+        least: Minimum allowed value.
+        most: Maximum allowed value; no maximum if None.
 
     Returns:
         The value as an int.
 
     Raises:
-        ValueError: It is no whole number, or out of bounds.
+        ValueError: If the value is not an integer, or out of bounds.
     """
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ValueError(f"{name} is {shown(value)}: a whole number, at least {least}, is needed")
@@ -282,31 +268,28 @@ def as_int(
 
 
 def finite(
-    name: str,
-    value: object,
-    least: float | None = None,
-    most: float | None = None,
+    name: str, value: object, least: float | None = None, most: float | None = None
 ) -> float:
     """Check that a value is a finite number within bounds.
 
     Args:
         name: What the number is, for the message.
-        value: Any real number; bools are refused.
-        least: Least number allowed; any when left out.
-        most: Greatest number allowed; any finite one when left out.
+        value: Any real number; bools raise ValueError.
+        least: Minimum allowed value; no minimum if None.
+        most: Maximum allowed value; any finite number if None.
 
     Returns:
-        The value as a float, which is what to keep.
+        The value as a Python float.
 
     Raises:
-        ValueError: It is no finite number, or out of bounds.
+        ValueError: If the value is not a finite number, or out of bounds.
     """
     try:
         if not isinstance(value, bool | np.bool_) and isinstance(value, numbers.Real):
             number = float(value)
         else:
             number = math.nan
-    # A whole number or fraction beyond all floats.
+    # An integer or Fraction beyond the range of floats
     except (OverflowError, ValueError, TypeError):
         number = math.inf
     if not math.isfinite(number):
@@ -319,24 +302,21 @@ def finite(
 
 
 def as_sequence(
-    name: str,
-    value: Any,
-    count: int | None = None,
-    most: int | None = None,
+    name: str, value: Any, count: int | None = None, most: int | None = None
 ) -> tuple[Any, ...]:
-    """Check that a value is a list, a tuple or an array of one axis.
+    """Check that a value is a list, a tuple or a one-dimensional array.
 
     Args:
         name: What the values are, for the message.
-        value: What was given.
-        count: How many entries it must have; any number when left out.
-        most: How many entries it may have; any number when left out.
+        value: The value to check.
+        count: Required number of entries; any number if None.
+        most: Maximum number of entries; any number if None.
 
     Returns:
-        Its entries as a tuple.
+        The entries as a tuple.
 
     Raises:
-        ValueError: It is none of these, or has another number of entries.
+        ValueError: If the value is of another type, or has another number of entries.
     """
     listed = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1)
     if not listed or count not in (None, len(value)):
@@ -348,24 +328,24 @@ def as_sequence(
 
 
 def numbers_of(subject: str, value: object) -> np.ndarray:
-    """Check that a value is made of real numbers.
+    """Convert a value to a float64 array, and check that it contains only real numbers.
 
     Args:
-        subject: Start of the message, which goes on with "not numbers", such as "positions are".
+        subject: Start of the message, such as "positions are"; "not numbers" follows it.
         value: A number, nested lists of numbers or an array, of any shape.
 
     Returns:
         The value as a float64 array.
 
     Raises:
-        ValueError: Something in it is no real number.
+        ValueError: If an element is not a real number.
     """
     try:
         array = np.asarray(value)
         real = array.dtype.kind in "fiub" or (
             array.dtype.kind == "O" and all(map(_is_real, array.flat))
         )
-        # NumPy would make numbers of texts, dates and None, and drop what is imaginary.
+        # NumPy would convert strings, dates and None to numbers, and drop imaginary parts
         if not real:
             raise TypeError(f"{shown(value)} has others than real ones")
         return np.asarray(array, dtype=np.float64)
@@ -374,22 +354,21 @@ def numbers_of(subject: str, value: object) -> np.ndarray:
 
 
 def _is_real(value: object) -> bool:
-    """Tell whether a value is a real number."""
     return isinstance(value, numbers.Real)
 
 
 def points_of(name: str, value: object) -> np.ndarray:
-    """Check that a value is one or more finite points.
+    """Convert a value to an array of points, and check that all coordinates are finite.
 
     Args:
-        name: What the points are, for the message.
+        name: Name of the points, for the message.
         value: A point (3,), or points (M, 3).
 
     Returns:
         The points as a float64 array (M, 3).
 
     Raises:
-        ValueError: It is not finite numbers of such a shape.
+        ValueError: If the value has another shape, or is not finite.
     """
     points = np.atleast_2d(numbers_of(f"{name} is", value))
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
@@ -399,23 +378,19 @@ def points_of(name: str, value: object) -> np.ndarray:
     return points
 
 
-def choose(
-    what: str,
-    name: object,
-    table: Mapping[str, Entry],
-) -> Entry:
-    """Look a name up in a table.
+def find_choice(what: str, name: object, table: Mapping[str, Entry]) -> Entry:
+    """Look up a name in a table of choices.
 
     Args:
-        what: What the name stands for, for the message.
-        name: The name that was given.
-        table: The entries by their names.
+        what: Kind of the name, for the message.
+        name: The name to look up.
+        table: The entries by name.
 
     Returns:
         The entry of that name.
 
     Raises:
-        ValueError: There is none of that name; the nearest ones are offered.
+        ValueError: If the name is unknown. The message suggests the closest matches.
     """
     if not isinstance(name, str) or name not in table:
         raise unknown(what, name, table)

@@ -1,29 +1,29 @@
-"""Files that are written as a whole or not at all."""
+"""Atomic writing of files: a file is replaced completely or stays unchanged."""
 
 import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from bulletuav.errors import printable
+from bulletuav.errors import printable_text
 
 
 @contextlib.contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
-    """Give a place to write to; what is there in the end becomes the file.
+    """Yield a temporary path next to a file, and rename it to the file at the end.
 
-    An error or an interrupt leaves the file as it was, and nothing beside it.
+    After an error or an interrupt the file is unchanged, and the temporary file is deleted.
 
     Args:
-        path: The file to write or to replace.
+        path: The file to create or to replace.
 
     Yields:
-        A file beside it with the same ending, which tells libraries what format to write.
+        The temporary path, with the same extension as the file: libraries choose the format by it.
 
     Raises:
-        OSError: It cannot be written, such as for a full disk; the message names the file.
+        OSError: If the file cannot be written, as on a full disk. The message contains the path.
     """
-    # Within one folder a file replaces another one at a stroke. Others may write the same one now.
+    # Renaming within one folder is atomic. The process id keeps concurrent writers apart.
     path = Path(path)
     part = path.with_name(f".part-{os.getpid()}-{path.name}")
     try:
@@ -36,10 +36,10 @@ def whole_file(path: str | Path) -> Iterator[Path]:
 
 
 def replace_file(path: str | Path, text: str) -> None:
-    """Write a text file as a whole or, when interrupted, not at all.
+    """Write a text file atomically, in UTF-8.
 
     Raises:
-        OSError: It cannot be written; the message names the file.
+        OSError: If the file cannot be written. The message contains the path.
     """
     with whole_file(path) as part:
-        part.write_text(printable(text), encoding="utf-8")
+        part.write_text(printable_text(text), encoding="utf-8")

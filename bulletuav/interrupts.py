@@ -1,12 +1,12 @@
-"""Ctrl-C ends the command line with one line and exit status 130, whenever it comes.
+"""Handling of Ctrl-C: the command line ends with one line and exit status 130.
 
-`bulletuav` imports this module first. While the package is loading, and again while Python exits,
-there is nothing to tidy up, and an exception could be raised where nothing catches it: the process
-ends there and then. While a command runs, an interrupt raises KeyboardInterrupt as usual. Programs
-that import the package keep their own handlers: only the command line sets any.
+`bulletuav` imports this module first. While the package is being imported, and while Python exits,
+no clean-up is needed, and a KeyboardInterrupt could be raised where nothing catches it: the handler
+ends the process immediately. While a command runs, an interrupt raises KeyboardInterrupt as usual.
+Only the command line installs handlers: programs that import the package keep their own.
 
-Python acts on a signal between two of its own instructions. So a call of compiled code that takes
-seconds, such as one of LLVM, returns first.
+Python runs signal handlers between two bytecode instructions. Therefore a call of compiled code
+that takes seconds, such as a compilation by LLVM, returns before the interrupt is handled.
 """
 
 import atexit
@@ -15,49 +15,49 @@ import os
 import signal
 import sys
 
-# No others, such as `typing`: the handler is to be there as soon as possible
+# No other imports, such as `typing`: the handler must be installed as early as possible
 from collections.abc import Iterator
 
-STATUS = 130
-"""Exit status after an interrupt: 128 + SIGINT, as shells report it"""
+EXIT_STATUS = 130
+"""Exit status after an interrupt: 128 + SIGINT, as in shells"""
 TEXT = "interrupted"
-RETRY = 0.05
-"""Time after which an interrupt comes again that could not be raised, s"""
+RETRY_DELAY = 0.05
+"""Delay before an interrupt that could not be raised is sent again, s"""
 _was_raised = False
-"""Whether an interrupt has raised KeyboardInterrupt"""
+"""True after an interrupt has raised KeyboardInterrupt"""
 
 
 def is_command() -> bool:
-    """Return True if this process is `bulletuav` or `python -m bulletuav`, not a program's."""
-    # While `python -m` imports the package it has no better name for its own program
+    """Return True if this process runs the command line: `bulletuav` or `python -m bulletuav`."""
+    # While `python -m` imports the package, sys.argv[0] is still "-m"
     if sys.argv[:1] == ["-m"]:
         return ("-m", "bulletuav") in zip(sys.orig_argv, sys.orig_argv[1:], strict=False)
-    # Workers have the words of the command line, too, but were not started by them
+    # Worker processes have the same sys.argv, but other original arguments
     name, _ = os.path.splitext(os.path.basename(sys.argv[0]))
     return name == "bulletuav" and sys.argv[0] in sys.orig_argv
 
 
-def end(number: int, frame: object) -> None:
-    """Write one line and end the process; the handler while no command runs."""
+def exit_on_interrupt(number: int, frame: object) -> None:
+    """Write one line and end the process: the signal handler while no command runs."""
     os.write(2, f"{TEXT}\n".encode())
-    os._exit(STATUS)
+    os._exit(EXIT_STATUS)
 
 
 @contextlib.contextmanager
-def raising() -> Iterator[None]:
-    """Make interrupts raise KeyboardInterrupt meanwhile, if they ended the process before."""
+def raise_interrupts() -> Iterator[None]:
+    """Make interrupts raise KeyboardInterrupt inside the `with` block of a command."""
     global _was_raised
-    if signal.getsignal(signal.SIGINT) is not end:
+    if signal.getsignal(signal.SIGINT) is not exit_on_interrupt:
         yield
         return
-    following: signal._HANDLER = end
+    following: signal._HANDLER = exit_on_interrupt
     hook = sys.unraisablehook
-    sys.unraisablehook = _retry
+    sys.unraisablehook = _resend_interrupt
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield
     except KeyboardInterrupt:
-        # A second one, while things are tidied up, ends the process without another line
+        # A second interrupt, during clean-up, ends the process without another line
         following = signal.SIG_DFL
         _was_raised = True
         raise
@@ -66,26 +66,26 @@ def raising() -> Iterator[None]:
         sys.unraisablehook = hook
 
 
-def _leave() -> None:
-    """End the process with our status after an interrupt; the last thing that Python does.
+def _exit_after_interrupt() -> None:
+    """End the process with status 130 after an interrupt, as the last exit handler.
 
-    Python itself ends by the signal where KeyboardInterrupt has passed through `exec`, whatever the
-    status is.
+    Without this handler, Python ends by the signal, with another status, if KeyboardInterrupt has
+    passed through `exec`.
     """
     if _was_raised:
-        # A stream is None where the process was started without it
+        # A stream is None if the process was started without it
         for stream in filter(None, (sys.stdout, sys.stderr)):
             stream.flush()
-        os._exit(STATUS)
+        os._exit(EXIT_STATUS)
 
 
-def _retry(lost: "sys.UnraisableHookArgs") -> None:
-    """Send an interrupt again that came in a callback of C code, which cannot pass it on."""
+def _resend_interrupt(lost: "sys.UnraisableHookArgs") -> None:
+    """Send an interrupt again that arrived in a callback from C, where it cannot propagate."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
         import threading
         from _thread import interrupt_main
 
-        timer = threading.Timer(RETRY, interrupt_main)
+        timer = threading.Timer(RETRY_DELAY, interrupt_main)
         timer.daemon = True
         timer.start()
     else:
@@ -93,11 +93,11 @@ def _retry(lost: "sys.UnraisableHookArgs") -> None:
 
 
 @contextlib.contextmanager
-def kept_from_children() -> Iterator[None]:
-    """Keep interrupts from processes that are started meanwhile, from their first instruction on.
+def block_interrupts() -> Iterator[None]:
+    """Block interrupts in processes that are started inside the `with` block.
 
-    A terminal sends an interrupt to all processes of a command. It is for the one that asks, which
-    gets it as soon as the others are started.
+    A terminal sends an interrupt to all processes of a command. Only the parent process is to
+    handle it, which it does when the block ends.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
@@ -110,5 +110,5 @@ def kept_from_children() -> Iterator[None]:
 
 
 if is_command() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    signal.signal(signal.SIGINT, end)
-    atexit.register(_leave)  # the first one, which is called last
+    signal.signal(signal.SIGINT, exit_on_interrupt)
+    atexit.register(_exit_after_interrupt)  # registered first, so called last

@@ -1,8 +1,8 @@
-"""Readers of JSON, YAML, TOML and XML files, which anybody may have written.
+"""Readers of JSON, YAML, TOML and XML files, which may come from untrusted sources.
 
-Whatever the parser of a format raises becomes one ValueError of one line that names the file. What
-a reader returns is plain: mappings whose names are texts that come once, lists, texts, finite-sized
-whole numbers, floats, booleans and None, nested at most `MAX_DEPTH` deep.
+Each error of a parser becomes one ValueError of one line that contains the path. The value that a
+reader returns is plain: mappings with unique string keys, lists, strings, integers of at most
+`MAX_BITS` bits, floats, booleans and None, nested at most `MAX_DEPTH` deep.
 """
 
 import json
@@ -20,9 +20,9 @@ import yaml
 from bulletuav.errors import read_file, reason_of, shown
 
 MAX_DEPTH = 100
-"""Most values within values: functions that call themselves on each handle as many"""
+"""Maximum depth of nested values, which recursive functions can handle"""
 MAX_BITS = 1000
-"""Most bits of a whole number: larger ones have no float"""
+"""Maximum number of bits of an integer; larger integers have no float"""
 
 
 def read_json(path: Path, kind: str = "JSON") -> Any:
@@ -36,7 +36,7 @@ def read_json(path: Path, kind: str = "JSON") -> Any:
         The plain value of the file.
 
     Raises:
-        ValueError: The file is no such text, or its value is not plain.
+        ValueError: If the file is not valid, or its value is not plain.
     """
     return _read(path, kind, _load_json)
 
@@ -56,10 +56,10 @@ def read_xml(path: Path) -> ElementTree.Element:
     """Read an XML file.
 
     Returns:
-        Its root.
+        The root element.
 
     Raises:
-        ValueError: The file is no XML, or too deep.
+        ValueError: If the file is not valid XML, or nested too deep.
     """
     root: ElementTree.Element = _parse(
         str(path), "XML", lambda: _shallow(ElementTree.parse(path).getroot())
@@ -68,11 +68,11 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 
 def plain_digits(text: str) -> str:
-    """Return the text of a number, for `int` or `float` to read.
+    """Check that a text is an ASCII number, for `int` or `float` to convert.
 
     Raises:
-        ValueError: Python takes it for a number and other programs do not: it has underscores, or
-            digits of other scripts.
+        ValueError: If the text has underscores or digits of other scripts, which Python accepts and
+            other programs do not.
     """
     if "_" in text or not text.isascii():
         raise ValueError(f"{shown(text)} is no number in digits from 0 to 9")
@@ -80,10 +80,10 @@ def plain_digits(text: str) -> str:
 
 
 def parse_number(text: str) -> float:
-    """Read a finite number of a file that other programs read, too.
+    """Convert a text to a finite float, in a form that other programs accept as well.
 
     Raises:
-        ValueError: It is no such number.
+        ValueError: If the text is not such a number.
     """
     value = float(plain_digits(text))
     if not math.isfinite(value):
@@ -92,28 +92,27 @@ def parse_number(text: str) -> float:
 
 
 def parse_json(text: str | bytes, where: str) -> Any:
-    """Read JSON that is part of a file of another format.
+    """Parse JSON that is embedded in a file of another format.
 
     Args:
-        text: The text.
-        where: Name of the file and the part, for the message.
+        text: The JSON text.
+        where: Name of the file and of its part, for the message.
 
     Returns:
         The plain value.
 
     Raises:
-        ValueError: The text is no JSON, or its value is not plain.
+        ValueError: If the text is not valid JSON, or its value is not plain.
     """
     return _parse(where, "JSON", lambda: require_plain(_load_json(text)))
 
 
 def _load_json(text: str | bytes) -> Any:
-    """Parse JSON; refuse names that come twice, of which Python would ignore the first."""
+    """Parse JSON; raise ValueError for duplicate keys, of which Python ignores the first."""
     return json.loads(text, object_pairs_hook=_mapping)
 
 
 def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Make a mapping of names and values. Raises ValueError where a name is there twice."""
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
         _require_once([name for name, _ in pairs])
@@ -121,38 +120,36 @@ def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _require_once(names: list[Any]) -> None:
-    """Raise ValueError for a name that comes twice in a mapping."""
     counts = Counter(names)
     if twice := [name for name, count in counts.items() if count > 1]:
         raise ValueError(f"{shown(twice[0])} is there twice: delete one")
 
 
 def _read(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
-    """Read a file, and check that its value is plain."""
     text = read_file(path)
     return _parse(str(path), kind, lambda: require_plain(parse(text)))
 
 
 def _parse(where: str, kind: str, parse: Callable[[], Any]) -> Any:
-    """Call a parser; whatever it raises becomes one ValueError."""
+    """Call a parser, and convert each of its errors to one ValueError."""
     try:
         return parse()
     except RecursionError:
         reason = f"it is nested more than {MAX_DEPTH} deep"
-    # Parsers raise errors of many types: of dates, keys, numbers, encodings
+    # Parsers raise many types of errors: for dates, keys, numbers, encodings
     except Exception as error:
         reason = reason_of(error)
     raise ValueError(f"{where} is not valid {kind}: {reason}")
 
 
 def require_plain(plain: Any) -> Any:
-    """Check that a value is plain; see the module.
+    """Check that a value is plain, as the module docstring defines it.
 
     Returns:
         The value.
 
     Raises:
-        ValueError: Something in it is of another type, too large or too deep.
+        ValueError: If a part of the value has another type, is too large or nested too deep.
     """
     waiting = [(plain, 0)]
     while waiting:
@@ -178,19 +175,19 @@ def require_plain(plain: Any) -> Any:
                 f"{shown(one)} is a {type(one).__name__}: a number, text, list or names with "
                 f"values are needed; write a text in quotes"
             )
-        # Large files are lists of floats, of which there is nothing to check
+        # Large files consist of lists of floats, which need no check
         waiting += [(value, depth + 1) for value in inner if type(value) is not float]
     return plain
 
 
 def _require_text(text: str) -> None:
-    """Raise ValueError for half a character, which no file can be written with."""
+    """Raise ValueError for a lone surrogate, which cannot be encoded in UTF-8."""
     if not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text):
         raise ValueError(f"the text {shown(text)} has half a character (a lone surrogate)")
 
 
 def _shallow(root: ElementTree.Element) -> ElementTree.Element:
-    """Return a root whose elements are nested at most `MAX_DEPTH` deep; else raise ValueError."""
+    """Return the root; raise RecursionError if it is nested more than `MAX_DEPTH` deep."""
     waiting = [(root, 0)]
     while waiting:
         element, depth = waiting.pop()
@@ -200,17 +197,17 @@ def _shallow(root: ElementTree.Element) -> ElementTree.Element:
     return root
 
 
-class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # which comes without types
-    """Loader of plain values; it takes 1e-3 for a number, which YAML 1.1 takes for a text."""
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no types
+    """Loader of plain values, which reads 1e-3 as a number; in YAML 1.1 it is a string."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Refuse aliases, of which a short file can make a value that fills the memory."""
+        """Raise YAMLError for aliases, by which a short file can fill the memory."""
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("it has an alias, such as *name, and values are to be written out")
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
-        """Refuse names that come twice, of which YAML would ignore the first."""
+        """Raise ValueError for duplicate keys, of which YAML would ignore the first."""
         _require_once([key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)])
         mapping: dict[Hashable, Any] = super().construct_mapping(node, deep)
         return mapping

@@ -1,9 +1,9 @@
-"""One registry of ingredients by name: tasks, dynamics, sensors, policies and other choices.
+"""Registry of ingredients by name: tasks, dynamics, sensors, policies and other components.
 
-An ingredient is given by its name, as `module:Name`, or as the object itself. Names come from
-three places: the decorator `register`, entry points of other packages in the group
-`bulletuav.<kind>`, and the files of airframes. Nothing is imported before somebody asks for its
-kind.
+An ingredient is specified by its name, as `module:Name`, or as the object itself. Names come from
+three sources: the decorator `register`, entry points of other packages in the group
+`bulletuav.<kind>`, and the files of airframes. The modules of a kind are imported when a name of
+that kind is looked up for the first time.
 """
 
 import difflib
@@ -18,7 +18,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from bulletuav.errors import nearest, shown, unknown
+from bulletuav.errors import shown, suggest_names, unknown
 
 Ingredient = TypeVar("Ingredient")
 
@@ -35,9 +35,9 @@ PACKAGES = {
     "policy": "bulletuav.policies",
     "mobility": "bulletuav.network.mobility",
 }
-"""Where the package's own ingredients of each kind are.
+"""Where the package defines its own ingredients of each kind.
 
-Either a module, or a package whose modules are all imported.
+Either a module, or a package of which all modules are imported.
 """
 
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in PACKAGES}
@@ -48,17 +48,18 @@ _in_progress = threading.local()
 
 
 def register(kind: str, name: str | None = None) -> Callable[[Ingredient], Ingredient]:
-    """Make a decorator that gives an ingredient its name.
+    """Return a decorator that registers an ingredient under a name.
 
     Args:
         kind: One of `PACKAGES`, such as "sensor".
-        name: What users call it; the object's `name`, or else `__name__`, when left out.
+        name: Name of the ingredient; defaults to its attribute `name`, or else to its `__name__`.
 
     Returns:
-        The decorator; it returns the object unchanged.
+        The decorator, which returns the decorated object unchanged.
 
     Raises:
-        ValueError: There is no such kind, or the name belongs to another ingredient already.
+        ValueError: If the kind is unknown, or the name is already registered for another
+            ingredient.
     """
     table = _table(kind)
 
@@ -68,7 +69,7 @@ def register(kind: str, name: str | None = None) -> Callable[[Ingredient], Ingre
             raise ValueError(
                 f"name of {kind} {shown(ingredient)} is {shown(own)}: a word is needed"
             )
-        # Atomic: of two threads with different ingredients of a name, one finds that of the other
+        # Atomic: if two threads register different ingredients under one name, one of them fails
         kept = table.setdefault(own, ingredient)
         if kept is not ingredient and not _is_same(kept, ingredient):
             raise ValueError(f"{kind} {own!r} is registered already: choose another name")
@@ -78,24 +79,20 @@ def register(kind: str, name: str | None = None) -> Callable[[Ingredient], Ingre
     return decorated
 
 
-def find(
-    kind: str,
-    source: Any,
-    accepts: Callable[[Any], bool],
-) -> Any:
-    """Find an ingredient.
+def find(kind: str, source: Any, accepts: Callable[[Any], bool]) -> Any:
+    """Return an ingredient by name, by `module:Name`, or the object itself if it is valid.
 
     Args:
         kind: One of `PACKAGES`.
-        source: Its name; `module:Name`, which imports that module; or the object itself.
-        accepts: Whether an object can be an ingredient of this kind.
+        source: A registered name; `module:Name`, which imports that module; or an object.
+        accepts: Function that returns True if an object is an ingredient of this kind.
 
     Returns:
-        The object.
+        The ingredient.
 
     Raises:
-        ValueError: There is none of that name (the nearest are told), the module cannot be
-            imported, or what was given is no ingredient of this kind.
+        ValueError: If the name is unknown (the message suggests the closest matches), the module
+            cannot be imported, or the object is not an ingredient of this kind.
     """
     if not isinstance(source, str):
         if accepts(source):
@@ -114,26 +111,26 @@ def find(
 
 
 def names(kind: str) -> list[str]:
-    """List the names of all ingredients of a kind, sorted."""
+    """Return the sorted names of all ingredients of a kind."""
     _load(kind)
     return sorted(_table(kind))
 
 
 def require_declared(kind: str, ingredient: type, base: type, remedy: str = "") -> None:
-    """Check that a class of an author has no public attribute that nothing reads, such as a typo.
+    """Check that a user-defined class has no unknown public attribute, such as a typo.
 
-    Known names are those of the classes of this package that the class derives from. Helpers of
-    authors begin with an underscore, are annotated in the class (`gain: float = 0.5`), or come from
-    a class beside it that is no ingredient.
+    Known names are those of the classes of this package that the class derives from. Helper
+    attributes of users begin with an underscore, are annotated in the class (`gain: float = 0.5`),
+    or come from a base class that is not an ingredient.
 
     Args:
-        kind: What the class is, for the message.
+        kind: Kind of the ingredient, for the message.
         ingredient: The class.
         base: Base class of all ingredients of the kind.
-        remedy: What else the author may have meant, for the message.
+        remedy: Further hint for the message.
 
     Raises:
-        ValueError: There is such an attribute; the nearest known names are listed.
+        ValueError: If there is an unknown attribute. The message suggests the closest matches.
     """
     home = f"{__package__}."
     own = [one for one in ingredient.__mro__ if not one.__module__.startswith(home)]
@@ -151,13 +148,13 @@ def require_declared(kind: str, ingredient: type, base: type, remedy: str = "") 
             if name not in known and not is_helper:
                 raise ValueError(
                     f"{kind} {one.__name__} has {name!r}, which is no attribute of a {kind}: "
-                    f"{nearest(name, public)} {remedy}Names of helpers begin with an underscore, "
-                    f"or are annotated in the class"
+                    f"{suggest_names(name, public)} {remedy}Names of helpers begin with an "
+                    f"underscore, or are annotated in the class"
                 )
 
 
 def _is_near(name: str, known: list[str]) -> bool:
-    """Return True if a name is likely a typo of a known one."""
+    """Return True if a name is probably a misspelling of a known name."""
     return bool(difflib.get_close_matches(name, known, n=1, cutoff=0.85))
 
 
@@ -168,7 +165,7 @@ def _table(kind: str) -> dict[str, Any]:
 
 
 def _is_same(one: Any, other: Any) -> bool:
-    """Tell whether two objects come from the same code, such as before and after a reload."""
+    """Return True if two objects are the same code, as before and after a module reload."""
     return all(
         getattr(one, name, one) == getattr(other, name, other)
         for name in ("__module__", "__qualname__")
@@ -179,14 +176,15 @@ def _load(kind: str) -> None:
     """Import the package's own ingredients of a kind, and those of entry points.
 
     There is no lock. Threads that load a kind at the same time each import all of its modules, and
-    Python's import locks make each wait for modules that another thread is importing. A thread that
-    imports under a lock of ours could wait for a module whose importing thread waits for that lock.
+    Python's import locks make each wait for modules that another thread is importing. With a lock
+    of this package, a thread that imports while it holds the lock could wait for a module that is
+    being imported by a thread which waits for the lock: a deadlock.
     """
     _table(kind)
     if kind in _loaded:
         return
     loading = vars(_in_progress).setdefault("kinds", set())
-    if kind in loading:  # a module asks for names of its own kind while it is imported
+    if kind in loading:  # a module looks up names of its own kind while it is imported
         return
     loading.add(kind)
     try:
@@ -196,38 +194,32 @@ def _load(kind: str) -> None:
         refused = _register_entry_points(kind)
     finally:
         loading.discard(kind)
-    _loaded.add(kind)  # not before: another thread would not find what is still being imported
+    _loaded.add(kind)  # only now: other threads would miss ingredients still being imported
     for warning in refused:
         warnings.warn(warning, stacklevel=4)
 
 
 def _register_entry_points(kind: str) -> list[str]:
-    """Register what other packages offer of a kind; return a warning for each that fails."""
+    """Register the entry points of a kind; return a warning for each that fails."""
     group = f"bulletuav.{kind}"
     refused = []
     for point in _entry_points(tuple(sys.path)).select(group=group):
         try:
             register(kind, point.name)(point.load())
-        except Exception as error:  # other packages' errors do not make ours unusable
-            refused.append(f"entry point {point.name!r} of {group} is left out: {error}")
+        except Exception as error:  # errors of other packages must not break this package
+            refused.append(f"entry point {point.name!r} of {group} is ignored: {error}")
     return refused
 
 
 @functools.lru_cache(maxsize=1)
 def _entry_points(_: tuple[str, ...]) -> Any:
-    """Read what all packages of a search path offer, once for all kinds: it takes long."""
+    """Return the entry points of all packages on a search path; cached, as this is slow."""
     return importlib.metadata.entry_points()
 
 
-def _imported(
-    kind: str,
-    module: str,
-    attribute: str,
-    accepts: Callable[[Any], bool],
-) -> Any:
-    """Import `module:attribute`."""
+def _imported(kind: str, module: str, attribute: str, accepts: Callable[[Any], bool]) -> Any:
     given = f"{kind} {module}:{attribute}"
-    if not all(module.split(".")):  # of which only some are errors of the import
+    if not all(module.split(".")):  # only some of these raise ImportError
         raise ValueError(
             f"{given} cannot be imported: {module!r} is no whole name of a module, such as "
             f"'package.module'"
@@ -238,7 +230,7 @@ def _imported(
         raise ValueError(f"{given} cannot be imported: {error}") from None
     if not hasattr(home, attribute):
         public = [one for one in vars(home) if one[0] != "_"]
-        raise ValueError(f"{given} is not there: {nearest(attribute, public)}")
+        raise ValueError(f"{given} is not there: {suggest_names(attribute, public)}")
     found = getattr(home, attribute)
     if not accepts(found):
         raise ValueError(f"{given} is {shown(found)}: that is no {kind}")

@@ -1,9 +1,9 @@
-"""Clone a policy from a dataset of its flights: a network learns to act as `orca` does.
+"""Behaviour cloning: train a network to imitate `orca` from a dataset of its flights.
 
-Flights of four drones that cross at right angles are collected as tables. A network learns which
-action follows from which observation, by least squares. Then it flies by itself. Prints success and
-conflicts of random flight, of the clone and of `orca` over the same episodes. `orca` reads the true
-state of all, and the clone what each drone observes: it finds nearly as many goals.
+Flights of four drones that cross at right angles are recorded as tables. A network is fitted from
+observations to actions by least squares. Then the clone is evaluated. Prints success and conflicts
+of a random policy, the clone and `orca` over the same episodes. `orca` reads the true state of all
+drones, the clone only the observation of each drone; it reaches nearly as many goals.
 
 Run it:
 
@@ -31,8 +31,8 @@ OPTIONS = {
     "num_drones": 4,
     "difficulty": "easy",
     "dynamics": "point_mass",
-    # Without its own velocity, which tells what was done a moment ago: a clone that sees it learns
-    # to go on with that (P. de Haan, D. Jayaraman and S. Levine, "Causal confusion", 2019)
+    # Without the drone's own velocity, from which the previous action can be inferred: the clone
+    # would learn to repeat it (P. de Haan, D. Jayaraman and S. Levine, "Causal confusion", 2019)
     "observation": ("goal", "neighbours"),
 }
 
@@ -43,10 +43,10 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--flights", type=int, default=600, help="episodes to learn from")
-    parser.add_argument("--epochs", type=int, default=20, help="times that all of it is learned")
+    parser.add_argument("--epochs", type=int, default=20, help="passes over the dataset")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, help="folder of the dataset (default: none is kept)")
+    parser.add_argument("--out", type=Path, help="folder of the dataset (default: temporary)")
     return parser.parse_args()
 
 
@@ -60,17 +60,17 @@ def read(folder: Path) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def symlog(numbers: torch.Tensor) -> torch.Tensor:
-    """Show metres near the goal as well as hundreds of metres far from it."""
+    """Return the symlog of numbers, which compresses large distances."""
     return numbers.sign() * numbers.abs().log1p()
 
 
 class Clone(torch.nn.Module):
-    """A network from observations in their own units to actions from -1 to 1."""
+    """Network from observations in physical units to actions from -1 to 1."""
 
     def __init__(self, observations: torch.Tensor, actions: torch.Tensor) -> None:
         super().__init__()
         shown = symlog(observations)
-        # Numbers that never change say nothing
+        # Constant numbers carry no information
         self.mean, self.spread = shown.mean(0), shown.std(0).clamp(min=1e-3)
         sizes = (observations.shape[1], 128, 128, actions.shape[1])
         layers = [torch.nn.Linear(*pair) for pair in itertools.pairwise(sizes)]
@@ -79,11 +79,11 @@ class Clone(torch.nn.Module):
         )
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Compute the actions (K, A) that follow from observations (K, D)."""
+        """Return actions (K, A) of observations (K, D)."""
         return self.layers(((symlog(observations) - self.mean) / self.spread).clamp(-5, 5))
 
     def policy(self, rows: np.ndarray) -> np.ndarray:
-        """Fly: actions of each row of observations."""
+        """Return the actions of each row of observations, as arrays."""
         with torch.no_grad():
             return self(torch.from_numpy(np.asarray(rows, dtype=np.float32))).numpy()
 
@@ -104,7 +104,7 @@ def learn(observations: torch.Tensor, actions: torch.Tensor, epochs: int, seed: 
 
 
 def main() -> None:
-    """Collect, learn and compare."""
+    """Record flights, train the clone and compare."""
     arguments = parse_arguments()
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as place:
@@ -113,7 +113,7 @@ def main() -> None:
         observations, actions = read(folder)
     print(f"{len(actions)} decisions of {arguments.flights} flights")
     clone = learn(observations, actions, arguments.epochs, arguments.seed)
-    # Seeds that the dataset has not seen
+    # Seeds outside the dataset
     first = arguments.seed + arguments.flights
     for name, policy in (("random", "random"), ("clone", clone.policy), ("orca", "orca")):
         found = bulletuav.evaluate(

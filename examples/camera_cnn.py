@@ -1,13 +1,13 @@
 """Train a drone with a depth camera of 16 x 8 pixels to fly through pillars.
 
-Nothing but the camera tells the drone of the pillars. Its nose points east, where the goal is, and
-a small convolutional network looks at the depth picture. A table every 130,000 decisions shows how
-the share of flights that arrive rises. Then the policy flies among pillars that it never saw in
-training. There the share is 0.98 in `point_mass`, in which it learned, and 0.75 in `bullet`, where
-the camera tilts with the drone. The baseline `straight` has 0.20. Without the camera the same
-training ends in a drone that creeps and never arrives.
+The drone observes the pillars only by the camera. Its nose points east, where the goal is, and a
+small convolutional network processes the depth image. A table every 130,000 decisions shows the
+success rate. Then the policy flies among pillars that are not in the training set. There the
+success rate is 0.98 in `point_mass`, the training dynamics, and 0.75 in `bullet`, where the camera
+tilts with the drone. The baseline `straight` has 0.20. Without the camera the same training ends
+with a drone that flies slowly and never arrives.
 
-Run it, the second time without the camera, for comparison:
+Run it, the second time without the camera for comparison:
 
     python examples/camera_cnn.py
     python examples/camera_cnn.py --blind --out blind
@@ -38,7 +38,7 @@ from bulletuav.tasks.base import Frame, Spawn, StepResult, Task
 
 NUM_PILLARS = 16  # in each forest
 PILLAR_SIZE = np.array([3.0, 3.0, 20.0])  # m
-CAMERA_RANGE = 30.0  # m, beyond which all looks the same to the network
+CAMERA_RANGE = 30.0  # m, at which depths are clipped
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class ForestConfig:
     """Options of `forest`.
 
     Attributes:
-        num_forests: How many different forests there are.
-        forest_seed: Seed that decides which ones.
+        num_forests: Number of different forests.
+        forest_seed: Seed of the forests.
         d_safe: Separation between drones below which they conflict, m.
         goal_radius: Distance from the goal, m, within which it is reached.
-        weights: Weights of reward terms, where they differ from the task's.
+        weights: Weights of reward terms, if they differ from those of the task.
     """
 
     num_forests: int = 100
@@ -63,7 +63,7 @@ class ForestConfig:
 class Forest(Task):
     """Fly 60 m east through pillars.
 
-    Reward: progress 0.1 a metre, goal 3, crash -3. A crash is a contact, or to leave the arena.
+    Reward: progress 0.1 per metre, goal 3, crash -3. A crash is a contact, or leaving the arena.
     """
 
     name = "forest"
@@ -83,14 +83,14 @@ class Forest(Task):
     arena_high = np.array([65.0, 20.0, 10.0])
 
     def layouts(self) -> list[Solids]:
-        """Make the forests, whose pillars are higher than the arena."""
+        """Return the forests, whose pillars are higher than the arena."""
         rng = np.random.default_rng(self.config.forest_seed)
         low = np.zeros((self.config.num_forests, NUM_PILLARS, 3))
         low[..., :2] = rng.uniform([10, -20], [47, 17], low[..., :2].shape)
         return [Solids(np.stack([corner, corner + PILLAR_SIZE], axis=1)) for corner in low]
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Start in the west, at rest, with the goal in the east."""
+        """Sample a start in the west, at rest, and a goal in the east."""
         start, goal = (np.array([[x, rng.uniform(-10, 10), 5.0]]) for x in (0.0, 60.0))
         return Spawn(
             position=start,
@@ -102,7 +102,7 @@ class Forest(Task):
         )
 
     def evaluate_step(self, frame: Frame) -> StepResult:
-        """Reward the progress towards the goal and the way the flight ends."""
+        """Return reward terms for progress, goal and crash, and the ends of episodes."""
         crash = frame.collision | self.outside(frame)
         goal = (frame.distance <= self.config.goal_radius) & ~crash
         terms = {
@@ -114,9 +114,9 @@ class Forest(Task):
 
 
 class DepthFeatures(BaseFeaturesExtractor):
-    """Features of the numbers, by `Symlog`, and of the depth picture, by two convolutions.
+    """Features of the vector, by `Symlog`, and of the depth image, by two convolutions.
 
-    SB3's own extractor would flatten the picture, as depths are no uint8.
+    SB3's own extractor would flatten the image, as depths are not uint8.
     """
 
     def __init__(self, observation_space):
@@ -136,7 +136,7 @@ class DepthFeatures(BaseFeaturesExtractor):
         )
 
     def forward(self, observations):
-        """Compute the features (B, D + 32) of B observations, D of them from the numbers."""
+        """Return features (B, D + 32) of B observations, D of them from the vector."""
         picture = torch.clamp(observations["ray_depth"] / CAMERA_RANGE, max=1.0)[:, None]
         return torch.cat([self.numbers(observations["vector"]), self.eye(picture)], dim=1)
 
@@ -149,16 +149,16 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=600_000)
     parser.add_argument("--episodes", type=int, default=100, help="episodes of each evaluation")
     parser.add_argument(
-        "--forests", type=int, default=100, help="different ones in training, and in the evaluation"
+        "--forests", type=int, default=100, help="number of forests, in training and evaluation"
     )
-    parser.add_argument("--blind", action="store_true", help="without the camera")
+    parser.add_argument("--blind", action="store_true", help="train without the camera")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("camera_cnn"), help="folder for the files")
     return parser.parse_args()
 
 
 def train(options: dict, blind: bool, steps: int, seed: int, path: Path) -> None:
-    """Train as a point and save the model."""
+    """Train in `point_mass` and save the model."""
     env = DroneVecEnv(Forest, num_worlds=64, dynamics="point_mass", **options)
     model = PPO(
         "MlpPolicy" if blind else "MultiInputPolicy",
@@ -183,7 +183,7 @@ def train(options: dict, blind: bool, steps: int, seed: int, path: Path) -> None
 
 
 def evaluate(policy: str, dynamics: str, options: dict, episodes: int) -> None:
-    """Fly a policy and print the share of flights that arrive, with its 95 % interval."""
+    """Evaluate a policy and print its success rate with the 95 % interval."""
     result = bulletuav.evaluate(
         Forest, policy, episodes, seed=1000, trust=True, dynamics=dynamics, **options
     )
@@ -195,7 +195,7 @@ def evaluate(policy: str, dynamics: str, options: dict, episodes: int) -> None:
 
 
 def draw_flight(policy: str, options: dict, path: Path) -> None:
-    """Fly one episode as a point and draw its track."""
+    """Fly one episode in `point_mass` and plot its track."""
     aviary = bulletuav.Aviary(Forest, dynamics="point_mass", **options)
     pilot = find_policy(policy, trust=True)(aviary)
     recording = fly_episode(aviary, pilot, seed=1000)
@@ -204,7 +204,7 @@ def draw_flight(policy: str, options: dict, path: Path) -> None:
 
 
 def main() -> None:
-    """Train, then evaluate and draw in forests that were never seen in training."""
+    """Train, then evaluate and plot flights in forests outside the training set."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # networks this small are no faster on more

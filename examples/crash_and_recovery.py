@@ -1,18 +1,18 @@
-"""Switch a Crazyflie's motors off in flight, and see what it hits; stand it up and fly on.
+"""Switch off the motors of a Crazyflie in flight, report its contacts, and fly on.
 
-Shows what happens beside flying: a body that stands in the way, motors that stop, blows and gusts,
-contacts, a drone that lies at rest, and one that is put somewhere. The drone flies along above a
-roof. A blow turns it over and its motors stop, so it falls onto the roof and tumbles to the ground.
-Once it lies still it is stood up elsewhere, takes off, and is hit by a gust. Prints each contact
-that begins: when, with what, where and how hard. Draws the height over time, and a picture of where
-the drone lies.
+Shows contacts and external forces: a static body, motors that stop, torques and gusts, contacts, a
+drone at rest, and a drone that is placed. The drone flies above a roof. A torque turns it over and
+its motors stop, so that it falls onto the roof and tumbles to the ground. When it is at rest it is
+placed upright elsewhere, takes off, and is hit by a gust. Prints each contact that begins, with
+time, body, position, speed and impulse. Plots the height over time, and a picture of the crashed
+drone.
 
 Run it:
 
     python examples/crash_and_recovery.py
     python examples/crash_and_recovery.py --blow 12 --out harder
 
-Takes 5 s, most of it to start.
+Takes 5 s, most of it for the start.
 """
 
 import argparse
@@ -29,20 +29,20 @@ from bulletuav.vehicle.swarm import GROUND
 AIRFRAME = bulletuav.load_airframe("cf2x")
 # Corners of a roof with its ridge along y, m
 ROOF = [(x, y, z) for y in (-0.5, 0.5) for x, z in ((-0.6, 0.0), (0.0, 0.6), (0.6, 0.0))]
-AGAIN = (1.5, 0.0)  # m, where it is stood up
-HZ = 100  # steps a second
+AGAIN = (1.5, 0.0)  # m, where it is placed again
+HZ = 100  # steps per second
 HEIGHT, SPEED = 1.5, 0.5  # m and m/s, above the roof
-GUST = 0.1  # N, for a tenth of a second
+GUST = 0.1  # N, for 0.1 s
 STILL = 1e-3  # m/s and rad/s
 
 
 class Flight:
-    """An airspace with a roof, and what happens in it.
+    """An airspace with a roof, and a log of the flight.
 
     Attributes:
         airspace: The airspace.
-        names: What contacts call the bodies.
-        touched: What the drone touched in the last step.
+        names: Names of the bodies in contacts.
+        touched: Bodies in contact with the drone in the last step.
         rows: Time (s) and height (m) after each step.
         hits: Time (s) and height (m) of each contact that began.
     """
@@ -62,28 +62,28 @@ class Flight:
         self.hits: list[tuple[float, float]] = []
 
     def step(self) -> None:
-        """Fly a step, and print the contacts that began in it."""
+        """Step, and print the contacts that begin."""
         self.airspace.step()
-        told, time = self.airspace.contacts, self.airspace.time
+        contacts, time = self.airspace.contacts, self.airspace.time
         self.rows.append((time, self.airspace.swarm.position[0, 2]))
-        for k, other in enumerate(told.other):
+        for k, other in enumerate(contacts.other):
             if other not in self.touched:
-                x, y, z = told.point[k].round(2) + 0.0  # no -0
-                speed = np.linalg.norm(told.velocity[k])
+                x, y, z = contacts.point[k].round(2) + 0.0  # no -0
+                speed = np.linalg.norm(contacts.velocity[k])
                 print(
                     f"{time:.2f} s: touches {self.names[int(other)]} at ({x:.2f}, {y:.2f}, "
-                    f"{z:.2f}) m with {speed:.2f} m/s and {1000 * told.impulse[k]:.1f} mN s"
+                    f"{z:.2f}) m with {speed:.2f} m/s and {1000 * contacts.impulse[k]:.1f} mN s"
                 )
                 self.hits.append((time, z))
-        self.touched = set(told.other.tolist())
+        self.touched = set(contacts.other.tolist())
 
     def fly(self, seconds: float) -> None:
-        """Fly on for some seconds."""
+        """Step for some seconds."""
         for _ in range(round(seconds * HZ)):
             self.step()
 
     def fall(self) -> None:
-        """Fly on until the drone has lain still for half a second."""
+        """Step until the drone has been at rest for half a second."""
         swarm = self.airspace.swarm
         still = 0
         while still < HZ // 2:
@@ -93,7 +93,7 @@ class Flight:
 
 
 def camera() -> tuple[float, float, float, float]:
-    """Turn a camera that looks along x to the left, and down by 25 degrees."""
+    """Return the quaternion of a camera that looks to the left, and 25 degrees down."""
     left, down = np.radians(90) / 2, np.radians(25) / 2
     turn, nod = (0.0, 0.0, np.sin(left), np.cos(left)), (0.0, np.sin(down), 0.0, np.cos(down))
     return product(turn, nod)
@@ -105,7 +105,7 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--blow", type=float, default=10.0, help="torque in the step in which motors stop, mN m"
+        "--blow", type=float, default=10.0, help="torque in the step when motors stop, mN m"
     )
     parser.add_argument(
         "--out", type=Path, default=Path("crash_and_recovery"), help="folder for the files"
@@ -114,7 +114,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def draw(flight: Flight, pixels: np.ndarray, path: Path) -> None:
-    """Draw the height over time on the left, and the picture on the right."""
+    """Plot the height over time on the left, and the picture on the right."""
     figure = blank_figure(12, 5)
     height, scene = figure.subplots(1, 2)
     height.plot(*np.array(flight.rows).T, color="tab:red", label="Crazyflie")
@@ -130,7 +130,7 @@ def draw(flight: Flight, pixels: np.ndarray, path: Path) -> None:
 
 
 def main() -> None:
-    """Fly the script, print what happens and draw it."""
+    """Fly the script, print the events and plot them."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
     flight = Flight()

@@ -1,11 +1,11 @@
-"""Train with a curriculum: from four drones that cross to eight with noisy positions.
+"""Train with a curriculum: from four crossing drones to eight with noisy positions.
 
-The stage follows the success of the last episodes: up when 80 % of their drones came to their
-goals without conflict, down below 20 %. Prints a line for every change of stage. Between these it
-prints regularly the decisions so far, the stage and the success. One network flies all stages, as
-it observes the nearest three drones.
+The stage depends on the success rate of the last episodes: up when 80 % of the drones reached their
+goals without conflict, down below 20 %. Prints a line for each change of stage, and regularly the
+number of decisions, the stage and the success rate. One network is used in all stages, as it
+observes the nearest three drones.
 
-With seed 0 the last stage begins after 1.7 million decisions. In the end from 0.93 (stage 0) to
+With seed 0 the last stage begins after 1.7 million decisions. After training, 0.93 (stage 0) to
 0.99 (stage 3) of the drones succeed in `bullet`.
 
 Run it:
@@ -28,7 +28,7 @@ import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv, LivingRollouts, Symlog
 from bulletuav.envs.curriculum import Curriculum
 
-# A drone with a conflict leaves, and so does not succeed.
+# A conflict ends the episode of the drone without success
 COMMON = {"conflict_ends": "drone", "randomization": {}}
 STAGES = [
     {"num_drones": 4},
@@ -36,7 +36,7 @@ STAGES = [
     {"num_drones": 8},
     {"num_drones": 8, "randomization": {"gps_noise": (0.5, 1.5)}},
 ]
-# Smaller than the task's own weights, as networks like returns of the order of 1.
+# Smaller than the default weights of the task, so that returns are of the order of 1
 WEIGHTS = {
     "progress": 0.05,
     "goal": 2.0,
@@ -85,7 +85,7 @@ def parse_arguments() -> argparse.Namespace:
         "--steps",
         type=int,
         default=4_000_000,
-        help="decisions of all slots, those without a drone too",
+        help="total decisions of all slots, including empty slots",
     )
     parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
@@ -94,7 +94,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def train(steps: int, seed: int, path: Path) -> None:
-    """Train as points through the stages and save the model."""
+    """Train in `point_mass` through the stages and save the model."""
     curriculum = Curriculum(len(STAGES), up=0.8, down=0.2, window=64)
     env = DroneVecEnv(
         "crossing", 32, STAGES, curriculum, dynamics="point_mass", weights=WEIGHTS, **COMMON
@@ -108,7 +108,7 @@ def train(steps: int, seed: int, path: Path) -> None:
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
         gamma=0.99,
         gae_lambda=0.95,
-        # Stages with fewer drones leave slots empty; nothing is learned from these.
+        # Stages with fewer drones have empty slots, which are dropped
         rollout_buffer_class=LivingRollouts,
         policy_kwargs={
             "features_extractor_class": Symlog,
@@ -124,7 +124,7 @@ def train(steps: int, seed: int, path: Path) -> None:
 
 
 def evaluate(policy: str, stage: int, episodes: int) -> None:
-    """Fly the policy in a stage, in `bullet`, and print its success and conflicts."""
+    """Evaluate the policy in a stage, in `bullet`, and print success and conflicts."""
     options = {**COMMON, **STAGES[stage]}
     result = bulletuav.evaluate("crossing", policy, episodes, seed=1000, trust=True, **options)
     estimates = result.estimates()

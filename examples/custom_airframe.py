@@ -1,15 +1,15 @@
-"""Describe a hexacopter of your own, from a parts list to flight.
+"""Build a custom hexacopter, from a parts list to flight.
 
-Writes a URDF from masses, places and two coefficients of propellers. Prints what follows from it:
-thrust to weight, hover speed by formula and in the engine, overshoot and settling time of a step of
-2 m to the side. Draws that step. The controller's gains follow from the URDF.
+Writes a URDF from masses, positions and two propeller coefficients. Prints the thrust-to-weight
+ratio, the hover speed by formula and in the simulation, and overshoot and settling time of a
+lateral step of 2 m. Plots that step. The gains of the controller follow from the URDF.
 
 Run it:
 
     python examples/custom_airframe.py
     python examples/custom_airframe.py --payload 0.8 --out loaded
 
-Takes 5 s, most of it to start.
+Takes 5 s, most of it for the start.
 """
 
 import argparse
@@ -22,15 +22,15 @@ import bulletuav
 from bulletuav.report.pictures import blank_figure
 from bulletuav.vehicle.airframe import Airframe
 
-# The hub is one box of frame, electronics and a battery of 4 cells, 5 Ah (0.5 kg).
+# The hub is one box: frame, electronics and a battery of 4 cells, 5 Ah (0.5 kg)
 HUB_MASS = 0.95  # kg
 HUB_SIZE = (0.2, 0.14, 0.08)  # m
-ROTOR_MASS = 0.075  # kg, of a motor with its propeller
-ROD_MASS = 0.035  # kg, of the carbon tube of an arm
+ROTOR_MASS = 0.075  # kg, motor and propeller
+ROD_MASS = 0.035  # kg, carbon tube of an arm
 ARM_LENGTH = 0.275  # m, which leaves 2 cm between propellers
 ARM_ANGLES = np.radians([30, 90, 150, 210, 270, 330])  # from the nose, to the left
 
-# Propellers of 10 by 4.5 inches, in static air; together a figure of merit of 0.58.
+# Propellers of 10 by 4.5 inches, in static air; the coefficients give a figure of merit of 0.58
 PROPELLER_RADIUS = 0.127  # m
 THRUST_COEFFICIENT = 0.11  # c_T = T / (rho n^2 D^4)
 POWER_COEFFICIENT = 0.05  # c_P = P / (rho n^3 D^5)
@@ -38,7 +38,7 @@ AIR_DENSITY = 1.225  # kg/m^3, ISA at sea level
 
 # A motor with 920 rpm/V at 14.8 V; under load it reaches about 60 % of that speed.
 MAX_REVOLUTIONS = 8000 / 60  # 1/s
-MOTOR_LAG = 0.05  # s, our choice: the airframes of the package have 0.0125 to 0.065 s
+MOTOR_LAG = 0.05  # s, assumed: the airframes of the package have 0.0125 to 0.065 s
 # M. Faessler et al. (2018) measured 0.4 to 0.5 at 0.6 kg; heavier drones have less.
 DRAG = 0.3  # 1/s in the rotor plane
 GRAVITY = 9.80665  # m/s^2
@@ -51,7 +51,7 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--payload", type=float, default=0.0, help="kg, carried in the middle")
+    parser.add_argument("--payload", type=float, default=0.0, help="payload in the centre, kg")
     parser.add_argument(
         "--out", type=Path, default=Path("custom_airframe"), help="folder for the files"
     )
@@ -59,14 +59,14 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def write_urdf(path: Path, payload: float) -> None:
-    """Write the parts with `payload`, kg, in the middle of the hub as an airframe.
+    """Write the URDF of the airframe with a payload (kg) in the centre of the hub.
 
-    Formulas are those of rigid bodies and of propellers.
+    The formulas are those of rigid bodies and propellers.
     """
     mass = HUB_MASS + payload + 6 * (ROTOR_MASS + ROD_MASS)
 
-    # Moments of inertia of a box, of points at the ends of the arms, and of rods from the middle.
-    # On x and y the arms count by half, as they point in all directions of the plane.
+    # Moments of inertia: a box, point masses at the ends of the arms, and rods from the centre. The
+    # arms point in all directions of the plane, so half of their inertia counts for x and y.
     x, y, z = HUB_SIZE
     arms = 6 * (ROTOR_MASS * ARM_LENGTH**2 + ROD_MASS * ARM_LENGTH**2 / 3)
     ixx = (HUB_MASS + payload) / 12 * (y**2 + z**2) + arms / 2
@@ -78,7 +78,7 @@ def write_urdf(path: Path, payload: float) -> None:
     thrust = THRUST_COEFFICIENT * AIR_DENSITY * diameter**4 / (2 * math.pi) ** 2  # N/(rad/s)^2
     torque = POWER_COEFFICIENT / (2 * math.pi * THRUST_COEFFICIENT) * 2 * PROPELLER_RADIUS  # m
 
-    # Each rotor's force of drag is drag omega v; together they are DRAG m v in hover.
+    # Rotor drag is drag omega v for each rotor, and DRAG m v in total in hover
     hover_speed = math.sqrt(mass * GRAVITY / (6 * thrust))
     drag = DRAG * mass / (6 * hover_speed)  # N/(rad/s m/s)
 
@@ -132,7 +132,7 @@ def fly_step(airframe: Path) -> tuple[np.ndarray, np.ndarray]:
     track, speed = [], []
     for k in range(aviary.options.horizon):
         target = np.array((2.0 if k >= 2 * DECISION_HZ else 0.0, 0.0, 5.0))
-        # Actions have the shape (worlds, drones, numbers of an action).
+        # Actions have the shape (worlds, drones, size of an action)
         aviary.step(aviary.action.encode(target.reshape(1, 1, 3)))
         track.append(aviary.swarm.position[0, 0] - (0, 0, 5))
         speed.append(aviary.swarm.rotor_speed[0, 0].mean())
@@ -143,7 +143,7 @@ def fly_step(airframe: Path) -> tuple[np.ndarray, np.ndarray]:
 def print_results(
     airframe: Airframe, time: np.ndarray, track: np.ndarray, speed: np.ndarray
 ) -> None:
-    """Print what follows from the URDF, and what came of the step at time 0."""
+    """Print properties of the airframe, and the response to the step at time 0."""
     east = track[time > 0, 0]
     hover_speed = speed[time <= 0][-1]
     settled = np.flatnonzero(np.abs(east - 2) > 0.1)[-1] / DECISION_HZ
@@ -152,14 +152,14 @@ def print_results(
     print(f"thrust to weight {airframe.max_thrust / (airframe.mass * GRAVITY):.2f}")
     print(
         f"hover speed {airframe.hover_speed():.1f} rad/s by formula, "
-        f"{hover_speed:.1f} rad/s in the engine"
+        f"{hover_speed:.1f} rad/s in the simulation"
     )
     overshoot = 50 * max(0.0, east.max() - 2)  # in percent of 2 m
     print(f"step of 2 m: overshoot {overshoot:.1f} %, within 5 % after {settled:.2f} s")
 
 
 def draw(title: str, time: np.ndarray, track: np.ndarray, path: Path) -> None:
-    """Draw the step at time 0."""
+    """Plot the response to the step at time 0."""
     figure = blank_figure(8, 4.5)
     axes = figure.subplots()
     axes.plot(time, np.where(time > 0, 2.0, 0.0), "--", color="0.5", label="setpoint, east")
@@ -172,7 +172,7 @@ def draw(title: str, time: np.ndarray, track: np.ndarray, path: Path) -> None:
 
 
 def main() -> None:
-    """Write the airframe, fly it, print and draw."""
+    """Write the airframe, fly the step, print and plot the results."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
 

@@ -1,12 +1,12 @@
-"""Write a task of your own, patrolling a perimeter, and two simple policies that fly it.
+"""Write a custom task, patrolling a perimeter, and two simple policies for it.
 
-Shows what goes into a task: start, memory, reward, success and infos. Drones start close together
-and watch a circle, each of whose sectors should be seen again soon. The measure is idleness, the
-time since a sector was last seen (A. Machado et al., Multi-agent patrolling, 2002).
+Shows the parts of a task: start, memory, reward, success and infos. Drones start close together and
+patrol a circle, each of whose sectors should be visited often. The measure is idleness, the time
+since the last visit of a sector (A. Machado et al., Multi-agent patrolling, 2002).
 
-Draws the worst idleness over time for two policies. With the first each drone just goes round, and
-the worst idleness stays that of a crowd. With the second each drone keeps the middle between its
-neighbours, and the worst idleness falls to that of drones that are spread evenly.
+Plots the worst idleness over time for two policies. With the first, each drone flies around the
+circle, and the worst idleness stays that of a cluster. With the second, each drone keeps the middle
+between its neighbours, and the worst idleness falls to that of evenly spaced drones.
 
 Run it:
 
@@ -40,11 +40,11 @@ class PatrolConfig(TaskConfig):
     """Options of `patrol`.
 
     Attributes:
-        d_safe: Separation below which drones conflict; also how far from the circle they see it, m.
+        d_safe: Separation below which drones conflict; also the range of visiting a sector, m.
         radius: Radius of the circle, m.
-        height: Its height above the ground, m.
+        height: Height of the circle above the ground, m.
         gap: Distance between drones at the start, along the circle, m.
-        longest: Worst idleness, s, up to which the patrol succeeds.
+        longest: Maximum worst idleness of a successful patrol, s.
     """
 
     d_safe: float = 5.0
@@ -55,21 +55,21 @@ class PatrolConfig(TaskConfig):
 
 
 def worst_idleness(frame: Frame) -> np.ndarray:
-    """Find the idleness of the worst sector, s, the same for all drones of a world."""
+    """Return the idleness of the worst sector, s, the same for all drones of a world."""
     worst = frame.scene.memory["idle"].max(axis=1, keepdims=True)
     return np.broadcast_to(worst, frame.alive.shape)
 
 
 @end
 def seen_soon(idleness: float, longest: float) -> bool:
-    """Tell whether all sectors were seen soon enough."""
+    """Return True if the worst idleness is within the limit."""
     return idleness <= longest
 
 
 class Patrol(Task[PatrolConfig]):
-    """See all sectors of a circle again and again.
+    """Visit all sectors of a circle repeatedly.
 
-    Reward: -0.1 for each second of the worst sector's idleness; -10 for a conflict that begins.
+    Reward: -0.1 for each second of the worst idleness; -10 for a conflict that begins.
     """
 
     name = "patrol"
@@ -88,7 +88,7 @@ class Patrol(Task[PatrolConfig]):
     arena_high = np.array([150.0, 150.0, 60.0])
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Start all drones on a short piece of the circle, at rest."""
+        """Sample starts of all drones on a short arc of the circle, at rest."""
         num_drones, radius = self.context.num_drones, self.config.radius
         angle = rng.uniform(0, 2 * np.pi) + np.arange(num_drones) * self.config.gap / radius
         height = np.full(num_drones, self.config.height)
@@ -96,11 +96,11 @@ class Patrol(Task[PatrolConfig]):
         return Spawn(position=start, goal=start)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Name the arrays that the task keeps in each world: seconds since a sector was seen."""
+        """Return the arrays that the task stores in each world: idleness of sectors, s."""
         return {"idle": (NUM_SECTORS,)}
 
     def update_memory(self, frame: Frame, rng) -> None:
-        """Let time pass in all sectors but those with a drone near the circle."""
+        """Update the idleness: reset visited sectors, and add the time step to all others."""
         x, y, _ = np.moveaxis(frame.after.position, -1, 0)
         sector = np.floor(np.arctan2(y, x) / (2 * np.pi) * NUM_SECTORS) % NUM_SECTORS
         is_near = frame.alive & (np.abs(np.hypot(x, y) - self.config.radius) < self.config.d_safe)
@@ -110,34 +110,34 @@ class Patrol(Task[PatrolConfig]):
         idle[:] = np.where(is_seen, 0.0, idle + self.context.period)
 
     def quantities(self) -> Mapping[str, Any]:
-        """Name what terms, ends and successes may ask for: the worst idleness."""
+        """Return the quantities for terms, ends and success: the worst idleness."""
         return {"idleness": worst_idleness}
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell the worst idleness."""
+        """Return the worst idleness."""
         return {"idleness": worst_idleness(frame)}
 
 
 class Rounds(Policy):
-    """Go round the circle to the left at one speed."""
+    """Fly around the circle to the left at constant speed."""
 
     name = "rounds"
     actions = ("velocity",)
     reads_swarm = False
-    gain: float = 0.0  # m/s, by how much a drone is at most faster or slower
+    gain: float = 0.0  # m/s, maximum change of speed
 
     def reset(self, mask):
-        """Do nothing, as there is nothing to forget."""
+        """Do nothing: the policy has no memory."""
 
     def act(self, observations, swarm):
-        """Fly along the circle, and back to it."""
+        """Return velocities along the circle, and back to it."""
         position = observations[..., :3].astype(float)
-        # Of each neighbour its distance, 0 where there is none, then offset and velocity.
+        # Each neighbour has distance (0 if absent), offset and velocity
         neighbours = observations[..., 3:].reshape(*position.shape[:2], -1, 7)
         is_there = neighbours[..., 0] > 0
         other = position[:, :, None] + neighbours[..., 1:4]
 
-        # Angles along the circle to the next drone ahead and the next behind.
+        # Angles along the circle to the next drone ahead and behind
         angle = np.arctan2(position[..., 1], position[..., 0])
         other_angle = np.arctan2(other[..., 1], other[..., 0])
         gaps = (other_angle - angle[..., None]) % (2 * np.pi)
@@ -145,7 +145,7 @@ class Rounds(Policy):
         behind = 2 * np.pi - np.max(gaps, axis=-1, where=is_there, initial=0.0)
         speed = CRUISE_SPEED + self.gain * (ahead - behind) / (ahead + behind)
 
-        # Velocity along the tangent, and inwards where the drone is too far out.
+        # Velocity along the tangent, and radial correction
         config = self.aviary.task.config
         x, y = np.cos(angle), np.sin(angle)
         off = np.hypot(position[..., 0], position[..., 1]) - config.radius
@@ -154,7 +154,7 @@ class Rounds(Policy):
 
 
 class Evenly(Rounds):
-    """Go round the circle, faster where the drone ahead is farther away than the one behind."""
+    """Fly around the circle, faster if the drone ahead is farther away than the one behind."""
 
     name = "evenly"
     gain = 4.0
@@ -188,7 +188,7 @@ def fly(policy: type[Policy], seed: int, options: dict) -> list[float]:
 
 
 def main() -> None:
-    """Evaluate both policies, and draw one flight of each."""
+    """Evaluate both policies, and plot one flight of each."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
 
@@ -206,7 +206,7 @@ def main() -> None:
         )
         axes.plot(np.arange(1, len(worst) + 1) / DECISION_HZ, worst, label=policy.name)
 
-    # A sector is idle from when one drone leaves it until the next is there.
+    # A sector is idle from the departure of one drone to the arrival of the next
     idle_share = 1 / args.drones - 1 / NUM_SECTORS
     ideal = 2 * np.pi * PatrolConfig.radius * idle_share / CRUISE_SPEED
     axes.axhline(ideal, color="0.5", ls="--", label="evenly spread")

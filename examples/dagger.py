@@ -1,19 +1,19 @@
-"""Learn what a policy does that sees everything, from what drones see: DAgger in one file.
+"""Imitate a policy with access to the true state from observations: DAgger in one file.
 
-The network flies, the teacher tells what it would have done there, and the network learns that,
-round by round. S. Ross et al., A reduction of imitation learning and structured prediction to
-no-regret online learning, AISTATS 2011.
+The network flies, the teacher labels the visited states with its actions, and the network is
+trained on them, round by round. S. Ross et al., A reduction of imitation learning and structured
+prediction to no-regret online learning, AISTATS 2011.
 
-`pillars` are swarms of 8 and 32 Crazyflies among pillars, by body rates and thrust: `pillars.py`
-has the task and the teacher. `race` flies through gates as the `race_pilot` does, who has planned a
-line through all of them; the network sees the next two.
+`pillars` has swarms of 8 and 32 Crazyflies among pillars, controlled by body rates and thrust:
+`pillars.py` defines the task and the teacher. `race` imitates the `race_pilot`, which has planned a
+line through all gates; the network observes the next two.
 
 Run it:
 
     python examples/dagger.py pillars --out swarm
     python examples/pillars.py --policy swarm --density 0.8 --drones 32
 
-Takes 15 to 30 minutes on one core. Needs the extra `sb3`. The folder it writes flies without
+Takes 15 to 30 minutes on one core. Needs the extra `sb3`. The output folder can be flown without
 PyTorch: `--policy FOLDER`.
 """
 
@@ -30,12 +30,12 @@ from pillars import Pillars, Teacher
 from bulletuav.policies import find_policy
 
 PILLARS = [(0.2, 8, 4), (0.4, 8, 4), (0.6, 8, 6), (0.8, 8, 8), (0.6, 32, 2), (0.8, 32, 2)]
-"""Density, drones and worlds that are learned from"""
+"""Density, drones and worlds of the training batches"""
 MINIBATCH = 4096
 
 
 class Lesson(NamedTuple):
-    """What is learned: task, its options, batches of worlds, and from whom."""
+    """Training plan: task, its options, batches of worlds, and the teacher."""
 
     task: str
     options: dict[str, Any]
@@ -44,7 +44,7 @@ class Lesson(NamedTuple):
     rounds: int = 60
     decisions: int = 250  # of all drones in a round
     updates: int = 200  # of the network in a round
-    noise: float = 0.08  # of actions, which shows how to come back
+    noise: float = 0.08  # of actions, to visit states off the teacher's path
 
 
 AMONG = [{"task": Pillars, "density": d, "num_drones": n, "num_envs": w} for d, n, w in PILLARS]
@@ -61,9 +61,9 @@ def parse_arguments() -> argparse.Namespace:
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("lesson", choices=LESSONS)
-    parser.add_argument("--rounds", type=int, help="of flying and learning")
-    parser.add_argument("--decisions", type=int, help="of all drones in a round")
-    parser.add_argument("--updates", type=int, help="of the network in a round")
+    parser.add_argument("--rounds", type=int, help="number of rounds")
+    parser.add_argument("--decisions", type=int, help="decisions of each round")
+    parser.add_argument("--updates", type=int, help="network updates of each round")
     parser.add_argument("--rate", type=float, default=2e-3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("dagger"), help="folder for the policy")
@@ -71,7 +71,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 class School:
-    """Worlds with a teacher each, and all that was seen and taught in them."""
+    """Worlds with teachers, and the data set of observations and labels."""
 
     def __init__(self, lesson: Lesson, plan: Plan, seed: int) -> None:
         self.worlds = Worlds(plan, seed, with_state=False)
@@ -85,7 +85,7 @@ class School:
 
     @torch.no_grad()
     def fly(self, agent: Agent | None) -> None:
-        """Fly some decisions of the network, or of the teacher; keep what living drones saw."""
+        """Collect observations and labels, with actions of the network or of the teacher."""
         seen, taught = [self.seen], [self.taught]
         for _ in range(self._decisions):
             known, right = self.worlds.seen, self._right()
@@ -99,19 +99,19 @@ class School:
         self.seen, self.taught = torch.cat(seen), torch.cat(taught)
 
     def _right(self) -> torch.Tensor:
-        """Ask the teachers what they would do, (M, A)."""
+        """Return the actions of the teachers, (M, A)."""
         pairs = zip(self._teachers, self.envs, strict=True)
-        told = [teacher.act(None, env.aviary.swarm) for teacher, env in pairs]
-        rows = np.concatenate([one.reshape(-1, one.shape[-1]) for one in told])
+        actions = [teacher.act(None, env.aviary.swarm) for teacher, env in pairs]
+        rows = np.concatenate([one.reshape(-1, one.shape[-1]) for one in actions])
         return torch.from_numpy(rows.astype(np.float32)).clamp(-1.0, 1.0)
 
 
 def learn(lesson: Lesson, args: argparse.Namespace) -> None:
-    """Fly and learn in turn, and save the policy."""
+    """Alternate collection and training, and save the policy."""
     torch.manual_seed(args.seed)
     plan = Plan(lesson.task, lesson.options, lesson.batches, steps=1, log_std=-2.0)
     school = School(lesson, plan, args.seed)
-    agent = Agent(school.envs[0], plan, told=0)
+    agent = Agent(school.envs[0], plan, state_size=0)
     optimiser = torch.optim.Adam(agent.parameters(), args.rate)
     steps = lesson.rounds * lesson.updates
     falls = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: 1 - step / steps)
@@ -135,13 +135,13 @@ def learn(lesson: Lesson, args: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Learn, and save what was learned."""
+    """Train and save the policy."""
     args = parse_arguments()
     torch.set_num_threads(1)
     begin = time.perf_counter(), time.process_time()
-    told = {name: getattr(args, name) for name in ("rounds", "decisions", "updates")}
+    given = {name: getattr(args, name) for name in ("rounds", "decisions", "updates")}
     lesson = LESSONS[args.lesson]
-    learn(lesson._replace(**{name: value for name, value in told.items() if value}), args)
+    learn(lesson._replace(**{name: value for name, value in given.items() if value}), args)
     wall, cpu = time.perf_counter() - begin[0], time.process_time() - begin[1]
     print(f"learned for {wall:.0f} s, {cpu:.0f} s of one core")
 

@@ -1,12 +1,12 @@
-"""Compare policies that were trained with and without uncertainty, each flown both ways.
+"""Compare policies trained with and without domain randomisation, each evaluated in both.
 
-A Crazyflie learns to hold its place by velocities. One policy learns where all is as the
-controller believes. The other learns where mass, thrust, drag, motors and wind differ from flight
-to flight. Then both fly in both worlds, in `bullet`.
+A Crazyflie learns to hold its position by velocity commands. One policy is trained with the
+parameters that the controller assumes. For the other, mass, thrust, drag, motor lag and wind vary
+between episodes. Then both are evaluated in both worlds, in `bullet`.
 
-The first policy holds its place to 1 cm while all is certain, but misses it by 26 cm where nothing
-is, as the controller has no integral term. The second misses by 6 and 11 cm. So training under
-uncertainty raises success, which is to be within 10 cm, from 12 % to 62 %.
+The first policy holds its position to 1 cm without uncertainty, but has an error of 26 cm with it,
+as the controller has no integral term. The second has errors of 6 and 11 cm. Domain randomisation
+thus raises the success rate, the fraction within 10 cm, from 12 % to 62 %.
 
 Run it:
 
@@ -26,12 +26,12 @@ from stable_baselines3.common.utils import LinearSchedule
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
 
-# The last command, beside what came of it, tells the policy of the disturbance.
+# The disturbance is observable from the last command and its effect
 OPTIONS = {"action": "velocity", "observation": ("goal_offset", "velocity", "last_action")}
 WORLDS = {
     "certain": {},
     "uncertain": {
-        # Factors on what the controller believes.
+        # Factors on the values that the controller assumes
         "mass": (0.7, 1.3),
         "thrust": (0.85, 1.1),
         "drag": (0.5, 1.5),
@@ -85,7 +85,7 @@ def train(randomization: dict, steps: int, seed: int, path: Path) -> None:
 
 
 def evaluate(trained: str, flown: str, folder: Path, episodes: int) -> None:
-    """Fly a policy in one of the worlds, in `bullet`, and print a row of its mean metrics."""
+    """Evaluate a policy in one of the worlds, in `bullet`, and print its mean metrics."""
     result = bulletuav.evaluate(
         "hover",
         f"ppo:{folder / trained}.zip",
@@ -101,7 +101,7 @@ def evaluate(trained: str, flown: str, folder: Path, episodes: int) -> None:
 
 
 def main() -> None:
-    """Train in each world, then fly each policy in each world."""
+    """Train in each world, then evaluate each policy in each world."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # networks this small are no faster on more

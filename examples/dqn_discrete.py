@@ -1,10 +1,10 @@
 """Train four drones with DQN to cross at right angles by seven discrete actions.
 
-An action is to stay, or to fly at full speed along an axis. All drones share one network, and
-learn from what all of them remember. Prints success and conflicts before and after training: as
-points, and in `bullet` with all forces. The untrained network brings 0.12 of the drones to their
-goals, the trained one about 0.8, with a conflict in every seventh flight. PPO with velocities
-comes further in the same time.
+The actions are to stay, or to fly at maximum speed along an axis. All drones share one network and
+one replay buffer. Prints success and conflicts before and after training, in `point_mass` and in
+`bullet` with all forces. With the untrained network 0.12 of the drones reach their goals, with the
+trained one about 0.8, and every seventh episode has a conflict. PPO with velocities achieves more
+in the same time.
 
 Run it:
 
@@ -31,7 +31,7 @@ OPTIONS = {
     "horizon": 200,
     "goal_radius": 5.0,
 }
-# Smaller than the task's own weights, as networks like returns of the order of 1.
+# Smaller than the default weights of the task, so that returns are of the order of 1
 WEIGHTS = {
     "progress": 0.05,
     "goal": 2.0,
@@ -50,9 +50,7 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--steps", type=int, default=300_000, help="decisions of all slots together"
-    )
+    parser.add_argument("--steps", type=int, default=300_000, help="total decisions of all slots")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
@@ -62,14 +60,14 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def train(steps: int, seed: int, folder: Path) -> None:
-    """Train as points; save the model before and after."""
+    """Train in `point_mass`; save the model before and after training."""
     env = DroneVecEnv("crossing", num_worlds=16, dynamics="point_mass", weights=WEIGHTS, **OPTIONS)
     model = DQN(
         "MlpPolicy",
         env,
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
         buffer_size=100_000,
-        # Drones leave at their goals; slots without a drone are not remembered.
+        # Drones leave at their goals; slots without a drone are dropped
         replay_buffer_class=LivingReplay,
         learning_starts=5_000,
         batch_size=256,
@@ -91,7 +89,7 @@ def train(steps: int, seed: int, folder: Path) -> None:
 
 
 def evaluate(path: Path, dynamics: str, episodes: int) -> None:
-    """Fly a saved model and print the means of its metrics."""
+    """Evaluate a saved model and print the means of its metrics."""
     result = bulletuav.evaluate(
         "crossing", f"dqn:{path}.zip", episodes, seed=1000, trust=True, dynamics=dynamics, **OPTIONS
     )

@@ -1,16 +1,16 @@
-"""Let two Crazyflies exchange places, past each other and above each other.
+"""Fly two Crazyflies to each other's positions, side by side and above each other.
 
-Shows trajectories of several drones, and what the wake of one does to another. Both fly 3 m in 4 s.
-First each keeps to its right, so they pass 1 m apart. Then one flies half a metre above the other,
-whose error tells how its wake pushes. Prints the least separation and the greatest errors. Draws
-both flights.
+Shows trajectories of several drones, and the effect of the wake of one drone on another. Both fly 3
+m in 4 s. First each keeps to its right, so that they pass at 1 m. Then one flies half a metre above
+the other, whose error shows the effect of the wake. Prints the minimum separation and the maximum
+errors. Plots both flights.
 
 Run it:
 
     python examples/exchange_places.py
     python examples/exchange_places.py --seconds 3 --out fast
 
-Takes 5 s, most of it to start.
+Takes 5 s, most of it for the start.
 """
 
 import argparse
@@ -24,9 +24,9 @@ from bulletuav.control.trajectory import Tracker, Trajectory
 from bulletuav.report.pictures import blank_figure
 
 AIRFRAME = bulletuav.load_airframe("cf2x")
-HZ = 120  # commands a second
-PLACES = np.array([(-1.5, 0.0, 1.0), (1.5, 0.0, 1.0)])  # m, of the drones
-# Where each drone is halfway: (drones, 3), m
+HZ = 120  # commands per second
+PLACES = np.array([(-1.5, 0.0, 1.0), (1.5, 0.0, 1.0)])  # m, starts of the drones
+# Position of each drone halfway: (drones, 3), m
 WAYS = {
     "to the right": np.array([(0.0, -0.5, 1.0), (0.0, 0.5, 1.0)]),
     "above": np.array([(0.0, 0.0, 1.25), (0.0, 0.0, 0.75)]),
@@ -46,10 +46,10 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def exchange(halfway: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Fly each drone to the other's place, and let it hover for a second there.
+    """Fly each drone to the start of the other, and hover there for a second.
 
     Args:
-        halfway: (2, 3) where the drones are halfway, m.
+        halfway: (2, 3) positions of the drones halfway, m.
         seconds: Duration of the flight.
 
     Returns:
@@ -77,7 +77,7 @@ def exchange(halfway: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarra
 
 
 def draw(flights: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> None:
-    """Draw the first flight from above and the second from the side, a dot each half second."""
+    """Plot the first flight from above and the second from the side, a dot each half second."""
     figure = blank_figure(8, 5)
     views = ((1, "From above: each keeps to its right"), (2, "From the side: one flies above"))
     for axes, (axis, title), (track, wanted) in zip(
@@ -96,7 +96,7 @@ def draw(flights: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> None:
 
 
 def main() -> None:
-    """Fly both ways, print how far apart they stayed and draw."""
+    """Fly both exchanges, print separations and errors, and plot them."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
 

@@ -1,12 +1,13 @@
 """Train with PPO in one file, as fast as one core can: hover in a minute, crossing in two.
 
-The loop is plain PyTorch over `batch_env`, of which the decision is compiled. One policy flies
-batches of several sizes: `SwarmFeatures` make nothing of the number and order of others. With
-`--critic state` the critic sees the state of the whole world (MAPPO) instead of what the drone sees
-(IPPO). The folder it writes flies without PyTorch: `--policy FOLDER`.
+The training loop is plain PyTorch over `batch_env`, whose step is compiled. One policy is trained
+on batches of worlds of several sizes: `SwarmFeatures` are invariant to the number and order of
+other drones. With `--critic state` the critic sees the state of the whole world (MAPPO), otherwise
+the observation of the drone (IPPO). The output folder can be flown without PyTorch: `--policy
+FOLDER`.
 
-`hover` is a Crazyflie by its rotors, `crossing` 8 drones, `swarm` 8 to 64 that cross or converge,
-`race` two drones that lap through gates, in `point_mass`.
+`hover` controls the rotors of a Crazyflie. `crossing` has 8 drones, `swarm` 8 to 64 drones that
+cross or converge, and `race` two drones that fly laps through gates; these use `point_mass`.
 
 Run it:
 
@@ -33,10 +34,10 @@ from bulletuav.policies.neural_network import HIGH, LOW
 from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, RunConfig
 from bulletuav.policies.swarm_features import find_layout
 
-# Smaller than the task's own weights, as networks like returns of the order of 1.
+# Smaller than the default weights of the task, so that returns are of the order of 1
 PAID = {"progress": 0.05, "goal": 2.0, "energy": -0.0005, "time": -0.02}
 TRAFFIC = {**PAID, "conflict": -6.0, "warning": -0.1, "collision": -5.0, "out_of_bounds": -5.0}
-SEEN = ["velocity", "goal", "intruders"]  # nothing of where the arena is
+SEEN = ["velocity", "goal", "intruders"]  # no absolute position
 CLIP, LAMBDA, VALUE = 0.2, 0.95, 0.5
 
 
@@ -44,32 +45,32 @@ MEDIUM = {"difficulty": "medium"}
 
 
 class Plan(NamedTuple):
-    """What is trained: the task, its options, batches of worlds, and settings of PPO."""
+    """Training plan: the task, its options, batches of worlds, and settings of PPO."""
 
     task: str
     options: dict[str, Any]
     batches: list[dict[str, Any]]
-    steps: int  # decisions that are collected
-    decisions: int = 64  # of one rollout
+    steps: int  # total decisions
+    decisions: int = 64  # per rollout
     minibatch: int = 2048
     epochs: int = 4
     rate: float = 1e-3
     gamma: float = 0.99
     log_std: float = -1.0
     scale: float = 1.0
-    decay: float = 1.0  # share of the training, at its end, in which the rate falls
-    evaluation: dict[str, Any] = MEDIUM  # options of the environment where it shows what it learned
-    width: int = 64  # of the layers
+    decay: float = 1.0  # final fraction of the training over which the learning rate falls
+    evaluation: dict[str, Any] = MEDIUM  # options of the environment in the evaluation
+    width: int = 64  # of hidden layers
 
 
 POINTS = {"dynamics": "point_mass"}  # which are fast
 CROSSING = {"observation": SEEN, "num_neighbours": 4, "weights": TRAFFIC}
 STAY = {"alive": 0.2, "holding": 0.5, "distance": -0.3, "speed": -0.05}
 HOVER = {"difficulty": "medium", "weights": STAY}
-# To keep 6.5 m apart leaves a margin for noise, and for what is seldom met in training.
+# A separation of 6.5 m leaves a margin for noise and for situations rare in training
 APART = {**CROSSING, "num_neighbours": 6, "d_safe": 6.5}
 EIGHT = {"task": "crossing", **POINTS, "num_envs": 32, "num_drones": 8}
-# A hit costs two gates. The task's own weights make it cost a lap, so that drones learn to wait.
+# A collision costs two gates. With the default weights it costs a lap, and drones learn to wait.
 GATES = {"progress": 0.1, "gate": 1.0, "miss": -0.5, "finish": 2.0, "collision": -2.0}
 GATES |= {"out_of_bounds": -2.0, "energy": -0.0002, "time": 0.0}
 EASY = {"difficulty": "easy", **POINTS}
@@ -92,7 +93,7 @@ def parse_arguments() -> argparse.Namespace:
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("plan", choices=PLANS)
-    parser.add_argument("--steps", type=int, help="decisions of all drones together")
+    parser.add_argument("--steps", type=int, help="total decisions of all drones")
     parser.add_argument("--critic", choices=("own", "state"), default="own")
     parser.add_argument("--episodes", type=int, default=100, help="episodes of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
@@ -101,46 +102,46 @@ def parse_arguments() -> argparse.Namespace:
 
 
 class Agent(nn.Module):
-    """Actor and critic of every drone; its arrays have the names of stable-baselines3."""
+    """Actor and critic shared by all drones, with the parameter names of stable-baselines3."""
 
-    def __init__(self, env: Any, plan: Plan, told: int) -> None:
+    def __init__(self, env: Any, plan: Plan, state_size: int) -> None:
         super().__init__()
         layout = find_layout(env.observation_labels)
         self.features_extractor = SwarmFeatures(env.observation_space, layout, scale=plan.scale)
         inputs, size = self.features_extractor.features_dim, env.action_space.shape[0]
-        actor, critic = (two_layers(count, plan.width) for count in (inputs, inputs + told))
+        actor, critic = (two_layers(count, plan.width) for count in (inputs, inputs + state_size))
         self.mlp_extractor = nn.ModuleDict({"policy_net": actor, "value_net": critic})
         self.action_net = scaled(nn.Linear(plan.width, size), 0.01)
         self.value_net = scaled(nn.Linear(plan.width, 1), 1.0)
         self.log_std = nn.Parameter(torch.full((size,), plan.log_std))
 
     def forward(self, seen: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Compute mean actions (M, A) and values (M,)."""
+        """Return mean actions (M, A) and values (M,)."""
         known = self.features_extractor(seen)
-        told = torch.cat([known, torch.sign(state) * torch.log1p(state.abs())], 1)
+        critic_input = torch.cat([known, torch.sign(state) * torch.log1p(state.abs())], 1)
         mean = self.action_net(self.mlp_extractor["policy_net"](known))
-        return mean, self.value_net(self.mlp_extractor["value_net"](told)).squeeze(-1)
+        return mean, self.value_net(self.mlp_extractor["value_net"](critic_input)).squeeze(-1)
 
     def log_prob(self, mean: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        """Compute the logarithm of the density of actions."""
+        """Return the log probability density of actions."""
         away = (action - mean) * (-self.log_std).exp()
         return (-0.5 * away.square() - self.log_std - 0.5 * math.log(2 * math.pi)).sum(-1)
 
 
 def scaled(layer: nn.Linear, gain: float) -> nn.Linear:
-    """Draw orthogonal weights of that gain."""
+    """Initialise a layer with orthogonal weights of the given gain."""
     nn.init.orthogonal_(layer.weight, gain)
     return layer
 
 
 def two_layers(inputs: int, width: int) -> nn.Sequential:
-    """Make two hidden layers."""
+    """Return two hidden layers with tanh."""
     first, second = (scaled(nn.Linear(size, width), 2**0.5) for size in (inputs, width))
     return nn.Sequential(first, nn.Tanh(), second, nn.Tanh())
 
 
 class Worlds:
-    """Batches of worlds, of which all drones are rows one below the other."""
+    """Batches of worlds, with the drones of all batches as rows of one array."""
 
     def __init__(self, plan: Plan, seed: int, with_state: bool) -> None:
         self.envs = [bulletuav.batch_env(**plan.options, **one) for one in plan.batches]
@@ -151,27 +152,27 @@ class Worlds:
         self.seen = self._rows(starts)
 
     def _rows(self, arrays: list[np.ndarray]) -> torch.Tensor:
-        """Put arrays (W, N, ...) of all batches one below the other."""
+        """Concatenate arrays (W, N, ...) of all batches to rows (M, ...)."""
         rows = [np.reshape(one, (size, -1)) for one, size in zip(arrays, self.sizes, strict=True)]
         return torch.from_numpy(np.concatenate(rows).astype(np.float32))
 
     def state(self) -> torch.Tensor:
-        """Tell what the critic sees beside what the drone does, (M, K)."""
+        """Return the state for the critic, (M, K); K = 0 without state."""
         if not self._with_state:
             return torch.zeros(len(self.seen), 0)
-        told = [np.repeat(env.state(), env.num_drones, axis=0) for env in self.envs]
-        # Small worlds have less to tell than the largest, and zeros after it.
-        most = max(one.shape[1] for one in told)
-        return self._rows([np.pad(one, ((0, 0), (0, most - one.shape[1]))) for one in told])
+        states = [np.repeat(env.state(), env.num_drones, axis=0) for env in self.envs]
+        # States of smaller worlds are padded with zeros
+        most = max(one.shape[1] for one in states)
+        return self._rows([np.pad(one, ((0, 0), (0, most - one.shape[1]))) for one in states])
 
     def step(self, actions: torch.Tensor) -> torch.Tensor:
-        """Fly a decision; gives (4, M): flown, reward, terminated, done."""
+        """Step all worlds; return (4, M): flown, reward, terminated, done."""
         flown = self._rows([env.alive for env in self.envs])
         parts = np.split(actions.clamp(-1, 1).numpy(), self._ends)
         shapes = [(env.num_envs, env.num_drones, -1) for env in self.envs]
         flights = zip(self.envs, parts, shapes, strict=True)
         steps = [env.step(part.reshape(shape)) for env, part, shape in flights]
-        # A world that ended starts anew in the next step, which nobody flies.
+        # A world whose episode is over is reset in the next step, in which no drone flies
         self.seen = self._rows([step[0] for step in steps])
         reward, ended, cut = (self._rows([step[k] for step in steps]) for k in (1, 2, 3))
         return torch.stack([flown, reward, ended, torch.maximum(ended, cut)])[..., 0]
@@ -179,8 +180,8 @@ class Worlds:
 
 @torch.no_grad()
 def collect(worlds: Worlds, agent: Agent, plan: Plan) -> list[torch.Tensor]:
-    """Fly a rollout; gives what was seen, state, action, log density, advantage and return."""
-    seen, states, actions, before, values, told = [], [], [], [], [], []
+    """Collect a rollout: observation, state, action, log density, advantage and return."""
+    seen, states, actions, before, values, results = [], [], [], [], [], []
     for _ in range(plan.decisions):
         seen.append(worlds.seen)
         states.append(worlds.state())
@@ -188,12 +189,12 @@ def collect(worlds: Worlds, agent: Agent, plan: Plan) -> list[torch.Tensor]:
         actions.append(mean + agent.log_std.exp() * torch.randn_like(mean))
         before.append(agent.log_prob(mean, actions[-1]))
         values.append(value)
-        told.append(worlds.step(actions[-1]))
+        results.append(worlds.step(actions[-1]))
     values.append(agent(worlds.seen, worlds.state())[1])
-    flown, reward, ended, done = torch.stack(told, 1)
+    flown, reward, ended, done = torch.stack(results, 1)
     advantage, after = torch.zeros_like(reward), torch.zeros(len(worlds.seen))
     for t in reversed(range(plan.decisions)):
-        # None reaches over the end of an episode.
+        # Advantages do not cross the end of an episode
         error = reward[t] + plan.gamma * (1 - ended[t]) * values[t + 1] - values[t]
         after = advantage[t] = flown[t] * (error + plan.gamma * LAMBDA * (1 - done[t]) * after)
     lived = flown.bool()
@@ -202,7 +203,7 @@ def collect(worlds: Worlds, agent: Agent, plan: Plan) -> list[torch.Tensor]:
 
 
 def learn(agent: Agent, optimiser: Any, rows: list[torch.Tensor], plan: Plan) -> None:
-    """Improve actor and critic by what was flown."""
+    """Update actor and critic on a rollout by PPO."""
     count = len(rows[0])
     for _ in range(plan.epochs):
         for chosen in torch.randperm(count).tensor_split(max(1, round(count / plan.minibatch))):
@@ -221,7 +222,7 @@ def learn(agent: Agent, optimiser: Any, rows: list[torch.Tensor], plan: Plan) ->
 def train(
     plan: Plan, seed: int, central: bool, folder: Path, look: Any = None, by: str = "fast_ppo"
 ) -> None:
-    """Train, print how the reward of a decision rises, and save what it was before and after."""
+    """Train, print the mean return, and save the policy before and after training."""
     torch.manual_seed(seed)
     worlds = Worlds(plan, seed, central)
     agent = Agent(worlds.envs[0], plan, worlds.state().shape[1])
@@ -236,7 +237,7 @@ def train(
         learn(agent, optimiser, rows, plan)
         if k % 10 == 0 or k == rounds - 1:
             print(f"{(k + 1) * each:9d} decisions: mean return {rows[-1].mean().item():.3f}")
-        if look:  # who wants to know how far it is, and to keep what it has learned
+        if look:  # callback with the steps so far and a function that saves the policy
             look((k + 1) * each, lambda place: save(agent, place))
     for env in worlds.envs:
         env.close()
@@ -244,10 +245,10 @@ def train(
 
 
 def save(agent: Agent, folder: Path) -> None:
-    """Write the policy as `bulletuav train` does."""
+    """Write the policy in the format of `bulletuav train`."""
     folder.mkdir(parents=True, exist_ok=True)
     arrays = {name: part.numpy() for name, part in agent.state_dict().items()}
-    # Actor and critic share their features, which stable-baselines3 names three times.
+    # Actor and critic share their features, which stable-baselines3 stores three times
     shared = [name for name in arrays if name.startswith("features_extractor")]
     arrays |= {f"{net}_{name}": arrays[name].copy() for net in ("pi", "vf") for name in shared}
     ones = np.ones_like(arrays["log_std"])
@@ -255,7 +256,7 @@ def save(agent: Agent, folder: Path) -> None:
 
 
 def write_settings(plan: Plan, seed: int, folder: Path, by: str) -> None:
-    """Write what the policy sees and how it is built, as `bulletuav train` does."""
+    """Write the settings of the policy to run.yaml, as `bulletuav train` does."""
     features = {"features_extractor_kwargs": {"scale": plan.scale}}
     model = {"features": "swarm", "policy_kwargs": {"net_arch": [plan.width] * 2, **features}}
     config = RunConfig(plan.task, seed=seed, steps=plan.steps, options=plan.options, model=model)
@@ -264,7 +265,7 @@ def write_settings(plan: Plan, seed: int, folder: Path, by: str) -> None:
 
 
 def main() -> None:
-    """Train, save, and evaluate what was saved."""
+    """Train, save, and evaluate the saved policy."""
     args = parse_arguments()
     torch.set_num_threads(1)
     plan = PLANS[args.plan]._replace(steps=args.steps or PLANS[args.plan].steps)

@@ -1,19 +1,19 @@
 """Take off, fly a figure 8 at 1 m/s, and land.
 
-Shows how to follow a trajectory: `Trajectory` lays smooth curves through points and times, and
-`Tracker` tells with which acceleration to follow them. The drone stands on the ground with its
-motors off, climbs to 1 m, flies the 8 twice, 2.2 m wide, and lands. Near the ground the air bears
-more, so the way down aims below the ground, and motors stop at the touch.
+Shows how to follow a trajectory: `Trajectory` interpolates points at given times by smooth curves,
+and `Tracker` computes the acceleration that follows them. The drone starts on the ground with its
+motors off, climbs to 1 m, flies the 8 twice, 2.2 m wide, and lands. Ground effect increases the
+thrust near the ground, so the descent aims below the ground, and motors stop on contact.
 
-Prints the error on the 8, by how much the climb overshoots, and whether the drone rests on the
-ground at the end. Draws the 8 from above, and height and error over time.
+Prints the error on the 8, the overshoot of the climb, and whether the drone rests on the ground at
+the end. Plots the 8 from above, and height and error over time.
 
 Run it:
 
     python examples/figure_eight.py
     python examples/figure_eight.py --seconds 20 --out slow
 
-Takes 10 s, half of it to start.
+Takes 10 s, half of it for the start.
 """
 
 import argparse
@@ -40,14 +40,14 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--seconds", type=float, default=LENGTH, help="how long to fly on the 8; 13.4 is 1 m/s"
+        "--seconds", type=float, default=LENGTH, help="duration of the 8 in s; 13.4 is 1 m/s"
     )
     parser.add_argument("--out", type=Path, default=Path("figure_eight"), help="folder of pictures")
     return parser.parse_args()
 
 
 def eight(begin: float, seconds: float) -> Trajectory:
-    """Lay a figure 8 about the origin; its first and last pieces take three times as long."""
+    """Return a figure 8 around the origin; its first and last pieces take three times as long."""
     angle = np.linspace(0, 2 * np.pi * ROUNDS, 16 * ROUNDS + 1)
     x = WIDTH / 2 * np.sin(angle)
     points = np.stack([x, x * np.cos(angle), np.full_like(x, HEIGHT)], axis=1)
@@ -58,7 +58,7 @@ def eight(begin: float, seconds: float) -> Trajectory:
 
 
 def plan(seconds: float) -> list[Trajectory]:
-    """Lay the climb, the 8 and the descent one after the other."""
+    """Return the trajectories of climb, 8 and descent."""
     ground, high = (0.0, 0.0, AIRFRAME.standing_height), (0.0, 0.0, HEIGHT)
     climb = Trajectory([0.0, CLIMB], [ground, high])
     flight = eight(CLIMB + HOVER, seconds)
@@ -67,14 +67,14 @@ def plan(seconds: float) -> list[Trajectory]:
 
 
 def fly(legs: list[Trajectory]) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    """Fly the legs, and rest for a second.
+    """Fly the legs, and wait for a second.
 
     Args:
         legs: Climb, flight and descent.
 
     Returns:
-        Times (T,), s; positions (T, 3) and places of the trajectories (T, 3), m; and whether the
-        drone rests on the ground.
+        Times (T,), s; positions (T, 3) and reference positions (T, 3), m; and True if the drone
+        rests on the ground.
     """
     airspace = bulletuav.Airspace([(0.0, 0.0, AIRFRAME.standing_height)], AIRFRAME)
     trackers = [Tracker(AIRFRAME, leg) for leg in legs]
@@ -103,7 +103,7 @@ def fly(legs: list[Trajectory]) -> tuple[np.ndarray, np.ndarray, np.ndarray, boo
 def draw(
     time: np.ndarray, track: np.ndarray, wanted: np.ndarray, on_eight: np.ndarray, path: Path
 ) -> None:
-    """Draw the 8 from above on the left, height and error over time on the right."""
+    """Plot the 8 from above on the left, height and error over time on the right."""
     figure = blank_figure(11, 5)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.3, 1))
     above, height, error = (figure.add_subplot(grid[cell]) for cell in (np.s_[:, 0], 1, 3))
@@ -124,7 +124,7 @@ def draw(
 
 
 def main() -> None:
-    """Fly, print what came of it and draw."""
+    """Fly, print the errors and plot the flight."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
 

@@ -1,15 +1,15 @@
-"""Hold a Crazyflie at a target in wind with a PID controller of one's own.
+"""Hold a Crazyflie at a target in wind with a custom PID controller.
 
-Shows the loop of an airspace: read the state, compute, command, step. The controller reads where
-the drone is, and commands roll, pitch and thrust 240 times a second. Its integral term learns the
-wind, so the drone comes to rest at the target and not beside it. Prints the error each second, and
-the greatest one of the last second.
+Shows the loop of an airspace: read the state, compute, command, step. The controller reads the
+state of the drone, and commands roll, pitch and thrust at 240 Hz. Its integral term compensates the
+wind, so that there is no steady-state error. Prints the error each second, and the maximum of the
+last second.
 
 Run it (it has no options):
 
     python examples/own_pid.py
 
-Takes 5 s, most of it to start.
+Takes 5 s, most of it for the start.
 """
 
 import numpy as np
@@ -26,9 +26,9 @@ integral, errors = np.zeros(3), []
 while airspace.time < 8:
     position, velocity = airspace.swarm.position[0], airspace.swarm.velocity[0]
     error = target - position
-    # The bound keeps the integral from growing on the way to the target
+    # Anti-windup: bound the integral on the way to the target
     integral = np.clip(integral + error * airspace.period, -0.3, 0.3)
-    # The force that is wanted for each kilogram: its direction is the attitude, its size the thrust
+    # Desired specific force: its direction is the attitude, its norm the thrust per kilogram
     force = 5.0 * error + 5.0 * integral - 4.0 * velocity + gravity
     size = np.linalg.norm(force)
     roll, pitch = -np.arcsin(force[1] / size), np.arctan2(force[0], force[2])

@@ -1,16 +1,16 @@
-"""Fly a Crazyflie around a square with its own PID controller.
+"""Fly a Crazyflie around a square with the Crazyflie's PID controller.
 
-Shows how well the controller follows a setpoint that moves along sides of 2 m at 0.5 m/s. Draws
-the drone's track beside the setpoints, and the error over time. The drone lags 20 to 30 cm behind.
-At corners it overshoots by up to 10 cm, until the controller's integral term has unwound. The
-controller is made for motors without lag, so they have none here.
+Shows how well the controller follows a setpoint that moves along sides of 2 m at 0.5 m/s. Plots
+track and setpoints, and the error over time. The drone lags 20 to 30 cm behind. At corners it
+overshoots by up to 10 cm, until the integral term of the controller has unwound. The controller is
+tuned for motors without lag, so motors have none here.
 
 Run it:
 
     python examples/pid_flight.py
     python examples/pid_flight.py --seconds 30 --out square
 
-Takes 5 s, most of it to start.
+Takes 5 s, most of it for the start.
 """
 
 import argparse
@@ -21,7 +21,7 @@ import numpy as np
 import bulletuav
 from bulletuav.report.pictures import blank_figure
 
-DECISION_HZ = 48  # each decision gives a new setpoint
+DECISION_HZ = 48  # rate of setpoints
 SPEED = 0.5  # m/s
 CORNERS = np.array(  # m
     [(-1.0, -1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)]
@@ -34,14 +34,14 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--seconds", type=float, default=20.0, help="duration of the flight; a round takes 16"
+        "--seconds", type=float, default=20.0, help="duration of the flight; a round takes 16 s"
     )
     parser.add_argument("--out", type=Path, default=Path("pid_flight"), help="folder for the files")
     return parser.parse_args()
 
 
 def square(time: np.ndarray) -> np.ndarray:
-    """Compute the places of the setpoint (T, 3), m, at times (T,), s, round after round."""
+    """Return the setpoints (T, 3), m, at times (T,), s, on a periodic square."""
     sides = np.linalg.norm(np.diff(CORNERS, axis=0), axis=1)
     corner_distance = np.concatenate([[0.0], np.cumsum(sides)])
     distance = SPEED * time % corner_distance[-1]
@@ -57,7 +57,7 @@ def fly(setpoints: np.ndarray) -> np.ndarray:
         airframe="cf2x",
         action="target_position",
         controller="pid",
-        effects=("ground_effect", "downwash"),  # it is made for motors without lag and drag
+        effects=("ground_effect", "downwash"),  # the PID is tuned for motors without lag and drag
         start=(tuple(CORNERS[0]),),
         decision_hz=DECISION_HZ,
         horizon=len(setpoints),
@@ -65,7 +65,7 @@ def fly(setpoints: np.ndarray) -> np.ndarray:
     aviary.reset(seeds=0)
     track = []
     for setpoint in setpoints:
-        # Actions have the shape (worlds, drones, numbers of an action).
+        # Actions have the shape (worlds, drones, size of an action)
         aviary.step(aviary.action.encode(setpoint.reshape(1, 1, 3)))
         track.append(aviary.swarm.position[0, 0].copy())
     aviary.close()
@@ -73,7 +73,7 @@ def fly(setpoints: np.ndarray) -> np.ndarray:
 
 
 def draw(time: np.ndarray, setpoints: np.ndarray, track: np.ndarray, path: Path) -> None:
-    """Draw the track from above on the left, and the error of each axis on the right."""
+    """Plot the track from above on the left, and the error of each axis on the right."""
     figure = blank_figure(11, 5)
     above, error = figure.subplots(1, 2)
     above.plot(*setpoints[:, :2].T, "--", color="0.5", label="setpoint")
@@ -90,7 +90,7 @@ def draw(time: np.ndarray, setpoints: np.ndarray, track: np.ndarray, path: Path)
 
 
 def main() -> None:
-    """Fly, print the error and draw."""
+    """Fly, print the error and plot the flight."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
 

@@ -1,20 +1,20 @@
-"""Fly a swarm among pillars at thrust level: a task and a policy of one's own.
+"""Fly a swarm among pillars by body rates and thrust: a custom task and a custom policy.
 
 The arena is that of quad-swarm-rl (Z. Huang et al., Collision avoidance and navigation for a
-quadrotor swarm using end-to-end deep reinforcement learning, ICRA 2024): a room of 10 m, and in its
-middle 8 x 8 cells of 1 m. Pillars of 0.6 m across stand in a share of the cells, the density.
-Drones fly from free cells to free cells in 15 s. Who touches anything is out.
+quadrotor swarm using end-to-end deep reinforcement learning, ICRA 2024): a room of 10 m with 8 x 8
+cells of 1 m in its centre. Pillars with a diameter of 0.6 m stand in a fraction of the cells, the
+density. Drones fly from free cells to free cells in 15 s. The episode of a drone ends on contact.
 
-Drones give body rates and thrust 25 times a second. The policy `Teacher` knows where everything is:
-it tries velocities, takes the best, and turns it into rates and thrust. A network that sees six
-pillars and six drones learns from it in `dagger.py`.
+Actions are body rates and thrust at 25 Hz. The policy `Teacher` reads the true state: it samples
+velocities, selects the best, and converts it to rates and thrust. A network that observes six
+pillars and six drones is trained on it in `dagger.py`.
 
 Run it:
 
     python examples/pillars.py --density 0.8 --drones 8
     python examples/pillars.py --policy dagger
 
-Takes 10 seconds to a minute. Draws the paths of one flight, `pillars/paths.png`.
+Takes 10 seconds to a minute. Plots the paths of one flight, `pillars/paths.png`.
 """
 
 import argparse
@@ -39,19 +39,19 @@ from bulletuav.tasks.ends import at_goal, collision, leaves_arena
 
 CELLS = 8  # along each side
 RADIUS, HEIGHT = 0.3, 10.0  # of a pillar, m
-LOWEST, HIGHEST = 1.0, 3.0  # where drones start and end, m
-STOREY = 1.5  # m between drones that start above each other, where cells are too few
-SEEN = 6  # pillars that a drone sees
+LOWEST, HIGHEST = 1.0, 3.0  # altitudes of starts and goals, m
+STOREY = 1.5  # m between drones that start above each other, if there are too few cells
+SEEN = 6  # number of observed pillars
 SPEED = 1.5  # of the teacher, m/s
 LEVEL, FLAT = np.float32([[1.0, 1.0, 0.0], [1.0, 1.0, 0.6]])
-"""Pillars are tall, and drones keep more room above each other, where wakes are"""
+"""Weights of the axes: pillars are tall; below a drone its wake requires more separation"""
 FAR, TINY = 100.0, 1e-9
 SCALE = 2 * np.pi, 2 * np.pi, np.pi, 1.0  # of action `rates`, rad/s, and of the thrust
 
 
 @dataclass(frozen=True)
 class PillarsConfig(TaskConfig):
-    """Share of cells with pillars, distance from the goal that is success (m), and `d_safe` (m)."""
+    """Fraction of cells with pillars, radius of the goal (m), and `d_safe` (m)."""
 
     density: float = field(default=0.6, metadata={"least": 0.0, "most": 0.9})
     goal_radius: float = 0.5
@@ -66,7 +66,7 @@ class PillarsConfig(TaskConfig):
     )
 )
 def pillars(known_position: Vec3, all_obstacle: np.ndarray, out: np.ndarray) -> None:
-    """Places of the nearest pillars from the drone, nearest first; zeros where there are fewer."""
+    """Offsets to the nearest pillars, nearest first; zeros if there are fewer."""
     before = -1.0
     for k in range(SEEN):
         nearest, x, y = np.inf, 0.0, 0.0
@@ -82,7 +82,7 @@ def pillars(known_position: Vec3, all_obstacle: np.ndarray, out: np.ndarray) -> 
 
 
 class Pillars(Task[PillarsConfig]):
-    """Flight of a swarm among pillars, from free cells to free cells."""
+    """Fly a swarm among pillars, from free cells to free cells."""
 
     name = "pillars"
     defaults: ClassVar = {
@@ -107,11 +107,11 @@ class Pillars(Task[PillarsConfig]):
         self._count = int(config.density * CELLS**2)
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """Tell the pillars."""
+        """Return the pillars."""
         return [Obstacle("cylinder", (RADIUS, HEIGHT))] * self._count
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw cells for pillars, starts and goals."""
+        """Sample cells for pillars, starts and goals."""
         cell = rng.permutation(CELLS**2)
         middle = np.stack([cell % CELLS, cell // CELLS], axis=1) - (CELLS - 1) / 2
         taken, free = np.split(middle, [self._count])
@@ -120,7 +120,7 @@ class Pillars(Task[PillarsConfig]):
         return Spawn(position=start, goal=goal, obstacle=pillar, obstacle_velocity=0 * pillar)
 
     def _places(self, free: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Draw places in free cells (F, 2), above each other where there are more drones."""
+        """Sample positions in free cells (F, 2), in several layers if there are more drones."""
         drone = np.arange(self.context.num_drones)
         storey, cell = np.divmod(drone, len(free))
         spread = HIGHEST - LOWEST if len(drone) <= len(free) else 0.5
@@ -129,7 +129,7 @@ class Pillars(Task[PillarsConfig]):
 
 
 class Teacher(Policy):
-    """A policy that knows where all are, and tries velocities: the best is free and leads on."""
+    """Policy that reads the true state, and selects the best of many sampled velocities."""
 
     name = "teacher"
     actions = ("rates",)
@@ -145,16 +145,16 @@ class Teacher(Policy):
         self._airframe = bulletuav.load_airframe(Pillars.defaults["airframe"])
 
     def reset(self, mask: np.ndarray) -> None:
-        """Do nothing, as no world is remembered."""
+        """Do nothing: the policy has no memory."""
 
     def act(self, observations: Any, swarm: Any) -> np.ndarray:
-        """Tell body rates and thrust of all drones, (W, N, 4)."""
+        """Return body rates and thrust of all drones, (W, N, 4)."""
         velocity = self._velocity(*(np.float32(part) for part in (swarm.position, swarm.velocity)))
-        # From a velocity to a force, at most 6 m/s^2 beside the weight
+        # Acceleration from the velocity error, at most 6 m/s^2, plus gravity
         push = (velocity - swarm.velocity) * (4.0, 4.0, 6.0)
         push *= np.minimum(1.0, 6.0 / (norm(push) + TINY))
         push[..., 2] += 9.81
-        # Turn the thrust to the force, and the nose to the east
+        # Rates that turn the thrust axis to the force, and the nose to the east
         turn = Rotation.from_quat(swarm.quaternion.reshape(-1, 4)).as_matrix()
         turn = turn.reshape(*push.shape, 3)
         ahead, left, up = np.moveaxis((push[..., None] * turn).sum(axis=-2) / norm(push), -1, 0)
@@ -164,20 +164,20 @@ class Teacher(Policy):
         return np.clip(scaled, -1.0, 1.0)
 
     def _velocity(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Choose velocities (W, N, 3), m/s."""
+        """Select velocities (W, N, 3), m/s."""
         scene, alive = self.aviary.scene, self.aviary.alive
-        # Towards the goal, slower near it
+        # Preferred velocity: towards the goal, slower near it
         gap = np.float32(scene.goal) - position
         wish = gap * np.minimum(SPEED / (norm(gap) + TINY), 1.2)
-        # Velocities to try: the wish, the present one, and some to all sides
+        # Candidates: the preferred velocity, the present velocity, and a fixed set
         same = np.broadcast_to(self._tries, (*wish.shape[:2], *self._tries.shape))
         tries = np.concatenate([wish[:, :, None], velocity[:, :, None], same], axis=2)
-        # The nearest pillars: who is nearer than the margin must not come nearer still
+        # Nearest pillars: within the margin, the present distance is the limit
         gap = (np.float32(scene.obstacle)[:, None] - position[:, :, None]) * LEVEL
         gap = np.take_along_axis(gap, nearest(gap, 8), axis=2)
         reach = np.clip(norm(gap)[..., 0], RADIUS + 0.06, RADIUS + 0.14)
         pillar = time_to(gap, tries * LEVEL, 0 * gap, reach)
-        # The nearest drones: both do half of what avoids the other (J. van den Berg et al.,
+        # Nearest drones: each does half of the avoidance (J. van den Berg et al.,
         # Reciprocal velocity obstacles, ICRA 2008)
         gap = (position[:, None] - position[:, :, None]) * FLAT
         hidden = ~alive[:, None] | np.eye(alive.shape[1], dtype=bool)
@@ -189,7 +189,7 @@ class Teacher(Policy):
         drone = time_to(gap, 2 * tries * FLAT, moved, reach)
         left = np.maximum(0.0, position[:, :, None, 2] - 0.3)
         floor = left / np.maximum(-tries[..., 2], TINY)
-        # Off the wish, another velocity than now, and soon at a pillar or a drone
+        # Cost: deviation from the preferred velocity, change of velocity, and early contacts
         off = norm(tries - tries[:, :, :1]) + 0.15 * norm(tries - tries[:, :, 1:2])
         soon = np.maximum(0.0, 1 / (pillar + 0.05) - 0.8)
         soon += np.maximum(0.0, 1 / (drone + 0.05) - 0.4)
@@ -199,20 +199,21 @@ class Teacher(Policy):
 
 
 def norm(vectors: np.ndarray) -> np.ndarray:
-    """Compute the lengths (..., 1) of vectors (..., 3)."""
+    """Return the norms (..., 1) of vectors (..., 3)."""
     return np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def nearest(gap: np.ndarray, count: int) -> np.ndarray:
-    """Tell where the least of gaps (W, N, K, 3) are, nearest first: (W, N, count, 1)."""
+    """Return the indices (W, N, count, 1) of the shortest of offsets (W, N, K, 3)."""
     return norm(gap).argsort(axis=2)[:, :, :count]
 
 
 def time_to(gap: np.ndarray, tries: np.ndarray, moved: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Tell when the first of others is within reach, for each velocity that is tried.
+    """Return the time of the first contact with any other, for each candidate velocity.
 
-    The gaps are (W, N, K, 3), m, the tries (W, N, T, 3), m/s, the reach (W, N, K), m. What is
-    `moved` (W, N, K, 3) is taken from the tries to come to closing velocities. Gives (W, N, T), s.
+    The offsets `gap` are (W, N, K, 3) in m, the candidates `tries` (W, N, T, 3) in m/s, the contact
+    distances `reach` (W, N, K) in m. `moved` (W, N, K, 3) is subtracted from the candidates to
+    obtain closing velocities. Returns (W, N, T) in s.
     """
     clear = ((gap * gap).sum(-1) - reach * reach)[..., None]
     tries = np.moveaxis(tries, -1, -2)
@@ -228,19 +229,19 @@ def time_to(gap: np.ndarray, tries: np.ndarray, moved: np.ndarray, reach: np.nda
 
 
 class lost:  # noqa: N801  # its name in tables
-    """Share of the drones that touched something, or left the room."""
+    """Fraction of the drones that had a contact, or left the room."""
 
     def __init__(self, aviary: Any) -> None:
         self.lost = np.zeros((aviary.num_worlds, aviary.num_drones), dtype=bool)
 
     def __call__(self, step: Any, aviary: Any) -> np.ndarray:
-        """Take a decision; give the share so far for each world, (W,)."""
+        """Update with one step; return the fraction so far for each world, (W,)."""
         self.lost |= step.terminated
         return self.lost.mean(axis=1)
 
 
 def show(policy: Any, density: float, drones: int, episodes: int) -> str:
-    """Fly, and tell which share of the drones was at its goal in the end, and which was lost."""
+    """Evaluate a policy; return a text with the fractions of drones at the goal and lost."""
     options = {"density": density, "num_drones": drones, "metrics": (lost,), "trust": True}
     found = bulletuav.evaluate(Pillars, policy, episodes, 1000, **options).estimates()
     there, gone = (
@@ -251,7 +252,7 @@ def show(policy: Any, density: float, drones: int, episodes: int) -> str:
 
 
 def draw(policy: Any, density: float, drones: int, file: Path) -> None:
-    """Draw the paths of one flight from above."""
+    """Plot the paths of one flight from above."""
     aviary = bulletuav.Aviary(Pillars, 1, density=density, num_drones=drones)
     flight = fly_episode(aviary, find_policy(policy, Pillars, trust=True)(aviary), seed=1000)
     paths = np.where(flight.alive[..., None], flight.position, np.nan)
@@ -268,7 +269,7 @@ def draw(policy: Any, density: float, drones: int, file: Path) -> None:
 
 
 def main() -> None:
-    """Fly a policy, and draw one of its flights."""
+    """Evaluate a policy, and plot one of its flights."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,8 +1,9 @@
-"""Plan with snapshots: try many ways to go on from where drones are, and fly the best one.
+"""Plan with snapshots: simulate many continuations of the present state, and fly the best one.
 
-Random shooting: in each decision all worlds of a second environment go on from a snapshot of the
-first one. Each tries other detours from the straight way to the goals. The first action of the one
-that earns most is flown. The same flight without a plan is told beside it.
+Random shooting: at each decision all worlds of a second environment continue from a snapshot of the
+first one, each with other random deviations from the straight line to the goals. The first action
+of the continuation with the highest return is flown. The same flight without planning is printed
+for comparison.
 
 Run it:
 
@@ -20,7 +21,7 @@ from rich.progress import track
 import bulletuav
 
 DETOUR = 0.5
-"""Standard deviation of detours, as a share of the greatest speed"""
+"""Standard deviation of the deviations, as a fraction of the maximum speed"""
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -30,23 +31,23 @@ def parse_arguments() -> argparse.Namespace:
     )
     parser.add_argument("--drones", type=int, default=4)
     parser.add_argument(
-        "--plans", type=int, default=64, help="ways that are tried in each decision"
+        "--plans", type=int, default=64, help="continuations simulated at each decision"
     )
-    parser.add_argument("--ahead", type=int, default=20, help="decisions that they look ahead")
+    parser.add_argument("--ahead", type=int, default=20, help="planning horizon in decisions")
     parser.add_argument("--decisions", type=int, default=120)
     parser.add_argument("--seed", type=int, default=0)
     return parser.parse_args()
 
 
 def to_goals(aviary: bulletuav.Aviary) -> np.ndarray:
-    """Give actions (W, N, 3) straight to the goals, at full speed."""
+    """Return actions (W, N, 3) straight to the goals, at maximum speed."""
     way = aviary.scene.goal - aviary.swarm.position
     actions: np.ndarray = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1.0)
     return actions
 
 
 def earned(tries: bulletuav.Aviary, detour: np.ndarray, ahead: int) -> np.ndarray:
-    """Fly detours (W, N, 3) that fade out; give what each world earns."""
+    """Fly deviations (W, N, 3) that fade out; return the return of each world (W,)."""
     total = np.zeros(tries.num_worlds)
     for k in range(ahead):
         action = to_goals(tries) + (1 - k / ahead) * detour
@@ -55,7 +56,7 @@ def earned(tries: bulletuav.Aviary, detour: np.ndarray, ahead: int) -> np.ndarra
 
 
 def fly(arguments: argparse.Namespace, plans: bool) -> tuple[float, int]:
-    """Fly an episode, with plans or straight; give its return and the conflicts."""
+    """Fly an episode, with or without planning; return its return and conflicts."""
     options = {"num_drones": arguments.drones, "dynamics": "rigid_body", "difficulty": "easy"}
     world = bulletuav.Aviary("crossing", jitter=0.0, altitude_spread=0.0, **options)
     tries = bulletuav.Aviary(
@@ -69,7 +70,7 @@ def fly(arguments: argparse.Namespace, plans: bool) -> tuple[float, int]:
         if plans:
             tries.load_state(world.save_state()[[0] * arguments.plans])
             tried = rng.normal(0.0, DETOUR, (arguments.plans, arguments.drones, 3))
-            tried[0] = 0.0  # among them straight on
+            tried[0] = 0.0  # one of them is straight
             best = int(earned(tries, tried, arguments.ahead).argmax())
             detour = tried[[best]]
         step = world.step(to_goals(world) + detour)
@@ -83,7 +84,7 @@ def fly(arguments: argparse.Namespace, plans: bool) -> tuple[float, int]:
 
 
 def main() -> None:
-    """Fly with plans and without."""
+    """Fly with and without planning."""
     arguments = parse_arguments()
     for plans in (False, True):
         total, conflicts = fly(arguments, plans)

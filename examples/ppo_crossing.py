@@ -1,9 +1,10 @@
 """Train eight drones with PPO to cross an airspace without conflict.
 
-All drones share one policy. A table every 320,000 decisions shows how the return rises: drones
-first learn to fly to their goals, then to make way. They learn as points, which is fast, and are
-evaluated in `bullet` with all forces. Two baselines that see the true state fly beside them:
-`straight` avoids nobody, `orca` is built for avoiding. A picture shows one flight.
+All drones share one policy. A table every 320,000 decisions shows the return: drones first learn to
+fly to their goals, then to avoid each other. Training uses `point_mass`, which is fast; the
+evaluation uses `bullet` with all forces. Two baselines that read the true state are evaluated for
+comparison: `straight` does not avoid other drones, `orca` is a collision avoidance algorithm. One
+flight is plotted.
 
 Run it:
 
@@ -26,7 +27,7 @@ from bulletuav.analysis.recording import fly_episode
 from bulletuav.policies import find_policy
 from bulletuav.report.pictures import plot_tracks
 
-# Smaller than the task's own weights, as networks like returns of the order of 1.
+# Smaller than the default weights of the task, so that returns are of the order of 1
 WEIGHTS = {
     "progress": 0.05,
     "goal": 2.0,
@@ -53,9 +54,7 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--steps", type=int, default=2_000_000, help="decisions of all slots together"
-    )
+    parser.add_argument("--steps", type=int, default=2_000_000, help="total decisions of all slots")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
@@ -65,7 +64,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def train(steps: int, seed: int, path: Path) -> None:
-    """Train as points and save the model."""
+    """Train in `point_mass` and save the model."""
     env = DroneVecEnv("crossing", num_worlds=32, dynamics="point_mass", weights=WEIGHTS)
     model = PPO(
         "MlpPolicy",
@@ -76,7 +75,7 @@ def train(steps: int, seed: int, path: Path) -> None:
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
         gamma=0.99,
         gae_lambda=0.95,
-        # Drones leave at their goals; nothing is learned from slots without a drone.
+        # Drones leave at their goals; slots without a drone are dropped
         rollout_buffer_class=LivingRollouts,
         policy_kwargs={
             "features_extractor_class": Symlog,
@@ -102,7 +101,7 @@ def compare(policies: dict[str, str], episodes: int) -> None:
 
 
 def draw_flight(policy: str, path: Path) -> None:
-    """Fly one episode in `bullet` and draw its tracks."""
+    """Fly one episode in `bullet` and plot its tracks."""
     aviary = bulletuav.Aviary("crossing")
     pilot = find_policy(policy, trust=True)(aviary)
     recording = fly_episode(aviary, pilot, seed=1000)
@@ -111,7 +110,7 @@ def draw_flight(policy: str, path: Path) -> None:
 
 
 def main() -> None:
-    """Train, compare and draw."""
+    """Train, compare with baselines, and plot one flight."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # networks this small are no faster on more

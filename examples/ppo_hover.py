@@ -1,8 +1,8 @@
-"""Train a Crazyflie with PPO to fly to its target and stay there.
+"""Train a Crazyflie with PPO to fly to its target and hover there.
 
-The drone learns in `rigid_body`, 64 worlds at once. A table every 200,000 decisions shows how the
-return and the success rate rise. Then the policy flies in `bullet`, where it never was, and a
-picture shows one flight.
+Training uses `rigid_body` and 64 worlds. A table every 200,000 decisions shows return and success
+rate. Then the policy is evaluated in `bullet`, in which it was not trained, and one flight is
+plotted.
 
 Run it:
 
@@ -26,7 +26,7 @@ from bulletuav.policies import find_policy
 from bulletuav.report.pictures import plot_tracks
 
 OPTIONS = {"action": "velocity", "observation": ("goal_offset", "velocity")}
-# Weights of the reward. That of the speed keeps the drone from shooting past its target.
+# Weights of the reward; that of the speed prevents overshoot
 WEIGHTS = {"distance": -1.0, "speed": -0.5}
 
 
@@ -36,7 +36,7 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--steps", type=int, default=2_000_000, help="decisions of all drones together"
+        "--steps", type=int, default=2_000_000, help="total decisions of all drones"
     )
     parser.add_argument("--episodes", type=int, default=100, help="episodes of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
@@ -54,9 +54,9 @@ def train(steps: int, seed: int, path: Path) -> None:
         batch_size=1024,
         n_epochs=5,
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
-        gamma=0.97,  # looks about a second ahead, at 30 decisions a second
+        gamma=0.97,  # horizon of about one second, at 30 decisions per second
         gae_lambda=0.95,
-        # The standard deviation of actions begins small: 0.2 of max_speed.
+        # Small initial standard deviation of actions: 0.2 of max_speed
         policy_kwargs={"net_arch": [64, 64], "log_std_init": -1.5},
         seed=seed,
         device="cpu",
@@ -68,7 +68,7 @@ def train(steps: int, seed: int, path: Path) -> None:
 
 
 def evaluate(policy: str, episodes: int) -> None:
-    """Fly the policy in `bullet` and print metrics with their 95 % confidence intervals."""
+    """Evaluate the policy in `bullet` and print metrics with 95 % confidence intervals."""
     result = bulletuav.evaluate(
         "hover", policy, episodes=episodes, seed=1000, dynamics="bullet", trust=True, **OPTIONS
     )
@@ -80,7 +80,7 @@ def evaluate(policy: str, episodes: int) -> None:
 
 
 def draw_flight(policy: str, path: Path) -> None:
-    """Fly one episode in `bullet` from the same start each time, and draw its track."""
+    """Fly one episode in `bullet` from a fixed start, and plot its track."""
     aviary = bulletuav.Aviary("hover", dynamics="bullet", start=((-0.5, -0.5, 1.5),), **OPTIONS)
     pilot = find_policy(policy, trust=True)(aviary)
     recording = fly_episode(aviary, pilot, seed=0)
@@ -89,7 +89,7 @@ def draw_flight(policy: str, path: Path) -> None:
 
 
 def main() -> None:
-    """Train, evaluate and draw."""
+    """Train, evaluate and plot one flight."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # networks this small are no faster on more

@@ -1,8 +1,8 @@
-"""Train drones with RLlib's PPO (or APPO) to cross an airspace, and compare with random flight.
+"""Train drones with RLlib's PPO (or APPO) to cross an airspace, and compare with a random policy.
 
-Four drones share one policy. They learn as points, which is fast, and fly in `bullet` with all
-forces in the end. A line every iteration shows how success and return rise. Worlds of a runner are
-flown at once. Whatever Ray writes goes to a temporary folder.
+Four drones share one policy. Training uses `point_mass`, which is fast; the evaluation uses
+`bullet` with all forces. A line for each iteration shows success and return. The worlds of a runner
+are stepped in one batch. Ray writes its files to a temporary folder.
 
 Run it:
 
@@ -10,11 +10,11 @@ Run it:
     python examples/rllib_ppo.py --algo appo --runners 2
     python examples/rllib_ppo.py --runners 8 --address HOST:6379
 
-With an address it trains on that Ray cluster. Takes about 4 minutes on a core. Needs the extra
+With an address it trains on that Ray cluster. Takes about 4 minutes on one core. Needs the extra
 `rllib`.
 """
 
-# ruff: noqa: E402 - Ray reads variables when it is imported
+# ruff: noqa: E402 - Ray reads environment variables when it is imported
 import argparse
 import math
 import os
@@ -23,7 +23,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-# Ray writes to the home folder; compiled kernels stay where they are.
+# Ray writes to HOME; the cache of compiled kernels keeps its folder
 os.environ.setdefault("XDG_CACHE_HOME", str(Path.home() / ".cache"))
 FOLDER = tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True)
 os.environ.update(HOME=FOLDER.name, RAY_USAGE_STATS_ENABLED="0", OMP_NUM_THREADS="1")
@@ -47,7 +47,7 @@ from bulletuav.adapters.rllib_vector import BatchEnvRunner
 
 TASK = {"difficulty": "easy", "num_drones": 4}
 BATCH = 2048  # decisions of all worlds
-# Smaller than the task's own weights, as networks like returns of the order of 1.
+# Smaller than the default weights of the task, so that returns are of the order of 1
 WEIGHTS = {
     "progress": 0.05,
     "goal": 2.0,
@@ -67,16 +67,16 @@ def parse_arguments() -> argparse.Namespace:
     )
     parser.add_argument("--algo", choices=("ppo", "appo"), default="ppo")
     parser.add_argument("--iterations", type=int, default=160)
-    parser.add_argument("--runners", type=int, default=0, help="processes that fly, 0 for none")
-    parser.add_argument("--worlds", type=int, default=16, help="worlds of each runner")
+    parser.add_argument("--runners", type=int, default=0, help="number of env runner processes")
+    parser.add_argument("--worlds", type=int, default=16, help="worlds of each env runner")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--address", help="HOST:PORT of a Ray cluster; this machine without it")
+    parser.add_argument("--address", help="HOST:PORT of a Ray cluster (default: this machine)")
     return parser.parse_args()
 
 
 def configure(args: argparse.Namespace) -> Any:
-    """Configure the algorithm."""
+    """Return the configuration of the algorithm."""
     made = {"ppo": PPOConfig, "appo": APPOConfig}[args.algo]()
     env_config = {
         "task": "crossing",
@@ -107,22 +107,22 @@ def configure(args: argparse.Namespace) -> Any:
 
 
 def train(algorithm: Any, iterations: int) -> None:
-    """Train, and print what episodes in training came to."""
+    """Train, and print success and return of training episodes."""
     began = time.perf_counter()
     for k in range(iterations):
-        told = algorithm.train()["env_runners"]
-        steps = int(told["num_env_steps_sampled_lifetime"])
+        results = algorithm.train()["env_runners"]
+        steps = int(results["num_env_steps_sampled_lifetime"])
         seconds = time.perf_counter() - began
         text = f"iteration {k + 1}, {steps} decisions, {seconds:.0f} s"
-        # Where no episode ended there is nothing to tell.
-        drone = told.get("episode_return_mean", math.nan) / TASK["num_drones"]
+        # Without finished episodes there are no results
+        drone = results.get("episode_return_mean", math.nan) / TASK["num_drones"]
         if math.isfinite(drone):
-            text += f": success {told['success']:.2f}, return of a drone {drone:.2f}"
+            text += f": success {results['success']:.2f}, return of a drone {drone:.2f}"
         print(text, flush=True)
 
 
 def compare(algorithm: Any, args: argparse.Namespace) -> None:
-    """Evaluate the policy and random flight in `bullet`, on episodes that nobody trained on."""
+    """Evaluate the trained and a random policy in `bullet`, on seeds not used in training."""
     learned = rows_function(algorithm)
     for name, policy in (("learned", learned), ("random", "random")):
         result = bulletuav.evaluate("crossing", policy, episodes=args.episodes, seed=1000, **TASK)
@@ -132,7 +132,7 @@ def compare(algorithm: Any, args: argparse.Namespace) -> None:
 
 
 def show(estimate: Any) -> str:
-    """Write a mean with its interval."""
+    """Format a mean with its confidence interval."""
     return f"{estimate.mean:.2f} [{estimate.low:.2f}, {estimate.high:.2f}]"
 
 

@@ -1,17 +1,16 @@
-"""Bring a Crazyflie upright from a tilt of 60 degrees by commanding its rotors at 1 kHz.
+"""Recover a Crazyflie from a tilt of 60 degrees by rotor commands at 1 kHz.
 
-Shows control at the level of rotors: a cascade from height and drift to attitude to torques, and a
-mixer that shares thrust and torques out among the rotors. The mixer is the inverse of the
-airframe's allocation. The drone starts with a roll of 60 degrees, at rest, with rotors at hover
-speed. Prints how long it takes to settle, how far it falls and drifts. Draws tilt, height and
-rotor speeds over time.
+Shows control of rotor speeds: a cascade from height and velocity to attitude to torques, and a
+mixer that allocates thrust and torques to the rotors. The mixer is the inverse of the airframe's
+allocation matrix. The drone starts with a roll of 60 degrees, at rest, with rotors at hover speed.
+Prints settling time, loss of height and drift. Plots tilt, height and rotor speeds over time.
 
 Run it:
 
     python examples/rotor_control.py
     python examples/rotor_control.py --tilt 120 --out steep
 
-Takes 5 s, most of it to start.
+Takes 5 s, most of it for the start.
 """
 
 import argparse
@@ -29,9 +28,9 @@ MIXER = np.linalg.pinv(AIRFRAME.allocation())  # thrust of each rotor from thrus
 HZ = 1000  # of physics and control
 HEIGHT = 2.0  # m
 GRAVITY = 9.80665  # m/s^2
-ATTITUDE = 9.0  # rad/s, frequency of the attitude loop: slower than the motors' 1 / 0.065 s
-CLIMB = 3.0  # rad/s, frequency of the loop of height
-BRAKE = 1.5  # 1/s, how hard it leans against its drift
+ATTITUDE = 9.0  # rad/s, natural frequency of the attitude loop, below the motors' 1 / 0.065 s
+CLIMB = 3.0  # rad/s, natural frequency of the height loop
+BRAKE = 1.5  # 1/s, gain of horizontal velocity damping
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -51,7 +50,7 @@ def rotor_speeds(
     position: np.ndarray, quaternion: np.ndarray, velocity: np.ndarray, rates: np.ndarray
 ) -> np.ndarray:
     """Compute the speed of each rotor (R,), rad/s, from the state of the drone."""
-    # Force that is wanted for each kilogram: it holds the height and leans against the drift.
+    # Desired specific force: hold the height and damp the horizontal velocity
     force = np.array(
         [
             -BRAKE * velocity[0],
@@ -60,12 +59,12 @@ def rotor_speeds(
         ]
     )
     force[2] = max(force[2], 0.3 * GRAVITY)
-    # Attitude: turn the thrust axis towards the force, about the axis square to both.
+    # Attitude: turn the thrust axis towards the force, about the axis perpendicular to both
     upward = np.array(axes(quaternion)[2])
     error = to_body(quaternion, np.cross(upward, force / np.linalg.norm(force)))
     turn = ATTITUDE**2 * np.array(error) - 1.6 * ATTITUDE * rates
     torque = np.array(AIRFRAME.inertia) * turn + np.cross(rates, AIRFRAME.inertia * rates)
-    # Thrust: what of the force lies along the thrust axis.
+    # Thrust: component of the force along the thrust axis
     thrust = AIRFRAME.mass * max(force @ upward, 0.0)
     lift = MIXER @ np.array([thrust, *torque])
     most = AIRFRAME.max_thrust / len(lift)
@@ -81,7 +80,7 @@ def recover(tilt: float, seconds: float) -> tuple[np.ndarray, np.ndarray, np.nda
     airspace = bulletuav.Airspace([(0.0, 0.0, HEIGHT)], AIRFRAME, physics_hz=HZ, decision_hz=HZ)
     quaternion = from_euler(np.radians(tilt), 0.0, 0.0)
     airspace.place(0, (0.0, 0.0, HEIGHT), quaternion, rotor_speed=airspace.hover_speed[0])
-    # The arrays of the swarm stay the same, and each step writes them anew.
+    # Each step writes to the same arrays of the swarm
     state = [array[0] for array in airspace.swarm]
     tilts, track, speeds = [], [], []
     for _ in range(round(seconds * HZ)):
@@ -95,7 +94,7 @@ def recover(tilt: float, seconds: float) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def draw(tilts: np.ndarray, track: np.ndarray, speeds: np.ndarray, path: Path) -> None:
-    """Draw tilt, height and rotor speeds over time."""
+    """Plot tilt, height and rotor speeds over time."""
     figure = blank_figure(8, 7)
     tilt, height, rotors = figure.subplots(3, 1, sharex=True)
     time = np.arange(1, len(tilts) + 1) / HZ
@@ -103,7 +102,7 @@ def draw(tilts: np.ndarray, track: np.ndarray, speeds: np.ndarray, path: Path) -
     tilt.set(ylabel="tilt (degrees)")
     height.plot(time, track[:, 2], color="tab:red")
     height.set(ylabel="height (m)")
-    # Rotors of one side turn alike
+    # Both rotors of one side have equal speeds
     rotors.plot(time, speeds[:, 0], label="right rotors")
     rotors.plot(time, speeds[:, 3], label="left rotors")
     rotors.set(xlabel="time (s)", ylabel="rotor speed (rad/s)")
@@ -114,7 +113,7 @@ def draw(tilts: np.ndarray, track: np.ndarray, speeds: np.ndarray, path: Path) -
 
 
 def main() -> None:
-    """Recover, print how and draw."""
+    """Fly the recovery, print and plot the results."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
 

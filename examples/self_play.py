@@ -1,8 +1,8 @@
-"""Let a chaser and an evader learn against each other by PPO, in turns.
+"""Train a chaser and an evader against each other by PPO, in turns.
 
-In each round the chaser learns against the evader of the round before, which is frozen, and then
-the evader against the new chaser. Both see no more than their task tells them: opponents in sight.
-After each round both fly against scripted opponents, and against each other.
+In each round the chaser trains against the frozen evader of the previous round, and then the evader
+against the new chaser. Both observe only what their task defines: opponents in sight. After each
+round both are evaluated against scripted opponents, and against each other.
 
 Run it:
 
@@ -24,7 +24,7 @@ from stable_baselines3 import PPO
 import bulletuav
 from bulletuav.adapters.self_play import CentralTeamAviary
 
-# One against one, as points: a slower evader, and a small arena.
+# One against one in `point_mass`: a slower evader, and a small arena
 OPTIONS = {
     "num_drones": 2,
     "dynamics": "point_mass",
@@ -35,7 +35,7 @@ OPTIONS = {
     "evader_speed": 0.8,
     "normalise": True,
     "num_neighbours": 1,
-    # Pay for metres, which are felt at once, and less for what follows from them.
+    # A dense reward of the distance, and a smaller one of the capture
     "weights": {"capture": 8.0, "closing": 0.5},
 }
 Rows = Callable[[np.ndarray], np.ndarray]
@@ -46,9 +46,9 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--rounds", type=int, default=3, help="how often each side learns")
+    parser.add_argument("--rounds", type=int, default=3, help="number of training rounds")
     parser.add_argument(
-        "--steps", type=int, default=30_000, help="decisions of a side in each round"
+        "--steps", type=int, default=30_000, help="decisions of each side in a round"
     )
     parser.add_argument("--episodes", type=int, default=50, help="episodes of an evaluation")
     parser.add_argument("--seed", type=int, default=0)
@@ -57,13 +57,13 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def make_learner(env: CentralTeamAviary, seed: int) -> PPO:
-    """Make a model that learns to fly the team of an environment."""
+    """Return a model for the team of an environment."""
     settings = {"net_arch": [64, 64], "log_std_init": -0.5}
     return PPO("MlpPolicy", env, n_steps=1024, policy_kwargs=settings, seed=seed, device="cpu")
 
 
 def frozen(model: PPO) -> Rows:
-    """Make a function of observations that flies as the model does now, whatever it learns."""
+    """Return the present policy of a model as a function; later training does not change it."""
     file = io.BytesIO()
     model.policy.save(file)
     file.seek(0)
@@ -76,14 +76,14 @@ def frozen(model: PPO) -> Rows:
 
 
 def captured(chaser: str | Rows, evader: str | Rows, episodes: int) -> float:
-    """Fly episodes, and tell the share in which the evader was captured."""
+    """Return the fraction of episodes in which the evader was captured."""
     versus = bulletuav.Versus(chasers=chaser, evaders=evader)
     result = bulletuav.evaluate("pursuit_evasion", versus, episodes, seed=1000, **OPTIONS)
     return result.estimates()["captured"].mean
 
 
 def main() -> None:
-    """Let both learn in turns, and measure them after each round."""
+    """Train both in turns, and evaluate them after each round."""
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # networks this small are no faster on more

@@ -1,13 +1,13 @@
-"""Step a Crazyflie one metre to the side under each controller.
+"""Measure the response of a Crazyflie to a lateral step of one metre, for each controller.
 
 Prints the overshoot, and the time until the error stays below 5 %, for the controllers `lee` and
-`pid`. The PID controller is made for motors without lag, so it flies without that effect.
+`pid`. The PID controller is tuned for motors without lag, so it flies without that effect.
 
 Run it (it has no options):
 
     python examples/step_response.py
 
-Takes 5 s, most of it to start.
+Takes 5 s, most of it for the start.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ DECISION_HZ = 60
 START = np.array((0.0, 0.0, 2.0))  # m
 STEP = np.array((1.0, 0.0, 0.0))  # m, to the east
 EFFECTS = ("lag", "drag", "ground_effect", "downwash")
-CONTROLLERS = {"lee": EFFECTS, "pid": EFFECTS[2:]}  # with the effects that each flies with
+CONTROLLERS = {"lee": EFFECTS, "pid": EFFECTS[2:]}  # with their physical effects
 
 
 def step_response(controller: str, effects: tuple[str, ...]) -> tuple[float, float]:
@@ -26,10 +26,10 @@ def step_response(controller: str, effects: tuple[str, ...]) -> tuple[float, flo
 
     Args:
         controller: "lee" or "pid".
-        effects: Physical effects to simulate beside rigid-body motion.
+        effects: Physical effects to simulate in addition to rigid-body motion.
 
     Returns:
-        The overshoot in percent, and the seconds until the error stays below 5 %.
+        The overshoot in percent, and the settling time until the error stays below 5 %, s.
     """
     aviary = bulletuav.Aviary(
         "hover",
@@ -42,7 +42,7 @@ def step_response(controller: str, effects: tuple[str, ...]) -> tuple[float, flo
         horizon=10 * DECISION_HZ,
     )
     aviary.reset(seeds=0)
-    # Actions have the shape (worlds, drones, numbers of an action).
+    # Actions have the shape (worlds, drones, size of an action)
     action = aviary.action.encode((START + STEP).reshape(1, 1, 3))
     track = []
     while aviary.alive.any():
@@ -57,7 +57,7 @@ def step_response(controller: str, effects: tuple[str, ...]) -> tuple[float, flo
 
 
 def main() -> None:
-    """Fly the step with each controller and print what came of it."""
+    """Fly the step with each controller and print overshoot and settling time."""
     for controller, effects in CONTROLLERS.items():
         overshoot, settling = step_response(controller, effects)
         print(

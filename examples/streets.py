@@ -1,17 +1,17 @@
-"""Learn to fly through cities by range finder, without a map: PPO of `fast_ppo.py`.
+"""Train drones to fly through cities by lidar, without a map, with PPO of `fast_ppo.py`.
 
-Drones see velocity, goal, room and 16 ranges, and fly below the roofs to goals 200 m away. They
-learn at three difficulties at once: regular and irregular cities, broad and narrow streets, 3 to 8
-drones, noise and wind. With `--stack` drones also see what each range was half a second ago, by a
-sensor of one's own, `Earlier`.
+Drones observe velocity, goal, the distances to the arena's bounds and 16 ranges, and fly below the
+roofs to goals 200 m away. Training uses three difficulties at once: regular and irregular cities,
+broad and narrow streets, 3 to 8 drones, noise and wind. With `--stack` drones also observe each
+range of half a second ago, by a custom sensor, `Earlier`.
 
 Run it:
 
     python examples/streets.py
     python examples/streets.py --stack --out stacked
 
-Takes 10 minutes on one core, and then flies at medium in `bullet`. Needs the extra `sb3`. What it
-writes flies without PyTorch: `--policy FOLDER`.
+Takes 10 minutes on one core, and then evaluates at medium in `bullet`. Needs the extra `sb3`. The
+output folder can be flown without PyTorch: `--policy FOLDER`.
 """
 
 import argparse
@@ -28,12 +28,12 @@ from bulletuav.sensors import Label, Moment, Sensor, SensorSetup
 
 TASK = "lidar_navigation"
 WORLDS = {"easy": 40, "medium": 24, "hard": 15}
-"""How many worlds of each difficulty are learned from, so that each has as many drones"""
+"""Number of worlds of each difficulty, so that each has the same number of drones"""
 BATCHES = [{"task": TASK, "difficulty": name, "num_envs": count} for name, count in WORLDS.items()]
-# Smaller than the task's own weights, as networks like returns of the order of 1.
+# Smaller than the default weights of the task, so that returns are of the order of 1
 PAID = {"progress": 0.1, "goal": 3.0, "time": -0.01, "proximity": -0.02, "energy": -0.0002}
 HITS = {"collision": -4.0, "conflict": -4.0, "out_of_bounds": -1.0, "warning": -0.1}
-# Cities that no evaluation flies in, and forces of the air, at a third of the cost of `bullet`
+# Cities not used in evaluations, and aerodynamic forces at a third of the cost of `bullet`
 CITIES = {"dynamics": "rigid_body", "num_layouts": 32, "city_seed": 77}
 LEARN = {**CITIES, "weights": {**PAID, **HITS}}
 STACK = {
@@ -44,24 +44,24 @@ AGO = 0.5  # s
 
 
 class Earlier(Sensor):
-    """Ranges r' of the lidar half a second ago beside those r of now: ln((1 + r') / (1 + r))."""
+    """Change of lidar ranges: ln((1 + r') / (1 + r)) of ranges r now and r' 0.5 s ago."""
 
     name = "earlier"
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...]]:
-        """Tell the direction of each beam, and the largest number."""
+        """Return the label of each beam, with its bounds."""
         most = float(np.log1p(setup.max_range))
         names = [f"beam {azimuth:g} earlier" for azimuth, _ in setup.beams]
         return {"earlier": tuple(Label(name, "1", -most, most) for name in names)}
 
     def attach(self, setup: SensorSetup, engine: Any) -> None:
-        """Make room for the ranges since then, (W, N, decisions, B)."""
+        """Allocate the buffer of past ranges, (W, N, decisions, B)."""
         super().attach(setup, engine)
         decisions = max(1, round(AGO / setup.period))
         self.past = np.zeros((*setup.shape, decisions, len(setup.beams)))
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Compare with the oldest ranges, and keep those of now in their place."""
+        """Return the change since the oldest ranges, and store the present ones."""
         now = np.log1p(moment.readings["lidar"])
         fresh = moment.mask & (moment.steps == 0)[:, None]
         self.past[fresh] = now[fresh][:, None]
@@ -75,7 +75,9 @@ def parse_arguments() -> argparse.Namespace:
     """Parse the command line."""
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
-    parser.add_argument("--stack", action="store_true", help="ranges of half a second ago, too")
+    parser.add_argument(
+        "--stack", action="store_true", help="also observe ranges of half a second ago"
+    )
     parser.add_argument("--steps", type=int, default=16_000_000, help="decisions of all drones")
     parser.add_argument("--episodes", type=int, default=20, help="episodes of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
@@ -84,7 +86,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Train, save, and evaluate what was saved."""
+    """Train, save, and evaluate the saved policy."""
     args = parse_arguments()
     torch.set_num_threads(1)
     options = {**LEARN, **STACK} if args.stack else LEARN

@@ -1,10 +1,10 @@
-"""Train drones with critics that see their whole team: VDN or MADDPG, in one file.
+"""Train drones with critics of the whole team, by VDN or MADDPG, in one file.
 
-All drones share one network and act on what each of them observes. `vdn` chooses among directions:
-the values of a team's choices add up to the value of its reward (P. Sunehag et al., Value-
-decomposition networks, 2017). `maddpg` gives velocities, and its critic sees what all drones
-observe and do (R. Lowe et al., Multi-agent actor-critic for mixed cooperative-competitive
-environments, 2017). The folder it writes flies without PyTorch: `--policy FOLDER`.
+All drones share one network and act on their own observations. `vdn` has discrete actions: the Q
+values of a team add up to the value of the team reward (P. Sunehag et al., Value-decomposition
+networks, 2017). `maddpg` has velocities as actions, and a critic with the observations and actions
+of all drones (R. Lowe et al., Multi-agent actor-critic for mixed cooperative-competitive
+environments, 2017). The output folder can be flown without PyTorch: `--policy FOLDER`.
 
 Run it:
 
@@ -34,27 +34,27 @@ from bulletuav.policies.swarm_features import find_layout
 
 Array = torch.Tensor
 Look = Callable[[int, Callable[[Path], None]], None]
-# Smaller than the task's own weights, as networks like returns of the order of 1.
+# Smaller than the default weights of the task, so that returns are of the order of 1
 WEIGHTS = {"progress": 0.1, "goal": 1.0, "conflict": -4.0, "warning": -0.1, "collision": -4.0}
 WEIGHTS |= {"out_of_bounds": -1.0, "energy": -0.0002, "time": -0.01}
 
 
 class Plan(NamedTuple):
-    """What is trained, for how long, and the settings of the learner."""
+    """Training plan: the task, its options, and settings of the algorithm."""
 
     task: str
     options: dict[str, Any]
     worlds: int = 32
-    steps: int = 300_000  # decisions of all drones together
-    kept: int = 200_000  # of them in the replay buffer
-    start: int = 10_000  # flown at random before anything is learned
+    steps: int = 300_000  # total decisions of all drones
+    kept: int = 200_000  # decisions in the replay buffer
+    start: int = 10_000  # random decisions before training starts
     batch: int = 128  # decisions of whole worlds in a minibatch
     updates: int = 2  # after each decision of all worlds
     rate: float = 1e-3
     gamma: float = 0.98
-    tau: float = 0.005  # share by which targets follow
-    noise: float = 0.2  # of actions that are numbers
-    explore: float = 0.4  # share of the training until only 5 % of the choices are random
+    tau: float = 0.005  # rate of target updates
+    noise: float = 0.2  # of continuous actions
+    explore: float = 0.4  # fraction of the training until 5 % of the actions are random
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -66,19 +66,19 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=300_000, help="decisions of all drones")
     parser.add_argument("--episodes", type=int, default=100, help="episodes of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("team_critics"), help="for the policy")
+    parser.add_argument("--out", type=Path, default=Path("team_critics"), help="output folder")
     return parser.parse_args()
 
 
 def layers(*sizes: int) -> nn.Sequential:
-    """Make dense layers with ReLU between them."""
+    """Return dense layers with ReLU between them."""
     pairs = itertools.pairwise(sizes)
     parts = [part for before, after in pairs for part in (nn.Linear(before, after), nn.ReLU())]
     return nn.Sequential(*parts[:-1])
 
 
 class Actor(nn.Module):
-    """What a drone does or what its choices are worth; arrays are named as in `dqn` and `ddpg`."""
+    """Actor or Q network of a drone, with the parameter names of `dqn` and `ddpg`."""
 
     def __init__(self, env: Any, outputs: int, head: str) -> None:
         super().__init__()
@@ -88,13 +88,13 @@ class Actor(nn.Module):
         self.add_module(head, layers(self.features_extractor.features_dim, 64, 64, outputs))
 
     def forward(self, seen: Array) -> Array:
-        """Compute (..., outputs) of what drones observe (..., D)."""
+        """Return outputs (..., outputs) of observations (..., D)."""
         known = self.features_extractor(seen.reshape(-1, seen.shape[-1]))
         return self.get_submodule(self.head)(known).reshape(*seen.shape[:-1], -1)
 
 
 class Vdn:
-    """Values of choices that add up over a team, by double Q-learning."""
+    """Value decomposition: Q values that add up over a team, with double Q-learning."""
 
     form, action = "dqn", "discrete"
 
@@ -113,14 +113,14 @@ class Vdn:
 
     @torch.no_grad()
     def choose(self, seen: Array, done: float) -> Array:
-        """Choose the best, or now and then at random; `done` is the share of the training."""
+        """Return epsilon-greedy actions; `done` is the finished fraction of the training."""
         best = self.actor(seen).argmax(-1, keepdim=True).float()
         share = max(0.05, 1 - 0.95 * done / self.plan.explore)
         return torch.where(torch.rand(best.shape) < share, self.random(seen), best)
 
-    def learn(self, seen: Array, action: Array, told: Array, after: Array) -> None:
-        """Improve the values of what was chosen."""
-        reward, flown, goes_on = told.unbind(-1)
+    def learn(self, seen: Array, action: Array, results: Array, after: Array) -> None:
+        """Update the Q values."""
+        reward, flown, goes_on = results.unbind(-1)
         value = self.actor(seen).gather(-1, action.long()).squeeze(-1)
         with torch.no_grad():
             best = self.actor(after).argmax(-1, keepdim=True)
@@ -131,12 +131,12 @@ class Vdn:
         follow(self.target, self.actor, self.plan.tau)
 
     def arrays(self) -> dict[str, Array]:
-        """Name the arrays as stable-baselines3 does."""
+        """Return the parameters under the names of stable-baselines3."""
         return {f"q_net.{name}": part for name, part in self.actor.state_dict().items()}
 
 
 class Maddpg:
-    """An actor for all drones, and a critic that sees what everybody observes and does."""
+    """One actor for all drones, and a critic with the observations and actions of all drones."""
 
     form, action = "ddpg", "velocity"
 
@@ -150,7 +150,7 @@ class Maddpg:
         self._optimisers = [
             torch.optim.Adam(net.parameters(), plan.rate) for net in (self.actor, self.critic)
         ]
-        # Each drone comes first in what its critic sees, the others follow in their order.
+        # In the input of its critic each drone comes first, followed by the others in order
         self._order = (torch.arange(drones)[:, None] + torch.arange(drones)) % drones
 
     def random(self, seen: Array) -> Array:
@@ -159,28 +159,28 @@ class Maddpg:
 
     @torch.no_grad()
     def choose(self, seen: Array, done: float) -> Array:
-        """Do what the actor says, with noise."""
+        """Return actions of the actor with noise."""
         best = torch.tanh(self.actor(seen))
         return (best + self.plan.noise * torch.randn_like(best)).clamp(-1, 1)
 
     def _joint(self, seen: Array, action: Array, flown: Array) -> Array:
-        """Put what all observe and do side by side, (B, N, K), for the critic of each."""
+        """Return the joint observations and actions (B, N, K), the input of the critic."""
         parts = torch.cat([seen.sign() * seen.abs().log1p(), action, torch.ones_like(flown)], -1)
         return (parts * flown)[:, self._order].flatten(2)
 
-    def learn(self, seen: Array, action: Array, told: Array, after: Array) -> None:
-        """Improve the critic, and the actor by it."""
-        reward, flown, goes_on = told.unsqueeze(-1).unbind(-2)
+    def learn(self, seen: Array, action: Array, results: Array, after: Array) -> None:
+        """Update the critic, and then the actor."""
+        reward, flown, goes_on = results.unsqueeze(-1).unbind(-2)
         actor, critic = self.targets
         with torch.no_grad():
             joint = self._joint(after, torch.tanh(actor(after)), goes_on)
             goal = reward + self.plan.gamma * goes_on * critic(joint)
         joint = self._joint(seen, action, flown)
         error = (self.critic(joint) - goal).square() * flown
-        # Of those that flew, of which there may be none
+        # Mean over active drones, of which there may be none
         count = flown.sum().clamp(min=1)
         descend(self._optimisers[1], error.sum() / count, self.critic)
-        # Each drone's own action is the actor's now; those of the others are what they did.
+        # Replace the drone's own action by that of the actor; others keep the recorded actions
         raw = self.actor(seen)
         own = slice(seen.shape[-1], seen.shape[-1] + self._size)
         joint = torch.cat([joint[..., : own.start], torch.tanh(raw), joint[..., own.stop :]], -1)
@@ -190,7 +190,7 @@ class Maddpg:
             follow(target, net, self.plan.tau)
 
     def arrays(self) -> dict[str, Array]:
-        """Name the arrays as stable-baselines3 does, with the bounds of the actions."""
+        """Return the parameters under the names of stable-baselines3, and the action bounds."""
         ones = torch.ones(self._size)
         named = {f"actor.{name}": part for name, part in self.actor.state_dict().items()}
         return {**named, LOW: -ones, HIGH: ones}
@@ -200,7 +200,7 @@ LEARNERS = {"vdn": Vdn, "maddpg": Maddpg}
 
 
 def descend(optimiser: torch.optim.Optimizer, loss: Array, net: nn.Module) -> None:
-    """Take a step down."""
+    """Take one optimiser step, with clipped gradients."""
     optimiser.zero_grad()
     loss.backward()
     nn.utils.clip_grad_norm_(net.parameters(), 1.0)
@@ -209,20 +209,20 @@ def descend(optimiser: torch.optim.Optimizer, loss: Array, net: nn.Module) -> No
 
 @torch.no_grad()
 def follow(target: nn.Module, net: nn.Module, share: float) -> None:
-    """Move a target towards a network."""
+    """Move a target network towards a network."""
     for kept, new in zip(target.parameters(), net.parameters(), strict=True):
         kept.lerp_(new, share)
 
 
 class Replay:
-    """The last decisions of all worlds, a row of each part for each of them."""
+    """Ring buffer of the last decisions of all worlds."""
 
     def __init__(self, length: int) -> None:
         self._length, self._count = length, 0
         self._parts: list[Array] = []
 
     def add(self, *parts: Array) -> None:
-        """Keep what was seen, done and told, each (W, N, ...)."""
+        """Store observation, action and results of a decision, each (W, N, ...)."""
         if not self._parts:
             self._parts = [torch.zeros(self._length, *part.shape) for part in parts]
         for kept, part in zip(self._parts, parts, strict=True):
@@ -230,8 +230,8 @@ class Replay:
         self._count += 1
 
     def sample(self, count: int) -> list[Array]:
-        """Draw decisions of whole worlds; what is seen after each comes last."""
-        # The newest one has nothing after it yet.
+        """Sample decisions of whole worlds; the next observation is the last entry."""
+        # The newest decision has no next observation yet
         ages = torch.randint(2, min(self._count, self._length) + 1, (count,))
         world = torch.randint(self._parts[0].shape[1], (count,))
         row = (self._count - ages) % self._length
@@ -242,7 +242,7 @@ class Replay:
 def train(
     name: str, plan: Plan, seed: int, folder: Path, look: Look = lambda steps, keep: None
 ) -> None:
-    """Train and save; `look` is told how many decisions are flown, and what keeps the policy."""
+    """Train and save; `look` is called with the number of decisions and a save function."""
     torch.manual_seed(seed)
     plan = plan._replace(options={"action": LEARNERS[name].action, **plan.options})
     env = bulletuav.batch_env(plan.task, plan.worlds, **plan.options)
@@ -252,11 +252,11 @@ def train(
     write_settings(name, plan, seed, folder)
     replay, seen = Replay(plan.kept // each), torch.from_numpy(env.reset(seed=seed)[0])
     for steps in range(each, plan.steps + each, each):
-        # What follows a decision is known from the second one on
+        # The first decision has no next observation yet
         is_random = steps < max(plan.start, 2 * each)
         action = learner.random(seen) if is_random else learner.choose(seen, steps / plan.steps)
         flown = env.alive
-        # A world that ended starts anew in the next step, which nobody flies.
+        # A world whose episode is over is reset in the next step, in which no drone flies
         after, reward, ended, _, _ = env.step(action.reshape(shape).numpy())
         replay.add(seen, action, torch.from_numpy(np.stack([reward, flown, flown & ~ended], -1)))
         seen = torch.from_numpy(after)
@@ -268,24 +268,24 @@ def train(
 
 
 def save(arrays: dict[str, Array], folder: Path) -> None:
-    """Write the policy as `bulletuav train` does."""
+    """Write the policy in the format of `bulletuav train`."""
     folder.mkdir(parents=True, exist_ok=True)
     save_file({name: part.numpy() for name, part in arrays.items()}, folder / POLICY)
 
 
 def write_settings(name: str, plan: Plan, seed: int, folder: Path) -> None:
-    """Write what the policy sees and how it is built, as `bulletuav train` does."""
+    """Write the settings of the policy to run.yaml, as `bulletuav train` does."""
     model = {"features": "swarm", "policy_kwargs": {"net_arch": [64, 64]}}
     form = LEARNERS[name].form
     config = RunConfig(plan.task, form, seed, plan.steps, plan.worlds, plan.options, model=model)
     folder.mkdir(parents=True, exist_ok=True)
-    who = f"`examples/team_critics.py {name}`, whose network has the form of `algo`"
+    source = f"`examples/team_critics.py {name}`, whose network has the form of `algo`"
     text = config.text("algo", "seed", "steps", "worlds", "options", "model", "constants")
-    (folder / CONFIG).write_text(f"# Learned by {who}.\n{text}")
+    (folder / CONFIG).write_text(f"# Learned by {source}.\n{text}")
 
 
 def main() -> None:
-    """Train, and evaluate what was saved."""
+    """Train, and evaluate the saved policy."""
     args = parse_arguments()
     torch.set_num_threads(1)
     plan = Plan(args.task, {"dynamics": "point_mass", "weights": WEIGHTS}, steps=args.steps)

@@ -1,11 +1,11 @@
 """Train four drones with MAPPO in TorchRL to cross an airspace.
 
-The environment is TorchRL's own kind: worlds are a batch, and the drones are a group of agents in
-it. The loop is TorchRL's multi-agent PPO tutorial in plain PyTorch. All drones share one policy,
-which sees what a drone observes. The critic also sees the state of the whole world (MAPPO), or no
-more than the policy (IPPO). Drones leave at their goals: "mask" tells which decisions were flown,
-and nothing is learned from others. They learn as points, which is fast, and are evaluated in
-`bullet` with all forces, beside flight at random.
+The environment is a TorchRL environment: worlds are the batch, and the drones are a group of
+agents. The loop is TorchRL's multi-agent PPO tutorial in plain PyTorch. All drones share one
+policy, which uses the observation of each drone. The critic also uses the state of the whole world
+(MAPPO), or only the observation (IPPO). Drones leave at their goals: "mask" marks the decisions of
+active drones, and other decisions are dropped. Training uses `point_mass`, which is fast; the
+evaluation uses `bullet` with all forces, and compares with a random policy.
 
 Run it:
 
@@ -29,7 +29,7 @@ from torchrl.objectives.value.functional import vec_generalized_advantage_estima
 import bulletuav
 from bulletuav.adapters.torchrl import DroneTensorEnv
 
-# Smaller than the task's own weights, as networks like returns of the order of 1.
+# Smaller than the default weights of the task, so that returns are of the order of 1
 WEIGHTS = {
     "progress": 0.05,
     "goal": 2.0,
@@ -41,7 +41,7 @@ WEIGHTS = {
     "time": -0.02,
 }
 DIFFICULTY = "easy"
-GROUP = "agents"  # all drones of both teams, as TorchRL calls the group of everybody
+GROUP = "agents"  # TorchRL's name for one group of all agents
 WORLDS, DECISIONS, BATCH, EPOCHS = 32, 64, 2048, 5
 GAMMA, LAMBDA, CLIP, RATE = 0.99, 0.95, 0.2, 1e-3
 
@@ -52,7 +52,7 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--steps", type=int, default=2_000_000, help="decisions of all drones together"
+        "--steps", type=int, default=2_000_000, help="total decisions of all drones"
     )
     parser.add_argument("--critic", choices=("state", "own"), default="state")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
@@ -64,7 +64,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
-    """Make a small network; the gain scales its first answers."""
+    """Return a small network; the gain scales its initial outputs."""
     layers = [nn.Linear(inputs, 64), nn.Linear(64, 64), nn.Linear(64, outputs)]
     for layer, scale in zip(layers, (2**0.5, 2**0.5, gain), strict=True):
         nn.init.orthogonal_(layer.weight, scale)
@@ -73,30 +73,30 @@ def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
 
 
 def compress(numbers: torch.Tensor) -> torch.Tensor:
-    """Let metres near by count as much as those far away."""
+    """Return the symlog of numbers, which compresses large distances."""
     return torch.sign(numbers) * torch.log1p(torch.abs(numbers))
 
 
 class Agent(nn.Module):
-    """Actor and critic of every drone."""
+    """Actor and critic shared by all drones."""
 
     def __init__(self, env: DroneTensorEnv, central: bool) -> None:
         super().__init__()
         seen = env.observation_spec[GROUP, "observation"].shape[-1]
-        told = env.observation_spec["state"].shape[-1] if central else 0
+        state_size = env.observation_spec["state"].shape[-1] if central else 0
         size = env.full_action_spec[GROUP, "action"].shape[-1]
         self.central = central
-        self.actor, self.critic = network(seen, size, 0.01), network(seen + told, 1, 1.0)
+        self.actor, self.critic = network(seen, size, 0.01), network(seen + state_size, 1, 1.0)
         self.log_std = nn.Parameter(torch.full((size,), -1.0))
 
     def policy(self, observation: torch.Tensor) -> torch.distributions.Independent:
-        """Make the distribution of actions."""
+        """Return the distribution of actions."""
         mean = self.actor(compress(observation))
         normal = torch.distributions.Normal(mean, self.log_std.exp())
         return torch.distributions.Independent(normal, 1)
 
     def critic_input(self, tensors: Any) -> torch.Tensor:
-        """Collect what the critic sees of each drone."""
+        """Return the inputs of the critic for each drone."""
         seen = tensors[GROUP, "observation"]
         if self.central:
             state = tensors["state"].unsqueeze(-2)
@@ -106,7 +106,7 @@ class Agent(nn.Module):
 
 @torch.no_grad()
 def collect(env: DroneTensorEnv, agent: Agent, now: Any) -> tuple[Any, Any]:
-    """Fly some decisions; gives them (W, T), and where the worlds are then."""
+    """Collect a rollout (W, T); return it and the next state of the worlds."""
     flown = []
     for _ in range(DECISIONS):
         choice = agent.policy(now[GROUP, "observation"])
@@ -119,18 +119,18 @@ def collect(env: DroneTensorEnv, agent: Agent, now: Any) -> tuple[Any, Any]:
 
 @torch.no_grad()
 def advantages(agent: Agent, flight: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Estimate advantages, and values to learn; gives both, and inputs of the critic."""
+    """Return advantages, value targets, and inputs of the critic."""
     inputs, after = agent.critic_input(flight), agent.critic_input(flight["next"])
-    told = [flight["next", GROUP, name] for name in ("reward", "done", "terminated")]
-    # Time stands before the drones: (W, T, N, 1).
+    ends = [flight["next", GROUP, name] for name in ("reward", "done", "terminated")]
+    # The axes are (W, T, N, 1): time is axis 1
     advantage, target = vec_generalized_advantage_estimate(
-        GAMMA, LAMBDA, agent.critic(inputs), agent.critic(after), *told, time_dim=1
+        GAMMA, LAMBDA, agent.critic(inputs), agent.critic(after), *ends, time_dim=1
     )
     return advantage.squeeze(-1), target.squeeze(-1), inputs
 
 
 def learn(agent: Agent, optimiser: torch.optim.Optimizer, flight: Any) -> None:
-    """Improve policy and critic by what was flown."""
+    """Update policy and critic on a rollout by PPO."""
     advantage, target, inputs = advantages(agent, flight)
     lived = flight[GROUP, "mask"]
     names = ("observation", "action", "log_prob")
@@ -151,7 +151,7 @@ def learn(agent: Agent, optimiser: torch.optim.Optimizer, flight: Any) -> None:
 
 
 def train(steps: int, central: bool, seed: int) -> Agent:
-    """Train as points, and print how the reward of a decision rises."""
+    """Train in `point_mass`, and print the mean reward of decisions."""
     env = DroneTensorEnv(
         "crossing",
         WORLDS,
@@ -181,7 +181,7 @@ def train(steps: int, central: bool, seed: int) -> Agent:
 
 
 def as_policy(agent: Agent) -> Callable[[np.ndarray], np.ndarray]:
-    """Make a policy of bulletuav: from rows of observations to rows of actions."""
+    """Return the policy as a function from observations (M, D) to actions (M, A)."""
 
     def mappo(observations: np.ndarray) -> np.ndarray:
         with torch.no_grad():
@@ -191,7 +191,7 @@ def as_policy(agent: Agent) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def main() -> None:
-    """Train, save and compare."""
+    """Train, save, and compare with a random policy."""
     args = parse_arguments()
     torch.set_num_threads(1)  # networks this small are no faster on more
     begin = time.perf_counter()

@@ -331,7 +331,7 @@ def test_a_broken_entry_point_is_left_out_with_a_warning(offer, load, said):
         pass
 
     offer("sensor", stale=load, rye=lambda: Bread)
-    words = f"entry point 'stale' of bulletuav.sensor is left out: {said}"
+    words = f"entry point 'stale' of bulletuav.sensor is ignored: {said}"
     with pytest.warns(UserWarning, match=words):
         listed = names("sensor")
     assert "stale" not in listed
@@ -350,7 +350,7 @@ def test_an_entry_point_does_not_take_a_name_of_ours(offer):
         pass
 
     offer("sensor", gps=lambda: Other)
-    with pytest.warns(UserWarning, match="'gps' of bulletuav.sensor is left out: .* registered"):
+    with pytest.warns(UserWarning, match="'gps' of bulletuav.sensor is ignored: .* registered"):
         names("sensor")
     assert find("sensor", "gps", anything) is before
 

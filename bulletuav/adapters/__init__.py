@@ -1,1 +1,1 @@
-"""Adapters to trainers and formats of others; importing one needs the extra of its name."""
+"""Adapters to training libraries and file formats; each needs the extra of its name."""

@@ -1,4 +1,4 @@
-"""Trained policies as plain C99, without dependencies but `math.h`, for microcontrollers."""
+"""Export of trained policies as C99 for microcontrollers; the code needs only `math.h`."""
 
 import ctypes
 import shutil
@@ -31,23 +31,23 @@ from bulletuav.policies.swarm_features import APPROACH, LOOK_AHEAD, TINY
 from bulletuav.sensors.base import Label
 
 PRECISIONS = ("float", "double")
-"""Types of numbers"""
+"""C types of the numbers"""
 
 
 def write_c(policy: Deployed, path: Path, precision: str = "float") -> list[Path]:
-    """Write a policy as a C file, and the header beside it.
+    """Write a policy as a C source file and a header next to it.
 
     Args:
         policy: The policy.
-        path: The C file; its name without ending is that of the function.
+        path: The C file. Its name without extension is the name of the C function.
         precision: "float" or "double".
 
     Returns:
-        The two files.
+        The paths of both files.
 
     Raises:
-        ValueError: A layer has no form in C, or the name is none that C takes.
-        OSError: A file cannot be written.
+        ValueError: If a layer cannot be written in C, or the name is not a C identifier.
+        OSError: If a file cannot be written.
     """
     if not path.stem.isidentifier() or not path.stem.isascii():
         raise ValueError(
@@ -60,7 +60,7 @@ def write_c(policy: Deployed, path: Path, precision: str = "float") -> list[Path
 
 
 def _header(policy: Deployed, name: str, precision: str) -> str:
-    """Write the header: what goes in and out, with units and bounds."""
+    """Return the text of the header, which documents inputs and outputs with units and bounds."""
     guard = f"{name.upper()}_H"
     return f"""/* {_comment(policy.about)}
 
@@ -89,12 +89,11 @@ void {name}({_arguments(policy, precision)});
 
 
 def _arguments(policy: Deployed, kind: str) -> str:
-    """Write the arguments of the function."""
     return f"const {kind} observation[{len(policy.inputs)}], {kind} setpoint[{len(policy.outputs)}]"
 
 
 def _list(labels: tuple[Label, ...]) -> str:
-    """List numbers with their names, units and bounds."""
+    """Return one line for each number, with name, unit and bounds."""
     return "\n".join(
         f"  [{k}] {_comment(label.name)}, {_comment(label.unit)}, "
         f"{label.low:.9g} to {label.high:.9g}"
@@ -103,31 +102,31 @@ def _list(labels: tuple[Label, ...]) -> str:
 
 
 def _comment(text: str) -> str:
-    """Keep a text, such as the label of a user, from ending its comment."""
+    """Escape comment delimiters in a text, such as a label of a user."""
     return text.replace("*/", "* /").replace("/*", "/ *")
 
 
 def _source(policy: Deployed, name: str, precision: str) -> str:
-    """Write the C file."""
+    """Return the text of the C file."""
     width = len(policy.inputs)
     widths = [width]
     tables: list[str] = []
     steps: list[str] = []
-    # Each layer adds its tables and its steps, and tells the width of the next
+    # Each layer adds its tables and its code, and determines the input width of the next layer
     for k, layer in enumerate(policy.layers):
         write = LAYERS.get(type(layer))
         if write is None:
-            raise ValueError(f"a layer {type(layer).__name__} has no form in C")
+            raise ValueError(f"a layer {type(layer).__name__} cannot be written in C")
         given = width_after(layer, width)
         fields = _fields(layer, str(k), precision, tables)
         steps.append(f"    /* {type(layer).__name__} */\n{write(fields, width, given)}")
         width = given
         widths.append(width)
-    # Both buffers are as wide as the widest layer
-    room = max(widths)
+    # Both buffers have the width of the widest layer
+    buffer_size = max(widths)
     is_swarm = any(isinstance(layer, Swarm) for layer in policy.layers)
     suffix = "f" if precision == "float" else ""
-    # Two buffers: dense layers read one and write the other.
+    # Two buffers: dense layers read from one and write to the other
     return f"""/* {_comment(policy.about)}; see {name}.h */
 #include "{name}.h"
 #include <math.h>
@@ -139,7 +138,7 @@ typedef {precision} number;
 {"".join(tables)}{_approach(precision) if is_swarm else ""}
 void {name}({_arguments(policy, "number")})
 {{
-    number x[{room}], y[{room}];
+    number x[{buffer_size}], y[{buffer_size}];
     int i, j = 0{", other" if is_swarm else ""};
     for (i = 0; i < {len(policy.inputs)}; i++) x[i] = observation[i];
 {"".join(steps)}    for (i = 0; i < {len(policy.outputs)}; i++) setpoint[i] = x[i];
@@ -150,7 +149,7 @@ void {name}({_arguments(policy, "number")})
 
 
 class _Table(NamedTuple):
-    """A constant array: its name in C, and its shape."""
+    """Name and shape of a constant array in C."""
 
     name: str
     shape: tuple[int, ...]
@@ -160,7 +159,7 @@ class _Table(NamedTuple):
 
 
 def _fields(value: Any, name: str, precision: str, tables: list[str]) -> Any:
-    """Add arrays as constants, and give what stands for a layer or a part of one in C."""
+    """Add the arrays of a layer to the constants, and return its fields as C expressions."""
     if hasattr(value, "_asdict"):
         parts = value._asdict().items()
         return {field: _fields(one, f"{field}_{name}", precision, tables) for field, one in parts}
@@ -178,7 +177,7 @@ def _fields(value: Any, name: str, precision: str, tables: list[str]) -> Any:
 
 
 def _number(value: float, precision: str) -> str:
-    """Write a number so that it is read back to the last bit."""
+    """Format a number as a C literal that parses to the same bits."""
     value = float(np.float32(value)) if precision == "float" else float(value)
     if np.isinf(value):
         return "HUGE_VAL" if value > 0 else "-HUGE_VAL"
@@ -188,11 +187,11 @@ def _number(value: float, precision: str) -> str:
 
 
 Fields = dict[str, Any]
-"""A layer's tables and numbers in C, and parts of it, by the names of its fields"""
+"""C names of the tables and C literals of the numbers of a layer, by field name"""
 
 
 def _each(body: str, width: int) -> str:
-    """Write a loop over the numbers."""
+    """Return a C loop over the numbers of the buffer."""
     return f"    for (i = 0; i < {width}; i++) {body}\n"
 
 
@@ -248,7 +247,7 @@ def _lookup(f: Fields, width: int, given: int) -> str:
 
 
 def _approach(precision: str) -> str:
-    """Write the function that tells where another comes closest if both fly straight on."""
+    """Return the C function of the closest approach to another drone on straight paths."""
     tiny, ahead = (_number(value, precision) for value in (TINY, LOOK_AHEAD))
     return f"""
 /* Give {APPROACH} features of the closest approach: place (3), distance, time. */
@@ -284,33 +283,33 @@ def _swarm(f: Fields, width: int, given: int) -> str:
 
 
 def _others(kind: Fields, own: int, scale: str, place: int) -> str:
-    """Write the sum and the largest over others of one kind to y, from a place on."""
+    """Return code that writes sum and maximum over the others of one kind to y[place:]."""
     columns, motion = kind["columns"], kind["motion"]
-    count, told = columns.shape
+    count, width = columns.shape
     size = kind["layers"][-1]["bias"].shape[0]
-    # Numbers of another: its columns, and where it comes closest if its motion is among them
-    known = told + (APPROACH if motion.shape[0] else 0)
-    # Longest vector on the way through the layers, for the C arrays
-    room = max(layer["weight"].shape[1] for layer in kind["layers"])
-    room = max(room, *(layer["bias"].shape[0] for layer in kind["layers"]))
-    column = f"x[{columns}[{told} * other + i]]"
-    # Who is not there is told as zeros, and left out of sum and largest
+    # Inputs for one other: its columns and, if they include its motion, the closest approach
+    known = width + (APPROACH if motion.shape[0] else 0)
+    # Longest vector between the layers, for the size of the C arrays
+    buffer_size = max(layer["weight"].shape[1] for layer in kind["layers"])
+    buffer_size = max(buffer_size, *(layer["bias"].shape[0] for layer in kind["layers"]))
+    column = f"x[{columns}[{width} * other + i]]"
+    # An absent drone is encoded as zeros, and left out of sum and maximum
     steps = f"""    for (i = 0; i < {2 * size}; i++) y[{place} + i] = 0;
     for (other = 0; other < {count}; other++) {{
-        number here[{room}], next[{room}];
+        number here[{buffer_size}], next[{buffer_size}];
         int there = 0;
-        for (i = 0; i < {told}; i++) {{
+        for (i = 0; i < {width}; i++) {{
             there |= {column} != 0;
             here[i] = SYMLOG({scale}, {column});
         }}
         if (!there) continue;
 """
     if motion.shape[0]:
-        steps += f"        approach(x, {columns} + {told} * other, {motion}, here + {told});\n"
-    # The drone's own features, which layers take beside those of the other
+        steps += f"        approach(x, {columns} + {width} * other, {motion}, here + {width});\n"
+    # The layers take the drone's own features after those of the other
     if own:
         steps += f"        for (i = 0; i < {own}; i++) here[{known} + i] = y[i];\n"
-    # Dense layers with a ReLU after each
+    # Dense layers, each followed by a ReLU
     for layer in kind["layers"]:
         outputs, inputs = layer["weight"].shape
         steps += f"""        for (i = 0; i < {outputs}; i++) {{
@@ -319,7 +318,7 @@ def _others(kind: Fields, own: int, scale: str, place: int) -> str:
         }}
         for (i = 0; i < {outputs}; i++) here[i] = next[i] > 0 ? next[i] : 0;
 """
-    # The sum is halved, as in the trained network; features after a ReLU are at least 0
+    # The sum is halved, as in the trained network; after a ReLU all features are at least 0
     return f"""{steps}        for (i = 0; i < {size}; i++) {{
             y[{place} + i] += here[i] / 2;
             if (here[i] > y[{place + size} + i]) y[{place + size} + i] = here[i];
@@ -341,37 +340,36 @@ LAYERS: dict[type[Layer], Callable[[Fields, int, int], str]] = {
     Lookup: _lookup,
     Swarm: _swarm,
 }
-"""What writes each kind of layer: of its fields, and of how many numbers it takes and gives"""
+"""Functions that write the C code of each type of layer, from fields, input and output width"""
 
 
-def compiler() -> str | None:
-    """Find a C compiler; None where there is none."""
+def find_compiler() -> str | None:
+    """Return the path of a C compiler, or None if none is installed."""
     return shutil.which("gcc") or shutil.which("cc")
 
 
 def run_c(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.ndarray:
-    """Compile a file of `write_c` and call it.
+    """Compile a C file of `write_c`, and run it on observations.
 
     Args:
         path: The C file.
         rows: (M, D) observations.
-        policy: What it was written of.
-        precision: That of the file.
+        policy: The policy that the file was written from.
+        precision: Precision of the file, "float" or "double".
 
     Returns:
         (M, S) setpoints.
 
     Raises:
-        ValueError: There is no compiler, or it refuses the file.
+        ValueError: If no compiler is installed, or the file does not compile.
     """
-    # Without a compiler nothing can be compared
-    found = compiler()
+    found = find_compiler()
     if found is None:
         raise ValueError("no C compiler is installed (gcc or cc)")
     kind: Any = ctypes.c_float if precision == "float" else ctypes.c_double
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "policy.so"
-        # C99 without a single warning, as code for a microcontroller should be
+        # Strict C99, and warnings are errors, as for code of a microcontroller
         strict = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
         done = subprocess.run(
             [found, *strict, str(path), "-o", str(library), "-lm"],
@@ -381,7 +379,7 @@ def run_c(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.
         )
         if done.returncode:
             raise ValueError(f"{path} does not compile: {done.stderr}")
-        # One call for each row, as the drone would do it
+        # One call for each observation, as on a drone
         function = getattr(ctypes.CDLL(str(library)), path.stem)
         given = np.empty((len(rows), len(policy.outputs)))
         for row, out in zip(rows, given, strict=True):

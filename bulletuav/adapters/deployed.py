@@ -1,6 +1,6 @@
-"""A trained policy written down for programs of others: what goes in, what is done, what comes out.
+"""A trained policy as a chain of layers with labelled inputs and outputs, for export.
 
-`bulletuav.adapters.c_source` and `bulletuav.adapters.onnx` write one as a file.
+`bulletuav.adapters.c_source` and `bulletuav.adapters.onnx` write such a policy to a file.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 from bulletuav.control.actions import Action
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.errors import nearest, shown
+from bulletuav.errors import shown, suggest_names
 from bulletuav.policies.find import read_run_config
 from bulletuav.policies.layers import (
     Affine,
@@ -42,26 +42,27 @@ SETPOINTS = {
     SetpointLevel.ATTITUDE: (("roll", "rad"), ("pitch", "rad"), ("yaw", "rad"), ("thrust", "N")),
     SetpointLevel.RATES: (("p", "rad/s"), ("q", "rad/s"), ("r", "rad/s"), ("thrust", "N")),
 }
-"""Name and unit of each number of a setpoint, see `SetpointLevel`; rotors are not counted here"""
-AFFINE = ("target_position", "attitude", "rates", "rpm", "hover_rpm")
-"""Actions whose setpoints are scaled and shifted numbers"""
-LIMITED = ("velocity", "acceleration")
-"""Actions whose setpoints are scaled numbers, of a limited norm"""
+"""Name and unit of each number of a setpoint, see `SetpointLevel`; rotor speeds are not listed"""
+AFFINE_ACTIONS = ("target_position", "attitude", "rates", "rpm", "hover_rpm")
+"""Actions whose setpoints are affine functions of the action"""
+LIMITED_ACTIONS = ("velocity", "acceleration")
+"""Actions whose setpoints are scaled actions with a limited norm"""
 YAW = 3
-"""Number of a setpoint of motion that is its yaw, always 0"""
-TRIED = 256
-"""Observations on which a file is compared with the policy"""
+"""Index of the yaw in position, velocity and acceleration setpoints, where it is always 0"""
+NUM_SAMPLES = 256
+"""Number of observations on which an exported file is compared with the policy"""
 
 
 class Deployed(NamedTuple):
     """A policy as a chain of layers from one drone's observation to its setpoint.
 
     Attributes:
-        about: What it is, in a line.
+        about: Description of the policy in one line.
         inputs: Name, unit and bounds of each number of the observation, before any scaling.
-        outputs: The same of each number of the setpoint, in world axes ENU or body axes FLU.
-        layers: What is computed, first to last.
-        act: The same by the package itself: (M, D) observations to (M, S) setpoints.
+        outputs: Name, unit and bounds of each number of the setpoint, in world (ENU) or body (FLU)
+            axes.
+        layers: The layers, from first to last.
+        act: The policy as the package computes it, from (M, D) observations to (M, S) setpoints.
     """
 
     about: str
@@ -71,7 +72,7 @@ class Deployed(NamedTuple):
     act: Callable[[np.ndarray], np.ndarray]
 
     def observations(self) -> np.ndarray:
-        """Draw observations within the bounds and a little beyond, always the same ones.
+        """Sample observations within the bounds and slightly beyond, with a fixed seed.
 
         Returns:
             (M, D) float32.
@@ -81,28 +82,28 @@ class Deployed(NamedTuple):
             np.clip([getattr(label, name) for label in self.inputs], -1e3, 1e3)
             for name in ("low", "high")
         )
-        share = rng.uniform(-0.05, 1.05, (TRIED, len(self.inputs)))
+        share = rng.uniform(-0.05, 1.05, (NUM_SAMPLES, len(self.inputs)))
         return np.asarray(low + share * (high - low), dtype=np.float32)
 
 
 def deployed(folder: Path, trust: bool = False) -> Deployed:
-    """Read the policy of a training run as layers.
+    """Read the policy of a training run as a chain of layers.
 
     Args:
-        folder: Folder of the run, or of one of its checkpoints.
-        trust: Whether modules that its `run.yaml` names may be imported.
+        folder: Folder of the run or of one of its checkpoints.
+        trust: If True, modules that `run.yaml` names may be imported.
 
     Raises:
-        ValueError: It is no such folder, or its network or action has no form for other programs.
-        FileNotFoundError: There is no such folder.
+        ValueError: If the folder is not a run, or its network or action cannot be exported.
+        FileNotFoundError: If the folder does not exist.
     """
     config = read_run_config(folder, trust)
     spec = EnvSpec(config.task, 1, config.evaluated)
-    # What PyTorch alone can fly is of unknown layers.
+    # Other policies have layers that only PyTorch can compute
     if not isinstance(spec.observer.space(), Box) or not is_plain(config.algo, config.settings):
         raise ValueError(
-            f"{folder} observes pictures or has layers of PyTorch's own, which have no form for "
-            f"other programs: train on vectors, with policy_kwargs of net_arch alone"
+            f"{folder} observes images or has custom PyTorch layers, which cannot be exported: "
+            f"train on vectors, with policy_kwargs of net_arch alone"
         )
     weights = read_weights(folder / POLICY)
     network = Network(weights, config.algo, config.settings, spec.observer.labels)
@@ -122,7 +123,7 @@ def deployed(folder: Path, trust: bool = False) -> Deployed:
 
 
 def _observing(observer: ObservationBuilder, config: RunConfig) -> list[Layer]:
-    """List the layers that bound raw numbers, and scale them where the run wants it."""
+    """Return the layers that clip raw observations and, if the run normalises, scale them."""
     low, high = _bounds(observer)
     layers: list[Layer] = [Clip(low, high)]
     if config.interface.get("normalise", False):
@@ -131,12 +132,8 @@ def _observing(observer: ObservationBuilder, config: RunConfig) -> list[Layer]:
     return layers
 
 
-def _observed(
-    observer: ObservationBuilder,
-    config: RunConfig,
-    rows: np.ndarray,
-) -> np.ndarray:
-    """Bound and scale rows, without the environment's rounding to single precision after it."""
+def _observed(observer: ObservationBuilder, config: RunConfig, rows: np.ndarray) -> np.ndarray:
+    """Clip and scale observations, without the environment's final rounding to float32."""
     low, high = _bounds(observer)
     bounded = np.clip(np.asarray(rows, dtype=float), low, high)
     if config.interface.get("normalise", False):
@@ -145,7 +142,7 @@ def _observed(
 
 
 def _bounds(observer: ObservationBuilder) -> tuple[np.ndarray, np.ndarray]:
-    """Give the bounds (D,) of raw numbers, as single precision knows them."""
+    """Return the bounds (D,) of raw observations, rounded to float32."""
     low, high = (
         np.array([getattr(label, name) for label in observer.labels], dtype=np.float32)
         for name in ("low", "high")
@@ -154,35 +151,35 @@ def _bounds(observer: ObservationBuilder) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _setpoints(action: Action) -> tuple[tuple[Label, ...], list[Layer]]:
-    """List the numbers of a setpoint, and the layers that make them of an action.
+    """Return the labels of a setpoint, and the layers that compute it from an action.
 
-    Raises ValueError for actions whose setpoints are no function of the last action alone.
+    Raises ValueError for actions whose setpoint does not depend on the last action alone.
     """
     if action.choices is not None:
         rows = _decoded(action, np.arange(action.choices)[:, None])
         width = YAW if action.level in SETPOINTS else rows.shape[1]
         layers: list[Layer] = [Lookup(rows[:, :width])]
-    elif action.name in AFFINE:
+    elif action.name in AFFINE_ACTIONS:
         layers = [_affine(action)]
-    elif action.name in LIMITED:
+    elif action.name in LIMITED_ACTIONS:
         scale = _affine(action)
         layers = [scale, LimitNorm(float(scale.scale[0]))]
     elif action.name == "rotor":
-        # Speeds go with the root of the thrusts, from none at -1 to the most at 1.
+        # Rotor speed is the square root of thrust, which is 0 at -1 and maximal at 1
         most = _decoded(action, np.ones((1, action.size(0))))[0]
         half = most * most / 2
         layers = [Affine(half, half), SquareRoot()]
     else:
-        known = (*AFFINE, *LIMITED, "rotor", "discrete", "discrete_27")
+        known = (*AFFINE_ACTIONS, *LIMITED_ACTIONS, "rotor", "discrete", "discrete_27")
         raise ValueError(
-            f"action {shown(action.name)} has no form for other programs: train with one of "
-            f"{', '.join(known)}{nearest(action.name, known)}"
+            f"action {shown(action.name)} cannot be exported: train with one of "
+            f"{', '.join(known)}{suggest_names(action.name, known)}"
         )
     return _labels(action, layers), layers
 
 
 def _affine(action: Action) -> Affine:
-    """Find the factors and shifts of an action whose setpoints are scaled numbers."""
+    """Determine scale and offset of an action whose setpoint is an affine function of it."""
     size = action.size(0)
     offset = _decoded(action, np.zeros((1, size)))[0, :size]
     scale = np.diagonal(_decoded(action, np.eye(size))[:, :size]) - offset
@@ -190,7 +187,7 @@ def _affine(action: Action) -> Affine:
 
 
 def _decoded(action: Action, rows: np.ndarray) -> np.ndarray:
-    """Decode rows of actions of the first drone, at rest."""
+    """Decode actions (M, A) of the first drone at rest."""
     padded = np.zeros((len(rows), len(action.labels), action.low.shape[1]))
     padded[:, 0, : rows.shape[1]] = rows
     setpoint = action.decode(padded, np.zeros((*padded.shape[:2], 3)))
@@ -198,7 +195,7 @@ def _decoded(action: Action, rows: np.ndarray) -> np.ndarray:
 
 
 def _labels(action: Action, layers: list[Layer]) -> tuple[Label, ...]:
-    """Label a setpoint, with the bounds that follow from those of the action."""
+    """Return the labels of a setpoint, with bounds that follow from those of the action."""
     names: Any = SETPOINTS.get(action.level)
     if names is None:
         names = [(f"rotor {number}", "rad/s") for number in range(action.size(0))]
@@ -207,8 +204,8 @@ def _labels(action: Action, layers: list[Layer]) -> tuple[Label, ...]:
     else:
         size = action.size(0)
         edges = np.stack([action.low[0, :size], action.high[0, :size]])
-        if action.name in LIMITED:
-            # At a corner of the action the norm is limited, which shortens each number.
+        if action.name in LIMITED_ACTIONS:
+            # The norm is limited at corners only: bounds of single axes are the scale
             scale = cast(Affine, layers[0]).scale
             ends = tuple(edges * scale)
         else:
@@ -220,7 +217,7 @@ def _labels(action: Action, layers: list[Layer]) -> tuple[Label, ...]:
 
 
 def _require_chain(chain: Deployed) -> None:
-    """Raise ValueError where the network does not fit what is observed or done."""
+    """Raise ValueError if the network does not match the observation or the action."""
     width = len(chain.inputs)
     for layer in chain.layers:
         if isinstance(layer, Dense) and layer.weight.shape[1] != width:

@@ -1,6 +1,6 @@
-"""Features extractors of stable-baselines3.
+"""Feature extractors for stable-baselines3.
 
-Observed numbers go through them before the networks of actor and critic.
+They transform observations before the networks of actor and critic.
 """
 
 import math
@@ -8,7 +8,7 @@ import math
 import numpy as np
 from gymnasium.spaces import Box
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.policies.features import BLOCKED, FAR, LINE_OF_SIGHT
 from bulletuav.sensors.sight import AHEAD
 
@@ -17,69 +17,64 @@ try:
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from torch import nn
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 
-class Symlog(BaseFeaturesExtractor):
-    """Compression of each number: sign(x) ln(1 + scale |x|).
+class SymlogFeatures(BaseFeaturesExtractor):
+    """Symmetric logarithm of each number: sign(x) ln(1 + scale |x|).
 
-    Metres near by count as much as those far away, with no statistics to keep. D. Hafner,
-    J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models (2023),
-    equation 9.
+    It compresses large distances, and needs no running statistics. D. Hafner, J. Pasukonis, J. Ba,
+    T. Lillicrap, Mastering diverse domains through world models (2023), equation 9.
 
     Attributes:
         scale: Scale of the numbers.
     """
 
     def __init__(self, observation_space: Box, scale: float = 1.0) -> None:
-        """Take the space of observations.
+        """Make the extractor.
 
         Args:
             observation_space: Space of one drone's observations.
-            scale: Scale of the numbers; to be larger than 1 where centimetres matter.
+            scale: Scale of the numbers; choose it larger than 1 where centimetres matter.
         """
         super().__init__(observation_space, int(np.prod(observation_space.shape)))
         self.scale = scale
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Compute (B, D) features of observations (B, D)."""
+        """Return features (B, D) of observations (B, D)."""
         size = torch.log1p(self.scale * torch.abs(observations))
         return torch.sign(observations) * size
 
 
 class UserSum(BaseFeaturesExtractor):
-    """Positions of the drones, and a sum over users, whatever their order.
+    """Positions of the drones, and a permutation-invariant sum over users.
 
     It is for the observation ("position", "all_neighbours", "targets", "sight_matrix",
-    "sight_ahead"). What is summed is an MLP of what each user is to the drones. Of each user the
-    MLP knows where it is, who sees it, how loud it is at each drone, by how much louder at this
-    one than at any other, and how that would change at the places of `sight_ahead`.
-    M. Zaheer et al., Deep sets (2017).
+    "sight_ahead"). The features of users are the sum of an MLP over users. For each user the inputs
+    of the MLP are its position, line of sight to each drone, log gain at each drone, lead of this
+    drone's gain over the best other drone, and the change of the gain at the places of
+    `sight_ahead`. M. Zaheer et al., Deep sets (2017).
 
     Attributes:
-        each: The MLP.
-        ways: (P, 3) ways to the places of `sight_ahead`, m.
+        each: The MLP of one user.
+        ways: (P, 3) offsets to the places of `sight_ahead`, m.
     """
 
     ways: torch.Tensor
 
-    def __init__(
-        self,
-        observation_space: Box,
-        num_drones: int = 3,
-        size: int = 48,
-    ) -> None:
+    def __init__(self, observation_space: Box, num_drones: int = 3, size: int = 48) -> None:
         """Make the layers.
 
         Args:
             observation_space: Space of one drone's observations.
-            num_drones: How many drones a world has.
-            size: How many features the sum has.
+            num_drones: Number of drones of a world.
+            size: Number of features of the sum.
 
         Raises:
-            ValueError: The observation is of another number of drones.
+            ValueError: If the observation does not match the number of drones.
         """
-        # Numbers of an observation: position, others, and so many of each user
+        # An observation has the position, 6 numbers of each other drone, and `numbers_each` of each
+        # user
         shape = observation_space.shape
         others = 6 * (num_drones - 1)
         numbers_each = 4 + num_drones + len(AHEAD)
@@ -89,7 +84,7 @@ class UserSum(BaseFeaturesExtractor):
                 f"features of {num_drones} drones and their users do not fit {shape} numbers"
             )
         super().__init__(observation_space, 3 * num_drones + size)
-        # Numbers of each block of the observation.
+        # Sizes of the blocks of the observation
         self._sizes = [
             3,
             others,
@@ -97,10 +92,10 @@ class UserSum(BaseFeaturesExtractor):
             num_drones * users,
             len(AHEAD) * users,
         ]
-        # Ways that the drone may fly; no weights, so they are not stored
+        # Constants, so not stored with the weights
         ways = torch.tensor(list(AHEAD.values()))
         self.register_buffer("ways", ways, persistent=False)
-        # The same layers for each user, whose features are summed
+        # The same layers for each user
         known = 3 + 2 * num_drones + 1 + len(AHEAD)
         self.each = nn.Sequential(
             nn.Linear(known, size),
@@ -110,23 +105,25 @@ class UserSum(BaseFeaturesExtractor):
         )
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Compute (B, 3 N + size) features of observations (B, D)."""
+        """Return features (B, 3 N + size) of observations (B, D)."""
         count = len(observations)
         own, others, users, sight, ahead = torch.split(observations, self._sizes, 1)
-        # Of each other drone its position, of each user its position, who sees it, and from where.
+        # Positions of other drones; position and line of sight of each user, now and at places
+        # ahead
         others = others.reshape(count, -1, 6)[..., :3]
         users = users.reshape(count, -1, 4)[:, :, None, :3]
         num_users = users.shape[1]
         sight = sight.reshape(count, -1, num_users).transpose(1, 2)
         ahead = ahead.reshape(count, -1, num_users).transpose(1, 2)
-        # How loud each user is at each drone, first the one that asks, and at the places around it.
+        # Log gain of each user at each drone, this drone first, and at the places ahead of this
+        # drone
         ways = torch.cat([users, users - others[:, None]], 2)
-        now = log_gain(ways, sight)
+        now = log_path_gain(ways, sight)
         here = now[..., :1]
         elsewhere = now[..., 1:].amax(2, keepdim=True)
         lead = here - elsewhere
-        gain = log_gain(users - self.ways, ahead) - here
-        # All of it scaled to the order of 1.
+        gain = log_path_gain(users - self.ways, ahead) - here
+        # All inputs are scaled to the order of 1
         known = torch.cat(
             [
                 users[:, :, 0] / FAR,
@@ -137,20 +134,20 @@ class UserSum(BaseFeaturesExtractor):
             ],
             2,
         )
-        # Through the MLP, and summed over users.
+        # Sum over users, scaled by the root of their number
         each = self.each(known).sum(1) / math.sqrt(num_users)
         flat = others.flatten(1)
         return torch.cat([own / FAR, flat / FAR, each], 1)
 
 
-def log_gain(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
-    """Compute the logarithm of received power over that at 1 m.
+def log_path_gain(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
+    """Return the natural logarithm of received power relative to the power at 1 m.
 
     See `log_distance` in `bulletuav.network.pathloss`.
 
     Args:
-        offset: (..., 3) ways from senders to receivers, m.
-        seen: (...) 1 where they see each other, else 0.
+        offset: (..., 3) vectors from transmitters to receivers, m.
+        seen: (...) 1 with line of sight, else 0.
 
     Returns:
         (...) natural logarithms.

@@ -1,29 +1,29 @@
-"""What exporters read of a recorded flight: its arrays, by the names that files give them."""
+"""Access to the arrays of a recorded flight, as exporters need them."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
-Flight = Mapping[str, np.ndarray]
-"""Arrays of a recording as `Recording.everything()` returns them"""
+FlightArrays = Mapping[str, np.ndarray]
+"""Arrays of a recording by name, as `Recording.everything()` returns them"""
 RESULTS = ("reward", "separation", "conflicts", "collision", "success")
-"""Arrays (T, N) that each decision has, beside those of infos"""
-LATEST = 2**31
-"""s, from which on stamps of ROS have no room for a time"""
+"""Names of the arrays (T, N) of results of each decision, besides the infos"""
+MAX_STAMP = 2**31
+"""Limit of ROS time stamps, s"""
 
 
-def check(flight: Flight) -> None:
-    """Check the arrays that exporters read.
+def check_flight(flight: FlightArrays) -> None:
+    """Check shapes and types of the arrays that exporters read.
 
     Raises:
-        ValueError: One is damaged; it is named, with the shape that it needs.
+        ValueError: If an array is damaged. The message contains its name and the needed shape.
     """
-    # The shape of the positions tells how long the flight was and how many flew
+    # The shape of the positions determines the numbers of times and drones
     if flight["position"].ndim != 3:
         raise ValueError("'position' of the recording is damaged: numbers (T+1, N, 3) are needed")
     states, time = flight["position"].shape[:2], flight["time"]
     rows, drones = states
-    # A row for each time: states; one fewer: results of the decisions between
+    # States have one row more than the results of the decisions between them
     needed: dict[str, tuple[int, ...]] = {
         "time": (rows,),
         "alive": states,
@@ -31,7 +31,7 @@ def check(flight: Flight) -> None:
     }
     needed |= dict.fromkeys(("position", "velocity", "rates"), (*states, 3))
     needed |= dict.fromkeys(RESULTS, (rows - 1, drones))
-    # Goals and IMU are not in all recordings
+    # Not all recordings have goals and IMU readings
     if flight["goal"].shape != (rows, 0, 3):
         needed["goal"] = (*states, 3)
     if "reading/imu" in flight:
@@ -39,23 +39,23 @@ def check(flight: Flight) -> None:
     for name, shape in needed.items():
         if flight[name].shape != shape or flight[name].dtype.kind not in "biuf":
             raise ValueError(f"{name!r} of the recording is damaged: numbers {shape} are needed")
-    # Stamps of ROS have 32 bits for the seconds
-    if not ((time >= 0) & (time < LATEST)).all():
-        raise ValueError(f"'time' of the recording is damaged: 0 to {LATEST} s are needed")
+    # ROS time stamps have 32 bits for the seconds
+    if not ((time >= 0) & (time < MAX_STAMP)).all():
+        raise ValueError(f"'time' of the recording is damaged: 0 to {MAX_STAMP} s are needed")
 
 
-def rows_flown(flight: Flight) -> list[int]:
-    """Count the rows of states of each drone, from the start to the end of its last decision."""
-    # A drone flies from the start on without a gap.
+def count_flown_rows(flight: FlightArrays) -> list[int]:
+    """Return the number of state rows of each drone, up to the end of its last decision."""
+    # The flight of a drone is one interval from the start
     flown = flight["alive"][:-1].astype(bool).sum(axis=0)
     counts: list[int] = (flown + 1).tolist()
     return counts
 
 
-def results(flight: Flight) -> dict[str, np.ndarray]:
-    """Return what each decision gave: arrays (T, N) of numbers by name, rewards first.
+def decision_results(flight: FlightArrays) -> dict[str, np.ndarray]:
+    """Return the results of each decision, arrays (T, N) by name, rewards first.
 
-    Infos of several numbers a drone are left out.
+    Infos with several numbers for each drone are left out.
     """
     shape = flight["reward"].shape
     names = [*RESULTS, *(name for name in flight if name.startswith("info/"))]

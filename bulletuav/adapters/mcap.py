@@ -1,38 +1,41 @@
-"""Recorded flights as MCAP files of ROS 2 messages; needs the extra `mcap`, but no ROS."""
+"""Export of recorded flights as MCAP files of ROS 2 messages.
+
+It needs the extra `mcap`, but no ROS installation.
+"""
 
 import tempfile
 from pathlib import Path
 
-from bulletuav.adapters.flights import Flight, check
+from bulletuav.adapters.flights import FlightArrays, check_flight
 from bulletuav.adapters.ros import stamps_of, topics_of
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.files import whole_file
 
 try:
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 except ImportError:
-    raise missing("writing MCAP", "mcap") from None
+    raise missing_extra("writing MCAP", "mcap") from None
 
 BAG_VERSION = 8
-"""Version of the form of bags, that of ROS 2 Jazzy"""
+"""Version of the bag format, that of ROS 2 Jazzy"""
 
 
-def write_mcap(flight: Flight, path: Path) -> None:
-    """Write a recorded flight as one file.
+def write_mcap(flight: FlightArrays, path: Path) -> None:
+    """Write a recorded flight as one MCAP file.
 
     Args:
         flight: Arrays of the recording, as `Recording.everything()` returns them.
-        path: The file; replaced if it is there.
+        path: The file; an existing file is replaced.
 
     Raises:
-        ValueError: An array is damaged.
-        OSError: The file cannot be written.
+        ValueError: If an array is damaged.
+        OSError: If the file cannot be written.
     """
-    check(flight)
+    check_flight(flight)
     store = get_typestore(Stores.ROS2_JAZZY)
     topics = topics_of(flight, store.types)
-    # The writer makes a folder around the file.
+    # The writer creates a folder that contains the file
     with whole_file(path) as part, tempfile.TemporaryDirectory(dir=path.parent) as folder:
         bag = Path(folder) / "bag"
         with _writer(bag) as writer:
@@ -48,7 +51,6 @@ def write_mcap(flight: Flight, path: Path) -> None:
 
 
 def _writer(bag: Path) -> Writer:
-    """Make a writer of a compressed bag."""
     writer = Writer(bag, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     return writer

@@ -1,4 +1,4 @@
-"""Flights of a drone as a dataset of Minari; needs the extra `dataset`."""
+"""Export of episodes of a drone as a Minari dataset; needs the extra `dataset`."""
 
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
@@ -8,28 +8,28 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium.spaces import Space
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 
 try:
-    import h5py  # noqa: F401  # that Minari needs to write its usual format
+    import h5py  # noqa: F401  # which Minari needs for its default format
     from minari import __version__
     from minari.data_collector.episode_buffer import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
 except ImportError:
-    raise missing("writing a dataset of Minari", "dataset") from None
+    raise missing_extra("writing a dataset of Minari", "dataset") from None
 
 
-class Flight(NamedTuple):
-    """What one drone did in one episode of T decisions.
+class MinariEpisode(NamedTuple):
+    """One episode of T decisions of one drone.
 
     Attributes:
-        seed: That of the episode.
-        observations: (T + 1, D).
-        actions: (T, A), or (T,) choices.
-        rewards: (T,).
+        seed: Seed of the episode.
+        observations: (T + 1, D) observations.
+        actions: (T, A) actions, or (T,) discrete choices.
+        rewards: (T,) rewards.
         terminations: (T,) bool.
         truncations: (T,) bool.
-        about: More that is told of the episode.
+        about: Further metadata of the episode.
     """
 
     seed: int
@@ -42,37 +42,39 @@ class Flight(NamedTuple):
 
 
 def write_minari(
-    flights: Iterable[Flight],
+    flights: Iterable[MinariEpisode],
     spaces: tuple[Space[Any], Space[Any]],
     about: Mapping[str, Any],
     name: str,
     root: Path,
 ) -> Path:
-    """Write a dataset that `minari.load_dataset(name)` finds below `root`; replace an older one.
+    """Write a dataset that `minari.load_dataset(name)` finds below `root`.
+
+        An existing dataset of that name is replaced.
 
     Args:
-        flights: The episodes, in their order.
-        spaces: Of observations and of actions.
-        about: What Minari tells of the dataset, such as "algorithm_name".
-        name: Such as "crossing/orca/drone_0-v0".
-        root: What the variable MINARI_DATASETS_PATH names where it is read.
+        flights: The episodes in order.
+        spaces: Observation space and action space.
+        about: Metadata of the dataset, such as "algorithm_name".
+        name: Name of the dataset, such as "crossing/orca/drone_0-v0".
+        root: Root folder, the value of MINARI_DATASETS_PATH when the dataset is loaded.
 
     Returns:
-        Its folder.
+        The folder of the dataset.
     """
     folder = root / name / "data"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    # Minari 0.5.4 loses its way from a relative path
+    # Minari 0.5.4 fails with relative paths
     storage = MinariStorage.new(folder.resolve(), *spaces, data_format="hdf5")
-    told = []
+    metadata = []
 
     def buffers() -> Iterator[EpisodeBuffer]:
         for flight in flights:
-            told.append(dict(flight.about))
+            metadata.append(dict(flight.about))
             yield EpisodeBuffer(None, flight.seed, None, *flight[1:-1])
 
-    storage.update_episodes(buffers())  # in one go: each call opens the file anew
-    storage.update_episode_metadata(told, range(len(told)))
+    storage.update_episodes(buffers())  # one call for all: each call opens the file again
+    storage.update_episode_metadata(metadata, range(len(metadata)))
     storage.update_metadata({"dataset_id": name, "minari_version": __version__, **about})
     return folder

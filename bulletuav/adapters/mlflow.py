@@ -1,6 +1,6 @@
-"""Training runs told to MLflow: settings, and curves by update and evaluation.
+"""Logging of training runs to MLflow: settings, and curves of updates and evaluations.
 
-Where they go is MLflow's to know: its `MLFLOW_TRACKING_URI`, such as http://localhost:5000.
+The server is set by `MLFLOW_TRACKING_URI`, such as http://localhost:5000.
 """
 
 import math
@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.files import replace_file
 from bulletuav.policies.run import RunConfig
 
@@ -19,85 +19,84 @@ try:
     from mlflow.exceptions import MlflowException
     from stable_baselines3.common.logger import KVWriter
 except ImportError:
-    raise missing("telling MLflow of a training", "mlflow") from None
+    raise missing_extra("logging a training to MLflow", "mlflow") from None
 
 EXPERIMENT = "bulletuav"
-"""Name of the experiment that has all runs"""
+"""Name of the MLflow experiment of all runs"""
 RUN_ID = "mlflow.txt"
-"""File with the run's number in MLflow, in the run's folder"""
+"""File in the folder of a run that stores its MLflow run id"""
 
 
 class MlflowWriter(KVWriter):
-    """A run in MLflow to which the logger of stable-baselines3 writes: a context manager."""
+    """Output format of the stable-baselines3 logger that writes to an MLflow run.
+
+    It is a context manager, which sets the final status of the run.
+    """
 
     def __init__(self, config: RunConfig, folder: Path) -> None:
-        """Begin a run in MLflow, or go on with that of an interrupted training.
+        """Create a run in MLflow, or resume the run of an interrupted training.
 
         Args:
-            config: The settings, which become the run's parameters.
-            folder: The folder of the training.
+            config: Settings, logged as parameters of the run.
+            folder: Folder of the training.
 
         Raises:
-            RuntimeError: MLflow cannot be reached, or refuses.
+            RuntimeError: If MLflow cannot be reached, or rejects the run.
         """
         try:
             self._client = MlflowClient()
-            self._run = self._resumed(folder / RUN_ID) or self._begun(config, folder / RUN_ID)
+            self._run = self._resume_run(folder / RUN_ID) or self._create_run(
+                config, folder / RUN_ID
+            )
         except MlflowException as error:
             raise RuntimeError(
-                f"MLflow does not take the run: {error.message}; see MLFLOW_TRACKING_URI"
+                f"MLflow rejects the run: {error.message}; see MLFLOW_TRACKING_URI"
             ) from None
 
-    def _resumed(self, file: Path) -> str | None:
-        """Open the run of the file again; None where there is none."""
+    def _resume_run(self, file: Path) -> str | None:
+        """Resume the run whose id the file stores; return None if there is no file."""
         if not file.exists():
             return None
         run = file.read_text(encoding="utf-8").strip()
         self._client.update_run(run, status="RUNNING")
         return run
 
-    def _begun(self, config: RunConfig, file: Path) -> str:
-        """Begin a run, and keep its number in the file."""
+    def _create_run(self, config: RunConfig, file: Path) -> str:
+        """Create a run, and store its id in the file."""
         known = self._client.get_experiment_by_name(EXPERIMENT)
         place = known.experiment_id if known else self._client.create_experiment(EXPERIMENT)
         name = f"{config.task}-{config.algo}-{config.seed}"
         run: str = self._client.create_run(place, run_name=name).info.run_id
-        told = [Param(key, str(value)) for key, value in config.plain().items()]
-        self._client.log_batch(run, params=told)
+        params = [Param(key, str(value)) for key, value in config.plain().items()]
+        self._client.log_batch(run, params=params)
         replace_file(file, run + "\n")
         return run
 
     def write(
-        self,
-        key_values: dict[str, Any],
-        key_excluded: dict[str, tuple[str, ...]],
-        step: int = 0,
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
-        """Write numbers at a step, without those that are not finite, and texts as tags."""
+        """Log the finite numbers of a step as metrics, and texts as tags."""
         now = int(1000 * time.time())
         texts = {key: value for key, value in key_values.items() if isinstance(value, str)}
         numbers = {key: float(key_values[key]) for key in key_values.keys() - texts.keys()}
         for key, text in texts.items():
             self._client.set_tag(self._run, key, text)
-        told = [
+        metrics = [
             Metric(key, value, now, step) for key, value in numbers.items() if math.isfinite(value)
         ]
-        self._client.log_batch(self._run, metrics=told)
+        self._client.log_batch(self._run, metrics=metrics)
 
     def close(self) -> None:
-        """Do nothing: the run ends when what it tells of does."""
+        """Do nothing: `__exit__` ends the run."""
 
     def __enter__(self) -> Self:
-        """Tell MLflow of what happens within."""
+        """Return the writer."""
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        _: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
     ) -> None:
-        """Tell MLflow how the run has ended: done, interrupted, or by an error."""
+        """Set the final status of the run: finished, killed by an interrupt, or failed."""
         status = "FINISHED" if kind is None else "FAILED"
         if kind is not None and not issubclass(kind, Exception):
             status = "KILLED"

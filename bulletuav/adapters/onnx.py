@@ -1,4 +1,4 @@
-"""Trained policies as ONNX, for runtimes of neural networks."""
+"""Export of trained policies as ONNX models."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.adapters.deployed import Deployed
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.files import whole_file
 from bulletuav.policies.layers import (
     Affine,
@@ -32,52 +32,44 @@ try:
     import onnxruntime
     from onnx import TensorProto, checker, helper, numpy_helper
 except ImportError:
-    raise missing("writing ONNX", "onnx") from None
+    raise missing_extra("writing ONNX", "onnx") from None
 
 OPSET = 17
-"""Version of the operators, which runtimes since 2022 know"""
+"""ONNX operator set, which runtimes since 2022 support"""
 IR_VERSION = 8
-"""Version of the format that goes with it"""
+"""Version of the ONNX format that belongs to the operator set"""
 
 
 class _Graph:
-    """A graph that grows by one operator after another."""
+    """Builder of an ONNX graph."""
 
     def __init__(self, kind: type[np.floating[Any]]) -> None:
-        """Begin with the observation; `kind` is the type of numbers."""
+        """Make an empty graph; `kind` is the type of its numbers."""
         self.kind = kind
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
     def constant(self, values: Any) -> str:
-        """Add a constant and give its name; whole numbers stay such."""
+        """Add a constant and return its name; integers become int64."""
         name = f"constant_{len(self.constants)}"
         array = np.asarray(values)
         array = array.astype(np.int64 if array.dtype.kind == "i" else self.kind)
         self.constants.append(numpy_helper.from_array(array, name))
         return name
 
-    def add(
-        self,
-        operator: str,
-        *inputs: str,
-        **attributes: Any,
-    ) -> str:
-        """Add an operator on named values and give the name of what it computes."""
+    def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
+        """Add an operator on named values, and return the name of its result."""
         name = f"value_{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, inputs, [name], **attributes))
         return name
 
 
-def write_onnx(
-    policy: Deployed,
-    path: Path,
-    precision: str = "float",
-) -> list[Path]:
+def write_onnx(policy: Deployed, path: Path, precision: str = "float") -> list[Path]:
     """Write a policy as an ONNX model: (drones, D) "observation" to (drones, S) "setpoint".
 
     Args:
-        policy: The policy. Names, units and bounds of its numbers become the model's metadata.
+        policy: The policy. Names, units and bounds of its numbers are stored as metadata of the
+            model.
         path: The file.
         precision: "float" or "double".
 
@@ -85,20 +77,20 @@ def write_onnx(
         The file.
 
     Raises:
-        ValueError: A layer has no form in ONNX.
-        OSError: The file cannot be written.
+        ValueError: If a layer cannot be written in ONNX.
+        OSError: If the file cannot be written.
     """
-    # Each layer adds its nodes, and names the value that it leaves
+    # Each layer adds its nodes, and returns the name of its output
     graph = _Graph(np.float32 if precision == "float" else np.float64)
     value = "observation"
     for layer in policy.layers:
         write = LAYERS.get(type(layer))
         if write is None:
-            raise ValueError(f"a layer {type(layer).__name__} has no form in ONNX")
+            raise ValueError(f"a layer {type(layer).__name__} cannot be written in ONNX")
         value = write(graph, value, layer)
-    # The last layer's value gets the name that users ask for
+    # Rename the output of the last layer
     graph.nodes.append(helper.make_node("Identity", [value], ["setpoint"]))
-    # Any number of drones in a call, one a row
+    # The first axis is the number of drones, which is free
     kind = TensorProto.FLOAT if precision == "float" else TensorProto.DOUBLE
     sizes = {"observation": len(policy.inputs), "setpoint": len(policy.outputs)}
     given, out = (
@@ -112,29 +104,27 @@ def write_onnx(
         producer_name="bulletuav",
         doc_string=policy.about,
     )
-    # What the numbers mean goes with the model
-    told = {"observation": _told(policy.inputs), "setpoint": _told(policy.outputs)}
-    helper.set_model_props(model, told)
-    # The file is replaced only once the model is known to be valid
+    # Labels of the numbers, as metadata
+    metadata = {
+        "observation": _describe_labels(policy.inputs),
+        "setpoint": _describe_labels(policy.outputs),
+    }
+    helper.set_model_props(model, metadata)
+    # Validate the model before the file is replaced
     checker.check_model(model, full_check=True)
     with whole_file(path) as part:
         onnx.save(model, part)
     return [path]
 
 
-def run_onnx(
-    path: Path,
-    rows: np.ndarray,
-    policy: Deployed,
-    precision: str,
-) -> np.ndarray:
-    """Run a file of `write_onnx` by onnxruntime.
+def run_onnx(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.ndarray:
+    """Run an ONNX file of `write_onnx` with onnxruntime.
 
     Args:
         path: The file.
         rows: (M, D) observations.
-        policy: What it was written of.
-        precision: That of the file.
+        policy: The policy that the file was written from.
+        precision: Precision of the file, "float" or "double".
 
     Returns:
         (M, S) setpoints.
@@ -145,104 +135,60 @@ def run_onnx(
     return np.asarray(given, dtype=float)
 
 
-def _told(labels: Iterable[Label]) -> str:
-    """List names, units and bounds, a line each."""
+def _describe_labels(labels: Iterable[Label]) -> str:
+    """Return one line for each label, with name, unit and bounds."""
     return "\n".join(f"{one.name}, {one.unit}, {one.low:.9g} to {one.high:.9g}" for one in labels)
 
 
-def _clip(
-    graph: _Graph,
-    value: str,
-    layer: Clip,
-) -> str:
+def _clip(graph: _Graph, value: str, layer: Clip) -> str:
     above = graph.add("Max", value, graph.constant(layer.low))
     return graph.add("Min", above, graph.constant(layer.high))
 
 
-def _affine(
-    graph: _Graph,
-    value: str,
-    layer: Affine,
-) -> str:
+def _affine(graph: _Graph, value: str, layer: Affine) -> str:
     scaled = graph.add("Mul", value, graph.constant(layer.scale))
     return graph.add("Add", scaled, graph.constant(layer.offset))
 
 
-def _symlog(
-    graph: _Graph,
-    value: str,
-    layer: Symlog,
-) -> str:
+def _symlog(graph: _Graph, value: str, layer: Symlog) -> str:
     size = graph.add("Mul", graph.add("Abs", value), graph.constant(layer.scale))
     grown = graph.add("Log", graph.add("Add", size, graph.constant(1.0)))
     return graph.add("Mul", graph.add("Sign", value), grown)
 
 
-def _dense(
-    graph: _Graph,
-    value: str,
-    layer: Dense,
-) -> str:
+def _dense(graph: _Graph, value: str, layer: Dense) -> str:
     product = graph.add("MatMul", value, graph.constant(layer.weight.T))
     return graph.add("Add", product, graph.constant(layer.bias))
 
 
-def _tanh(
-    graph: _Graph,
-    value: str,
-    layer: Tanh,
-) -> str:
+def _tanh(graph: _Graph, value: str, layer: Tanh) -> str:
     return graph.add("Tanh", value)
 
 
-def _relu(
-    graph: _Graph,
-    value: str,
-    layer: Relu,
-) -> str:
+def _relu(graph: _Graph, value: str, layer: Relu) -> str:
     return graph.add("Max", value, graph.constant(0.0))
 
 
-def _square_root(
-    graph: _Graph,
-    value: str,
-    layer: SquareRoot,
-) -> str:
+def _square_root(graph: _Graph, value: str, layer: SquareRoot) -> str:
     return graph.add("Sqrt", graph.add("Max", value, graph.constant(0.0)))
 
 
-def _limit_norm(
-    graph: _Graph,
-    value: str,
-    layer: LimitNorm,
-) -> str:
+def _limit_norm(graph: _Graph, value: str, layer: LimitNorm) -> str:
     most = graph.constant(layer.most)
     norm = graph.add("ReduceL2", value, axes=[-1], keepdims=1)
     share = graph.add("Div", most, graph.add("Max", norm, most))
     return graph.add("Mul", value, share)
 
 
-def _choose(
-    graph: _Graph,
-    value: str,
-    layer: Choose,
-) -> str:
+def _choose(graph: _Graph, value: str, layer: Choose) -> str:
     return graph.add("ArgMax", value, axis=-1, keepdims=0)
 
 
-def _lookup(
-    graph: _Graph,
-    value: str,
-    layer: Lookup,
-) -> str:
+def _lookup(graph: _Graph, value: str, layer: Lookup) -> str:
     return graph.add("Gather", graph.constant(layer.rows), value)
 
 
-def _swarm(
-    graph: _Graph,
-    value: str,
-    layer: Swarm,
-) -> str:
+def _swarm(graph: _Graph, value: str, layer: Swarm) -> str:
     parts = []
     if len(layer.own):
         parts.append(_columns(graph, value, layer.own, layer.scale))
@@ -254,25 +200,15 @@ def _swarm(
     return graph.add("Concat", *parts, axis=1)
 
 
-def _columns(
-    graph: _Graph,
-    value: str,
-    columns: np.ndarray,
-    scale: float,
-) -> str:
-    """Add compressed numbers of an observation."""
+def _columns(graph: _Graph, value: str, columns: np.ndarray, scale: float) -> str:
+    """Add the symlog of some columns of an observation."""
     return _symlog(
         graph, graph.add("Gather", value, graph.constant(columns), axis=1), Symlog(scale)
     )
 
 
-def _each_other(
-    graph: _Graph,
-    value: str,
-    kind: Others,
-    layer: Swarm,
-) -> str:
-    """Add what is made of each other of a kind, (drones, K, F); zeros for who is not there."""
+def _each_other(graph: _Graph, value: str, kind: Others, layer: Swarm) -> str:
+    """Add the features of each other of a kind, (drones, K, F); zeros for absent ones."""
     others = graph.add("Gather", value, graph.constant(kind.columns), axis=1)
     parts = [_symlog(graph, others, Symlog(layer.scale))]
     if len(kind.motion):
@@ -287,32 +223,28 @@ def _each_other(
     return graph.add("Mul", each, graph.add("Sign", size))
 
 
-def _approach(
-    graph: _Graph,
-    others: str,
-    motion: np.ndarray,
-) -> list[str]:
-    """Add where others come closest if both fly straight on: place, distance, time."""
+def _approach(graph: _Graph, others: str, motion: np.ndarray) -> list[str]:
+    """Add the closest approach to others on straight paths: relative position, distance, time."""
     # Relative position and velocity of each other drone
     position, velocity = (
         graph.add("Gather", others, graph.constant(part), axis=2)
         for part in (motion[:3], motion[3:])
     )
-    # Products of position and velocity, and of velocity with itself
+    # Dot products of position and velocity, and of velocity with itself
     tiny, last = graph.constant(TINY), graph.constant([-1])
     along, square = (
         graph.add("ReduceSum", graph.add("Mul", velocity, other), last, keepdims=1)
         for other in (position, velocity)
     )
-    # Time of the least distance on straight paths, from now to the end of the look ahead
+    # Time of the minimum distance on straight paths, clipped to [0, LOOK_AHEAD]
     soon = graph.add("Div", graph.add("Neg", along), graph.add("Add", square, tiny))
     soon = graph.add("Max", soon, graph.constant(0.0))
     time = graph.add("Min", soon, graph.constant(LOOK_AHEAD))
-    # Where the other is then, and how far
+    # Relative position and distance at that time
     place = graph.add("Add", position, graph.add("Mul", velocity, time))
     far = graph.add("ReduceSum", graph.add("Mul", place, place), last, keepdims=1)
     distance = graph.add("Sqrt", graph.add("Add", far, tiny))
-    # In the scales that the trained network saw: log(1 + m), and time from 0 to 2
+    # Scales of the trained network: log(1 + m), and time from 0 to 2
     grown = graph.add("Log", graph.add("Add", distance, graph.constant(1.0)))
     share = graph.add("Div", time, graph.constant(LOOK_AHEAD / 2))
     return [_symlog(graph, place, Symlog(1.0)), grown, share]
@@ -331,4 +263,4 @@ LAYERS: dict[type[Layer], Callable[[_Graph, str, Any], str]] = {
     Lookup: _lookup,
     Swarm: _swarm,
 }
-"""What adds each kind of layer to a graph: of the value before it, to the name of the one after"""
+"""Functions that add each type of layer to a graph, from the name of its input to its output"""

@@ -1,4 +1,4 @@
-"""Optuna's sampler for studies of training runs; needs the extra `tune`."""
+"""Suggestion of hyperparameters by Optuna for studies of training runs; needs the extra `tune`."""
 
 import contextlib
 import json
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.policies.space import Choices, Range, Space
 
 try:
@@ -20,43 +20,39 @@ try:
         IntDistribution,
     )
 except ImportError:
-    raise missing("tuning", "tune") from None
+    raise missing_extra("tuning", "tune") from None
 
-Tried = tuple[Mapping[str, Any], float]
-"""Values of a trial by name, and what came out: NaN where it failed"""
+FinishedTrial = tuple[Mapping[str, Any], float]
+"""Values of a trial by name, and its result, NaN if it failed"""
 
 
 def suggest(
-    space: Space,
-    tried: Sequence[Tried],
-    count: int,
-    seed: Sequence[int],
-    maximise: bool,
+    space: Space, finished: Sequence[FinishedTrial], count: int, seed: Sequence[int], maximise: bool
 ) -> list[dict[str, Any]]:
-    """Choose the values of further trials, by a tree-structured Parzen estimator.
+    """Suggest the values of further trials by a tree-structured Parzen estimator.
 
-    The study lives in memory, for this call alone. So what comes out depends on the arguments and
-    on nothing else, whoever flew the trials, and when.
+    The Optuna study exists in memory for this call only. The result therefore depends on the
+    arguments alone, not on which process ran the trials, or when.
 
     Args:
-        space: What varies.
-        tried: Trials so far.
-        count: How many to choose.
-        seed: Whole numbers that seed the sampler.
-        maximise: Whether more is better.
+        space: Search space.
+        finished: Finished trials.
+        count: Number of trials to suggest.
+        seed: Integers that seed the sampler.
+        maximise: If True, larger results are better.
 
     Returns:
-        Values by name, for each trial.
+        Values by name, for each suggested trial.
     """
     drawn = {name: _distribution(one) for name, one in space.items()}
     number = int(np.random.SeedSequence(seed).generate_state(1)[0])
     with _quiet():
-        # Trials of one batch do not know each other's results, and are to differ nevertheless.
+        # constant_liar: trials of one batch differ although their results are unknown
         sampler = optuna.samplers.TPESampler(seed=number, multivariate=True, constant_liar=True)
         direction = "maximize" if maximise else "minimize"
         study = optuna.create_study(sampler=sampler, direction=direction)
-        for values, result in tried:
-            study.add_trial(_known(drawn, space, values, result))
+        for values, result in finished:
+            study.add_trial(_finished_trial(drawn, space, values, result))
         asked = [study.ask(drawn).params for _ in range(count)]
     return [
         {name: _decode(space[name], value) for name, value in params.items()} for params in asked
@@ -64,31 +60,28 @@ def suggest(
 
 
 def _distribution(one: Range | Choices) -> BaseDistribution:
-    """Make what Optuna draws from; it takes texts for choices, and no lists."""
+    """Convert a range to a distribution of Optuna, whose choices must be strings, not lists."""
     if not isinstance(one, Range):
-        return CategoricalDistribution(list(_named(one)))
+        return CategoricalDistribution(list(_choices_by_text(one)))
     if one.is_whole:
         return IntDistribution(int(one.low), int(one.high), log=one.log, step=int(one.step or 1))
     return FloatDistribution(one.low, one.high, log=one.log, step=one.step)
 
 
-def _named(one: Choices) -> dict[str, Any]:
-    """Give the choices by their texts."""
+def _choices_by_text(one: Choices) -> dict[str, Any]:
+    """Return the choices by their JSON texts."""
     return {json.dumps(value): value for value in one.values}
 
 
 def _decode(one: Range | Choices, value: Any) -> Any:
-    """Turn what Optuna drew into a setting."""
-    return value if isinstance(one, Range) else _named(one)[value]
+    """Convert a value that Optuna drew to a setting."""
+    return value if isinstance(one, Range) else _choices_by_text(one)[value]
 
 
-def _known(
-    drawn: Mapping[str, BaseDistribution],
-    space: Space,
-    values: Mapping[str, Any],
-    result: float,
+def _finished_trial(
+    drawn: Mapping[str, BaseDistribution], space: Space, values: Mapping[str, Any], result: float
 ) -> Any:
-    """Make a trial of Optuna's that is over."""
+    """Return a finished trial as an Optuna trial."""
     params = {
         name: value if isinstance(space[name], Range) else json.dumps(value)
         for name, value in values.items()
@@ -104,7 +97,7 @@ def _known(
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Optuna from telling of each study, and from calling settled arguments experimental."""
+    """Silence the log messages and experimental warnings of Optuna."""
     before = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:

@@ -1,4 +1,4 @@
-"""Tables of transitions as Parquet files; needs the extra `dataset`."""
+"""Reading and writing of transitions as Parquet tables; needs the extra `dataset`."""
 
 import json
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.errors import missing, reason_of
+from bulletuav.errors import missing_extra, reason_of
 from bulletuav.files import whole_file
 from bulletuav.parsing import parse_json
 
@@ -15,39 +15,35 @@ try:
     import pyarrow as pa
     from pyarrow import parquet
 except ImportError:
-    raise missing("writing a dataset", "dataset") from None
+    raise missing_extra("writing a dataset", "dataset") from None
 
 ABOUT = b"bulletuav"
-"""Key of what a file tells of itself"""
+"""Key of the metadata of this package in a file"""
 
 
-def write_table(
-    columns: Mapping[str, Any],
-    about: Any,
-    path: Path,
-) -> None:
-    """Write columns as one file, compressed.
+def write_table(columns: Mapping[str, Any], about: Any, path: Path) -> None:
+    """Write columns as one compressed Parquet file.
 
     Args:
-        columns: Arrays (K,) or (K, numbers); or (places, rows, K) of a column that is empty in all
-            other places.
-        about: What the file tells of itself, as JSON can.
+        columns: Arrays (K,) or (K, numbers); or a tuple (indices, rows, K) for a column that is
+            null at all other indices.
+        about: Metadata of the file, a JSON value.
         path: The file.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: If the file cannot be written.
     """
     table = pa.table({name: _column(values) for name, values in columns.items()})
-    told = {ABOUT: json.dumps(about).encode()}
+    metadata = {ABOUT: json.dumps(about).encode()}
     with whole_file(path) as part:
-        parquet.write_table(table.replace_schema_metadata(told), part, compression="zstd")
+        parquet.write_table(table.replace_schema_metadata(metadata), part, compression="zstd")
 
 
 def read_about(path: Path) -> Any:
-    """Read what a file tells of itself.
+    """Read the metadata of a file.
 
     Raises:
-        ValueError: It is damaged.
+        ValueError: If the file is damaged.
     """
     try:
         return parse_json(parquet.read_schema(path).metadata[ABOUT], f"{path}, its schema,")
@@ -58,10 +54,10 @@ def read_about(path: Path) -> Any:
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:
-    """Read all columns as arrays; rows of a column of lists are joined, without empty ones.
+    """Read all columns as arrays; null rows of a column of lists are dropped.
 
     Raises:
-        ValueError: The file is damaged.
+        ValueError: If the file is damaged.
     """
     try:
         table = parquet.read_table(path)
@@ -74,7 +70,7 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
 
 
 def _column(values: Any) -> pa.Array:
-    """Make a column of an array, or of rows (at, rows, count) in places of a longer column."""
+    """Convert an array, or sparse rows (indices, rows, count), to a column."""
     if isinstance(values, tuple):
         at, rows, count = values
         place = np.full(count, -1)
@@ -87,7 +83,6 @@ def _column(values: Any) -> pa.Array:
 
 
 def _array(column: Any) -> np.ndarray:
-    """Make an array of a column."""
     if pa.types.is_fixed_size_list(column.type):
         flat: np.ndarray = column.drop_null().flatten().to_numpy(zero_copy_only=False)
         return flat.reshape(-1, column.type.list_size)

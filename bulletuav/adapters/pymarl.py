@@ -1,12 +1,12 @@
-"""Environment of PyMARL, EPyMARL and pymarlzooplus, by the method names that their runners call.
+"""Environment with the interface of PyMARL, EPyMARL and pymarlzooplus.
 
-These programs are not imported: register the environment with theirs, then run them.
+These programs are not imported: register the environment in their registry, then run them.
 
     from envs import REGISTRY  # of EPyMARL; of pymarlzooplus: from pymarlzooplus.envs
 
     register_pymarl(REGISTRY, flavour="epymarl")
 
-`env: bulletuav` in a configuration finds it then, with the task as `env_args.map_name`.
+Then `env: bulletuav` in a configuration selects it, with the task as `env_args.map_name`.
 """
 
 import functools
@@ -24,29 +24,30 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.reset_options import reset_options
-from bulletuav.errors import as_int, choose, shown
+from bulletuav.errors import as_int, find_choice, shown
 from bulletuav.files import whole_file
 from bulletuav.policies.features import symlog as compress
 from bulletuav.tasks import TaskSource
 
 FLAVOURS = {"epymarl": True, "pymarl": False}
-"""Whether a step tells terminations and truncations apart; pymarlzooplus is of PyMARL's kind"""
+"""Whether `step` returns termination and truncation separately; pymarlzooplus is as PyMARL"""
 SCALARISATIONS: dict[str, Callable[[np.ndarray], Any]] = {"sum": np.sum, "mean": np.mean}
-"""Ways to make one reward of all"""
+"""Functions that combine the rewards of all drones"""
 STAY = 0
-"""Choice that is left to drones that are gone: to stay, in the package's discrete actions"""
+"""The only action available to drones whose episode has ended: stay, action 0"""
 
 
 class PymarlEnv(LabelledEnvironment):
-    """One world of N drones that choose among discrete actions: N agents, one state, one episode.
+    """One world of N drones with discrete actions, as a PyMARL multi-agent environment.
 
-    A drone whose episode ended stays an agent until all are done, as these programs need: it
-    observes zeros, has the reward 0, and the action 0 (to stay) alone is available.
+    The N agents share one state and one episode. A drone whose episode has ended remains an agent
+    until all are done, as these programs need: its observation and its reward are zero, and only
+    the action 0 (stay) is available.
 
     Attributes:
-        aviary: The batched core with W = 1.
-        n_agents: N.
-        episode_limit: Most decisions of an episode, the option `horizon`.
+        aviary: The batched environment with W = 1.
+        n_agents: Number of drones N.
+        episode_limit: Maximum number of decisions of an episode, the option `horizon`.
     """
 
     def __init__(
@@ -64,38 +65,38 @@ class PymarlEnv(LabelledEnvironment):
         """Make the environment.
 
         Args:
-            task: One of `list_tasks()`, `module:Name`, or a class of one's own.
-            flavour: "epymarl", whose steps have five results, or "pymarl" (also for
-                pymarlzooplus), whose steps have three.
-            common_reward: Whether all drones have one reward. Else each has its own, which EPyMARL
-                alone takes, and which teams with opposed aims need.
-            reward_scalarisation: Whether the common reward is the "sum" or the "mean" of all N.
-            symlog: Whether observations and state are compressed by sign(x) ln(1 + |x|), as these
-                programs pass metres to their networks as they are.
-            replay_dir: Folder for `save_replay`; pictures are kept with it alone.
-            action: "discrete", "discrete_27", or another one with choices.
+            task: One of `list_tasks()`, `module:Name`, or a task class.
+            flavour: "epymarl", where `step` returns five values, or "pymarl" (also for
+                pymarlzooplus), where it returns three.
+            common_reward: If True, all drones receive one common reward. Otherwise each receives
+                its own, which only EPyMARL supports, and which teams with opposed aims need.
+            reward_scalarisation: Common reward: the "sum" or the "mean" over all N drones.
+            symlog: If True, observations and state are compressed by sign(x) ln(1 + |x|). These
+                programs pass them to their networks without scaling.
+            replay_dir: Folder for `save_replay`; without it no frames are stored.
+            action: "discrete", "discrete_27", or another discrete action.
             **options: Options of `parallel_env`.
 
         Raises:
-            ValueError: An option cannot be, or does not exist; the nearest names are told.
+            ValueError: If an option is invalid or unknown.
         """
-        self._tells_apart = choose("flavour", flavour, FLAVOURS)
-        self._join: Callable[[np.ndarray], Any] = choose(
+        self._splits_ends = find_choice("flavour", flavour, FLAVOURS)
+        self._combine_rewards: Callable[[np.ndarray], Any] = find_choice(
             "reward_scalarisation", reward_scalarisation, SCALARISATIONS
         )
-        # Options are checked before worlds are made, which takes longer
+        # Check the options before the world is created, which is slow
         spec = EnvSpec(task, 1, {**options, "action": action})
-        _check(spec, common_reward, self._tells_apart)
+        _check(spec, common_reward, self._splits_ends)
         self.aviary = Aviary(task, 1, action=action, **options)
-        # How observations and rewards are told
+        # Form of observations and rewards
         self._observer = self.aviary.observer
         self._symlog = symlog
         self._common = common_reward
-        # Pictures of the episode, for a replay that is asked for
+        # Rendered frames of the episode, for `save_replay`
         self._folder = None if replay_dir is None else Path(replay_dir)
         self._pictures: list[np.ndarray] = []
         self._replays = 0
-        # What PyMARL reads off an environment
+        # Attributes that PyMARL reads
         self.n_agents = self.aviary.num_drones
         self.episode_limit = self.aviary.options.horizon
         # State of the episode
@@ -105,10 +106,10 @@ class PymarlEnv(LabelledEnvironment):
         self._totals = EpisodeTotals()
 
     def seed(self, seed: int | None = None) -> None:
-        """Seed the next `reset`; None goes on with the random numbers.
+        """Seed the next `reset`; None continues the random sequence.
 
         Raises:
-            ValueError: The seed is no whole number, or less than 0.
+            ValueError: If the seed is not an integer of at least 0.
         """
         self._seed = None if seed is None else as_int("seed", seed, 0)
 
@@ -119,11 +120,11 @@ class PymarlEnv(LabelledEnvironment):
         """Start a new episode.
 
         Args:
-            seed: Seed of the random numbers; None takes that of `seed`, or goes on with them.
+            seed: Random seed; None uses the seed set by `seed()`, or continues the random sequence.
             options: See `ParallelAviary.reset`.
 
         Returns:
-            Observations of all drones, and an empty info (EPyMARL) or the state (PyMARL).
+            Observations of all drones, and an empty info (EPyMARL) or the global state (PyMARL).
         """
         seed = self._seed if seed is None else seed
         observations = self.aviary.reset(seeds=seed, **reset_options(options))
@@ -131,28 +132,28 @@ class PymarlEnv(LabelledEnvironment):
         self._pictures.clear()
         self._totals.forget(np.ones(1, dtype=bool))
         self._present[:] = True
-        self._see(observations)
-        return self.get_obs(), {} if self._tells_apart else self.get_state()
+        self._store_observations(observations)
+        return self.get_obs(), {} if self._splits_ends else self.get_state()
 
     @exclusive
     def step(self, actions: Any) -> tuple[Any, ...]:
-        """Fly one decision.
+        """Step the environment by one decision.
 
         Args:
-            actions: (N,) choices, a tensor, an array or a list; those of drones that are gone are
-                ignored.
+            actions: (N,) discrete actions, a tensor, an array or a list. Actions of drones whose
+                episode has ended are ignored.
 
         Returns:
             EPyMARL: observations, reward, terminated, truncated, info. PyMARL: reward, terminated,
-            info. The reward is a number, or without `common_reward` a list of N. The info is made
-            of numbers that programs add up. Its "episode_limit" is True where nothing but the
-            horizon ended the episode of a drone. With an episode's end come the shares of drones
-            with "success" and "collision", and the mean drone's "conflicts" and return of each
-            reward term.
+            info. The reward is a number, or without `common_reward` a list of N. The values of the
+            info are numbers, which programs sum up. Its "episode_limit" is True if an episode was
+            ended only by the horizon. At the end of an episode the info also has the fractions of
+            drones with "success" and "collision", and the mean over drones of "conflicts" and of
+            the return of each reward term.
 
         Raises:
-            ValueError: An action cannot be; nobody has flown then.
-            RuntimeError: Before the first reset, after an episode's end, or after `close`.
+            ValueError: If an action is invalid; the state is then unchanged.
+            RuntimeError: Before the first reset, after the end of an episode, or after `close`.
         """
         self.aviary.require_started()
         flown = self.aviary.alive[0].copy()
@@ -161,23 +162,23 @@ class PymarlEnv(LabelledEnvironment):
         choices = np.where(flown, self._choices(actions), STAY)
         step = self.aviary.step(choices[None, :, None])
         self._totals.add(step, flown[None])
-        # A drone that the horizon stopped goes on as far as values are concerned
+        # Truncated drones count as present, so that value estimates bootstrap
         self._present = flown & ~step.terminated[0]
-        self._see(step.observations)
+        self._store_observations(step.observations)
         over = not self.aviary.alive.any()
         limit = over and bool(step.truncated[0, flown].any())
         info: dict[str, Any] = {"episode_limit": limit}
         if over:
-            # Programs make files of these names
+            # Programs use these names as file names
             totals = self._totals.of_world(0).items()
             info |= {name.replace("/", "_"): total for name, total in totals}
         reward = self._reward(step.rewards[0])
-        if self._tells_apart:
+        if self._splits_ends:
             return self.get_obs(), reward, over and not limit, limit, info
         return reward, over, info
 
     def _choices(self, actions: Any) -> np.ndarray:
-        """Make (N,) float64 of what programs give."""
+        """Convert the actions that programs pass to an array (N,) of float64."""
         try:
             chosen = [operator.index(one) for one in actions]
         except TypeError:
@@ -190,14 +191,14 @@ class PymarlEnv(LabelledEnvironment):
         return np.array(chosen, dtype=float)
 
     def _reward(self, rewards: np.ndarray) -> float | list[float]:
-        """Make one reward of all (N,), or list them."""
+        """Return the common reward of rewards (N,), or the rewards as a list."""
         if self._common:
-            return float(self._join(rewards))
+            return float(self._combine_rewards(rewards))
         own: list[float] = rewards.tolist()
         return own
 
-    def _see(self, observations: Any) -> None:
-        """Keep what drones observe, from (1, N, D); zeros of those that are gone."""
+    def _store_observations(self, observations: Any) -> None:
+        """Store observations (1, N, D), with zeros for drones that have left."""
         seen = np.where(self._present[:, None], observations[0], 0.0)
         self._observed = self._compressed(seen)
 
@@ -206,7 +207,7 @@ class PymarlEnv(LabelledEnvironment):
         return shown.astype(np.float32)
 
     def get_obs(self) -> list[np.ndarray]:
-        """List the observations of all drones, N arrays (D,) float32."""
+        """Return the observations of all drones, N arrays (D,) of float32."""
         return list(self._observed.copy())
 
     def get_obs_agent(self, agent_id: int) -> np.ndarray:
@@ -215,7 +216,7 @@ class PymarlEnv(LabelledEnvironment):
         return seen.copy()
 
     def get_obs_size(self) -> int:
-        """Count the numbers of an observation."""
+        """Return the size D of an observation."""
         return int(np.prod(self._observer.space().shape or ()))
 
     @exclusive
@@ -224,15 +225,15 @@ class PymarlEnv(LabelledEnvironment):
         return self._compressed(self.aviary.state()[0])
 
     def get_state_size(self) -> int:
-        """Count the numbers of the global state."""
+        """Return the size K of the global state."""
         return len(self.aviary.global_state.low)
 
     def get_avail_actions(self) -> list[list[int]]:
-        """List 1 for each action that is available and 0 for the others, of each drone."""
+        """Return the action mask of each drone: 1 for available actions, else 0."""
         return [self.get_avail_agent_actions(i) for i in range(self.n_agents)]
 
     def get_avail_agent_actions(self, agent_id: int) -> list[int]:
-        """List what is available to one drone: all, or once it is gone the action 0 alone."""
+        """Return the action mask of one drone; after its episode only action 0 is available."""
         here = self._present[self._drone(agent_id)]
         return [int(here or choice == STAY) for choice in range(self.get_total_actions())]
 
@@ -240,11 +241,11 @@ class PymarlEnv(LabelledEnvironment):
         return as_int("agent_id", agent_id, 0, self.n_agents - 1)
 
     def get_total_actions(self) -> int:
-        """Count the actions of a drone."""
+        """Return the number of discrete actions of a drone."""
         return int(self.aviary.action.choices or 0)
 
     def get_env_info(self) -> dict[str, int]:
-        """Tell sizes: state_shape, obs_shape, n_actions, n_agents and episode_limit."""
+        """Return state_shape, obs_shape, n_actions, n_agents and episode_limit."""
         return {
             "state_shape": self.get_state_size(),
             "obs_shape": self.get_obs_size(),
@@ -254,18 +255,18 @@ class PymarlEnv(LabelledEnvironment):
         }
 
     def get_stats(self) -> dict[str, float]:
-        """Tell nothing: the info of an episode's last step has its statistics."""
+        """Return no statistics: the info of the last step of an episode has them."""
         return {}
 
     def get_print_info(self) -> None:
-        """Tell nothing to print, as pymarlzooplus asks."""
+        """Return nothing to print; pymarlzooplus calls this method."""
 
     @exclusive
     def render(self) -> np.ndarray | None:
-        """Take a picture, and keep it for `save_replay` where there is a folder for that.
+        """Render an image, and store it for `save_replay` if `replay_dir` is set.
 
         Returns:
-            (height, width, 3) uint8 with render_mode "rgb_array", else None.
+            Image (height, width, 3) uint8 with render_mode "rgb_array", else None.
         """
         picture = self.aviary.render()
         if picture is not None and self._folder is not None:
@@ -274,14 +275,14 @@ class PymarlEnv(LabelledEnvironment):
 
     @exclusive
     def save_replay(self) -> None:
-        """Write the pictures of this episode to a new .gif in the folder `replay_dir`.
+        """Write the rendered images of this episode to a new .gif in the folder `replay_dir`.
 
         Raises:
-            RuntimeError: There is no folder, or no picture was taken.
+            RuntimeError: If `replay_dir` is not set, or no image was rendered.
         """
         if self._folder is None or not self._pictures:
             raise RuntimeError(
-                "there are no pictures for a replay: give the environment replay_dir and "
+                "there are no images for a replay: give the environment replay_dir and "
                 "render_mode='rgb_array', and the program render=True"
             )
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -294,16 +295,12 @@ class PymarlEnv(LabelledEnvironment):
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Disconnect from the physics engine; further calls do nothing."""
         self.aviary.close()
 
 
-def _check(
-    spec: EnvSpec,
-    common_reward: bool,
-    tells_apart: bool,
-) -> None:
-    """Raise ValueError for environments that these programs cannot take."""
+def _check(spec: EnvSpec, common_reward: bool, splits_ends: bool) -> None:
+    """Raise ValueError for environments that these programs do not support."""
     if spec.action.choices is None:
         raise ValueError(
             f"action is {spec.action.name!r}: these programs store whole numbers as actions, for "
@@ -313,28 +310,25 @@ def _check(
     if not isinstance(space, Box) or len(space.shape) != 1:
         raise ValueError(
             f"a drone observes {shown(space)}: these programs take a vector; choose "
-            f"observation_format='vector' and an observation without pictures"
+            f"observation_format='vector' and an observation without images"
         )
-    if not common_reward and not tells_apart:
+    if not common_reward and not splits_ends:
         raise ValueError("common_reward is False: of these programs EPyMARL alone takes that")
 
 
 def make_pymarl(
-    flavour: str,
-    map_name: TaskSource | None = None,
-    key: TaskSource | None = None,
-    **env_args: Any,
+    flavour: str, map_name: TaskSource | None = None, key: TaskSource | None = None, **env_args: Any
 ) -> PymarlEnv:
-    """Make an environment of what stands in `env_args` of a configuration.
+    """Make an environment from the `env_args` of a configuration.
 
     Args:
-        flavour: As of `PymarlEnv`.
-        map_name: The task; the programs also name results after it.
-        key: The task, by the other name that the programs know.
+        flavour: See `PymarlEnv`.
+        map_name: The task, which the programs also use in names of results.
+        key: The task, under the other name that these programs use.
         **env_args: Options of `PymarlEnv`.
 
     Raises:
-        ValueError: There is no task, or an option cannot be.
+        ValueError: If there is no task, or an option is invalid.
     """
     task = key if map_name is None else map_name
     if task is None:
@@ -343,19 +337,17 @@ def make_pymarl(
 
 
 def register_pymarl(
-    registry: MutableMapping[str, Any],
-    name: str = "bulletuav",
-    flavour: str = "epymarl",
+    registry: MutableMapping[str, Any], name: str = "bulletuav", flavour: str = "epymarl"
 ) -> None:
-    """Enter the environment into a program's registry.
+    """Add the environment to the registry of a program.
 
     Args:
         registry: `envs.REGISTRY` of PyMARL or EPyMARL, `pymarlzooplus.envs.REGISTRY`.
-        name: Name for `env` in configurations.
-        flavour: As of `PymarlEnv`.
+        name: Value of `env` in configurations.
+        flavour: See `PymarlEnv`.
 
     Raises:
-        ValueError: There is no such flavour.
+        ValueError: If the flavour is unknown.
     """
-    choose("flavour", flavour, FLAVOURS)
+    find_choice("flavour", flavour, FLAVOURS)
     registry[name] = functools.partial(make_pymarl, flavour)

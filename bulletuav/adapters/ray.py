@@ -1,60 +1,58 @@
-"""Work on the machines of a Ray cluster; needs the extra `ray`."""
+"""Distribution of work to a Ray cluster; needs the extra `ray`."""
 
 import contextlib
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from bulletuav.errors import missing, shown
+from bulletuav.errors import missing_extra, shown
 
 try:
     import ray
     from ray.exceptions import RayTaskError
 except ImportError:
-    raise missing("flying on a Ray cluster", "ray") from None
+    raise missing_extra("flying on a Ray cluster", "ray") from None
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-PATIENCE = 5.0
-"""Time for a cluster to answer, s"""
-PARTS = 4
-"""Parts of the work for each processor: a node that dies costs at most one of each of its own"""
+CONNECT_TIMEOUT = 5.0
+"""Connection timeout, s"""
+TASKS_PER_CPU = 4
+"""Tasks for each CPU: a node that fails loses at most one task for each of its CPUs"""
 
 
-def spread(
-    address: str,
-    work: Callable[[Sequence[Item]], list[Result]],
-    items: Sequence[Item],
+def map_on_cluster(
+    address: str, work: Callable[[Sequence[Item]], list[Result]], items: Sequence[Item]
 ) -> Iterator[Result]:
-    """Let the nodes of a cluster do some work; what a node that dies had begun, others do again.
+    """Map a function over items on a Ray cluster, and retry the tasks of nodes that fail.
 
-    Every node needs bulletuav, in the same version.
+    Every node needs the same version of bulletuav.
 
     Args:
-        address: Where the cluster is, such as "auto" or "10.0.0.1:6379"; "local" begins one here.
-        work: Makes a list of results of a list of items.
-        items: What is to be done.
+        address: Address of the cluster, such as "auto" or "10.0.0.1:6379"; "local" starts one here.
+        work: Function from a list of items to a list of results.
+        items: The items.
 
     Yields:
-        The results, as they come.
+        The results, in order of completion.
 
     Raises:
-        ConnectionError: No cluster answers.
+        ConnectionError: If no cluster answers.
     """
     with _cluster(address):
-        # Several parts a processor, so that none waits long for the last
+        # Several tasks for each CPU balance the load
         processors = int(ray.cluster_resources().get("CPU", 1))
-        size = max(1, len(items) // (PARTS * max(1, processors)))
+        size = max(1, len(items) // (TASKS_PER_CPU * max(1, processors)))
         parts = [items[first : first + size] for first in range(0, len(items), size)]
 
         def done_by_one(part: Sequence[Item]) -> list[Result]:
             return work(part)
 
-        # Parts of a node that died are done again, however often
+        # max_retries=-1: tasks of failed nodes are retried without limit
         task: Any = ray.remote(done_by_one).options(num_cpus=1, max_retries=-1)
         waiting = [task.remote(part) for part in parts]
         while waiting:
-            # As they come; an error is told as if it had happened here
+            # In order of completion; an error is raised as in a local call
             done, waiting = ray.wait(waiting)
             try:
                 yield from ray.get(done[0])
@@ -64,19 +62,18 @@ def spread(
 
 @contextlib.contextmanager
 def _cluster(address: str) -> Iterator[None]:
-    """Join a cluster, and leave it in the end; one that the caller has joined stays."""
-    # Who has joined by hand also leaves by hand
+    """Connect to a cluster, and disconnect at the end unless the caller had connected."""
     if ray.is_initialized():
         yield
         return
-    # Ray would wait for minutes where nobody answers
+    # Ray itself waits for minutes if nothing answers
     try:
-        _require_answer(address)
+        _require_connection(address)
         ray.init(address=address, log_to_driver=False, logging_level="error")
     except (OSError, ValueError, RuntimeError) as error:
         raise ConnectionError(
-            f"no Ray cluster answers at {shown(address)} ({str(error).splitlines()[0]}): begin one "
-            f"with `ray start --head`, or say --ray local"
+            f"no Ray cluster answers at {shown(address)} ({str(error).splitlines()[0]}): start one "
+            f"with `ray start --head`, or use --ray local"
         ) from None
     try:
         yield
@@ -84,8 +81,8 @@ def _cluster(address: str) -> Iterator[None]:
         ray.shutdown()
 
 
-def _require_answer(address: str) -> None:
-    """Knock at a place HOST:PORT, as Ray itself would ask for minutes. Raises OSError."""
+def _require_connection(address: str) -> None:
+    """Raise OSError if HOST:PORT accepts no connection; Ray itself waits for minutes."""
     host, colon, port = address.rpartition(":")
     if colon and port.isdecimal() and "/" not in host:
-        socket.create_connection((host, int(port)), PATIENCE).close()
+        socket.create_connection((host, int(port)), CONNECT_TIMEOUT).close()

@@ -1,6 +1,6 @@
-"""Recorded flights as files of the viewer Rerun (.rrd); needs the extra `rerun`.
+"""Export of recorded flights for the viewer Rerun (.rrd); needs the extra `rerun`.
 
-Rerun keeps places in single precision; times and curves are exact.
+Rerun stores positions in single precision; times and curves are exact.
 """
 
 from collections.abc import Mapping, Sized
@@ -9,8 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.adapters.flights import Flight, check, results, rows_flown
-from bulletuav.errors import missing
+from bulletuav.adapters.flights import (
+    FlightArrays,
+    check_flight,
+    count_flown_rows,
+    decision_results,
+)
+from bulletuav.errors import missing_extra
 from bulletuav.files import whole_file
 from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE
 from bulletuav.geometry.solids import Solids
@@ -20,43 +25,39 @@ try:
     import rerun as rr
     import rerun.blueprint as rrb
 except ImportError:
-    raise missing("writing for Rerun", "rerun") from None
+    raise missing_extra("writing for Rerun", "rerun") from None
 
 TIME = "time"
-"""Name of the timeline, s since the start"""
+"""Name of the timeline, in s since the start"""
 PATH_WIDTH = 1.5
-"""Width of drones' paths, in points of the screen"""
+"""Width of the paths of drones, in screen points"""
 GOAL_SIZE = 6.0
-"""Radius of goals, in points of the screen"""
+"""Radius of goals, in screen points"""
 CITY_COLOUR = (150, 152, 158)
 
 
-def write_rrd(
-    flight: Flight,
-    colours: np.ndarray,
-    path: Path,
-) -> None:
-    """Write a recorded flight as one file.
+def write_rrd(flight: FlightArrays, colours: np.ndarray, path: Path) -> None:
+    """Write a recorded flight as one .rrd file.
 
     Args:
-        flight: Arrays of the recording, as `Recording.everything()` returns them; of version 5.
-        colours: (N, 4) red, green, blue and opacity of each drone, from 0 to 1.
-        path: The file; replaced if it is there.
+        flight: Arrays of a recording of version 5, as `Recording.everything()` returns them.
+        colours: (N, 4) RGBA colour of each drone, from 0 to 1.
+        path: The file; an existing file is replaced.
 
     Raises:
-        ValueError: An array is damaged.
-        OSError: The file cannot be written.
-        RuntimeError: The variable RERUN has turned Rerun off.
+        ValueError: If an array is damaged.
+        OSError: If the file cannot be written.
+        RuntimeError: If the environment variable RERUN disables Rerun.
     """
-    check(flight)
+    check_flight(flight)
     about = parse_json(str(flight["scene/about"]), "its description")
     with whole_file(path) as part:
-        part.touch()  # so that a folder that is not there gets Python's error
+        part.touch()  # raises Python's error if the folder does not exist
         with rr.RecordingStream("bulletuav", send_properties=False) as stream:
             if not rr.is_enabled(stream):
                 raise RuntimeError("Rerun is off by the variable RERUN: unset it, and export again")
             stream.save(part, _views())
-            # Right-handed with z up: ENU.
+            # Right-handed with z up: ENU
             stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
             shades = (255 * colours).astype(np.uint8)
             _add_drones(stream, flight, about, shades)
@@ -66,7 +67,7 @@ def write_rrd(
 
 
 def _views() -> rrb.Blueprint:
-    """Arrange the scene beside the curves."""
+    """Return the layout: the 3-D scene on the left, the curves on the right."""
     curves = [
         rrb.TimeSeriesView(origin=name, name=name) for name in ("altitude", "reward", "separation")
     ]
@@ -76,22 +77,19 @@ def _views() -> rrb.Blueprint:
 
 
 def _add_drones(
-    stream: rr.RecordingStream,
-    flight: Flight,
-    about: Mapping[str, Any],
-    colours: np.ndarray,
+    stream: rr.RecordingStream, flight: FlightArrays, about: Mapping[str, Any], colours: np.ndarray
 ) -> None:
-    """Add drones, their paths and their goals, each up to its last decision."""
+    """Log drones, their paths and their goals, each up to the last decision of the drone."""
     time, position, quaternion = (flight[name] for name in ("time", "position", "quaternion"))
-    # A drone's path ends with its last decision
-    rows = rows_flown(flight)
+    # The path of a drone ends with its last decision
+    rows = count_flown_rows(flight)
     for i, end in enumerate(rows):
         body = f"world/drones/{i}"
         _add_motion(stream, body, time[:end], position[:end, i], quaternion[:end, i])
-        # The parts hang below the body, which carries them along
+        # Child entities inherit the transform of the body
         for k, shape in enumerate(about["airframes"][about["airframe_of"][i]]["parts"]):
             _add_shape(stream, f"{body}/{k}", shape)
-    # Paths do not change while time goes by
+    # Paths are static
     paths = rr.LineStrips3D(
         [position[:end, i] for i, end in enumerate(rows)],
         colors=colours,
@@ -102,43 +100,34 @@ def _add_drones(
     # Goals may move: one set of points for each time
     goal = flight["goal"]
     if goal.shape[1]:
-        look = rr.Points3D.from_fields(colors=colours, radii=rr.Radius.ui_points(GOAL_SIZE))
-        stream.log("world/goals", look, static=True, strict=True)
+        style = rr.Points3D.from_fields(colors=colours, radii=rr.Radius.ui_points(GOAL_SIZE))
+        stream.log("world/goals", style, static=True, strict=True)
         columns = rr.Points3D.columns(positions=goal.reshape(-1, 3))
         _send(stream, "world/goals", time, columns.partition([goal.shape[1]] * len(time)))
 
 
-def _add_curves(
-    stream: rr.RecordingStream,
-    flight: Flight,
-    colours: np.ndarray,
-) -> None:
-    """Add altitudes and what each decision gave, a line for each drone while it flies."""
-    rows = rows_flown(flight)
+def _add_curves(stream: rr.RecordingStream, flight: FlightArrays, colours: np.ndarray) -> None:
+    """Log altitudes and results of decisions, one curve for each drone while it flies."""
+    rows = count_flown_rows(flight)
     altitude = flight["position"][:, :, 2]
-    for name, values in {"altitude": altitude, **results(flight)}.items():
-        # What a decision gave is told at its end, and drones that left tell nothing.
+    for name, values in {"altitude": altitude, **decision_results(flight)}.items():
+        # A result is plotted at the end of its decision; NaN after the drone has left
         time = flight["time"][-len(values) :]
         ends = np.array(rows) - (len(flight["time"]) - len(time))
         flown = np.where(np.arange(len(time))[:, None] < ends, values, np.nan)
         entity = rr.new_entity_path(name.split("/"))
-        look = rr.SeriesLines(colors=colours, names=_names(rows))
-        stream.log(entity, look, static=True, strict=True)
+        style = rr.SeriesLines(colors=colours, names=_names(rows))
+        stream.log(entity, style, static=True, strict=True)
         columns = rr.Scalars.columns(scalars=flown.reshape(-1))
         _send(stream, entity, time, columns.partition([len(rows)] * len(time)))
 
 
 def _names(drones: Sized) -> list[str]:
-    """Name each drone."""
     return [f"drone_{i}" for i in range(len(drones))]
 
 
-def _add_obstacles(
-    stream: rr.RecordingStream,
-    flight: Flight,
-    shapes: list[Any],
-) -> None:
-    """Add obstacles, which may move."""
+def _add_obstacles(stream: rr.RecordingStream, flight: FlightArrays, shapes: list[Any]) -> None:
+    """Log obstacles, which may move."""
     for k, shape in enumerate(shapes):
         entity = f"world/obstacles/{k}"
         position, quaternion = flight["obstacle"][:, k], flight["scene/obstacle_quaternion"][:, k]
@@ -146,8 +135,8 @@ def _add_obstacles(
         _add_shape(stream, f"{entity}/shape", shape)
 
 
-def _add_city(stream: rr.RecordingStream, flight: Flight) -> None:
-    """Add one mesh of all buildings, if there are any."""
+def _add_city(stream: rr.RecordingStream, flight: FlightArrays) -> None:
+    """Log one mesh of all buildings, if there are any."""
     sizes = flight["scene/hull_size"]
     hulls = np.split(flight["scene/hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
     boxes = flight["building"][: len(flight["building"]) - len(sizes)]
@@ -163,41 +152,32 @@ def _add_motion(
     position: np.ndarray,
     quaternion: np.ndarray,
 ) -> None:
-    """Add how something moves in the world; quaternions are x, y, z, w, as Rerun's are."""
+    """Log the pose of an entity in the world; quaternions are (x, y, z, w), as in Rerun."""
     columns = rr.Transform3D.columns(translation=position, quaternion=quaternion)
     _send(stream, entity, time, columns)
 
 
-def _send(
-    stream: rr.RecordingStream,
-    entity: str,
-    time: np.ndarray,
-    columns: Any,
-) -> None:
-    """Add columns, a row for each time, s."""
+def _send(stream: rr.RecordingStream, entity: str, time: np.ndarray, columns: Any) -> None:
+    """Log columns, one row for each time in s."""
     index = rr.TimeColumn(TIME, duration=np.round(time * 1e9).astype("timedelta64[ns]"))
     stream.send_columns(entity, [index], columns, strict=True)
 
 
-def _add_shape(
-    stream: rr.RecordingStream,
-    entity: str,
-    told: Mapping[str, Any],
-) -> None:
-    """Add a part of an airframe, or an obstacle; parts also tell where they are in the body."""
+def _add_shape(stream: rr.RecordingStream, entity: str, shape: Mapping[str, Any]) -> None:
+    """Log a part of an airframe, with its pose in the body, or an obstacle."""
     place = []
-    if "position" in told:
-        place = [rr.Transform3D(translation=told["position"], quaternion=told["quaternion"])]
-    stream.log(entity, _look(told), *place, static=True, strict=True)
+    if "position" in shape:
+        place = [rr.Transform3D(translation=shape["position"], quaternion=shape["quaternion"])]
+    stream.log(entity, _archetype(shape), *place, static=True, strict=True)
 
 
-def _look(told: Mapping[str, Any]) -> Any:
-    """Make what Rerun draws of a shape."""
-    kind, half = told["kind"], told["half"]
-    colour = tuple(round(255 * share) for share in told["colour"])
+def _archetype(shape: Mapping[str, Any]) -> Any:
+    """Convert a shape to a Rerun archetype."""
+    kind, half = shape["kind"], shape["half"]
+    colour = tuple(round(255 * share) for share in shape["colour"])
     solid = {"colors": colour, "fill_mode": rr.components.FillMode.Solid}
     if kind == HULL:
-        return _mesh(Solids(np.zeros((0, 2, 3)), (np.array(told["corners"]),)), colour)
+        return _mesh(Solids(np.zeros((0, 2, 3)), (np.array(shape["corners"]),)), colour)
     if kind == SPHERE:
         return rr.Ellipsoids3D(half_sizes=half, **solid)
     if kind == CYLINDER:
@@ -206,6 +186,6 @@ def _look(told: Mapping[str, Any]) -> Any:
 
 
 def _mesh(solids: Solids, colour: tuple[int, ...]) -> rr.Mesh3D:
-    """Make a mesh of convex pieces."""
+    """Convert convex solids to a Rerun mesh."""
     corners, triangles = solids.mesh
     return rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, albedo_factor=colour)

@@ -1,4 +1,4 @@
-"""Environment of RLlib's new API stack: agents in order, and ends that are taken for what they are.
+"""Environment for RLlib's new API stack, with correct terminations and truncations.
 
 config = (
     PPOConfig()
@@ -25,7 +25,7 @@ from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.parallel import parallel_env
 from bulletuav.envs.teams import team_rows
-from bulletuav.errors import choose, missing, shown
+from bulletuav.errors import find_choice, missing_extra, shown
 from bulletuav.policies.features import symlog
 from bulletuav.tasks import TaskSource
 
@@ -34,34 +34,34 @@ try:
     import torch
     from ray.rllib.env.multi_agent_env import MultiAgentEnv
 except ImportError:
-    raise missing("learning with RLlib", "rllib") from None
+    raise missing_extra("learning with RLlib", "rllib") from None
 
 __all__ = ["DroneMultiAgentEnv", "connect", "log_outcomes", "policies", "rows_function"]
 
 ALL = "__all__"
-"""Key under which RLlib is told that an episode is over"""
-KINDS = {"swarm": "drones", "team": None, "drone": None}
-"""Who shares a policy, and the policy's name where there is but one"""
+"""Key of the end of the whole episode in RLlib's dicts"""
+GROUPINGS = {"swarm": "drones", "team": None, "drone": None}
+"""Groupings of drones that share a policy, and the name of the policy if there is only one"""
 CONNECT_TIMEOUT = 5.0
-"""Time within which a cluster must answer, s"""
+"""Connection timeout of a cluster, s"""
 
 
 class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # has no types
     """`ray.rllib.env.MultiAgentEnv` of one task, with agents `drone_0` ... `drone_{N-1}`.
 
-    Of a drone whose episode ended nothing is told any more. When all are done, terminated or
-    truncated say so under "__all__". The horizon is told under that key alone: RLlib 2.60 takes an
-    episode for terminated whose agents are all truncated one by one, and learns that nothing comes
-    after. Infos are empty, but where a drone's episode ends: then they tell it "success",
-    "collision", "conflicts" and the return of each reward term.
+    After its episode has ended, a drone is absent from all dicts. When all drones are done,
+    "__all__" in terminated or truncated is True. The horizon is reported under "__all__" only:
+    RLlib 2.60 treats an episode whose agents are all truncated one by one as terminated, and would
+    not bootstrap its value. Infos are empty except at the end of the episode of a drone, where they
+    have "success", "collision", "conflicts" and the return of each reward term of that drone.
 
     Attributes:
-        env: The environment that it is made from.
+        env: The wrapped environment.
         possible_agents: Names of all agents.
-        agents: Names of the agents whose episode goes on; after the last step, of those that flew.
+        agents: Names of the active agents; after the last step, those that were active in it.
         observation_spaces: Observation space of each agent.
         action_spaces: Action space of each agent.
-        outcome: What the infos told of the episode that ended last, the mean of all drones.
+        outcome: Infos of the last finished episode, averaged over all drones.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
@@ -70,13 +70,13 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
         """Make the environment.
 
         Args:
-            config: What stands in `env_config`. "task" is needed. With "stages" (and "up", "down",
-                "window") it is a `curriculum_env`, with "team" and "opponents" a `team_env`, else
-                a `parallel_env`. All others are options of these, and "symlog": whether vectors
-                that drones observe are compressed by sign(x) ln(1 + |x|).
+            config: The `env_config`. "task" is required. With "stages" (and "up", "down", "window")
+                the environment is a `curriculum_env`, with "team" and "opponents" a `team_env`,
+                else a `parallel_env`. All other entries are options of these, except "symlog": if
+                True, vector observations are compressed by sign(x) ln(1 + |x|).
 
         Raises:
-            ValueError: There is no task, or an option cannot be.
+            ValueError: If there is no task, or an option is invalid.
         """
         options = dict(config)
         task = take_task(options)
@@ -102,7 +102,7 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
         """Start a new episode.
 
         Args:
-            seed: Seed of the random numbers; None goes on with them.
+            seed: Random seed; None continues the random sequence.
             options: See `ParallelAviary.reset`.
 
         Returns:
@@ -117,29 +117,29 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
     def step(
         self, action_dict: dict[str, Any]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Any]]:
-        """Fly one decision.
+        """Step the environment by one decision.
 
         Args:
-            action_dict: An action for each of `agents`.
+            action_dict: An action for each agent in `agents`.
 
         Returns:
-            Observations, rewards, terminated, truncated and infos, by agent, of those that flew.
+            Observations, rewards, terminated, truncated and infos of the active agents, by agent.
 
         Raises:
-            ValueError: An action cannot be.
+            ValueError: If an action is invalid.
             RuntimeError: Before the first reset, or after `close`.
         """
         seen, rewards, terminated, truncated, infos = self.env.step(action_dict)
         self._add(infos)
         ended = [agent for agent in seen if agent not in self.env.agents]
-        told = {agent: self._totals[agent] if agent in ended else {} for agent in seen}
+        outcomes = {agent: self._totals[agent] if agent in ended else {} for agent in seen}
         over = not self.env.agents
         cut = over and any(truncated.values())
         if over:
-            self._conclude()
+            self._compute_outcome()
         self.agents = self.env.agents[:] or self.agents
         terminated = {**terminated, ALL: over and not cut}
-        return self._shown(seen), rewards, terminated, {ALL: cut}, told
+        return self._shown(seen), rewards, terminated, {ALL: cut}, outcomes
 
     def _shown(self, seen: Mapping[str, Any]) -> dict[str, Any]:
         if not self._symlog:
@@ -147,7 +147,7 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
         return {agent: compressed(one) for agent, one in seen.items()}
 
     def _add(self, infos: Mapping[str, Mapping[str, float]]) -> None:
-        """Add a step to the totals of the drones that flew it."""
+        """Add the infos of a step to the totals of the active drones."""
         for agent, info in infos.items():
             total = self._totals[agent]
             for name, value in info.items():
@@ -156,8 +156,8 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
             total["success"] = info["success"]
             total["collision"] = max(total.get("collision", 0.0), info["collision"])
 
-    def _conclude(self) -> None:
-        """Work the outcome out of all drones' totals."""
+    def _compute_outcome(self) -> None:
+        """Compute the outcome: the mean of the totals over all drones."""
         all_of = list(self._totals.values())
         self.outcome = {
             name: float(np.mean([total[name] for total in all_of])) for name in all_of[0]
@@ -165,51 +165,51 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
 
     @exclusive
     def render(self) -> np.ndarray | None:
-        """Take a picture; see `ParallelAviary.render`."""
+        """Render an image; see `ParallelAviary.render`."""
         picture: np.ndarray | None = self.env.render()
         return picture
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Disconnect from the physics engine; further calls do nothing."""
         self.env.close()
 
 
 def compressed(vectors: np.ndarray) -> np.ndarray:
-    """Compress vectors by sign(x) ln(1 + |x|), to float32."""
+    """Return sign(x) ln(1 + |x|) of each number, as float32."""
     return symlog(vectors).astype(np.float32)
 
 
 def shown_space(space: Space[Any], is_compressed: bool) -> Space[Any]:
-    """Make the space of what RLlib is shown of observations.
+    """Return the observation space that RLlib receives.
 
     Args:
-        space: Space of a drone's observations.
-        is_compressed: Whether they are compressed.
+        space: Observation space of a drone.
+        is_compressed: If True, observations are compressed by `compressed`.
 
     Raises:
-        ValueError: They are to be, and are no vectors.
+        ValueError: If observations to be compressed are not vectors.
     """
     if not is_compressed:
         return space
     if not isinstance(space, Box) or len(space.shape) != 1:
         raise ValueError(
             f"symlog is for vectors, and a drone observes {shown(space)}: leave it out, or choose "
-            f"observation_format='vector' and an observation without pictures"
+            f"observation_format='vector' and an observation without images"
         )
     return Box(compressed(space.low), compressed(space.high), dtype=np.float32)
 
 
 def take_task(options: dict[str, Any]) -> TaskSource:
-    """Take the task out of an `env_config`, which holds the other options then.
+    """Remove the task from an `env_config`, and return it.
 
     Raises:
-        ValueError: There is none, or there is a seed.
+        ValueError: If there is no task, or there is a seed.
     """
     if "seed" in options:
         raise ValueError(
-            "env_config has a seed, which all copies of the environment would share: give "
-            "config.debugging(seed=...), of which RLlib makes one for each"
+            "env_config has a seed, which all copies of the environment would share: use "
+            "config.debugging(seed=...), from which RLlib derives one for each"
         )
     task: TaskSource | None = options.pop("task", None)
     if task is None:
@@ -218,7 +218,7 @@ def take_task(options: dict[str, Any]) -> TaskSource:
 
 
 def _make(task: TaskSource, options: dict[str, Any]) -> ParallelEnv:
-    """Make the environment that an `env_config` asks for."""
+    """Make the environment of an `env_config` without its task."""
     if "stages" in options:
         return curriculum_env(task, **options)
     if "team" in options:
@@ -226,65 +226,56 @@ def _make(task: TaskSource, options: dict[str, Any]) -> ParallelEnv:
     return parallel_env(task, **options)
 
 
-def log_outcomes(
-    *,
-    metrics_logger: Any,
-    env: Any,
-    env_index: int,
-    **_: Any,
-) -> None:
-    """Log how an episode ended, for RLlib's `callbacks(on_episode_end=log_outcomes)`.
+def log_outcomes(*, metrics_logger: Any, env: Any, env_index: int, **_: Any) -> None:
+    """Log the outcome of an episode, for RLlib's `callbacks(on_episode_end=log_outcomes)`.
 
-    Means of the last 100 episodes are in the results of `train` below "env_runners": "success",
-    "collision", "conflicts", and "reward/goal" and the like.
+    The results of `train` have the means of the last 100 episodes below "env_runners": "success",
+    "collision", "conflicts", and the returns of reward terms such as "reward/goal".
 
     Args:
-        metrics_logger: RLlib's logger.
-        env: RLlib's vector of environments.
-        env_index: Which of them ended.
-        **_: What else RLlib tells.
+        metrics_logger: The metrics logger of RLlib.
+        env: The vector environment of RLlib.
+        env_index: Index of the environment whose episode ended.
+        **_: Further arguments of RLlib, which are ignored.
     """
     for name, value in env.envs[env_index].unwrapped.outcome.items():
         metrics_logger.log_value(name, value, reduce="mean", window=100)
 
 
 def policies(
-    task: TaskSource,
-    by: str = "swarm",
-    train: Sequence[str] | None = None,
-    **options: Any,
+    task: TaskSource, by: str = "swarm", train: Sequence[str] | None = None, **options: Any
 ) -> dict[str, Any]:
-    """Say which drones share a policy, for `config.multi_agent(**policies(...))`.
+    """Return the assignment of drones to policies, for `config.multi_agent(**policies(...))`.
 
     Args:
         task: The task, as in `env_config`.
-        by: "swarm", one policy "drones" for all; "team", one for each team, by its name; or
-            "drone", one for each drone.
-        train: Names of the policies that learn; all when left out.
+        by: "swarm": one policy "drones" for all; "team": one for each team, with the name of the
+            team; "drone": one for each drone.
+        train: Names of the policies that learn; all if None.
         **options: Options of the task, as in `env_config`.
 
     Returns:
         `policies`, `policy_mapping_fn` and `policies_to_train`.
 
     Raises:
-        ValueError: There is no such grouping or policy, or an option cannot be.
+        ValueError: If the grouping or a policy is unknown, or an option is invalid.
     """
-    one = choose("by", by, KINDS)
-    # The task tells the teams; no world is made for that
+    one = find_choice("by", by, GROUPINGS)
+    # The task defines the teams; no world is needed
     kind = EnvSpec(task, 1, options).task
     agents = [f"drone_{i}" for i in range(len(kind.team))]
-    # The name of the policy of each agent
+    # Name of the policy of each agent
     if by == "team":
         rows = team_rows(kind).items()
         names = {agents[i]: team for team, members in rows for i in members}
     else:
         names = {agent: one or agent for agent in agents}
-    # Each name once, in the order of the drones
+    # Unique names, in the order of the drones
     known = list(dict.fromkeys(names.values()))
     chosen = (
         known
         if train is None
-        else [choose("policy", name, {k: k for k in known}) for name in train]
+        else [find_choice("policy", name, {k: k for k in known}) for name in train]
     )
     return {
         "policies": set(known),
@@ -293,36 +284,33 @@ def policies(
     }
 
 
-def _policy_of(
-    names: Mapping[str, str],
-    agent_id: str,
-    episode: Any,
-    **_: Any,
-) -> str:
-    """Tell RLlib the policy of an agent."""
+def _policy_of(names: Mapping[str, str], agent_id: str, episode: Any, **_: Any) -> str:
+    """Return the name of the policy of an agent."""
     return names[agent_id]
 
 
 def rows_function(algorithm: Any, policy: str = "drones") -> Callable[[np.ndarray], np.ndarray]:
-    """Make a function of rows of observations from a policy that RLlib learns.
+    """Return a function from observations to actions of a policy that RLlib trains.
 
-    `bulletuav.evaluate`, `find_policy` and `team_env` take it as a policy: it does the most likely
-    action, as the policy has learned by then.
+    `bulletuav.evaluate`, `find_policy` and `team_env` accept it as a policy. It returns the most
+    likely action of the current weights.
 
     Args:
-        algorithm: The algorithm, with `DroneMultiAgentEnv`.
+        algorithm: RLlib algorithm with `DroneMultiAgentEnv`.
         policy: Name of the policy.
 
     Returns:
-        Function from (M, D) observations to (M, A) actions, or (M,) choices.
+        Function from (M, D) observations to (M, A) actions, or (M,) discrete actions.
 
     Raises:
-        ValueError: There is no such policy, or it remembers earlier rows.
+        ValueError: If the policy is unknown, or recurrent.
     """
     names = list(algorithm.config.policies)
-    module = algorithm.get_module(choose("policy", policy, {name: name for name in names}))
+    module = algorithm.get_module(find_choice("policy", policy, {name: name for name in names}))
     if module.is_stateful():
-        raise ValueError(f"policy {policy!r} remembers what it saw: rows have no order for it")
+        raise ValueError(
+            f"policy {policy!r} is recurrent: only policies without memory are supported"
+        )
     is_compressed = algorithm.config.env_config.get("symlog", False)
     kind = module.get_inference_action_dist_cls()
     space = module.action_space
@@ -330,11 +318,11 @@ def rows_function(algorithm: Any, policy: str = "drones") -> Callable[[np.ndarra
     def rows(observations: np.ndarray) -> np.ndarray:
         seen = compressed(observations) if is_compressed else observations
         with torch.no_grad():
-            told = module.forward_inference({"obs": torch.as_tensor(seen)})
-        likely = kind.from_logits(told["action_dist_inputs"]).to_deterministic().sample().numpy()
+            outputs = module.forward_inference({"obs": torch.as_tensor(seen)})
+        likely = kind.from_logits(outputs["action_dist_inputs"]).to_deterministic().sample().numpy()
         if not isinstance(space, Box):
             return np.asarray(likely)
-        # Networks give [-1, 1] for any bounds
+        # The output of the network is in [-1, 1], whatever the bounds of the action
         share = (np.clip(likely, -1.0, 1.0) + 1.0) / 2.0
         return np.asarray(space.low + share * (space.high - space.low))
 
@@ -342,15 +330,15 @@ def rows_function(algorithm: Any, policy: str = "drones") -> Callable[[np.ndarra
 
 
 def connect(address: str | None = None, **options: Any) -> None:
-    """Connect to a Ray cluster, or start Ray on this machine alone, without a dashboard.
+    """Connect to a Ray cluster, or start Ray on this machine, without a dashboard.
 
     Args:
-        address: "HOST:PORT" of the cluster's head, or "auto" for one of this machine.
+        address: "HOST:PORT" of the head node, "auto" for a cluster of this machine, or None.
         **options: Further arguments of `ray.init`.
 
     Raises:
-        ValueError: The address is none.
-        ConnectionError: Nobody answers there.
+        ValueError: If the address is invalid.
+        ConnectionError: If no cluster answers at the address.
     """
     if address is None:
         ray.init(include_dashboard=False, **options)
@@ -360,15 +348,15 @@ def connect(address: str | None = None, **options: Any) -> None:
         "on this machine alone"
     )
     if address != "auto":
-        _require_answer(address, remedy)
+        _require_connection(address, remedy)
     try:
         ray.init(address=address, **options)
     except ConnectionError:
         raise ConnectionError(f"there is no Ray cluster at {address!r}: {remedy}") from None
 
 
-def _require_answer(address: str, remedy: str) -> None:
-    """Raise an error where nobody listens, for which Ray would wait for a minute."""
+def _require_connection(address: str, remedy: str) -> None:
+    """Raise ConnectionError if nothing listens at HOST:PORT; Ray itself waits for a minute."""
     host, _, port = address.rpartition(":")
     if not host or not port.isdigit():
         raise ValueError(f"address is {shown(address)}: HOST:PORT or 'auto' is needed; {remedy}")

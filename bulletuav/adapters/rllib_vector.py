@@ -1,8 +1,10 @@
-"""Worlds of one of RLlib's runners flown at once, as RLlib itself steps them one after the other.
+"""Vectorised environment for RLlib: all worlds of an env runner are stepped in one batch.
+
+RLlib itself steps the environments of a runner one after the other.
 
     config.env_runners(env_runner_cls=BatchEnvRunner, num_envs_per_env_runner=16)
 
-The rest of a configuration with `DroneMultiAgentEnv` stays as it is.
+The rest of a configuration with `DroneMultiAgentEnv` remains unchanged.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +19,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import drone_action_space
-from bulletuav.errors import as_int, missing, numbers_of, shown
+from bulletuav.errors import as_int, missing_extra, numbers_of, shown
 from bulletuav.tasks.observations.observer import Observation, part
 
 try:
@@ -26,25 +28,25 @@ try:
     from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
     from ray.rllib.env.vector.vector_multi_agent_env import VectorMultiAgentEnv
 except ImportError:
-    raise missing("learning with RLlib", "rllib") from None
+    raise missing_extra("learning with RLlib", "rllib") from None
 
-OF_EVALUATION = 1_000_000
-"""What RLlib adds to the seeds of runners that evaluate"""
+EVALUATION_SEED_OFFSET = 1_000_000
+"""Offset that RLlib adds to the seeds of evaluation runners"""
 ByWorld = list[dict[str, Any]]
-"""For each world values by agent"""
+"""Values by agent, for each world"""
 Results = tuple[ByWorld, ByWorld, ByWorld, ByWorld, ByWorld]
 """Observations, rewards, terminated, truncated and infos of a step"""
 
 
-class World(MultiAgentEnv):  # type: ignore[misc]  # has no types
-    """Names and spaces of one world, which RLlib asks for; the `DroneVectorEnv` flies it.
+class WorldSpaces(MultiAgentEnv):  # type: ignore[misc]  # has no types
+    """Agents and spaces of one world, which RLlib reads; `DroneVectorEnv` steps the world.
 
     Attributes:
         outcome: As of `DroneMultiAgentEnv`.
     """
 
     def __init__(self, spaces: tuple[dict[str, Any], dict[str, Any]]) -> None:
-        """Take observation and action spaces, each by agent."""
+        """Set observation and action spaces, each by agent."""
         self.observation_spaces, self.action_spaces = spaces
         self.possible_agents = list(self.observation_spaces)
         self.agents = self.possible_agents[:]
@@ -53,44 +55,44 @@ class World(MultiAgentEnv):  # type: ignore[misc]  # has no types
 
 
 class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  # has no types
-    """RLlib's `VectorMultiAgentEnv` of W worlds, all flown at once; ends as `DroneMultiAgentEnv`.
+    """`VectorMultiAgentEnv` of W worlds, which are stepped in one batch.
 
-    A world whose episode is over starts anew in the step after, whose actions for it are ignored.
+    Ends of episodes are reported as in `DroneMultiAgentEnv`. A world whose episode is over is reset
+    in the next step, which ignores the actions of this world.
 
     Attributes:
-        aviary: The batched core.
-        num_envs: W.
-        envs: For each world what RLlib asks of it alone.
+        aviary: The batched environment.
+        num_envs: Number of worlds W.
+        envs: Agents, spaces and outcome of each world, which RLlib reads.
         single_observation_spaces: Observation space of each agent.
         single_action_spaces: Action space of each agent.
     """
 
     def __init__(self, config: Mapping[str, Any], num_envs: int) -> None:
-        """Make the worlds.
+        """Create the worlds.
 
         Args:
-            config: What stands in `env_config`, see `DroneMultiAgentEnv`; without stages and teams.
-            num_envs: W.
+            config: The `env_config` of `DroneMultiAgentEnv`, without stages and teams.
+            num_envs: Number of worlds W.
 
         Raises:
-            ValueError: There is no task, or an option cannot be.
+            ValueError: If there is no task, or an option is invalid.
         """
         options = dict(config)
         task = take_task(options)
-        # Stages and teams would need other worlds for each environment
+        # Stages and teams would need different worlds for each environment
         for name in ("stages", "team"):
             if name in options:
                 raise ValueError(
-                    f"env_config has {name!r}, and worlds that are flown at once have one stage "
+                    f"env_config has {name!r}, but worlds in one batch have one stage "
                     f"and all teams: leave env_runner_cls out"
                 )
-        # The worlds, all in one batch
         self._symlog = options.pop("symlog", False)
         self.num_envs = as_int("num_envs_per_env_runner", num_envs, 1)
         self.aviary = Aviary(task, num_envs, **options)
         self.render_mode = self.aviary.options.render_mode
         self.metadata = {"autoreset_mode": "next_step"}
-        # Spaces of one world and of its agents
+        # Spaces of one world and its agents
         self._agents = [f"drone_{i}" for i in range(self.aviary.num_drones)]
         space = shown_space(self.aviary.observer.space(), self._symlog)
         self.single_observation_spaces = dict.fromkeys(self._agents, space)
@@ -100,8 +102,8 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         self.single_observation_space = Dict(self.single_observation_spaces)
         self.single_action_space = Dict(self.single_action_spaces)
         spaces = (self.single_observation_spaces, self.single_action_spaces)
-        # RLlib wants one environment a world; these only tell their spaces
-        self.envs = [World(spaces) for _ in range(num_envs)]
+        # RLlib needs one environment for each world, of which it reads the spaces
+        self.envs = [WorldSpaces(spaces) for _ in range(num_envs)]
         self._totals = EpisodeTotals()
 
     @exclusive
@@ -111,12 +113,12 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         """Start new episodes in all worlds.
 
         Args:
-            seed: World k has seed + k, or the k-th seed of a sequence; None goes on with the random
-                numbers.
-            options: As of `ParallelAviary.reset`; the places are those of every world.
+            seed: World k gets seed + k, or the k-th seed of a sequence; None continues the random
+                sequences.
+            options: As in `ParallelAviary.reset`; given positions apply to every world.
 
         Returns:
-            For each world observations and empty infos, by agent.
+            Observations and empty infos by agent, for each world.
         """
         everywhere = np.ones(self.num_envs, dtype=bool)
         observations = self._start(everywhere, seed, **reset_options(options))
@@ -129,16 +131,16 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
 
     @exclusive
     def step(self, actions: Sequence[Mapping[str, Any]]) -> Results:
-        """Fly one decision of all worlds, and start those anew whose episode was over.
+        """Step all worlds by one decision, and reset those whose episode is over.
 
         Args:
-            actions: For each world an action for each of its agents that fly.
+            actions: Actions of the active agents by agent, for each world.
 
         Returns:
-            For each world observations, rewards, terminated, truncated and infos, by agent.
+            Observations, rewards, terminated, truncated and infos by agent, for each world.
 
         Raises:
-            ValueError: An action is missing or cannot be; nobody has flown then.
+            ValueError: If an action is missing or invalid; the state is then unchanged.
             RuntimeError: Before the first reset, or after `close`.
         """
         aviary = self.aviary
@@ -148,7 +150,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         step = aviary.step(self._numbers(actions, flown))
         self._totals.add(step, flown)
         observations = self._start(fresh) if fresh.any() else step.observations
-        # Those of worlds that began anew are there, too
+        # All drones of worlds that were reset are present, too
         there = flown | fresh[:, None]
         over = ~fresh & ~np.any(aviary.alive, axis=1)
         cut = over & np.any(step.truncated & flown, axis=1)
@@ -166,7 +168,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         return self._by_agent(observations, there), rewards, terminated, truncated, infos
 
     def _numbers(self, actions: Sequence[Mapping[str, Any]], flown: np.ndarray) -> np.ndarray:
-        """Make (W, N, A) of the actions of the drones that fly."""
+        """Return actions (W, N, A) of the active drones, zeros for the others."""
         numbers = np.zeros((*flown.shape, self.aviary.action.low.shape[-1]))
         for w, i in zip(*np.nonzero(flown), strict=True):
             agent = self._agents[i]
@@ -182,7 +184,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         return numbers
 
     def _by_agent(self, values: Any, there: np.ndarray) -> ByWorld:
-        """Share (W, N, ...) out to the drones of a mask (W, N)."""
+        """Convert values (W, N, ...) to dicts by agent, for the drones of a mask (W, N)."""
         if isinstance(values, list):
             return [
                 {self._agents[i]: row[i] for i in np.flatnonzero(mask)}
@@ -200,49 +202,49 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
 
     @exclusive
     def render(self) -> tuple[np.ndarray | None, ...]:
-        """Take a picture of each world."""
+        """Render an image of each world."""
         return tuple(self.aviary.render(world) for world in range(self.num_envs))
 
     @exclusive
     def close(self, **_: Any) -> None:
-        """Free the engine; a second call does nothing."""
+        """Disconnect from the physics engine; further calls do nothing."""
         self.aviary.close()
 
 
 class BatchEnvRunner(MultiAgentEnvRunner):  # type: ignore[misc]  # has no types
-    """RLlib's `MultiAgentEnvRunner`, whose environments are a `DroneVectorEnv`.
+    """RLlib's `MultiAgentEnvRunner` with a `DroneVectorEnv`.
 
-    All worlds of all runners have different seeds; by RLlib's own, the second world of a runner
-    flies from the same places as the first one of the next.
+    All worlds of all runners have different seeds. With RLlib's own seeds, the second world of a
+    runner would start from the same positions as the first world of the next runner.
 
     Attributes:
-        env: The worlds.
-        num_envs: How many there are.
+        env: The vectorised environment.
+        num_envs: Number of worlds.
     """
 
     env: DroneVectorEnv | None
     num_envs: int
 
     def make_env(self) -> None:
-        """Make the worlds, `num_envs_per_env_runner` of them.
+        """Create `num_envs_per_env_runner` worlds.
 
         Raises:
-            ValueError: The configuration is of another environment, or an option cannot be.
+            ValueError: If the configuration has another environment, or an option is invalid.
         """
         config = self.config
         if config.env is not DroneMultiAgentEnv:
             raise ValueError(
-                f"the environment is {shown(config.env)}: this runner flies DroneMultiAgentEnv"
+                f"the environment is {shown(config.env)}: BatchEnvRunner needs DroneMultiAgentEnv"
             )
-        # A second call replaces the worlds
+        # Repeated calls replace the worlds
         if self.env is not None:
             self.env.close()
         self.env = DroneVectorEnv(config.env_config, config.num_envs_per_env_runner)
         self.num_envs = self.env.num_envs
-        # RLlib resets before the first sample, with a seed of this runner's own
+        # RLlib resets before the first sample, with the seed of this runner
         self._needs_initial_reset = True
         self._seed = self._first_seed()
-        # Users' callbacks, as RLlib's own runner calls them
+        # Call user callbacks as RLlib's own runner does
         make_callback(
             "on_environment_created",
             callbacks_objects=self._callbacks,
@@ -256,9 +258,11 @@ class BatchEnvRunner(MultiAgentEnvRunner):  # type: ignore[misc]  # has no types
         )
 
     def _first_seed(self) -> int | None:
-        """Tell the seed of the first world, where there are seeds."""
+        """Return the seed of the first world, or None without a configured seed."""
         seed = self.config.seed
         if seed is None:
             return None
         runner = self.worker_index or 0
-        return int(seed + runner * self.num_envs + OF_EVALUATION * self.config.in_evaluation)
+        return int(
+            seed + runner * self.num_envs + EVALUATION_SEED_OFFSET * self.config.in_evaluation
+        )

@@ -1,8 +1,8 @@
-"""Recorded flights as ROS 2 messages: topics, and what makes the messages of each.
+"""Conversion of recorded flights to ROS 2 topics and messages.
 
-Frames are those of REP 103 and REP 105, as in this package: `map` is ENU, and each drone's
-`drone_0/base_link` is FLU. Stamps begin with 0 at the start of the flight. Classes of messages come
-from whoever writes them.
+Frames follow REP 103 and REP 105, as in this package: `map` is ENU, and `drone_0/base_link` of each
+drone is FLU. Time stamps begin with 0 at the start of the flight. The caller provides the message
+classes.
 """
 
 import functools
@@ -12,28 +12,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.adapters.flights import Flight, results, rows_flown
+from bulletuav.adapters.flights import FlightArrays, count_flown_rows, decision_results
 from bulletuav.geometry.rotation import to_body
 
 MAP = "map"
-"""Name of the world's frame"""
+"""Name of the world frame"""
 NANOSECONDS = 10**9
 """Nanoseconds in a second"""
-UNTOLD = np.zeros(36)
-"""Covariance of poses and twists, of which nothing is told"""
+ZERO_COVARIANCE = np.zeros(36)
+"""Covariance of poses and twists, all zero: unknown"""
 
 Row = Callable[[int], Any]
-"""Makes the message of a row of states"""
+"""Function that makes the message of a state row"""
 
 
 class Topic(NamedTuple):
     """A topic of a flight.
 
     Attributes:
-        name: Its name, which ROS takes.
-        kind: Type of its messages.
-        rows: Rows of states that have a message.
-        message: Makes the message of a row.
+        name: Valid ROS name of the topic.
+        kind: Message type.
+        rows: State rows that have a message.
+        message: Function that makes the message of a row.
     """
 
     name: str
@@ -42,33 +42,33 @@ class Topic(NamedTuple):
     message: Row
 
 
-def stamps_of(flight: Flight) -> list[int]:
-    """Give the stamp of each row of states, ns."""
+def stamps_of(flight: FlightArrays) -> list[int]:
+    """Return the time stamp of each state row, ns."""
     return [round(time * NANOSECONDS) for time in flight["time"].tolist()]
 
 
-def topics_of(flight: Flight, types: Any) -> list[Topic]:
-    """List the topics of a flight, in the order in which they are written.
+def topics_of(flight: FlightArrays, types: Any) -> list[Topic]:
+    """Return the topics of a flight, in the order in which they are written.
 
     Args:
         flight: Arrays of the recording, as `Recording.everything()` returns them.
-        types: Classes of messages by name, those of rosbags.
+        types: Message classes of rosbags by name.
     """
     topics = list(_Messages(flight, stamps_of(flight), types).topics())
     names = ros_names(tuple(topic.name for topic in topics))
     return [topic._replace(name=name) for name, topic in zip(names, topics, strict=True)]
 
 
-@functools.lru_cache(maxsize=1)  # live, each decision has the same
+@functools.lru_cache(maxsize=1)  # in a live view, all decisions have the same topics
 def ros_names(names: tuple[str, ...]) -> list[str]:
-    """Make names that ROS takes: letters, digits and underscores, and none of them twice."""
+    """Convert names to unique valid ROS names of letters, digits and underscores."""
     made: list[str] = []
     for name in names:
-        # Slashes part the words of a topic
+        # Slashes separate the tokens of a topic name
         words = re.sub(r"[^A-Za-z0-9/]+", "_", name).split("/")
-        # A word may not begin with a digit
+        # A token must not begin with a digit
         text = "".join(f"/_{word}" if word[0].isdigit() else f"/{word}" for word in words if word)
-        # Names that became the same are told apart by more underscores
+        # Duplicates get further underscores
         while text in made:
             text += "_"
         made.append(text)
@@ -76,28 +76,24 @@ def ros_names(names: tuple[str, ...]) -> list[str]:
 
 
 class _Messages:
-    """Makes the messages of a flight."""
+    """Factory of the messages of a flight."""
 
-    def __init__(
-        self,
-        flight: Flight,
-        stamps: list[int],
-        types: Any,
-    ) -> None:
-        """Keep the flight, the stamp of each row, ns, and classes of messages by name."""
+    def __init__(self, flight: FlightArrays, stamps: list[int], types: Any) -> None:
+        """Set the flight, the time stamp of each row (ns), and message classes by name."""
         self._flight = flight
         self._stamps = stamps
         self._types = types
 
     def topics(self) -> Iterator[Topic]:
-        """List the topics by names that are their own."""
+        """Yield the topics, with names that may be invalid in ROS."""
         flight = self._flight
         everywhere = range(len(self._stamps))
-        rows = [range(count) for count in rows_flown(flight)]
+        rows = [range(count) for count in count_flown_rows(flight)]
         imu = flight.get("reading/imu")
-        # A decision is judged at its end.
-        judged = {
-            name: np.concatenate([values[:1], values]) for name, values in results(flight).items()
+        # Results of a decision are stamped at its end
+        stamped_results = {
+            name: np.concatenate([values[:1], values])
+            for name, values in decision_results(flight).items()
         }
         yield Topic("time", "std_msgs/msg/Float64", everywhere, self._number(flight["time"]))
         yield Topic("tf", "tf2_msgs/msg/TFMessage", everywhere, self._transforms(rows))
@@ -111,12 +107,12 @@ class _Messages:
                 yield Topic(f"{name}/goal", "geometry_msgs/msg/PointStamped", own, self._goal(i))
             if imu is not None:
                 yield Topic(f"{name}/imu", "sensor_msgs/msg/Imu", own, self._imu(imu[:, i], i))
-            for result, values in judged.items():
+            for result, values in stamped_results.items():
                 row = self._number(values[:, i])
                 yield Topic(f"{name}/{result}", "std_msgs/msg/Float64", own[1:], row)
 
     def _make(self, kind: str, *fields: Any) -> Any:
-        """Make a message of its fields, in their order."""
+        """Make a message from its fields in order."""
         return self._types[kind](*fields)
 
     def _header(self, k: int, frame: str) -> Any:
@@ -129,8 +125,8 @@ class _Messages:
     def _point(self, values: Iterable[float]) -> Any:
         return self._make("geometry_msgs/msg/Point", *values)
 
-    def _turn(self, values: Iterable[float]) -> Any:
-        """Make a quaternion of x, y, z, w, which is the order of both."""
+    def _quaternion(self, values: Iterable[float]) -> Any:
+        """Make a quaternion from (x, y, z, w), the order of both this package and ROS."""
         return self._make("geometry_msgs/msg/Quaternion", *values)
 
     def _number(self, values: np.ndarray) -> Row:
@@ -138,14 +134,14 @@ class _Messages:
         return lambda k: self._make("std_msgs/msg/Float64", listed[k])
 
     def _transforms(self, rows: list[range]) -> Row:
-        """Tell where the drones are that fly."""
+        """Return a function that makes the transforms of the active drones."""
         position, quaternion = self._flight["position"], self._flight["quaternion"]
 
         def one(k: int, i: int) -> Any:
             move = self._make(
                 "geometry_msgs/msg/Transform",
                 self._vector(position[k, i].tolist()),
-                self._turn(quaternion[k, i].tolist()),
+                self._quaternion(quaternion[k, i].tolist()),
             )
             header = self._header(k, MAP)
             return self._make("geometry_msgs/msg/TransformStamped", header, _body(i), move)
@@ -157,16 +153,16 @@ class _Messages:
         return message
 
     def _odometry(self, i: int) -> Row:
-        """Tell a drone's state; ROS wants twists in axes of the body."""
-        # As lists, whose numbers messages take without a conversion each
+        """Return a function that makes the odometry of a drone, with the twist in body axes."""
+        # Lists of Python floats need no conversion for each message
         columns = (self._flight[name] for name in ("position", "quaternion", "velocity", "rates"))
         position, quaternion, velocity, rates = (column[:, i].tolist() for column in columns)
 
         def message(k: int) -> Any:
             pose = self._make(
-                "geometry_msgs/msg/Pose", self._point(position[k]), self._turn(quaternion[k])
+                "geometry_msgs/msg/Pose", self._point(position[k]), self._quaternion(quaternion[k])
             )
-            # Recordings have velocities in the world and rates in the body already
+            # Recorded velocities are in world axes, and rates already in body axes
             linear = to_body(tuple(quaternion[k]), tuple(velocity[k]))
             twist = self._make(
                 "geometry_msgs/msg/Twist", self._vector(linear), self._vector(rates[k])
@@ -175,8 +171,8 @@ class _Messages:
                 "nav_msgs/msg/Odometry",
                 self._header(k, MAP),
                 _body(i),
-                self._make("geometry_msgs/msg/PoseWithCovariance", pose, UNTOLD),
-                self._make("geometry_msgs/msg/TwistWithCovariance", twist, UNTOLD),
+                self._make("geometry_msgs/msg/PoseWithCovariance", pose, ZERO_COVARIANCE),
+                self._make("geometry_msgs/msg/TwistWithCovariance", twist, ZERO_COVARIANCE),
             )
 
         return message
@@ -194,20 +190,22 @@ class _Messages:
         )
 
     def _imu(self, reading: np.ndarray, i: int) -> Row:
-        """Tell specific forces and angular velocities; an attitude is not measured."""
+        """Return a function that makes IMU messages of specific force and angular velocity."""
         force, rates = reading[:, :3].tolist(), reading[:, 3:6].tolist()
-        untold = np.zeros(9)
-        none = np.array([-1.0, *untold[1:]])  # how ROS says that there is no attitude
-        still = self._turn((0.0, 0.0, 0.0, 1.0))
+        zero_covariance = np.zeros(9)
+        no_attitude = np.array(
+            [-1.0, *zero_covariance[1:]]
+        )  # ROS convention: there is no attitude estimate
+        still = self._quaternion((0.0, 0.0, 0.0, 1.0))
         return lambda k: self._make(
             "sensor_msgs/msg/Imu",
             self._header(k, _body(i)),
-            *(still, none),
-            *(self._vector(rates[k]), untold),
-            *(self._vector(force[k]), untold),
+            *(still, no_attitude),
+            *(self._vector(rates[k]), zero_covariance),
+            *(self._vector(force[k]), zero_covariance),
         )
 
 
 def _body(i: int) -> str:
-    """Name the frame of a drone's body."""
+    """Return the name of the body frame of a drone."""
     return f"drone_{i}/base_link"

@@ -1,15 +1,15 @@
-"""Environment of stable-baselines3, for one policy that all drones share.
+"""Environment for stable-baselines3, for one policy that all drones share.
 
 Every drone of a batch of worlds is a slot of a `VecEnv`:
 
     env = DroneVecEnv("crossing", num_worlds=16, dynamics="point_mass")
     model = PPO("MlpPolicy", env, rollout_buffer_class=LivingRollouts)
 
-A drone whose episode ended is gone until its whole world starts anew, and stable-baselines3 wants
-a transition of every slot in every step. In those of slots without a drone the reward is NaN, so
-that nothing learns from them unnoticed. `LivingRollouts` and `LivingReplay` drop them: no loss,
-advantage, statistic or sample ever sees one. Where worlds hold a single drone there are none, and
-stable-baselines3's own buffers do as well.
+A drone whose episode has ended is absent until its whole world is reset, but stable-baselines3
+needs a transition of every slot in every step. In transitions of slots without a drone the reward
+is NaN, so that training on them cannot go unnoticed. `LivingRollouts` and `LivingReplay` drop these
+transitions, which therefore affect no loss, advantage, statistic or sample. With one drone in each
+world there are no such slots, and the buffers of stable-baselines3 itself can be used.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.adapters.features import Symlog
+from bulletuav.adapters.features import SymlogFeatures as Symlog
 from bulletuav.adapters.sb3_buffers import LivingReplay, LivingRollouts
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.common_spaces import common_observation
@@ -30,7 +30,7 @@ from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.step import Step
 from bulletuav.envs.viewer import require_single
-from bulletuav.errors import as_int, missing, shown
+from bulletuav.errors import as_int, missing_extra, shown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation, part
 
@@ -41,7 +41,7 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 
 __all__ = [
@@ -57,19 +57,19 @@ __all__ = [
 
 
 Info = dict[str, Any]
-"""What a step tells of one slot"""
+"""Info of one slot in a step"""
 
 
 def algorithm(name: str) -> Any:
-    """Give the class of an algorithm by its name in lower case."""
+    """Return the class of an algorithm by its name in lower case."""
     return getattr(stable_baselines3, name.upper())
 
 
 @contextlib.contextmanager
 def own_random() -> Iterator[None]:
-    """Leave the global random states of Python, NumPy and PyTorch as they were.
+    """Restore the global random states of Python, NumPy and PyTorch at the end.
 
-    Stable-baselines3 seeds them where it makes a model.
+    Stable-baselines3 seeds them when it creates a model.
     """
     of_python = random.getstate()
     of_numpy = np.random.get_state()  # noqa: NPY002 - which stable-baselines3 uses
@@ -83,29 +83,30 @@ def own_random() -> Iterator[None]:
 
 
 def single_thread() -> None:
-    """Let PyTorch keep to one thread: small networks are fastest so, and the same everywhere."""
+    """Limit PyTorch to one thread: fastest for small networks, and reproducible."""
     torch.set_num_threads(1)
 
 
 class DroneVecEnv(Environment, VecEnv):
-    """W worlds of N drones as W * N slots: slot w * N + i is drone i of world w.
+    """`VecEnv` of W worlds of N drones with W * N slots: slot w * N + i is drone i of world w.
 
-    Each slot has the drone's own observation. Worlds start anew when all their drones are done.
+    Each slot has the observation of its drone. A world is reset when all its drones are done.
 
-    Infos are empty but where a drone's episode ends. Then they hold "terminal_observation",
-    "TimeLimit.truncated" (whether nothing but the horizon, or a change of stage, ended it),
-    "is_success", and "episode", of that drone alone: return "r", decisions "l", seconds "t",
-    "conflicts", "collision" and the return of each reward term ("reward/goal", ...).
+    Infos are empty except at the end of the episode of a drone. There they have
+    "terminal_observation", "TimeLimit.truncated" (True if only the horizon, or a change of stage,
+    ended the episode), "is_success", and "episode" with the totals of that drone: return "r",
+    decisions "l", seconds "t", "conflicts", "collision" and the return of each reward term
+    ("reward/goal", ...).
 
-    With several stages the success of the last episodes decides which one all worlds fly, see
-    `Curriculum`. There are slots for the largest stage.
+    With several stages, all worlds are in the same stage, which the success rate of the last
+    episodes determines, see `Curriculum`. The number of slots is that of the largest stage.
 
     Attributes:
-        num_worlds: How many worlds there are.
-        num_drones: How many drones the largest stage has.
-        curriculum: Where the stages stand.
-        decisions: How many decisions drones have flown so far, without empty slots.
-        labels: Labels of the numbers of an observation; those of all stages are the same.
+        num_worlds: Number of worlds W.
+        num_drones: Number of drones N of the largest stage.
+        curriculum: State of the curriculum.
+        decisions: Number of decisions of drones so far, without empty slots.
+        labels: Labels of the numbers of an observation, the same in all stages.
     """
 
     def __init__(
@@ -121,16 +122,16 @@ class DroneVecEnv(Environment, VecEnv):
 
         Args:
             task: Name or class of the task.
-            num_worlds: How many worlds are flown at once.
-            stages: Further options of each stage, easiest first, such as
+            num_worlds: Number of worlds that are stepped in one batch.
+            stages: Further options of each stage, from easy to hard, such as
                 [{"num_drones": 2}, {"num_drones": 8}].
-            curriculum: Decides between the stages.
-            shared_reward: Whether each drone is given the mean of the rewards of all drones of
-                its world, those that are gone with 0; infos still tell its own.
+            curriculum: Rule that selects the stage.
+            shared_reward: If True, each drone receives the mean of the rewards of all drones of its
+                world, where absent drones count as 0. Infos have the reward of each drone itself.
             **options: Options of `Aviary`.
 
         Raises:
-            ValueError: Options cannot be, or observations of the stages differ in shape.
+            ValueError: If an option is invalid, or observations of the stages differ in shape.
         """
         self._shared_reward = shared_reward
         self._task = task
@@ -141,7 +142,7 @@ class DroneVecEnv(Environment, VecEnv):
                 f"the curriculum has {self.curriculum.count} stages, "
                 f"and {len(self._stage_options)} are given"
             )
-        # All stages are checked now, and the largest one says how many slots there are.
+        # Check all stages now; the largest determines the number of slots
         specs = [EnvSpec(task, num_worlds, stage) for stage in self._stage_options]
         widest = max(specs, key=lambda spec: spec.options.num_drones)
         self.num_worlds = num_worlds
@@ -149,7 +150,7 @@ class DroneVecEnv(Environment, VecEnv):
         self.num_drones = widest.options.num_drones
         self._render_mode = widest.options.render_mode
         require_single(self._render_mode, len(specs))
-        # Worlds by stage, made when it is first flown, and the stages that begin with the seed.
+        # Worlds by stage, created on first use, and the stages still to be seeded
         self._aviaries: dict[int, Aviary] = {}
         self._seed: int | None = None
         self._unseeded: set[int] = set()
@@ -164,7 +165,7 @@ class DroneVecEnv(Environment, VecEnv):
 
     @property
     def aviary(self) -> Aviary:
-        """The worlds of the stage that is flown."""
+        """The worlds of the current stage."""
         if self._stage not in self._aviaries:
             self._aviaries[self._stage] = Aviary(
                 self._task, self.num_worlds, **self._stage_options[self._stage]
@@ -172,16 +173,16 @@ class DroneVecEnv(Environment, VecEnv):
         return self._aviaries[self._stage]
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seed the worlds, from the next `reset` on and at every stage.
+        """Seed the worlds of every stage, from the next `reset` on.
 
         Args:
-            seed: World k has seed + k; None goes on with its random numbers.
+            seed: World k gets seed + k; None continues the random sequences.
 
         Returns:
             The seed of each slot.
 
         Raises:
-            ValueError: The seed is no whole number, or less than 0.
+            ValueError: If the seed is not an integer of at least 0.
         """
         self._seed = None if seed is None else as_int("seed", seed, 0)
         self._unseeded = set(range(len(self._stage_options)))
@@ -191,10 +192,10 @@ class DroneVecEnv(Environment, VecEnv):
         ]
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Refuse options of the next reset.
+        """Raise ValueError for options: slots cannot be reset individually.
 
         Raises:
-            ValueError: There is an option: the slots are drones, which share their worlds' resets.
+            ValueError: If there is an option. Slots are drones, and a reset is one of whole worlds.
         """
         each = [options] if isinstance(options, dict) else options or []
         for given in each:
@@ -207,7 +208,7 @@ class DroneVecEnv(Environment, VecEnv):
 
     @exclusive
     def reset(self) -> Any:
-        """Start new episodes in all worlds, at the stage that the curriculum says.
+        """Start new episodes in all worlds, in the current stage of the curriculum.
 
         Returns:
             Observations (slots, D), or a dict of such arrays.
@@ -216,16 +217,16 @@ class DroneVecEnv(Environment, VecEnv):
         return self._rows(self._start(everywhere))
 
     def _start(self, worlds: np.ndarray) -> Observation:
-        """Start the worlds of the mask (W,), or all where the stage changes; observe them."""
+        """Reset the worlds of a mask (W,), or all if the stage changes; return observations."""
         if self.curriculum.stage != self._stage or not self._aviaries:
             self._stage = self.curriculum.stage
             worlds = np.ones(self.num_worlds, dtype=bool)
-        # Each stage begins with the seed once, then goes on with its random numbers.
+        # Each stage is seeded once, and then continues its random sequence
         aviary = self.aviary
         seed = self._seed if self._stage in self._unseeded else None
         self._unseeded.discard(self._stage)
         observations = aviary.reset(worlds, seed)
-        # Totals of each drone's episode (W, N); returns by reward term, "" for their sum.
+        # Totals of the episode of each drone (W, N); returns by reward term, "" for their sum
         if worlds.all():
             shape = aviary.alive.shape
             self._returns: dict[str, np.ndarray] = {}
@@ -239,16 +240,16 @@ class DroneVecEnv(Environment, VecEnv):
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take actions for the next `step_wait`.
+        """Set the actions for the next `step_wait`.
 
         Args:
-            actions: (slots, A), or (slots,) choices; those of slots without a drone are ignored.
+            actions: (slots, A), or (slots,) discrete; those of slots without a drone are ignored.
         """
         self._actions = np.asarray(actions).reshape(self.num_worlds, self.num_drones, -1)
 
     @exclusive
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[Info]]:
-        """Fly one decision.
+        """Step all worlds by one decision.
 
         Returns:
             Observations (slots, D), or a dict of such arrays; rewards (slots,); dones (slots,);
@@ -258,31 +259,31 @@ class DroneVecEnv(Environment, VecEnv):
         flown = aviary.alive.copy()
         step = aviary.step(self._actions[:, : aviary.num_drones])
         self._add(step, flown)
-        # Episodes of whole worlds, which may change the stage.
+        # Finished episodes of whole worlds may change the stage
         was_flown = np.any(flown, axis=1)
         over = was_flown & ~np.any(aviary.alive, axis=1)
         for world in np.flatnonzero(over):
-            # Else this was an episode of a stage that is left by now.
+            # Otherwise the episode belongs to a previous stage
             if self.curriculum.stage == self._stage:
                 self.curriculum.record(float(self._success[world].mean()))
         change = self.curriculum.stage != self._stage
-        # Episodes of drones.
+        # Finished episodes of drones
         ended = flown & (change | ~aviary.alive)
         infos = self._infos(step, ended)
         dones = self._wide(ended | over[:, None] | change, True)
-        # Rewards, NaN without a drone.
+        # Rewards are NaN without a drone
         earned = np.where(flown, step.rewards, 0.0)
-        # The team's mean, where it is shared.
+        # Shared reward: the mean of the world
         if self._shared_reward:
             mean = earned.mean(axis=1, keepdims=True)
             earned = np.broadcast_to(mean, earned.shape)
-        told = np.where(flown, earned, np.nan)
-        rewards = self._wide(told, np.nan)
+        masked = np.where(flown, earned, np.nan)
+        rewards = self._wide(masked, np.nan)
         observations = self._start(over) if over.any() else step.observations
         return self._rows(observations), rewards.astype(np.float32), dones, infos
 
     def _add(self, step: Step, flown: np.ndarray) -> None:
-        """Add a step to the totals of the drones that flew it (W, N)."""
+        """Add a step to the totals of the active drones (W, N)."""
         terms = {"": step.rewards}
         for name, term in step.info.items():
             if name.startswith("reward/"):
@@ -297,11 +298,11 @@ class DroneVecEnv(Environment, VecEnv):
         self.decisions += int(flown.sum())
 
     def _infos(self, step: Step, ended: np.ndarray) -> list[Info]:
-        """Make the infos of all slots; they tell of the episodes that ended (W, N)."""
+        """Return the infos of all slots, with totals for the episodes that ended (W, N)."""
         infos: list[Info] = [{} for _ in range(self.num_envs)]
         if not ended.any():
             return infos
-        # One info for each drone whose episode ended, all others are empty.
+        # One info for each drone whose episode ended; all others stay empty
         hz = self.aviary.options.decision_hz
         for w, i in np.argwhere(ended):
             episode = {
@@ -321,7 +322,7 @@ class DroneVecEnv(Environment, VecEnv):
         return infos
 
     def _wide(self, array: np.ndarray, fill: float) -> np.ndarray:
-        """Make (slots, ...) of (W, N, ...); a stage may have fewer drones than there are slots."""
+        """Reshape (W, N, ...) to (slots, ...), padded if the stage has fewer drones."""
         lacking = self.num_drones - array.shape[1]
         if lacking:
             shape = (len(array), lacking, *array.shape[2:])
@@ -330,7 +331,7 @@ class DroneVecEnv(Environment, VecEnv):
         return array.reshape(-1, *array.shape[2:])
 
     def _rows(self, observations: Observation) -> Any:
-        """Order observations by slot; those of slots without a drone are zero."""
+        """Return observations by slot, zeros for slots without a drone."""
         alive = self._wide(self.aviary.alive, False)
 
         def rows(array: np.ndarray) -> np.ndarray:
@@ -344,21 +345,16 @@ class DroneVecEnv(Environment, VecEnv):
         return rows(observations)
 
     def get_images(self) -> list[np.ndarray | None]:
-        """Draw a picture of each world."""
+        """Render an image of each world."""
         return [self.aviary.render(world) for world in range(self.num_worlds)]
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Give an attribute of this environment, once for each slot asked for."""
+        """Return an attribute of this environment, repeated for each requested slot."""
         value = self._render_mode if attr_name == "render_mode" else getattr(self, attr_name)
         return [value] * len(list(self._get_indices(indices)))
 
-    def set_attr(
-        self,
-        attr_name: str,
-        value: Any,
-        indices: VecEnvIndices = None,
-    ) -> None:
-        """Refuse to set an attribute.
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Raise NotImplementedError: attributes of slots cannot be set.
 
         Raises:
             NotImplementedError: The slots share one environment.
@@ -375,7 +371,7 @@ class DroneVecEnv(Environment, VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Refuse to call a method of slots.
+        """Raise NotImplementedError: slots have no methods of their own.
 
         Raises:
             NotImplementedError: The slots share one environment.
@@ -385,11 +381,11 @@ class DroneVecEnv(Environment, VecEnv):
         )
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        """Tell that no slot asked for is wrapped."""
+        """Return False for each requested slot: slots are never wrapped."""
         return [False] * len(list(self._get_indices(indices)))
 
     @exclusive
     def close(self) -> None:
-        """Free the engines; a second call does nothing."""
+        """Disconnect from the physics engines; further calls do nothing."""
         for aviary in self._aviaries.values():
             aviary.close()

@@ -1,6 +1,6 @@
-"""Buffers of stable-baselines3 that keep nothing of slots without a drone.
+"""Buffers for stable-baselines3 that drop transitions of slots without a drone.
 
-In transitions of such slots the reward is NaN, see `bulletuav.adapters.sb3`.
+The reward of such transitions is NaN, see `bulletuav.adapters.sb3`.
 """
 
 from collections.abc import Generator
@@ -9,35 +9,35 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Space
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 
 try:
     import torch
     from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
     from stable_baselines3.common.type_aliases import RolloutBufferSamples
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 
 class LivingRollouts(RolloutBuffer):
-    """Buffer of on-policy algorithms that gives minibatches of transitions that drones flew.
+    """Rollout buffer of on-policy algorithms that samples only transitions of active drones.
 
-    Minibatches, at most `batch_size` large, are of one size but for one transition; their order
-    follows PyTorch's seed.
+    Minibatches have at most `batch_size` transitions, and their sizes differ by at most one. Their
+    order depends on PyTorch's seed.
 
     Attributes:
-        flown: Indices of the transitions that drones flew, slot by slot.
+        flown: Indices of the transitions of active drones, slot by slot.
     """
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
-        """Compute them as stable-baselines3 does.
+        """Compute returns and advantages as stable-baselines3 does.
 
-        An episode ends before the transitions of a slot without a drone, so they reach no
-        advantage of others.
+        An episode ends before the transitions of a slot without a drone, which therefore do not
+        affect the advantages of others.
 
         Args:
-            last_values: (slots,) estimated values after the last step.
-            dones: (slots,) bool, which episodes the last step ended.
+            last_values: (slots,) value estimates after the last step.
+            dones: (slots,) bool, True where the last step ended an episode.
         """
         rewards = self.swap_and_flatten(self.rewards)
         self.flown = np.flatnonzero(~np.isnan(rewards))
@@ -45,12 +45,12 @@ class LivingRollouts(RolloutBuffer):
         super().compute_returns_and_advantage(last_values, dones)
 
     def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
-        """Yield minibatches in a random order.
+        """Yield minibatches in random order.
 
         Args:
-            batch_size: Most transitions in one; None for all at once.
+            batch_size: Maximum size of a minibatch; None for all transitions in one.
         """
-        # Once a rollout, all slots one after the other, without what nobody flew.
+        # Once for each rollout: concatenate all slots, without transitions of absent drones
         if not self.generator_ready:
             for name in ("observations", "actions", "values", "log_probs", "advantages", "returns"):
                 whole = self.swap_and_flatten(getattr(self, name))
@@ -58,16 +58,16 @@ class LivingRollouts(RolloutBuffer):
             self.generator_ready = True
         count = len(self.flown)
         order = torch.randperm(count).numpy()
-        # As many as are needed, rounded up.
+        # Number of minibatches, rounded up
         batches = -(-count // (batch_size or count))
         for indices in np.array_split(order, batches):
             yield self._get_samples(indices)
 
 
 class LivingReplay(ReplayBuffer):
-    """Buffer of off-policy algorithms that keeps transitions that drones flew.
+    """Replay buffer of off-policy algorithms that stores only transitions of active drones.
 
-    They are kept one after the other, whatever slot they come from.
+    Transitions of all slots are stored in one sequence.
     """
 
     def __init__(
@@ -78,18 +78,17 @@ class LivingReplay(ReplayBuffer):
         device: torch.device | str = "auto",
         **kwargs: Any,
     ) -> None:
-        """Make room.
+        """Allocate the buffer.
 
         Args:
-            buffer_size: How many transitions are kept; then the oldest are forgotten.
-            observation_space: Space of one drone's observations.
-            action_space: Space of its actions.
+            buffer_size: Capacity in transitions; the oldest are overwritten.
+            observation_space: Observation space of one drone.
+            action_space: Action space of one drone.
             device: PyTorch's device.
-            **kwargs: Other arguments of stable-baselines3's buffer.
+            **kwargs: Other arguments of the buffer of stable-baselines3.
 
         Raises:
-            ValueError: Memory is to be optimised, for which transitions would have to follow each
-                other.
+            ValueError: If `optimize_memory_usage` is True, which needs consecutive transitions.
         """
         if kwargs.get("optimize_memory_usage"):
             raise ValueError(
@@ -108,17 +107,17 @@ class LivingReplay(ReplayBuffer):
         done: np.ndarray,
         infos: list[dict[str, Any]],
     ) -> None:
-        """Keep the transitions that have a reward.
+        """Store the transitions whose reward is not NaN.
 
         Args:
             obs: (slots, D) observations.
             next_obs: (slots, D) observations after the decision.
-            action: (slots, A) actions, or (slots,) choices.
+            action: (slots, A) actions, or (slots,) discrete actions.
             reward: (slots,) rewards, NaN for slots without a drone.
-            done: (slots,) bool, which episodes ended.
+            done: (slots,) bool, True where an episode ended.
             infos: Infos of the slots.
         """
-        # Where they go, around the end of the buffer.
+        # Indices in the ring buffer
         flown = np.flatnonzero(~np.isnan(reward))
         action = np.asarray(action).reshape(len(reward), self.action_dim)
         places = (self.pos + np.arange(len(flown))) % self.buffer_size

@@ -1,4 +1,4 @@
-"""A policy that flies a model that stable-baselines3 saved."""
+"""Policy from a model file of stable-baselines3."""
 
 from pathlib import Path
 from typing import Any
@@ -12,40 +12,36 @@ from bulletuav.policies.trained import TRUST, SharedPolicy
 
 
 class Sb3Model(SharedPolicy):
-    """A policy from a zip file of stable-baselines3, such as model.zip.
+    """Policy from a zip file that stable-baselines3 saved, such as model.zip.
 
-    PyTorch keeps to one thread, so that its actions are the same everywhere.
+    PyTorch is limited to one thread, so that actions are reproducible.
     """
 
     def __init__(
-        self,
-        aviary: Aviary,
-        algorithm: str,
-        path: str | Path,
-        trust: bool = False,
+        self, aviary: Aviary, algorithm: str, path: str | Path, trust: bool = False
     ) -> None:
         """Load a model.
 
         Args:
-            aviary: The worlds that it flies.
+            aviary: The worlds that the policy controls.
             algorithm: Name of the algorithm in lower case, such as "ppo".
             path: The zip file.
-            trust: Whether the file may run code, which such files can hold.
+            trust: If True, the file is loaded although such files can run code.
 
         Raises:
-            ValueError: It is not trusted, is no such model, or its spaces are not those of one
-                drone.
+            ValueError: If the file is not trusted, is not a model of the algorithm, or was trained
+                for other spaces than those of a drone in these worlds.
         """
         super().__init__(aviary)
         if not trust:
             raise ValueError(f"{path} is not read: {TRUST}")
         sb3.single_thread()
         with sb3.own_random():
-            # The library raises whatever it stumbles over in a file of another kind.
+            # Files of other types raise arbitrary errors
             try:
                 self._model: Any = sb3.algorithm(algorithm).load(path, device="cpu")
             except Exception as error:
-                raise ValueError(f"{path} is no model of {algorithm}: {error}") from None
+                raise ValueError(f"{path} is not a model of {algorithm}: {error}") from None
         self._check_spaces(path)
 
     def _check_spaces(self, path: str | Path) -> None:
@@ -56,15 +52,15 @@ class Sb3Model(SharedPolicy):
         ):
             if own.shape != needed.shape or type(own) is not type(needed):
                 raise ValueError(
-                    f"{path} was trained for {name} in a {_told(needed)}, "
-                    f"and here they are in a {_told(own)}"
+                    f"{path} was trained for {name} in a {_describe_space(needed)}, "
+                    f"and here they are in a {_describe_space(own)}"
                 )
 
     def _choose(self, rows: Any) -> np.ndarray:
-        """Choose the deterministic actions of the model."""
+        """Return the deterministic actions of the model."""
         return np.asarray(self._model.predict(rows, deterministic=True)[0])
 
 
-def _told(space: Any) -> str:
+def _describe_space(space: Any) -> str:
     """Describe a space in a message."""
     return f"{type(space).__name__} of shape {space.shape}"

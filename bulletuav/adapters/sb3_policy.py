@@ -1,4 +1,4 @@
-"""Networks of stable-baselines3's policies, made from a run's settings."""
+"""Policy networks of stable-baselines3, built from the settings of a run."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 
-from bulletuav.adapters.features import Symlog, UserSum
+from bulletuav.adapters.features import SymlogFeatures, UserSum
 from bulletuav.adapters.sb3 import algorithm, own_random, single_thread
 from bulletuav.adapters.swarm_features import SwarmFeatures
-from bulletuav.errors import missing, unknown
+from bulletuav.errors import missing_extra, unknown
 from bulletuav.policies.neural_network import HIGH, LOW
 from bulletuav.policies.swarm_features import find_layout
 from bulletuav.sensors.base import Label
@@ -19,36 +19,33 @@ try:
     from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
     from stable_baselines3.common.vec_env import VecTransposeImage
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 FEATURES: dict[str | None, type | None] = {
-    "symlog": Symlog,
+    "symlog": SymlogFeatures,
     "swarm": SwarmFeatures,
     "user_sum": UserSum,
     None: None,
 }
-"""Features that observed numbers go through first, by the setting `features` of a run"""
+"""Feature extractors of observations, by the setting `features` of a run"""
 
 
 def policy_arguments(
-    model: Mapping[str, Any],
-    num_drones: int,
-    labels: Sequence[Label],
-    pictures: bool,
+    model: Mapping[str, Any], num_drones: int, labels: Sequence[Label], pictures: bool
 ) -> dict[str, Any]:
-    """Make the arguments of stable-baselines3's policy.
+    """Return the arguments of the policy class of stable-baselines3.
 
     Args:
-        model: A run's settings of its algorithm, `features` and `policy_kwargs` among them.
-        num_drones: How many drones a world has.
+        model: Settings of the algorithm of a run, with `features` and `policy_kwargs`.
+        num_drones: Number of drones of a world.
         labels: Labels of the numbers of an observation.
-        pictures: Whether pictures are observed, which have features of their own.
+        pictures: If True, observations have images, which have their own feature extractor.
 
     Returns:
-        The arguments by name.
+        The keyword arguments.
 
     Raises:
-        ValueError: The settings cannot be.
+        ValueError: If a setting is invalid.
     """
     features = model["features"]
     if features not in FEATURES:
@@ -59,15 +56,15 @@ def policy_arguments(
     arguments = dict(given)
     if features is not None and not pictures:
         arguments.setdefault("features_extractor_class", FEATURES[features])
-    # Features of users depend on how many drones there are, those of others on where numbers are.
-    told: dict[str, Any] = {}
+    # "user_sum" depends on the number of drones, "swarm" on the layout of the observation
+    extra: dict[str, Any] = {}
     if features == "user_sum":
-        told = {"num_drones": num_drones}
+        extra = {"num_drones": num_drones}
     elif features == "swarm" and not pictures:
-        told = {"layout": find_layout(labels)}
-    if told:
+        extra = {"layout": find_layout(labels)}
+    if extra:
         arguments["features_extractor_kwargs"] = {
-            **told,
+            **extra,
             **arguments.get("features_extractor_kwargs", {}),
         }
     return arguments
@@ -82,22 +79,22 @@ def policy_network(
     labels: Sequence[Label],
     weights: Mapping[str, np.ndarray],
 ) -> Callable[[Any], np.ndarray]:
-    """Build the network of a run's policy and fill in its weights; nothing but numbers is read.
+    """Build the policy network of a run and load its weights, without unpickling.
 
     Args:
         name: Name of the algorithm, in lower case.
-        model: The run's settings of it.
-        observed: Space of one drone's observations.
-        given: Space of its actions.
-        num_drones: How many drones a world has.
+        model: Settings of the algorithm of the run.
+        observed: Observation space of one drone.
+        given: Action space of one drone.
+        num_drones: Number of drones of a world.
         labels: Labels of the numbers of an observation.
-        weights: Arrays by the names of the policy's `state_dict`, and the bounds of the actions.
+        weights: Arrays of the `state_dict` of the policy by name, and the bounds of the actions.
 
     Returns:
-        A function from rows of observations to rows of deterministic actions.
+        A function from observations (M, D) to deterministic actions (M, A).
 
     Raises:
-        ValueError: The weights do not fit.
+        ValueError: If the weights do not match the network.
     """
     single_thread()
     pictures = isinstance(observed, Dict)
@@ -105,14 +102,14 @@ def policy_network(
         observed = Dict({key: _channels_first(space) for key, space in observed.spaces.items()})
     if LOW in weights:
         given = Box(weights[LOW], weights[HIGH], dtype=np.float32)
-    # The network as training makes it.
+    # Create the network as in training
     arguments = policy_arguments(model, num_drones, labels, pictures)
     if name in ("ppo", "a2c", "sac"):
         arguments["use_sde"] = model.get("use_sde", False)
     with own_random():
         kind = algorithm(name).policy_aliases["MultiInputPolicy" if pictures else "MlpPolicy"]
         policy = kind(observed, given, lambda _: 0.0, **arguments)
-    # Its weights.
+    # Load its weights
     state = {
         known: torch.as_tensor(array)
         for known, array in weights.items()
@@ -127,7 +124,7 @@ def policy_network(
 
 
 def _channels_first(space: Space[Any]) -> Space[Any]:
-    """Give the space as networks see it that stable-baselines3 made: it turns pictures."""
+    """Return the space with images channels-first, as stable-baselines3 transposes them."""
     if (
         isinstance(space, Box)
         and is_image_space(space)

@@ -1,7 +1,7 @@
-"""Environments in which one team learns, and policies fly the others.
+"""Environments in which one team learns while policies control the other teams.
 
-An opponent may be frozen, as a name or a run's folder is, or learn as well: a function of rows of
-observations is asked anew at every decision.
+An opponent can be fixed (the name of a policy, or the folder of a run), or learn as well: a
+function of observations is called at every decision.
 """
 
 from collections.abc import Mapping
@@ -24,39 +24,34 @@ from bulletuav.envs.parallel import (
 from bulletuav.envs.reset_options import refuse_setting
 from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.teams import team_names, team_rows
-from bulletuav.errors import choose, numbers_of, shown
+from bulletuav.errors import find_choice, numbers_of, shown
 from bulletuav.policies import Policy, PolicySource, find_policy
 from bulletuav.policies.versus import TeamPolicies, joint_options
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
 Opponents = PolicySource | Mapping[str, PolicySource]
-"""What flies all other teams, or each of them by its name"""
+"""Policy of all other teams, or policies by the name of the team"""
 
 
 class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has no types
-    """`pettingzoo.ParallelEnv` of one team of a task; policies fly its opponents.
+    """`pettingzoo.ParallelEnv` of one team of a task, with opponents controlled by policies.
 
     Attributes:
         env: The environment of all teams, with its `aviary`.
         team: Name of the team.
         possible_agents: Agents of the team.
-        agents: Those whose episode goes on.
+        agents: Agents of the team whose episode has not ended.
         observation_spaces: Observation space of each agent.
         action_spaces: Action space of each agent.
-        metadata: As of the environment of all teams, with the team alone in its "group_map".
+        metadata: Metadata of the environment of all teams; "group_map" has only this team.
     """
 
     def __init__(
-        self,
-        task: TaskSource,
-        team: str,
-        opponents: Opponents,
-        trust: bool = False,
-        **options: Any,
+        self, task: TaskSource, team: str, opponents: Opponents, trust: bool = False, **options: Any
     ) -> None:
         """Make the environment; see `team_env`."""
-        # What opponents learned with gives way to options of the call.
+        # Options of the call override those with which opponents were trained
         sources = opponents.values() if isinstance(opponents, Mapping) else (opponents,)
         needed = joint_options([find_policy(one, task, trust).options for one in sources])
         self.env = ParallelAviary(task, **{**needed, **options})
@@ -64,7 +59,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         self._trust = trust
         groups = self.env.group_map
         self.team = team
-        self.possible_agents: list[str] = choose("team", team, groups)
+        self.possible_agents: list[str] = find_choice("team", team, groups)
         self.group_map = {team: self.possible_agents}
         self.metadata = {**self.env.metadata, "group_map": self.group_map}
         self.render_mode = self.env.render_mode
@@ -79,7 +74,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
 
     @property
     def opponents(self) -> Opponents:
-        """What flies the other teams; another one flies from the next reset on."""
+        """Policy of the other teams; a new one takes effect at the next reset."""
         return self._opponents
 
     @opponents.setter
@@ -94,17 +89,17 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
             )
         found = [find_policy(source, type(task), self._trust) for source in each.values()]
         makers = [one.__call__ for one in found]
-        # The team itself flies by the actions that it is given.
+        # The actions of the team itself come from the caller
         self._made = TeamPolicies(aviary, [*makers, makers[0]], [*each, self.team])
         self._opponents = opponents
 
     def observation_space(self, agent: str) -> Space[Any]:
-        """Return the agent's observation space, the same object each time."""
-        return choose("agent", agent, self.observation_spaces)
+        """Return the observation space of an agent, the same object in each call."""
+        return find_choice("agent", agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> Space[Any]:
-        """Return the agent's action space, the same object each time."""
-        return choose("agent", agent, self.action_spaces)
+        """Return the action space of an agent, the same object in each call."""
+        return find_choice("agent", agent, self.action_spaces)
 
     @exclusive
     def reset(
@@ -119,7 +114,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         self._policy = self._made
         self._policy.reset(np.ones(1, dtype=bool))
         self.agents = self.possible_agents[:]
-        return self._own(self._seen), self._own(infos)
+        return self._select_team(self._seen), self._select_team(infos)
 
     @property
     def np_random(self) -> np.random.Generator:
@@ -128,37 +123,37 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
 
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
-        """Fly one decision of all living drones; see `ParallelAviary.step`.
+        """Step the environment by one decision; see `ParallelAviary.step`.
 
         Args:
-            actions: One for each of `agents`.
+            actions: An action for each agent in `agents`.
 
         Returns:
             Observations, rewards, terminated, truncated and infos, by agent of the team.
 
         Raises:
-            ValueError: An action is missing, cannot be, or is for no agent of the team.
+            ValueError: If an action is missing or invalid, or is for an agent outside the team.
             RuntimeError: Before the first reset, or after `close`.
         """
         self.env.aviary.require_started()
         check_agents(actions, self.agents, self.possible_agents)
         if not self.agents:
             return {}, {}, {}, {}, {}
-        results = self.env.step({**self._opposed(), **actions})
+        results = self.env.step({**self._opponent_actions(), **actions})
         self._seen = {agent: results[0][agent] for agent in self.env.agents}
         self.agents = [agent for agent in self.agents if agent in self.env.agents]
-        seen, rewards, terminated, truncated, infos = map(self._own, results)
+        seen, rewards, terminated, truncated, infos = map(self._select_team, results)
         return seen, rewards, terminated, truncated, infos
 
-    def _own(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
-        """Take what is of the team's agents."""
+    def _select_team(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
+        """Select the entries of the agents of the team."""
         return {agent: by_agent[agent] for agent in self.possible_agents if agent in by_agent}
 
-    def _opposed(self) -> ByAgent:
-        """Ask the opponents' policies for actions of those that fly."""
+    def _opponent_actions(self) -> ByAgent:
+        """Return the actions of the active opponents from their policies."""
         env = self.env
         assert self._policy is not None  # there was a reset
-        actions = self._policy.act(self._all_seen(), env.aviary.swarm)[0]
+        actions = self._policy.act(self._stack_observations(), env.aviary.swarm)[0]
         opposed: ByAgent = {}
         for i, agent in enumerate(env.possible_agents):
             if agent in env.agents and agent not in self.possible_agents:
@@ -167,22 +162,22 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
                 opposed[agent] = int(actions[i, 0]) if is_choice else actions[i, :size]
         return opposed
 
-    def _all_seen(self) -> Observation:
-        """Put the last observations side by side, (1, N, ...); zeros of drones that have left."""
+    def _stack_observations(self) -> Observation:
+        """Stack the last observations, (1, N, ...), with zeros for drones that have left."""
         env, space = self.env, self._observer.space()
         if not isinstance(space, Dict):
-            return _side_by_side(self._seen, env.possible_agents, space)[None]
+            return _stack(self._seen, env.possible_agents, space)[None]
         entries: Observation = {}
         for name, one in space.items():
             seen = {agent: observed[name] for agent, observed in self._seen.items()}
-            entries[name] = _side_by_side(seen, env.possible_agents, one)[None]
+            entries[name] = _stack(seen, env.possible_agents, one)[None]
         return entries
 
     @exclusive
     def save_state(self) -> FaceSnapshot:
-        """Save all that makes the future, with what the policies remember.
+        """Save the state of the simulation and the memory of the opponents' policies.
 
-        What an opponent learns is not saved; see `Aviary.save_state`.
+        Weights of opponents that learn are not saved; see `Aviary.save_state`.
         """
         flight = self.env.save_state()
         assert self._policy is not None  # there was a reset
@@ -190,13 +185,13 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
 
     @exclusive
     def load_state(self, snapshot: FaceSnapshot) -> ByAgent:
-        """Go on from a state that was saved; see `Aviary.load_state`.
+        """Restore a saved state; see `Aviary.load_state`.
 
         Returns:
-            Observations by agent of the team, of those that fly.
+            Observations of the active agents of the team, by agent.
 
         Raises:
-            ValueError: It does not fit, or other policies flew then.
+            ValueError: If the snapshot does not match this environment or its policies.
         """
         require_face(snapshot, "team_env")
         before = self._made.memory()
@@ -208,7 +203,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
             raise
         self._policy = self._made
         self.agents = [agent for agent in self.possible_agents if agent in self.env.agents]
-        return self._own(self._seen)
+        return self._select_team(self._seen)
 
     @exclusive
     def state_hash(self) -> str:
@@ -217,46 +212,38 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
 
     @exclusive
     def render(self) -> np.ndarray | None:
-        """Take a picture; see `ParallelAviary.render`."""
+        """Render an image; see `ParallelAviary.render`."""
         return self.env.render()
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Disconnect from the physics engine; further calls do nothing."""
         self.env.close()
 
 
-def _side_by_side(
-    seen: ByAgent,
-    agents: list[str],
-    space: Space[Any],
-) -> np.ndarray:
-    """Stack the agents' observations of a space, (N, ...); zeros where there is none."""
+def _stack(seen: ByAgent, agents: list[str], space: Space[Any]) -> np.ndarray:
+    """Stack observations of agents, (N, ...), with zeros for missing ones."""
     nothing = np.zeros(space.shape or (), dtype=space.dtype)
     return np.stack([seen.get(agent, nothing) for agent in agents])
 
 
 class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
-    """`gymnasium.Env` of one team: an agent that commands all its drones.
+    """`gymnasium.Env` of one team: a central agent that controls all its drones.
 
-    It observes what they observe, one after the other, and zeros for those that have left. Its
-    reward is their mean. With one drone it is that drone.
+    The observation is the concatenation of the observations of the drones, with zeros for drones
+    that have left. The reward is the mean reward of the drones. With one drone the environment is
+    that of the drone.
 
     Attributes:
         env: The `TeamAviary`.
-        observation_space: The drones' observations, one after the other.
-        action_space: The drones' numbers, one after the other.
+        observation_space: Box of the concatenated observations of the drones.
+        action_space: Box of the concatenated actions of the drones.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     def __init__(
-        self,
-        task: TaskSource,
-        team: str,
-        opponents: Opponents,
-        trust: bool = False,
-        **options: Any,
+        self, task: TaskSource, team: str, opponents: Opponents, trust: bool = False, **options: Any
     ) -> None:
         """Make the environment; see `team_env`."""
         self.env = TeamAviary(task, team, opponents, trust, **options)
@@ -267,11 +254,11 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         self.observation_space, self.action_space = (self._joined(one) for one in boxes)
         aviary = self.env.env.aviary
         sizes = [aviary.action.size(i) for i in team_rows(aviary.task)[team]]
-        self._cuts = np.cumsum(sizes)[:-1]
+        self._split_indices = np.cumsum(sizes)[:-1]
         self._config = aviary.task.config
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Set an attribute; raise AttributeError where that has no effect."""
+        """Set an attribute; raise AttributeError for options, which setting would not change."""
         if type(self) is CentralTeamAviary and "_config" in vars(self):
             refuse_setting(self, name, self._config)
         super().__setattr__(name, value)
@@ -282,7 +269,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         return super().set_wrapper_attr(name, value, force=force)
 
     def _joined(self, spaces: Mapping[str, Space[Any]]) -> Box:
-        """Join the drones' boxes."""
+        """Return the concatenated box of the drones."""
         each = [spaces[agent] for agent in self._agents]
         for space in each:
             if not isinstance(space, Box) or len(space.shape) != 1:
@@ -295,7 +282,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
     @property
     def opponents(self) -> Opponents:
-        """What flies the other teams; another one flies from the next reset on."""
+        """Policy of the other teams; a new one takes effect at the next reset."""
         return self.env.opponents
 
     @opponents.setter
@@ -317,23 +304,23 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
     @exclusive
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Fly one decision; see `TeamAviary.step`.
+        """Step the environment by one decision; see `TeamAviary.step`.
 
         Args:
-            action: As in `action_space`.
+            action: An element of `action_space`.
 
         Returns:
             The observation, reward, terminated, truncated, and infos by agent.
 
         Raises:
-            ValueError: The action cannot be.
+            ValueError: If the action is invalid.
         """
         numbers = numbers_of("action is", action)
         if numbers.shape != self.action_space.shape:
             raise ValueError(
                 f"action has shape {numbers.shape}: {self.action_space.shape} is needed"
             )
-        parts = np.split(numbers, self._cuts)
+        parts = np.split(numbers, self._split_indices)
         given = dict(zip(self._agents, parts, strict=True))
         flying = {agent: given[agent] for agent in self.env.agents}
         seen, rewards, _, truncated, infos = self.env.step(flying)
@@ -344,17 +331,17 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
     def _observed(self, seen: ByAgent) -> np.ndarray:
         space = self.env.observation_spaces[self._agents[0]]
-        flat: np.ndarray = _side_by_side(seen, self._agents, space).ravel()
+        flat: np.ndarray = _stack(seen, self._agents, space).ravel()
         return flat
 
     @exclusive
     def save_state(self) -> FaceSnapshot:
-        """Save all that makes the future; see `TeamAviary.save_state`."""
+        """Save the state of the simulation and of policies; see `TeamAviary.save_state`."""
         return self.env.save_state()
 
     @exclusive
     def load_state(self, snapshot: FaceSnapshot) -> np.ndarray:
-        """Go on from a state that was saved; see `TeamAviary.load_state`.
+        """Restore a saved state; see `TeamAviary.load_state`.
 
         Returns:
             The observation.
@@ -368,12 +355,12 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
     @exclusive
     def render(self) -> np.ndarray | None:
-        """Take a picture; see `ParallelAviary.render`."""
+        """Render an image; see `ParallelAviary.render`."""
         return self.env.render()
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Disconnect from the physics engine; further calls do nothing."""
         self.env.close()
 
 
@@ -386,25 +373,25 @@ def team_env(
     trust: bool = False,
     **options: Any,
 ) -> TeamAviary | CentralTeamAviary:
-    """Make an environment of one team of a task, whose opponents fly by policies.
+    """Make an environment of one team of a task, with opponents controlled by policies.
 
         env = bulletuav.team_env("pursuit_evasion", "chasers", opponents="flee")
         env.opponents = "flee_gap"  # from the next reset on
 
     Args:
-        task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+        task: One of `list_tasks()`, `module:Name`, or a task class.
         team: Name of the team, such as "chasers".
-        opponents: What flies all others: a policy's name, class or run's folder; a function of rows
-            of observations, which may learn meanwhile; or a dict of these by team.
-        central: Whether it is a `gymnasium.Env` with one agent for the whole team.
-        trust: Whether a model may be read that can run code meanwhile.
-        **options: Those of `parallel_env`.
+        opponents: Policy of all other teams: name, class, or folder of a run; a function of
+            observations, which may be trained meanwhile; or a dict of these by team.
+        central: If True, return a `gymnasium.Env` with one agent for the whole team.
+        trust: If True, model files that can run code may be loaded.
+        **options: Options of `parallel_env`.
 
     Returns:
-        A `pettingzoo.ParallelEnv` with the team's agents alone, or a `gymnasium.Env`.
+        A `pettingzoo.ParallelEnv` with the agents of the team, or a `gymnasium.Env`.
 
     Raises:
-        ValueError: There is no such team or policy, or an option cannot be.
+        ValueError: If the team or a policy is unknown, or an option is invalid.
     """
     kind = CentralTeamAviary if central else TeamAviary
     return kind(task, team, opponents, trust, **options)

@@ -1,10 +1,10 @@
-"""Features of a drone among others, whatever their number and order, to learn with PyTorch."""
+"""Feature extractor for PyTorch that is invariant to number and order of other drones."""
 
 from typing import Any
 
 from gymnasium.spaces import Box
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.policies.swarm_features import LOOK_AHEAD, TINY, Layout
 
 try:
@@ -12,33 +12,30 @@ try:
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from torch import nn
 except ImportError:
-    raise missing("learning with stable-baselines3", "sb3") from None
+    raise missing_extra("learning with stable-baselines3", "sb3") from None
 
 
 class SwarmFeatures(BaseFeaturesExtractor):
-    """Own numbers, and of each kind of others the sum and the largest of what an MLP makes of them.
+    """Own numbers, and sum and maximum over others of the output of an MLP, for each kind.
 
-    The MLP sees what is told of one other, where and when it comes closest if both fly straight on,
-    and the drone's own numbers. It is the same for all of a kind, so that their order and number do
-    not matter. Others whose numbers are all zero are not there. M. Zaheer et al., Deep sets (2017).
+    The inputs of the MLP are the observed numbers of one other, its closest approach on straight
+    paths (relative position, distance, time), and the drone's own numbers. All others of a kind
+    share the MLP, so that their order and number do not matter. Others whose numbers are all zero
+    are absent. M. Zaheer et al., Deep sets (2017).
 
     Attributes:
         each: The MLPs by kind.
     """
 
     def __init__(
-        self,
-        observation_space: Box,
-        layout: Layout,
-        size: int = 32,
-        scale: float = 1.0,
+        self, observation_space: Box, layout: Layout, size: int = 32, scale: float = 1.0
     ) -> None:
         """Make the layers.
 
         Args:
-            observation_space: Space of one drone's observations.
-            layout: Where numbers are in them.
-            size: How many features of others the MLPs make.
+            observation_space: Observation space of one drone.
+            layout: Indices of own numbers and of others in an observation.
+            size: Number of outputs of each MLP.
             scale: Scale of the numbers, see `Symlog`.
         """
         super().__init__(observation_space, len(layout.own) + 2 * size * len(layout.kinds))
@@ -56,7 +53,7 @@ class SwarmFeatures(BaseFeaturesExtractor):
         )
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Compute (B, F) features of observations (B, D)."""
+        """Return features (B, F) of observations (B, D)."""
         own = _symlog(observations[:, self._layout.own], self._scale)
         parts = [own]
         for word, kind in self._layout.kinds.items():
@@ -69,16 +66,11 @@ class SwarmFeatures(BaseFeaturesExtractor):
             parts += [each.sum(1) / 2, each.amax(1)]
         return torch.cat(parts, 1)
 
-    def _each(
-        self,
-        word: str,
-        known: torch.Tensor,
-        own: torch.Tensor,
-    ) -> torch.Tensor:
-        """Pass (B, K, numbers) of others, each with the own (B, numbers), through MLPs."""
+    def _each(self, word: str, known: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+        """Apply the MLP to features (B, K, F) of others, each with the own numbers (B, D)."""
         layers: Any = self.each[word]
         first, second = layers[0], layers[2]
-        # What follows from the own numbers is the same for all others, and so computed once.
+        # The part of the own numbers is the same for all others, and is computed once
         of_other, of_own = first.weight.split([known.shape[-1], own.shape[-1]], 1)
         shared = nn.functional.linear(own, of_own, first.bias)
         hidden = torch.relu(nn.functional.linear(known, of_other) + shared[:, None])
@@ -87,12 +79,12 @@ class SwarmFeatures(BaseFeaturesExtractor):
 
 
 def _symlog(numbers: torch.Tensor, scale: float = 1.0) -> torch.Tensor:
-    """Compress numbers, see `bulletuav.policies.features.symlog`."""
+    """Return the symlog of numbers, see `bulletuav.policies.features.symlog`."""
     return torch.sign(numbers) * torch.log1p(scale * numbers.abs())
 
 
 def _approach(motion: torch.Tensor) -> list[torch.Tensor]:
-    """Compute where others (..., 6) come closest if both fly straight on: place, distance, time."""
+    """Return closest approach of others (..., 6): relative position, distance and time."""
     position, velocity = motion[..., :3], motion[..., 3:]
     along = (position * velocity).sum(-1, keepdim=True)
     square = (velocity * velocity).sum(-1, keepdim=True)

@@ -1,4 +1,4 @@
-"""Totals of drones' episodes: what trainers log beside the return."""
+"""Totals of episodes of drones, which trainers log next to the return."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from bulletuav.envs.step import Step
 
 
 class EpisodeTotals:
-    """Success, collision, conflicts and returns by reward term of W worlds of N drones.
+    """Success, collision, conflicts and returns by reward term, for W worlds of N drones.
 
     Attributes:
         by_name: (W, N) arrays: "success" and "collision" (0 or 1), "conflicts", and the return of
@@ -14,11 +14,11 @@ class EpisodeTotals:
     """
 
     def __init__(self) -> None:
-        """Begin with nothing: arrays come with the first step."""
+        """Make empty totals; the first step allocates the arrays."""
         self.by_name: dict[str, np.ndarray] = {}
 
     def forget(self, worlds: np.ndarray) -> None:
-        """Begin new episodes in the worlds of a mask (W,)."""
+        """Reset the totals of the worlds of a mask (W,)."""
         for total in self.by_name.values():
             total[worlds] = 0
 
@@ -26,15 +26,15 @@ class EpisodeTotals:
         """Add a step.
 
         Args:
-            step: What came of it.
-            flown: (W, N) bool, drones that flew it.
+            step: The results of the step.
+            flown: (W, N) bool, drones that were active in the step.
         """
-        told = step.info
-        for name in told:
+        info = step.info
+        for name in info:
             if name.startswith("reward/") or name == "conflicts":
-                self._of(name, flown)[flown] += told[name][flown]
-        self._of("success", flown)[flown] = told["success"][flown]
-        self._of("collision", flown)[flown] += told["collision"][flown]
+                self._of(name, flown)[flown] += info[name][flown]
+        self._of("success", flown)[flown] = info["success"][flown]
+        self._of("collision", flown)[flown] += info["collision"][flown]
         np.minimum(self.by_name["collision"], 1.0, out=self.by_name["collision"])
 
     def _of(self, name: str, flown: np.ndarray) -> np.ndarray:
@@ -43,9 +43,9 @@ class EpisodeTotals:
         return self.by_name[name]
 
     def of_drone(self, world: int, drone: int) -> dict[str, float]:
-        """Tell the totals of one drone."""
+        """Return the totals of one drone."""
         return {name: float(total[world, drone]) for name, total in self.by_name.items()}
 
     def of_world(self, world: int) -> dict[str, float]:
-        """Tell the means of all drones of a world."""
+        """Return the means over all drones of a world."""
         return {name: float(total[world].mean()) for name, total in self.by_name.items()}

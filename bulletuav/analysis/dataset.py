@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from bulletuav.adapters.minari import Flight, write_minari
+from bulletuav.adapters.minari import MinariEpisode, write_minari
 from bulletuav.adapters.parquet import read_about, read_table, write_table
 from bulletuav.analysis.about import about_flights
 from bulletuav.analysis.episodes import fly_batches
@@ -184,7 +184,7 @@ def _flights(
     tables: list[Path],
     drone: int,
     ends: dict[int, Any],
-) -> Iterator[Flight]:
+) -> Iterator[MinariEpisode]:
     """Read what one drone did, episode by episode."""
     for path in tables:
         rows = read_table(path)
@@ -200,7 +200,7 @@ def _flights(
             # The last observation stands in a list of its own, one a flight
             own = slice(begin, bounds[k + 1])
             end = ends[int(rows["episode"][begin])]
-            yield Flight(
+            yield MinariEpisode(
                 seed=end["seed"],
                 observations=np.concatenate([rows["observation"][own], finals[k : k + 1]]),
                 actions=rows["action"][own],

@@ -15,7 +15,7 @@ import numpy as np
 from bulletuav.analysis.metrics import Meter, MetricSpec
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.worker import portable
-from bulletuav.interrupts import kept_from_children
+from bulletuav.interrupts import block_interrupts
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.policies.base import Policy
 from bulletuav.policies.mismatch import naming_task
@@ -154,9 +154,9 @@ def fly_batches(
         ConnectionError: No cluster answers.
     """
     if ray is not None and batches:
-        from bulletuav.adapters.ray import spread  # which needs an extra
+        from bulletuav.adapters.ray import map_on_cluster  # which needs an extra
 
-        yield from spread(ray, run.fly_all, batches)
+        yield from map_on_cluster(ray, run.fly_all, batches)
         return
     workers = min(workers, len(batches))
     if workers <= 1:
@@ -195,7 +195,7 @@ class _Crew:
             target=_work, args=(theirs, self._run, list(batches)), daemon=True
         )
         self._workers[mine] = _Worker(process, list(batches))
-        with kept_from_children():
+        with block_interrupts():
             process.start()
         theirs.close()
 

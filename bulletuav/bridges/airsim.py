@@ -23,7 +23,7 @@ from bulletuav.bridges.airsim_pictures import DrawingError, PictureQueue
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.sockets import LOG_NAME, open_listener
 from bulletuav.envs.pacer import Pacer
-from bulletuav.errors import as_int, missing, shown
+from bulletuav.errors import as_int, missing_extra, shown
 from bulletuav.serving.connections import Clock, Connections, FullError, Limits
 from bulletuav.serving.refusals import Refusals
 from bulletuav.serving.streams import Stream, StreamServer
@@ -114,7 +114,7 @@ class AirsimServer:
         try:
             import msgpack
         except ImportError:
-            raise missing("serving clients of AirSim", "airsim") from None
+            raise missing_extra("serving clients of AirSim", "airsim") from None
         # An optional package, kept here because it cannot be imported at the top of the file
         self._msgpack = msgpack
         as_int("port", port, 0, 65535)

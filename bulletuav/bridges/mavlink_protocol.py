@@ -9,7 +9,7 @@ from collections.abc import Hashable, Iterator
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 
 COMPONENT = 1
 """Component ID of the autopilot"""
@@ -119,7 +119,7 @@ def dialect() -> Any:
     try:
         from pymavlink.dialects.v20 import common
     except ImportError:
-        raise missing("serving clients of MAVLink", "mavlink") from None
+        raise missing_extra("serving clients of MAVLink", "mavlink") from None
     return common
 
 

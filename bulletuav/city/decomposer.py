@@ -14,7 +14,7 @@ from typing import IO, Self
 import numpy as np
 
 from bulletuav.city.mesh import Mesh, find_crossing
-from bulletuav.errors import GIB, memory, missing
+from bulletuav.errors import GIB, missing_extra, total_memory
 
 CHILD = Path(__file__).with_name("coacd_child.py")
 """Program of the process"""
@@ -100,9 +100,9 @@ class Decomposer:
         """Return the process, which is started if there is none."""
         if self._process is None:
             if importlib.util.find_spec("coacd") is None:
-                raise missing("splitting a mesh that is not convex", "city")
+                raise missing_extra("splitting a mesh that is not convex", "city")
             self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by _end
-            most = max(MIN_MEMORY, memory() // 2)
+            most = max(MIN_MEMORY, total_memory() // 2)
             # The process finds the same packages as this one; -P: nothing beside its own file
             path = os.pathsep.join(filter(None, sys.path))
             self._process = subprocess.Popen(
@@ -121,7 +121,9 @@ class Decomposer:
         text = self._log.read().decode(errors="replace").strip()
         last = f" ({text.splitlines()[-1][:200]})" if text else ""
         if "bad_alloc" in text or "MemoryError" in text:
-            return f"needs more memory than {max(MIN_MEMORY, memory() // 2) / GIB:.3g} GiB"
+            return (
+                f"needs more total_memory than {max(MIN_MEMORY, total_memory() // 2) / GIB:.3g} GiB"
+            )
         if code >= 0:
             return "failed" + last if code else "returned no pieces"
         with contextlib.suppress(ValueError):

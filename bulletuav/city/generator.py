@@ -9,7 +9,7 @@ from bulletuav.city.model import City
 from bulletuav.city.statistics import KINDS, Statistics
 from bulletuav.city.streets import grid_streets
 from bulletuav.compiled.functions import power
-from bulletuav.errors import choose, finite, shown
+from bulletuav.errors import find_choice, finite, shown
 from bulletuav.geometry.solids import Solids
 
 MOST_BLOCKS = 128
@@ -58,7 +58,7 @@ def generate(
         raise ValueError(
             f"rng is {shown(rng)}: a generator such as np.random.default_rng(0) is needed"
         )
-    statistics = kind if isinstance(kind, Statistics) else choose("kind of city", kind, KINDS)
+    statistics = kind if isinstance(kind, Statistics) else find_choice("kind of city", kind, KINDS)
     if not 0 <= finite("irregularity", irregularity) <= 1:
         raise ValueError(
             f"irregularity is {irregularity!r}: a number from 0 (regular) to 1 is needed"

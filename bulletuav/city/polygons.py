@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.geometry.convex import MOST_CORNERS
 
 STRAIGHT = 1e-9
@@ -27,7 +27,7 @@ def import_shapely(what: str) -> ModuleType:
     try:
         import shapely
     except ImportError:
-        raise missing(what, "city") from None
+        raise missing_extra(what, "city") from None
     return cast(ModuleType, shapely)
 
 

@@ -11,7 +11,7 @@ from bulletuav.city.decomposition import split
 from bulletuav.city.import_report import Notebook
 from bulletuav.city.mesh import make_mesh
 from bulletuav.city.model import City
-from bulletuav.errors import choose, finite, read_file, require_file, shown
+from bulletuav.errors import find_choice, finite, read_file, require_file, shown
 
 MOST_SCALE = 1e9
 FARTHEST = 1e12
@@ -64,7 +64,7 @@ def from_obj(
     # Options before the file, which may be large
     path = require_file("city", path, REMEDY)
     check_flags(y_up=y_up, strict=strict)
-    choose("elevation", elevation, ELEVATIONS)
+    find_choice("elevation", elevation, ELEVATIONS)
     vertices, faces = _faces(path)
     # To metres with z up
     scale = finite("scale", scale, -MOST_SCALE, MOST_SCALE)

@@ -1,4 +1,4 @@
-"""Arguments that several commands share: options of environments, policies and episodes."""
+"""Arguments shared by several commands: options of environments, policies and episodes."""
 
 import argparse
 import ast
@@ -19,46 +19,48 @@ from bulletuav.policies import policy_names
 from bulletuav.vehicle.airframes import available_airframes
 
 Advance = Callable[[int], None]
-"""Function that takes how many more episodes are done"""
+"""Callback with the number of newly finished episodes"""
 POLICY_HELP = (
-    f"{', '.join(policy_names())}, module:Name of a class of your own, the folder of a training "
-    f"run, or ppo:model.zip (see --trust); for teams one each, such as 'lead vs flee'"
+    f"{', '.join(policy_names())}, module:Name of your own class, the folder of a training "
+    f"run, or ppo:model.zip (see --trust); in team tasks one for each team, such as 'lead vs flee'"
 )
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add arguments for the options that all tasks have, and --set for the others."""
-    # Who flies and how
+    """Add arguments for common options of environments, and --set for all others."""
+    # Drones and control
     parser.add_argument(
         "--drones", type=int, dest="num_drones", metavar="N", help="number of drones"
     )
     parser.add_argument(
-        "--airframe", help=f"{', '.join(available_airframes())}, or the path of a URDF"
+        "--airframe", help=f"{', '.join(available_airframes())}, or the path of a URDF file"
     )
     parser.add_argument("--dynamics", help=f"{', '.join(DYNAMICS)} (default: bullet)")
     parser.add_argument(
         "--action",
-        help=f"{', '.join(ACTIONS)} (default: the task's, or one that the dynamics and "
-        f"the policy take)",
+        help=f"action space: {', '.join(ACTIONS)} (default: that of the task, or one that the "
+        f"dynamics and the policy support)",
     )
-    parser.add_argument("--controller", help=f"{' or '.join(CONTROLLERS)} (default: lee)")
-    # How hard and how long
+    parser.add_argument(
+        "--controller", help=f"controller: {' or '.join(CONTROLLERS)} (default: lee)"
+    )
+    # Difficulty and time
     parser.add_argument("--difficulty", help="easy, medium, hard or extreme")
     parser.add_argument(
-        "--physics-hz", type=int, metavar="HZ", help="physics substeps a second (default: 240)"
+        "--physics-hz", type=int, metavar="HZ", help="physics steps per second (default: 240)"
     )
     parser.add_argument(
-        "--decision-hz", type=_parse_literal, metavar="HZ", help="decisions a second"
+        "--decision-hz", type=_parse_literal, metavar="HZ", help="decisions per second"
     )
     parser.add_argument(
-        "--horizon", type=int, metavar="STEPS", help="decisions until the episode is cut"
+        "--horizon", type=int, metavar="STEPS", help="maximum decisions of an episode (truncation)"
     )
-    parser.add_argument("--max-speed", type=float, metavar="M/S", help="speed limit")
+    parser.add_argument("--max-speed", type=float, metavar="M/S", help="speed limit of the drones")
     parser.add_argument(
         "--city",
         help="suburban, urban, dense, high_rise; alpha,beta,gamma; or a .geojson or .obj file",
     )
-    # The air, and a name for many options
+    # Wind, presets and other options
     parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
     parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK --all`")
     parser.add_argument(
@@ -81,25 +83,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_trust(parser: argparse.ArgumentParser) -> None:
-    """Add the argument by which a user vouches for files that can run code."""
+    """Add --trust, which permits files that can run code."""
     parser.add_argument(
         "--trust",
         action="store_true",
         help=(
-            "read models that stable-baselines3 saved (ppo:model.zip), and import modules that a "
-            "run.yaml names. Such a file can run any code on this machine: use it only for files "
-            "whose maker you know"
+            "load models that stable-baselines3 saved (ppo:model.zip), and import modules that a "
+            "run.yaml names. Such files can run any code on this machine: use this option only "
+            "for files from a source that you trust"
         ),
     )
 
 
 def add_episodes(parser: argparse.ArgumentParser) -> None:
-    """Add arguments for how many episodes to fly, from which seed, in how many processes."""
+    """Add the arguments --episodes, --seed, --workers and --trust."""
     parser.add_argument(
         "--episodes",
         type=int,
         default=100,
-        help="episodes of each policy in each task (default: 100)",
+        help="number of episodes of each policy in each task (default: 100)",
     )
     parser.add_argument(
         "--seed", type=int, default=0, help="episode e has the seed SEED + e (default: 0)"
@@ -108,28 +110,27 @@ def add_episodes(parser: argparse.ArgumentParser) -> None:
         "--workers",
         type=int,
         default=1,
-        help="processes; their number does not change the results (default: 1)",
+        help="number of processes; it does not change the results (default: 1)",
     )
     add_trust(parser)
 
 
 def add_sharing(parser: argparse.ArgumentParser) -> None:
-    """Add arguments by which several machines share the episodes."""
+    """Add --piece and --ray, which distribute episodes to several machines."""
     parser.add_argument(
         "--piece",
         type=_parse_piece,
         metavar="K/N",
-        help="fly the K-th of N parts, such as one job of an array; `bulletuav merge` joins them",
+        help="run part K of N, such as one job of a job array; `bulletuav merge` joins the parts",
     )
     parser.add_argument(
         "--ray",
         metavar="ADDRESS",
-        help="fly on a Ray cluster, such as auto or 10.0.0.1:6379 (extra ray); local begins one",
+        help="run on a Ray cluster, such as auto or 10.0.0.1:6379 (extra ray); local starts one",
     )
 
 
 def _parse_piece(text: str) -> Piece:
-    """Read K/N."""
     try:
         return as_piece(text)
     except ValueError as error:
@@ -137,52 +138,50 @@ def _parse_piece(text: str) -> Piece:
 
 
 def print_piece(piece: Piece, out: Path) -> None:
-    """Print that a piece was flown, and the command that joins all pieces."""
-    print(f"flew piece {piece.number} of {piece.of}; when all are there: bulletuav merge {out}")
+    """Print that a piece is done, and the command that joins all pieces."""
+    print(f"finished piece {piece.number} of {piece.of}; when all are done: bulletuav merge {out}")
 
 
 def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Collect the options of an environment that were given on the command line.
+    """Return the environment options that were given on the command line.
 
     Args:
-        arguments: Parsed arguments of a command with those of `add_options`.
+        arguments: Parsed arguments of a command that uses `add_options`.
 
     Returns:
-        Keyword arguments of an environment.
+        Keyword arguments of the environment.
 
     Raises:
-        ValueError: A --set is not of the form NAME=VALUE, or an option is given twice.
+        ValueError: If a --set is not of the form NAME=VALUE, or an option is given twice.
     """
-    # The seed is not an option of the environment here: every episode has its own.
+    # Without the seed: each episode has its own
     names = {field.name for field in dataclasses.fields(EnvOptions)} - {"seed"} | {"city"}
     options = {
         name: value
         for name, value in vars(arguments).items()
         if name in names and value is not None
     }
-    # A city can be a name, a file, or three numbers with commas between them.
+    # A city is a name, a file, or three comma-separated numbers
     if "city" in options:
         options["city"] = _parse_value(options["city"])
     return parse_pairs("--set", arguments.set, options)
 
 
 def parse_pairs(
-    option: str,
-    pairs: Iterable[str],
-    known: Mapping[str, Any] = MappingProxyType({}),
+    option: str, pairs: Iterable[str], known: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
     """Parse NAME=VALUE pairs.
 
     Args:
-        option: The argument that they come from, to be named in errors.
+        option: The argument that the pairs come from, for messages.
         pairs: Texts of the form NAME=VALUE.
-        known: Values that are set already.
+        known: Values that are already set.
 
     Returns:
-        The known values and those of the pairs.
+        The known values and the values of the pairs.
 
     Raises:
-        ValueError: A text has another form, or a name comes twice.
+        ValueError: If a text has another form, or a name is given twice.
     """
     values = dict(known)
     for pair in pairs:
@@ -197,13 +196,13 @@ def parse_pairs(
 
 @contextlib.contextmanager
 def show_episodes(total: int) -> Iterator[Advance]:
-    """Show how far an evaluation is.
+    """Show the progress of an evaluation.
 
     Args:
-        total: Episodes to fly.
+        total: Number of episodes.
 
     Yields:
-        A function to call with how many more episodes are done.
+        A callback for the number of newly finished episodes.
     """
     done = 0
     with show_progress("flying", total, "episodes") as report:
@@ -216,11 +215,11 @@ def show_episodes(total: int) -> Iterator[Advance]:
         yield advance
 
 
-def out_folder(path: Path) -> Path:
-    """Make the folder for the files of a command, if it is not there.
+def make_out_folder(path: Path) -> Path:
+    """Create the output folder of a command if it does not exist.
 
     Raises:
-        ValueError: It cannot be made; the message tells why.
+        ValueError: If the folder cannot be created. The message contains the reason.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -230,8 +229,8 @@ def out_folder(path: Path) -> Path:
 
 
 def _parse_value(text: str) -> Any:
-    """Parse a literal, or several with commas between them, which become a tuple."""
-    # A literal such as (1, 2) or {"goal": 10} has commas of its own.
+    """Parse a literal, or comma-separated literals, which become a tuple."""
+    # A literal such as (1, 2) or {"goal": 10} contains commas itself
     parts = [_parse_literal(part) for part in text.split(",")]
     if len(parts) == 1 or text[0] in "([{":
         return _parse_literal(text)
@@ -239,9 +238,9 @@ def _parse_value(text: str) -> Any:
 
 
 def _parse_literal(text: str) -> Any:
-    """Parse a number, a truth value, None or another Python literal, or else keep the text."""
+    """Parse a number, a bool, None or another Python literal, or else return the text."""
     try:
         return ast.literal_eval({"true": "True", "false": "False"}.get(text, text))
     except (ValueError, SyntaxError, TypeError):
-        # Python has no literals for these three.
+        # Python has no literals for these three
         return float(text) if text.strip() in ("nan", "inf", "-inf") else text

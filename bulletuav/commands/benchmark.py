@@ -1,4 +1,4 @@
-"""`bulletuav benchmark`: how fast this machine is."""
+"""`bulletuav benchmark`: measure the speed of this machine."""
 
 import argparse
 import itertools
@@ -15,13 +15,13 @@ from bulletuav.envs.aviary import Aviary
 SECONDS = 0.3
 """CPU time of one measurement, s"""
 DECISIONS = 500
-"""How many decisions are flown to measure stages"""
+"""Number of decisions over which stages are measured"""
 ABOUT = {
-    "help": "measure this machine: drone-substeps per CPU-second of every dynamics",
+    "help": "measure the speed of this machine for each dynamics model",
     "description": (
-        "Print drone-substeps per CPU-second of every dynamics, the same for the bare calls of "
-        "the engine, and how long resets take. With --stages, print how long each stage of a "
-        "decision of a task takes instead."
+        "Print physics steps of drones per CPU-second for each dynamics model, the same for bare "
+        "calls of the physics engine, and the duration of a reset. With --stages, print the "
+        "duration of each stage of a decision of a task instead."
     ),
     "epilog": """examples:
   bulletuav benchmark
@@ -31,47 +31,49 @@ ABOUT = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add swarm sizes, and how long to measure."""
+    """Add --drones, --seconds and --stages."""
     parser.add_argument(
         "--drones",
         type=int,
         nargs="+",
         metavar="N",
-        help=f"swarm sizes (default: {' '.join(map(str, SIZES))})",
+        help=f"numbers of drones (default: {' '.join(map(str, SIZES))})",
     )
     parser.add_argument(
         "--seconds",
         type=float,
-        help=f"CPU time of one measurement (default: {SECONDS})",
+        help=f"CPU time of one measurement in s (default: {SECONDS})",
     )
     parser.add_argument("--stages", metavar="TASK", help="measure the stages of this task")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Measure and print."""
+    """Measure, and print the results."""
     if arguments.stages is not None:
         if arguments.drones is not None or arguments.seconds is not None:
-            raise ValueError("--stages measures a task as it is: leave --drones and --seconds out")
+            raise ValueError(
+                "--stages uses the defaults of the task: leave --drones and --seconds out"
+            )
         _print_stages(arguments.stages)
         return
     sizes = tuple(SIZES if arguments.drones is None else arguments.drones)
     seconds = SECONDS if arguments.seconds is None else arguments.seconds
     if min(sizes) < 1 or not seconds > 0:
         raise ValueError(f"--drones {sizes}, --seconds {seconds}: numbers above 0 are needed")
-    # Every case is measured several times in turn, so that all meet the same disturbances.
+    # Interleave repeated measurements, so that all cases meet the same disturbances
     total = len(sizes) * (len(DYNAMICS) + len(FLOORS)) * ROUNDS
     done = itertools.count(1)
     with show_progress("measuring", total, "measurements") as report:
         results = measure(sizes, seconds, lambda: report(next(done)))
     print_table(_table(results, sizes))
     print(
-        "bare step: only the engine's step\n"
-        "engine calls: the step, and for every drone a wrench applied and a state read"
+        "bare step: only the step of the physics engine\n"
+        "engine calls: the step and, for each drone, applying a wrench and reading the state"
     )
 
 
 def _print_stages(task: str) -> None:
-    """Measure the stages of a decision of a task, and print them."""
+    """Measure and print the duration of the stages of a decision of a task."""
     aviary = Aviary(task)
     try:
         aviary.reset(seeds=0)
@@ -80,22 +82,22 @@ def _print_stages(task: str) -> None:
         aviary.close()
     count, dynamics = aviary.num_drones, aviary.options.dynamics_name
     table = Table(
-        title=f"{task}, {count} drone{'s' * (count > 1)}, {dynamics}: microseconds of each stage"
+        title=f"{task}, {count} drone{'s' * (count > 1)}, {dynamics}: microseconds per decision"
     )
     table.add_column("stage", no_wrap=True)
     table.add_column("us", justify="right")
-    table.add_column("what it does")
+    table.add_column("description")
     for stage in aviary.simulation.stages:
         table.add_row(stage.name, f"{profile[stage.name]:.1f}", stage.summary)
-    table.add_row("all", f"{sum(profile.values()):.1f}", f"mean of {DECISIONS} decisions at random")
+    table.add_row("all", f"{sum(profile.values()):.1f}", f"mean of {DECISIONS} random decisions")
     print_table(table)
 
 
 def _table(results: Sequence[Result], sizes: Sequence[int]) -> Table:
-    """Lay out the rates: a row for each dynamics or floor, a column for each swarm size."""
+    """Return a table of rates: a row for each dynamics, a column for each number of drones."""
     table = Table(
-        title="drone-substeps per CPU-second, one thread, 240 Hz, all forces; "
-        "below it the time of a reset of the world"
+        title="physics steps of drones per CPU-second, one thread, 240 Hz, all forces; "
+        "below: duration of a reset of the world"
     )
     table.add_column("dynamics", no_wrap=True)
     for size in sizes:
@@ -107,6 +109,6 @@ def _table(results: Sequence[Result], sizes: Sequence[int]) -> Table:
 
 
 def _cell(result: Result) -> str:
-    """Write the rate of a case and, where it has one, its reset time."""
+    """Return the rate of a case and, if it has one, its reset time."""
     rate = f"{result.rate:.3g}"
     return rate if result.name in FLOORS else f"{rate}\n{result.reset_ms:.2f} ms"

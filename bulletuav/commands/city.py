@@ -1,4 +1,4 @@
-"""`bulletuav city`: make a city, or read one, and write what it looks like."""
+"""`bulletuav city`: generate or import a city, and write its map, mesh and statistics."""
 
 import argparse
 import dataclasses
@@ -24,17 +24,17 @@ from bulletuav.city.maps import draw_map
 from bulletuav.city.model import City
 from bulletuav.city.render import render
 from bulletuav.city.statistics import KINDS, Statistics, realised
-from bulletuav.commands.arguments import out_folder
+from bulletuav.commands.arguments import make_out_folder
 from bulletuav.commands.output import print_files, print_table
-from bulletuav.errors import as_int, choose
+from bulletuav.errors import as_int, find_choice
 from bulletuav.files import replace_file, whole_file
 from bulletuav.report.pictures import blank_figure, save_figure
 
 ABOUT = {
-    "help": "make a city and write its map, OBJ file and statistics",
+    "help": "generate a city and write its map, OBJ file and statistics",
     "description": (
-        "Make a city with the statistics of ITU-R P.1410, or read one from a file. Print its "
-        "statistics beside those aimed at. Write a map, a Wavefront OBJ file and the statistics."
+        "Generate a city with the statistics of ITU-R P.1410, or import one from a file. Print its "
+        "statistics next to the targets. Write a map, a Wavefront OBJ file and the statistics."
     ),
     "epilog": """examples:
   bulletuav city --kind dense --seed 3 --out dense
@@ -43,18 +43,18 @@ ABOUT = {
 }
 NUMBERS = ("alpha", "beta", "gamma")
 GENERATOR = {"kind", "seed", "irregularity", "side", *NUMBERS}
-"""Options that have a meaning for a generated city"""
+"""Options of generated cities"""
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("statistic", "left"),
     ("realised", "right"),
     ("target", "right"),
 )
 Measured = dict[str, tuple[float, float]]
-"""Value of each statistic, and the value aimed at, NaN where there is none"""
+"""Value and target of each statistic; the target is NaN if there is none"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what to generate, what to import, and where to write."""
+    """Add options of generated and imported cities, and the output folder."""
     _add_generator(parser)
     _add_import(parser)
     parser.add_argument(
@@ -68,54 +68,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_generator(parser: argparse.ArgumentParser) -> None:
     """Add the options of a generated city."""
-    # Statistics of the ITU-R; a kind is a name for three of them
+    # Statistics of the ITU-R; a kind is a preset of three of them
     parser.add_argument("--kind", help=f"{', '.join(KINDS)} (default: urban)")
     parser.add_argument(
-        "--alpha", type=float, help="built-up share of the ground (default: the kind's)"
+        "--alpha", type=float, help="built-up fraction of the ground (default: that of the kind)"
     )
-    parser.add_argument("--beta", type=float, help="buildings per km^2 (default: the kind's)")
+    parser.add_argument("--beta", type=float, help="buildings per km^2 (default: that of the kind)")
     parser.add_argument(
-        "--gamma", type=float, metavar="M", help="most frequent height (default: the kind's)"
+        "--gamma",
+        type=float,
+        metavar="M",
+        help="mode of building heights (default: that of the kind)",
     )
-    # How regular, and how large
-    parser.add_argument(
-        "--irregularity", type=float, help="from 0, a regular grid (the default), to 1"
-    )
-    parser.add_argument("--seed", type=int, help="same seed, same city (default: 0)")
+    # Regularity and size
+    parser.add_argument("--irregularity", type=float, help="0 (a regular grid, the default) to 1")
+    parser.add_argument("--seed", type=int, help="random seed of the city (default: 0)")
     parser.add_argument(
         "--side",
         type=float,
         metavar="M",
-        help="side of the square (default: 500, or what an import needs)",
+        help="side of the square (default: 500, or as large as an import needs)",
     )
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
     """Add the options of a city from a file."""
-    # Any file: strict is None when left out, as a generated city takes no such option
+    # Flags default to None, as generated cities have no such options
     parser.add_argument(
         "--import",
         type=Path,
         dest="file",
         metavar="FILE",
-        help="read footprints (GeoJSON) or meshes (OBJ) instead of generating",
+        help="import footprints (GeoJSON) or meshes (OBJ) instead of generating a city",
     )
     parser.add_argument(
         "--strict",
         action="store_true",
         default=None,
-        help="refuse what is repaired, guessed or left out otherwise",
+        help="fail where the import would otherwise repair, guess or skip something",
     )
     parser.add_argument(
         "--height",
         metavar="NAME",
-        help="GeoJSON: the property with the height in m (default: height)",
+        help="GeoJSON: name of the property with the height in m (default: height)",
     )
     parser.add_argument(
         "--default-height",
         type=float,
         metavar="M",
-        help="GeoJSON: height of buildings that tell neither height nor levels (default: 10)",
+        help="GeoJSON: height of buildings without height and levels (default: 10)",
     )
     parser.add_argument(
         "--metres",
@@ -123,27 +124,25 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         default=None,
         help="GeoJSON: coordinates are metres, not degrees",
     )
-    parser.add_argument(
-        "--scale", type=float, help="OBJ: metres in a unit of the file (default: 1)"
-    )
+    parser.add_argument("--scale", type=float, help="OBJ: metres per unit of the file (default: 1)")
     parser.add_argument("--y-up", action="store_true", default=None, help="OBJ: y points up, not z")
     parser.add_argument(
         "--elevation",
         metavar="HOW",
-        help="OBJ: ground puts each building on the ground, keep leaves heights as they are "
-        "(default: auto, ground where the whole model is above it)",
+        help="OBJ: ground moves each building to the ground, keep leaves heights unchanged "
+        "(default: auto, ground if the whole model is above the ground)",
     )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Make or read a city, print and write."""
+    """Generate or import a city, print its statistics and write the files."""
     city, target = _city(arguments)
     measured = realised(city, target)
-    out = out_folder(arguments.out)
+    out = make_out_folder(arguments.out)
     files = [out / "map.png", out / "city.obj", out / "statistics.json", out / "city.png"]
     map_file, obj_file, statistics_file, picture_file = files
 
-    # Pictures and the OBJ file first, then the numbers.
+    # Pictures and the OBJ file first, then the statistics
     figure = blank_figure(9, 8)
     draw_map(city, figure.add_subplot())
     save_figure(figure, map_file)
@@ -158,7 +157,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
-    """Make or read the city, and give the statistics that a generated one aims at."""
+    """Return the city and, if it is generated, its target statistics."""
     options = {
         name: value
         for name, value in vars(arguments).items()
@@ -167,57 +166,53 @@ def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
     file = options.pop("file", None)
     if file is None:
         return _generated(options)
-    # The ending chooses the reader, whose parameters are the options with a meaning.
-    reader = choose(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
+    # The extension selects the importer, whose parameters are the valid options
+    reader = find_choice(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
     _refuse_others(options, inspect.signature(reader).parameters, f"an import of {file}")
-    # The report is printed, so there is no need of its one line.
+    # The report is printed as a table, so its one-line warning is not needed
     with warnings.catch_warnings(action="ignore", category=MendedWarning):
         return reader(file, **options), None
 
 
 def _generated(options: dict[str, Any]) -> tuple[City, Statistics]:
-    """Generate a city, and give the statistics that it aims at."""
+    """Return a generated city and its target statistics."""
     _refuse_others(options, GENERATOR, "a generated city")
     kind = options.get("kind", "urban")
     numbers = {name: options[name] for name in NUMBERS if name in options}
-    target = dataclasses.replace(choose("kind of city", kind, KINDS), **numbers)
+    target = dataclasses.replace(find_choice("kind of city", kind, KINDS), **numbers)
     side = options.get("side", 500.0)
     irregularity = options.get("irregularity", 0.0)
     rng = np.random.default_rng(as_int("seed", options.get("seed", 0), least=0))
-    # An unchanged kind goes by its name, which becomes the name of the city.
+    # An unchanged kind is passed by name, which becomes the name of the city
     return generate(target if numbers else kind, side, rng, irregularity), target
 
 
-def _refuse_others(
-    options: dict[str, Any],
-    known: Container[str],
-    what: str,
-) -> None:
-    """Raise ValueError for an option that has no meaning."""
+def _refuse_others(options: dict[str, Any], known: Container[str], what: str) -> None:
+    """Raise ValueError for an option that does not apply."""
     for name in options:
         if name not in known:
             raise ValueError(f"--{name.replace('_', '-')} has no meaning for {what}: leave it out")
 
 
 def _described(city: City, measured: Measured) -> dict[str, Any]:
-    """Collect what goes into statistics.json; what was not aimed at is null."""
+    """Return the contents of statistics.json; targets that do not exist are null."""
     statistics = {
         name: {"realised": value, "target": None if math.isnan(target) else target}
         for name, (value, target) in measured.items()
     }
     report = city.report
-    told = {} if report is None else {"import": _described_import(report)}
+    extra = {} if report is None else {"import": _described_import(report)}
     return {
         "name": city.name,
         "side_m": city.side,
         "buildings": len(city.heights),
         "statistics": statistics,
-        **told,
+        **extra,
     }
 
 
 def _described_import(report: ImportReport) -> dict[str, Any]:
-    """Collect what an importer did, for statistics.json."""
+    """Return the import report for statistics.json."""
     return {
         "file": str(report.path),
         "counts": report.counts,
@@ -227,11 +222,11 @@ def _described_import(report: ImportReport) -> dict[str, Any]:
 
 
 def _report_table(report: ImportReport) -> Table:
-    """Lay out what an importer did: how often, and where first."""
-    table = Table(title=f"what was done to read {report.path.name}")
+    """Return a table of the notes of an import: their number and first locations."""
+    table = Table(title=f"changes on import of {report.path.name}")
     table.add_column("count", justify="right")
-    table.add_column("what")
-    table.add_column("first")
+    table.add_column("change")
+    table.add_column("first locations")
     for kind, count in report.counts.items():
         table.add_row(str(count), NOTE_KINDS[kind].meaning, ", ".join(report.first(kind)))
     if report.splits:
@@ -239,15 +234,15 @@ def _report_table(report: ImportReport) -> Table:
         beyond = max(one.beyond for one in report.splits)
         table.add_row(
             str(len(report.splits)),
-            f"meshes split into convex pieces: at most {excess:.2%} off in volume, "
-            f"{beyond:.2g} m beyond",
+            f"meshes split into convex pieces: volume error at most {excess:.2%}, "
+            f"at most {beyond:.2g} m outside the mesh",
             ", ".join(one.where for one in report.splits[:FIRST_SHOWN]),
         )
     return table
 
 
 def _table(city: City, measured: Measured) -> Table:
-    """Lay out the statistics beside their targets."""
+    """Return a table of the statistics and their targets."""
     table = Table(
         title=f"city {city.name}, {city.side:g} m x {city.side:g} m, {len(city.heights)} buildings"
     )

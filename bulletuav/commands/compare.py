@@ -1,4 +1,4 @@
-"""`bulletuav compare`: a leaderboard of policies over tasks."""
+"""`bulletuav compare`: evaluate several policies in several tasks, and write a leaderboard."""
 
 import argparse
 import itertools
@@ -12,7 +12,7 @@ from bulletuav.commands.arguments import (
     add_options,
     add_sharing,
     given_options,
-    out_folder,
+    make_out_folder,
     print_piece,
     show_episodes,
 )
@@ -26,9 +26,9 @@ from bulletuav.report.results import note_cases, write_comparison
 ABOUT = {
     "help": "evaluate several policies in several tasks and write a leaderboard",
     "description": (
-        "Evaluate every policy in every task, difficulty and (--dynamics A,B) dynamics. Write a "
-        "leaderboard as markdown, csv and picture. The same command continues where it was "
-        "interrupted. --action is not for trained policies: they keep their own."
+        "Evaluate each policy in each task, difficulty and (--dynamics A,B) dynamics. Write a "
+        "leaderboard as markdown, csv and picture. The same command resumes an interrupted "
+        "comparison. --action does not apply to trained policies, which have their own."
     ),
     "epilog": """examples:
   bulletuav compare --policies straight,potential,orca --tasks crossing,pursuit,converge \\
@@ -47,21 +47,21 @@ class _Case(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add tasks, policies, how many episodes, where to write, and the options."""
+    """Add tasks, policies, episodes, output folder and environment options."""
     parser.add_argument(
-        "--tasks", required=True, type=_names, metavar="A,B", help="of `bulletuav tasks`"
+        "--tasks", required=True, type=_names, metavar="A,B", help="names of `bulletuav tasks`"
     )
     parser.add_argument("--policies", required=True, type=_names, metavar="A,B", help=POLICY_HELP)
     parser.add_argument(
         "--difficulties",
         type=_names,
         metavar="A,B",
-        help="easy, medium, hard, extreme (default: the task's)",
+        help="easy, medium, hard, extreme (default: that of the task)",
     )
     parser.add_argument(
         "--against",
         metavar="POLICY",
-        help="one of the policies: print by how much the others differ from it",
+        help="reference policy: print the difference of the others from it",
     )
     add_episodes(parser)
     add_sharing(parser)
@@ -76,15 +76,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Evaluate all, print and write."""
+    """Evaluate all cases, print the leaderboard and write the files."""
     options = given_options(arguments)
-    # Here --dynamics can be several, so they are no option that all cases share.
+    # --dynamics may be a list here, so it is not an option that all cases share
     dynamics = _names(str(options.pop("dynamics"))) if "dynamics" in options else None
     if arguments.difficulties and "difficulty" in options:
         raise ValueError("--difficulty and --difficulties: give one of them")
     if arguments.against not in (None, *arguments.policies):
         raise unknown("policy in --against,", arguments.against, arguments.policies)
-    out = out_folder(arguments.out)
+    out = make_out_folder(arguments.out)
     cases = _cases(arguments, options, dynamics)
     folders = [out / "runs" / run_name(*case) for case in cases]
     if arguments.piece is not None:
@@ -101,19 +101,17 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _names(text: str) -> list[str]:
-    """Split names with commas between them, and keep each once."""
+    """Split comma-separated names, without duplicates."""
     names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not names:
-        raise argparse.ArgumentTypeError(f"{text!r} names nothing")
+        raise argparse.ArgumentTypeError(f"{text!r} has no name")
     return names
 
 
 def _cases(
-    arguments: argparse.Namespace,
-    options: dict[str, Any],
-    dynamics: list[str] | None,
+    arguments: argparse.Namespace, options: dict[str, Any], dynamics: list[str] | None
 ) -> list[_Case]:
-    """List every policy in every task, difficulty and dynamics, with all options that it needs."""
+    """Return the cases: each policy in each task, difficulty and dynamics, with options."""
     combinations = itertools.product(
         arguments.tasks,
         _each("difficulty", arguments.difficulties),
@@ -128,30 +126,23 @@ def _cases(
 
 
 def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
-    """Make one dict of options for each value; an empty dict where there are no values."""
+    """Return one dict of options for each value, or one empty dict without values."""
     return [{option: value} if value else {} for value in values or [""]]
 
 
-def _case_options(
-    task: str,
-    name: str,
-    options: dict[str, Any],
-    trust: bool,
-) -> dict[str, Any]:
-    """Complete the options for a policy; trained ones keep their own action."""
+def _case_options(task: str, name: str, options: dict[str, Any], trust: bool) -> dict[str, Any]:
+    """Complete the options for a policy; trained policies keep their own action."""
     policy = find_policy(name, task, trust)
     if policy.models and policy.actions:
-        # The user's action is for the others, which may not be able to give the trained one's.
+        # The given action is for the other policies
         options = {option: value for option, value in options.items() if option != "action"}
     return policy.complete(task, options)
 
 
 def _evaluate(
-    arguments: argparse.Namespace,
-    cases: list[_Case],
-    folders: list[Path],
+    arguments: argparse.Namespace, cases: list[_Case], folders: list[Path]
 ) -> list[Evaluation]:
-    """Evaluate the cases, or a piece of each, in turn, each in a folder of its own."""
+    """Evaluate the cases, or a piece of each, in order, each in its own folder."""
     results = []
     batches = -(-arguments.episodes // BATCH)
     with show_episodes(shared_episodes(arguments, len(cases))) as advance:

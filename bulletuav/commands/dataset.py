@@ -1,4 +1,4 @@
-"""`bulletuav dataset`: flights of a policy, for others to learn from."""
+"""`bulletuav dataset`: record transitions of a policy for offline learning."""
 
 import argparse
 from pathlib import Path
@@ -15,11 +15,11 @@ from bulletuav.commands.evaluate import completed_case, shared_episodes
 from bulletuav.commands.output import print_files
 
 ABOUT = {
-    "help": "fly episodes and keep every transition, as Parquet tables and for Minari",
+    "help": "record the transitions of a policy as Parquet tables and Minari datasets",
     "description": (
-        "Fly episodes and keep what drones observed and did (extra dataset): Parquet tables of all "
-        "drones, and a dataset of Minari for each. The same command continues where it was "
-        "interrupted."
+        "Fly episodes and record observations, actions and rewards (extra dataset): Parquet tables "
+        "of all drones, and a Minari dataset of each drone. The same command resumes an "
+        "interrupted recording."
     ),
     "epilog": """examples:
   bulletuav dataset crossing --policy orca --episodes 100 --workers 2 --out flights
@@ -28,9 +28,9 @@ ABOUT = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the task, the policy, how many episodes, where to write, and the options."""
+    """Add task, policy, episodes, output folder and environment options."""
     parser.add_argument("task", help="one of `bulletuav tasks`")
-    parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
+    parser.add_argument("--policy", help=f"{POLICY_HELP} (default: the baseline of the task)")
     add_episodes(parser)
     add_sharing(parser)
     parser.add_argument(
@@ -40,10 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Collect, and tell what was written."""
+    """Record the dataset, and print the written files."""
     from bulletuav.analysis.dataset import collect  # which needs an extra
 
-    # Bad arguments end the command before anything is flown
+    # Check arguments before any episode is flown
     task, policy, options, out = completed_case(arguments, "datasets")
     with show_episodes(shared_episodes(arguments)) as advance:
         files = collect(
@@ -59,10 +59,10 @@ def run(arguments: argparse.Namespace) -> None:
             ray=arguments.ray,
             **options,
         )
-    # A piece is a share of the episodes: nothing is complete yet
+    # A piece has only a part of the episodes
     if arguments.piece is not None:
         print_piece(arguments.piece, out)
         return
-    # Tables are many: their folder stands for them
+    # Print the folder of the tables, which are many
     tables = [path for path in files if path.suffix == ".parquet"]
     print_files([tables[0].parent, *files[len(tables) :]])

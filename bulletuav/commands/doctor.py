@@ -1,4 +1,4 @@
-"""`bulletuav doctor`: what is active and what is missing."""
+"""`bulletuav doctor`: print what is installed and what is missing."""
 
 import argparse
 
@@ -8,9 +8,9 @@ from bulletuav.commands.output import print_table
 from bulletuav.report.doctor import examine
 
 ABOUT = {
-    "help": "print versions, what is active and what is missing",
+    "help": "print versions, and what is installed, active or missing",
     "description": (
-        "Print the versions, whether the C extension is active, and how to get what is missing."
+        "Print the versions, whether the C extension is active, and how to install what is missing."
     ),
     "epilog": """example:
   bulletuav doctor""",
@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> None:
     for finding in findings:
         table.add_row(finding.subject, finding.state)
     print_table(table)
-    # Below the table, where a command can be copied.
+    # Below the table, where commands can be copied
     for finding in findings:
         if finding.remedy:
             print(f"{finding.subject}: {finding.remedy}")

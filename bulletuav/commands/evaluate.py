@@ -1,4 +1,4 @@
-"""`bulletuav evaluate`: many episodes of one policy in one task."""
+"""`bulletuav evaluate`: evaluate one policy in one task over many episodes."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -29,12 +29,12 @@ from bulletuav.report.results import write_evaluation
 from bulletuav.tasks import find_task, list_tasks
 
 ABOUT = {
-    "help": "fly many episodes and print metrics with confidence intervals",
+    "help": "evaluate a policy over many episodes, with confidence intervals",
     "description": (
         "Fly many episodes in batches and processes. Print metrics with 95 % confidence "
-        "intervals. Write these, the metrics of every episode, and a picture. The same command "
-        "continues where it was interrupted. The folder of a run in place of the task flies its "
-        "policy with the options of its run.yaml; options that are given override these."
+        "intervals. Write these, the metrics of each episode, and a picture. The same command "
+        "resumes an interrupted evaluation. The folder of a training run in place of the task "
+        "evaluates its policy with the options of its run.yaml, which given options override."
     ),
     "epilog": """examples:
   bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
@@ -45,22 +45,22 @@ COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("metric", "left"),
     ("mean", "right"),
     ("95 % interval", "right"),
-    ("what it is", "left"),
+    ("description", "left"),
 )
 SCORES = ("success", "conflict", "collision", "completed", "return")
-"""Metrics in the line of a score"""
+"""Metrics in the one-line score"""
 EPISODES = 100
-"""Number of episodes where neither the command nor a run sets it"""
+"""Default number of episodes"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the task, the policy, how many episodes, where to write, and the options."""
+    """Add task, policy, episodes, metrics, output folder and environment options."""
     parser.add_argument(
         "task", help="one of `bulletuav tasks`, or the folder of a run of `bulletuav train`"
     )
-    parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
+    parser.add_argument("--policy", help=f"{POLICY_HELP} (default: the baseline of the task)")
     add_episodes(parser)
-    # Runs have a number of episodes of their own
+    # Training runs have their own number of episodes
     parser.set_defaults(episodes=None)
     add_sharing(parser)
     parser.add_argument(
@@ -68,8 +68,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="measure this as well: a registered metric, or module:Name, also of a file mine.py in "
-        "the current folder; repeatable",
+        help="additional metric: a registered name, or module:Name, also from a file mine.py in "
+        "the current folder; can be repeated",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: one in evaluation/)"
@@ -78,10 +78,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Evaluate, print and write."""
-    # Bad arguments end the command before anything is flown
-    usual = _set_run(arguments)
-    task, policy, options, out = completed_case(arguments, "evaluation", usual or {})
+    """Evaluate, print the score and write the files."""
+    # Check arguments before any episode is flown
+    defaults = _set_run(arguments)
+    task, policy, options, out = completed_case(arguments, "evaluation", defaults or {})
     with show_episodes(shared_episodes(arguments)) as advance:
         result = evaluate_case(
             arguments,
@@ -92,29 +92,29 @@ def run(arguments: argparse.Namespace) -> None:
             progress=advance,
             metrics=arguments.metric,
         )
-    # A piece is a share of the episodes: no table before all are there
+    # A piece has only a part of the episodes, so there is no table yet
     if arguments.piece is not None:
         print_piece(arguments.piece, out)
         return
     files = write_evaluation(result, out)
     which = "other options" if given_options(arguments) else "options"
-    print_score(result, f", {which} of {config_file(Path(policy))}" if usual is not None else "")
+    print_score(result, f", {which} of {config_file(Path(policy))}" if defaults is not None else "")
     print_table(_table(result))
-    print(_pace(result))
+    print(_describe_speed(result))
     print_files(files)
 
 
 def _set_run(arguments: argparse.Namespace) -> dict[str, Any] | None:
-    """Replace the folder of a run among the arguments by its task and policy.
+    """Replace the folder of a run in the arguments by its task and policy.
 
     Args:
-        arguments: Parsed arguments; the number of episodes is set, too, unless it is given.
+        arguments: Parsed arguments; the number of episodes is also set, unless it is given.
 
     Returns:
-        The options of the run's evaluations; None where a task was given.
+        The options of evaluations of the run; None if a task was given.
 
     Raises:
-        ValueError: A policy is given beside a run.
+        ValueError: If a policy is given in addition to a run.
     """
     folder = arguments.task
     if folder in list_tasks() or not Path(folder).is_dir():
@@ -122,8 +122,8 @@ def _set_run(arguments: argparse.Namespace) -> dict[str, Any] | None:
         return None
     if arguments.policy is not None:
         raise ValueError(
-            f"--policy {arguments.policy} beside the run {folder}, which has a policy: "
-            f"give a task for another one"
+            f"--policy {arguments.policy} with the run {folder}, which has its own policy: "
+            f"give a task to evaluate another policy"
         )
     config = read_run_config(Path(folder), arguments.trust)
     arguments.task, arguments.policy = config.task, folder
@@ -132,31 +132,27 @@ def _set_run(arguments: argparse.Namespace) -> dict[str, Any] | None:
 
 
 def completed_case(
-    arguments: argparse.Namespace, home: str, usual: Mapping[str, Any] = MappingProxyType({})
+    arguments: argparse.Namespace, home: str, defaults: Mapping[str, Any] = MappingProxyType({})
 ) -> tuple[str, str, dict[str, Any], Path]:
-    """Complete what a command left out, by the task and by the policy.
+    """Complete the arguments of a command by the defaults of the task and the policy.
 
     Args:
         arguments: Parsed arguments of a command with a task, `--policy`, `--out` and `--trust`.
-        home: Where its folder is, when none is given.
-        usual: Options where none are given.
+        home: Parent of the output folder if no folder is given.
+        defaults: Default options of the environment.
 
     Returns:
-        Task, policy, options of the environment, and the folder for the files.
+        Task, policy, options of the environment, and output folder.
     """
     task = arguments.task
     policy = arguments.policy or find_task(task).baseline
     spec = find_policy(policy, task, arguments.trust)
-    options = spec.complete(task, {**usual, **given_options(arguments)})
+    options = spec.complete(task, {**defaults, **given_options(arguments)})
     return task, policy, options, arguments.out or Path(home) / run_name(task, policy, options)
 
 
-def run_name(
-    task: str,
-    policy: str,
-    options: dict[str, Any],
-) -> str:
-    """Make a folder's name for a run from its task, difficulty, dynamics and policy."""
+def run_name(task: str, policy: str, options: dict[str, Any]) -> str:
+    """Return a folder name from task, difficulty, dynamics and policy."""
     dynamics = [options["dynamics"]] if "dynamics" in options else []
     name = "-".join([task, options.get("difficulty", "default"), *dynamics, policy])
     return "".join(letter if letter.isalnum() or letter in "_.-" else "_" for letter in name)
@@ -173,23 +169,23 @@ def evaluate_case(
     metrics: Sequence[str] = (),
     first: int = 0,
 ) -> Evaluation:
-    """Call `evaluate` with a command's episodes, seed, workers and trust.
+    """Call `evaluate` with the episodes, seed, workers and trust of a command.
 
     Args:
-        arguments: Parsed arguments of a command with those of `add_episodes`.
+        arguments: Parsed arguments of a command that uses `add_episodes`.
         task: Name of the task.
-        policy: Who flies, as users name it.
+        policy: The policy, as users name it.
         options: Options of the environment.
-        out: Folder for the episodes; those that are there already are not flown again.
-        progress: Called with the number of episodes that were done since its last call.
-        metrics: Metrics beside the standard ones.
-        first: How many batches of other cases come before, where pieces are flown.
+        out: Folder of the episodes; existing episodes are not flown again.
+        progress: Called with the number of newly finished episodes.
+        metrics: Metrics in addition to the standard ones.
+        first: Number of batches of earlier cases, for the distribution of pieces.
 
     Returns:
-        The evaluation, or that of a piece.
+        The evaluation, or its piece.
 
     Raises:
-        KeyboardInterrupt: With a line about what is kept.
+        KeyboardInterrupt: With a message about the kept results.
     """
     try:
         return evaluate(
@@ -202,15 +198,15 @@ def evaluate_case(
             progress=progress,
             trust=arguments.trust,
             metrics=metrics,
-            # Cases of a comparison are dealt out one after the other, from `first` on
+            # Batches of all cases are numbered consecutively
             piece=None if arguments.piece is None else arguments.piece._replace(first=first),
             ray=arguments.ray,
             **options,
         )
     except KeyboardInterrupt:
-        # Hours may be lost or not: say which
+        # Report that finished batches are kept
         raise KeyboardInterrupt(
-            f"{TEXT}: finished batches of episodes are kept in {out}; the same command goes on"
+            f"{TEXT}: finished batches of episodes are kept in {out}; the same command resumes"
         ) from None
 
 
@@ -219,7 +215,7 @@ def print_score(result: Evaluation, origin: str = "") -> None:
 
     Args:
         result: The evaluation.
-        origin: Where its options are from, after its conditions.
+        origin: Origin of its options, appended to its conditions.
     """
     about = result.about
     reads = ", which reads the true state" if about["reads_swarm"] else ""
@@ -236,14 +232,14 @@ def print_score(result: Evaluation, origin: str = "") -> None:
 
 
 def shared_episodes(arguments: argparse.Namespace, cases: int = 1) -> int:
-    """Count the episodes, of all cases, that this call is to fly."""
+    """Return the number of episodes of all cases that this call flies."""
     batches = -(-arguments.episodes // BATCH)
     counts = [min(BATCH, arguments.episodes - k * BATCH) for k in range(batches)] * cases
     return sum(counts if arguments.piece is None else arguments.piece.share(counts))
 
 
 def _table(result: Evaluation) -> Table:
-    """Lay out the metrics that have a value in some episode."""
+    """Return a table of the metrics that have a value in any episode."""
     table = Table()
     for heading, side in COLUMNS:
         table.add_column(heading, justify=side)
@@ -255,16 +251,15 @@ def _table(result: Evaluation) -> Table:
 
 
 def _interval(estimate: Estimate) -> str:
-    """Write a confidence interval."""
     return f"{estimate.low:.4g} to {estimate.high:.4g}"
 
 
-def _pace(result: Evaluation) -> str:
-    """Tell how fast the episodes were flown, compared with real time."""
+def _describe_speed(result: Evaluation) -> str:
+    """Return a text with the speed of the simulation relative to real time."""
     if not result.flight:
-        return "all of these episodes were there already"
+        return "all episodes were already in the folder"
     pace = result.flight / result.seconds
     return (
-        f"{result.flight:.0f} s of flight in {result.seconds:.1f} s of wall time: "
-        f"{pace:.1f} times real time"
+        f"{result.flight:.0f} s of simulated flight in {result.seconds:.1f} s of wall time: "
+        f"{pace:.1f} x real time"
     )

@@ -1,4 +1,4 @@
-"""`bulletuav export`: a flight for viewers of others, or a policy for other programs."""
+"""`bulletuav export`: export a flight for other viewers, or a policy for other programs."""
 
 import argparse
 import json
@@ -8,23 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.adapters.c_source import PRECISIONS, compiler, run_c, write_c
+from bulletuav.adapters.c_source import PRECISIONS, find_compiler, run_c, write_c
 from bulletuav.adapters.deployed import Deployed, deployed
 from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recording import REMEDY
 from bulletuav.commands.arguments import add_trust
 from bulletuav.commands.output import print_files
-from bulletuav.errors import choose, reason_of
+from bulletuav.errors import find_choice, reason_of
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.replay import read_run
 
 ABOUT = {
-    "help": "write a flight for ROS 2 or Rerun, or a trained policy as C or ONNX",
+    "help": "export a flight for ROS 2 or Rerun, or a trained policy as C or ONNX",
     "description": (
-        "Write what `bulletuav fly` recorded as one file for programs of others: MCAP with "
-        "messages of ROS 2 (extra mcap), or .rrd of the viewer Rerun (extra rerun). Or write what "
-        "`bulletuav train` learned, from raw observations to setpoints: as plain C, or as ONNX "
-        "(extra onnx). A written policy is compared with its own."
+        "Export a recording of `bulletuav fly` as one file for other programs: MCAP with "
+        "messages of ROS 2 (extra mcap), or .rrd of the viewer Rerun (extra rerun). Or export a "
+        "policy of `bulletuav train`, from raw observations to setpoints: as C99, or as ONNX "
+        "(extra onnx). The exported policy is compared with the original."
     ),
     "epilog": """examples:
   bulletuav fly crossing --out flight && bulletuav export flight --to mcap
@@ -44,7 +44,7 @@ def _write_rrd(recording: Recording, path: Path) -> None:
     from bulletuav.adapters.rerun import write_rrd  # which needs an extra
 
     colours = drone_colours(recording.alive.shape[-1])
-    # Seals hold for whoever made them: what is in a sealed scene can still be odd.
+    # A seal proves only that a file is unchanged: its scene can still be invalid
     try:
         write_rrd(recording.everything(), colours, path)
     except (KeyError, TypeError, IndexError, AttributeError, json.JSONDecodeError) as error:
@@ -57,26 +57,18 @@ FORMATS: dict[str, tuple[str, Callable[[Recording, Path], None]]] = {
     "mcap": ("flight.mcap", _write_mcap),
     "rerun": ("flight.rrd", _write_rrd),
 }
-"""Name of the file beside the recording, and what writes it, by format"""
+"""Default file name and writer, by format of flights"""
 
 
-def _write_c(
-    policy: Deployed,
-    path: Path,
-    precision: str,
-) -> tuple[list[Path], float]:
+def _write_c(policy: Deployed, path: Path, precision: str) -> tuple[list[Path], float]:
     files = write_c(policy, path, precision)
-    # Where there is no compiler there is nothing to compare by.
-    if compiler() is None:
+    # The comparison needs a compiler
+    if find_compiler() is None:
         return files, math.nan
     return files, _difference(policy, run_c(path, policy.observations(), policy, precision))
 
 
-def _write_onnx(
-    policy: Deployed,
-    path: Path,
-    precision: str,
-) -> tuple[list[Path], float]:
+def _write_onnx(policy: Deployed, path: Path, precision: str) -> tuple[list[Path], float]:
     from bulletuav.adapters.onnx import run_onnx, write_onnx  # which needs an extra
 
     files = write_onnx(policy, path, precision)
@@ -84,7 +76,7 @@ def _write_onnx(
 
 
 def _difference(policy: Deployed, given: np.ndarray) -> float:
-    """Give the largest difference from the policy's own setpoints."""
+    """Return the maximum difference from the setpoints of the original policy."""
     return float(np.abs(given - policy.act(policy.observations())).max())
 
 
@@ -92,18 +84,21 @@ POLICIES: dict[str, tuple[str, Callable[[Deployed, Path, str], tuple[list[Path],
     "c": ("policy.c", _write_c),
     "onnx": ("policy.onnx", _write_onnx),
 }
-"""The same for policies; what writes tells its files and the largest difference of setpoints"""
+"""Default file name and writer, by format of policies
+
+A writer returns the files and the maximum difference of setpoints.
+"""
 AGREEMENT = 1e-6
-"""Largest difference of setpoints in double precision, in their units"""
+"""Maximum difference of setpoints in double precision, in their units"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flight or the policy, the format, and where to write."""
+    """Add the flight or the policy, the format, and the output file."""
     parser.add_argument(
         "run",
         type=Path,
         metavar="RUN",
-        help="folder that `bulletuav fly` wrote; of a policy that of `bulletuav train`, or of one "
+        help="folder of `bulletuav fly`; for policies the folder of `bulletuav train`, or of one "
         "of its checkpoints",
     )
     parser.add_argument(
@@ -113,23 +108,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"flights: {' or '.join(FORMATS)}; policies: {' or '.join(POLICIES)}",
     )
     parser.add_argument(
-        "--precision", help=f"numbers of a policy: {' or '.join(PRECISIONS)} (default: float)"
+        "--precision", help=f"precision of a policy: {' or '.join(PRECISIONS)} (default: float)"
     )
     add_trust(parser)
     names = ", ".join(name for name, _ in [*FORMATS.values(), *POLICIES.values()])
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help=f"the file (default: {names} in the folder)"
+        "--out", type=Path, metavar="FILE", help=f"output file (default: {names} in the folder)"
     )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the file."""
-    choose("format", arguments.to, {**FORMATS, **POLICIES})
+    """Write the file of a flight or a policy."""
+    find_choice("format", arguments.to, {**FORMATS, **POLICIES})
     if arguments.to in POLICIES:
         _export_policy(arguments)
         return
     if arguments.precision is not None:
-        raise ValueError("--precision is of policies: a flight has that of its format")
+        raise ValueError(
+            "--precision is for policies: the format of a flight defines its precision"
+        )
     name, write = FORMATS[arguments.to]
     recording, _ = read_run(arguments.run)
     folder = arguments.run if arguments.run.is_dir() else arguments.run.parent
@@ -139,19 +136,19 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _export_policy(arguments: argparse.Namespace) -> None:
-    """Write a policy, and tell how well the file agrees with it."""
+    """Write a policy, and print how well the file agrees with the original."""
     name, write = POLICIES[arguments.to]
     precision = arguments.precision or PRECISIONS[0]
-    choose("precision", precision, dict.fromkeys(PRECISIONS))
+    find_choice("precision", precision, dict.fromkeys(PRECISIONS))
     files, difference = write(
         deployed(arguments.run, arguments.trust), arguments.out or arguments.run / name, precision
     )
     if precision == "double" and difference > AGREEMENT:
         raise ValueError(f"{files[0]} differs from the policy by {difference:.2g}: report it")
     print_files(files)
-    told = (
+    text = (
         "not compared: no C compiler is installed"
         if math.isnan(difference)
         else f"setpoints agree with the policy to {difference:.1g}"
     )
-    print(f"{told} ({precision})")
+    print(f"{text} ({precision})")

@@ -1,4 +1,4 @@
-"""`bulletuav fly`: one episode, its files and pictures."""
+"""`bulletuav fly`: fly one episode, and write its trajectories and pictures."""
 
 import argparse
 import itertools
@@ -18,7 +18,7 @@ from bulletuav.commands.arguments import (
     add_options,
     add_trust,
     given_options,
-    out_folder,
+    make_out_folder,
 )
 from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
@@ -46,15 +46,23 @@ ABOUT = {
   bulletuav fly lidar_navigation --city urban --out out
   bulletuav fly crossing --dynamics rigid_body --wind 3 0 0 --set lane_spacing=20 --out out""",
 }
-CAPTION = "of each drone's last decision; nearest: the least; conflicts, collisions: in all"
-"""What the numbers of the table are of"""
+CAPTION = (
+    "values at the last decision of each drone; nearest: minimum distance to another drone; "
+    "conflicts, collisions: totals of the episode"
+)
+"""Explanation of the numbers below the table"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the task, the policy, the seed, where to write, and the options."""
+    """Add task, policy, seed, output files and environment options."""
     parser.add_argument("task", help="one of `bulletuav tasks`")
-    parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
-    parser.add_argument("--seed", type=int, default=0, help="same seed, same flight (default: 0)")
+    parser.add_argument("--policy", help=f"{POLICY_HELP} (default: the baseline of the task)")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="random seed; equal seeds give equal flights (default: 0)",
+    )
     parser.add_argument(
         "--out",
         type=Path,
@@ -66,10 +74,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--animation",
         choices=("gif", "mp4", "none"),
         default="gif",
-        help="mp4 needs the extra 'video'",
+        help="format of the animation; mp4 needs the extra 'video' (default: gif)",
     )
     parser.add_argument(
-        "--html", action="store_true", help=f"also write {REPLAY}, as `bulletuav replay` does"
+        "--html", action="store_true", help=f"also write {REPLAY}, a 3-D replay for browsers"
     )
     for name, where in (("live", "in browsers"), ("foxglove", "in Foxglove")):
         parser.add_argument(
@@ -77,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             nargs="?",
             const=USUAL_ADDRESS,
             metavar="HOST:PORT",
-            help=f"show the flight {where} while it goes on (default: {USUAL_ADDRESS})",
+            help=f"show the flight {where} while it runs (default: {USUAL_ADDRESS})",
         )
     add_trust(parser)
     add_options(parser)
@@ -85,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Fly one episode and write its files."""
-    # Refuse bad input before anything is written.
+    # Check the input before anything is written
     as_int("seed", arguments.seed, 0)
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
     spec = find_policy(arguments.policy, arguments.task, arguments.trust)
@@ -98,7 +106,7 @@ def run(arguments: argparse.Namespace) -> None:
         print(f"{aviary.viewer.invitation}: the flight begins then", flush=True)
         aviary.viewer.wait()
 
-    # Drones may all be done before the horizon.
+    # All drones may be done before the horizon
     decisions = itertools.count(1)
     with show_progress("flying", aviary.options.horizon, "decisions") as report:
         recording = fly_episode(aviary, policy, arguments.seed, lambda: report(next(decisions)))
@@ -115,9 +123,9 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _live_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Give the options of a live view, if one is wanted."""
+    """Return the options of a live view, if requested."""
     if arguments.live and arguments.foxglove:
-        raise ValueError("--live and --foxglove are two views of one flight: give one of them")
+        raise ValueError("--live and --foxglove cannot be combined: give one of them")
     address = arguments.live or arguments.foxglove
     if address is None:
         return {}
@@ -126,20 +134,16 @@ def _live_options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _prepare_folder(out: Path) -> None:
-    """Make the folder, without pictures of an earlier flight; refuse that of an evaluation."""
+    """Create the folder and delete old pictures; raise ValueError for evaluation folders."""
     if (out / EPISODES).exists():
         raise ValueError(f"--out {out} holds an evaluation: choose another folder")
-    for old in (*out_folder(out).glob("flight.*"), out / REPLAY):
+    for old in (*make_out_folder(out).glob("flight.*"), out / REPLAY):
         old.unlink(missing_ok=True)
 
 
-def _draw(
-    recording: Recording,
-    aviary: Aviary,
-    arguments: argparse.Namespace,
-) -> list[Path]:
-    """Draw the tracks and, unless it is not wanted, an animation."""
-    # Who flew, for the titles
+def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -> list[Path]:
+    """Draw the tracks and, unless disabled, an animation."""
+    # Airframes, for the titles
     airframes = ", ".join(sorted({airframe.name for airframe in aviary.options.airframe}))
     drones = f"{aviary.num_drones} {airframes}"
     title = f"{arguments.task}: {drones}, {arguments.policy}, seed {arguments.seed}"
@@ -149,7 +153,7 @@ def _draw(
     if arguments.animation == "none":
         return [tracks]
 
-    # Pictures take minutes for long flights, so progress is shown
+    # Drawing takes minutes for long flights
     drone_size = 2 * aviary.task.context.collision_radius
     animation = Animation(recording, d_safe, drone_size, title)
     path = arguments.out / f"flight.{arguments.animation}"
@@ -160,13 +164,13 @@ def _draw(
 
 
 def shown_infos(task: Task[Any]) -> Mapping[str, str]:
-    """List the infos that a task shows, by name, with what they are called."""
-    untold = () if task.has_goals else ("goal_distance",)
-    return {name: label for name, label in task.shows.items() if name not in untold}
+    """Return the labels of the infos that a task shows, by name of the info."""
+    hidden = () if task.has_goals else ("goal_distance",)
+    return {name: label for name, label in task.shows.items() if name not in hidden}
 
 
 def _table(recording: Recording, aviary: Aviary, seed: int) -> Table:
-    """Lay out how each drone's episode went."""
+    """Return a table of the outcome of each drone."""
     task = aviary.task
     options = aviary.options
     flown = Conditions(task.name, options.difficulty, options.dynamics_name, 1, seed)
@@ -186,10 +190,10 @@ def _table(recording: Recording, aviary: Aviary, seed: int) -> Table:
 
 
 def _cell(value: float) -> str:
-    """Write a number as what it is: a flag, a count, or a size."""
+    """Format a bool, a count, or a quantity."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
         return str(value)
-    # A drone that flies alone has no nearest neighbour.
+    # A single drone has no nearest neighbour
     return f"{value:.2f}" if math.isfinite(value) else "-"

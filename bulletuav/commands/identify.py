@@ -1,4 +1,4 @@
-"""`bulletuav identify`: constants of an airframe from flight logs."""
+"""`bulletuav identify`: identify constants of an airframe from flight logs."""
 
 import argparse
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import JustifyMethod
 from rich.table import Table
 
-from bulletuav.commands.arguments import out_folder
+from bulletuav.commands.arguments import make_out_folder
 from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.identification.constants import BATTERY, CONSTANTS, GROUPS
@@ -22,8 +22,8 @@ from bulletuav.vehicle.airframes import available_airframes, load_airframe
 ABOUT = {
     "help": "fit an airframe's constants to flight logs and write its URDF",
     "description": (
-        "Fit constants of an airframe to flight logs. Print them with 95 % intervals, and how well "
-        "they predict what was kept back. Write a URDF, a report and a picture."
+        "Fit constants of an airframe to flight logs. Print them with 95 % intervals, and the "
+        "errors of predictions of held-out data. Write a URDF, a report and a picture."
     ),
     "epilog": """examples:
   bulletuav identify --example flight.csv --airframe cf2x
@@ -31,7 +31,7 @@ ABOUT = {
   bulletuav identify flight.csv --airframe cf2x --fit thrust,drag,lag --mass 0.0312""",
 }
 EXAMPLE_SECONDS = 20.0
-"""Duration of the flight of --example"""
+"""Duration of the example flight, s"""
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("constant", "left"),
     ("before", "right"),
@@ -41,8 +41,8 @@ COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the logs, the airframe, what to fit, and where to write."""
-    # What is known: logs and airframe
+    """Add logs, airframe, constants to fit, and output folder."""
+    # Data: logs and airframe
     parser.add_argument(
         "logs", nargs="*", type=Path, metavar="LOG", help="CSV files with named columns"
     )
@@ -50,13 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--example",
         type=Path,
         metavar="FILE",
-        help=f"write a log of a simulated flight of {EXAMPLE_SECONDS:g} s, to try this command "
-        "with and to see the form of a log, and nothing else",
+        help=f"only write the log of a simulated flight of {EXAMPLE_SECONDS:g} s, as an example of "
+        "the format of logs",
     )
     parser.add_argument(
         "--airframe",
         required=True,
-        help=f"who flew: {', '.join(available_airframes())}, or the path of a URDF",
+        help=f"airframe of the logs: {', '.join(available_airframes())}, or the path of a URDF",
     )
     parser.add_argument(
         "--fit",
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="A,B",
         help=(
             f"groups ({', '.join((*GROUPS, BATTERY))}) or constants "
-            f"({', '.join(constant.name for constant in CONSTANTS)}) (default: what the logs tell)"
+            f"({', '.join(constant.name for constant in CONSTANTS)}) (default: all identifiable)"
         ),
     )
     parser.add_argument(
@@ -74,20 +74,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=COLUMN[*FACTOR][+OFFSET]",
         help=(
-            f"where a column is that has another name or unit; a factor is a number or one of "
+            f"column of a quantity, if its name or unit differs; a factor is a number or one of "
             f"{', '.join(FACTORS)}, with a minus sign for a reversed axis, such as t=time*ms "
             f"q=gyro_y*-deg z=altitude*mm-0.03"
         ),
     )
     parser.add_argument(
-        "--mass", type=float, metavar="KG", help="mass that flew (default: the airframe's)"
+        "--mass", type=float, metavar="KG", help="take-off mass (default: that of the airframe)"
     )
     parser.add_argument(
         "--window",
         type=float,
         default=WINDOW,
         metavar="S",
-        help=f"duration of the predicted flights (default: {WINDOW:g})",
+        help=f"duration of the predicted windows (default: {WINDOW:g})",
     )
     parser.add_argument(
         "--out",
@@ -99,14 +99,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Fit, print and write; or write an example of a log."""
+    """Fit constants, print and write them; or write an example log."""
     if (arguments.example is None) != bool(arguments.logs):
         raise ValueError("identify what? Give either flight logs or --example FILE")
     if arguments.example is not None:
         rows = fly(load_airframe(arguments.airframe), EXAMPLE_SECONDS, seed=0)
         print_files([write(arguments.example, noisy(rows, seed=0))])
         return
-    # Nothing named: all that the logs tell
+    # Without names, all identifiable constants are fitted
     names = [name.strip() for name in arguments.fit.split(",") if name.strip()]
     with show_progress("fitting", 100, "%") as report:
         result = identify(
@@ -118,11 +118,11 @@ def run(arguments: argparse.Namespace) -> None:
             window=arguments.window,
             progress=lambda share: report(100 * share),
         )
-    # The longest flight that was kept back shows how well the fit predicts
-    out = out_folder(arguments.out)
+    # Plot the prediction of the longest held-out flight
+    out = make_out_folder(arguments.out)
     picture = out / "prediction.png"
     shown = max(result.kept, key=lambda one: len(one.part.windows))
-    title = f"{result.before.name}: {shown.part.flight.log.path.name}, kept back"
+    title = f"{result.before.name}: {shown.part.flight.log.path.name}, held out"
     plot_identification(curves(shown), title, picture)
     files = [write_urdf(result, out), *write_report(result, out), picture]
     # Constants, errors before and after, and where the files are
@@ -134,21 +134,21 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _constants(result: Identification) -> Table:
-    """Lay out the constants."""
+    """Return a table of the constants before and after the fit."""
     table = Table(title=f"{result.before.name}, mass {result.airframe.mass:g} kg; SI units")
     for heading, side in COLUMNS:
         table.add_column(heading, justify=side)
     for name, row in as_table(result)["constants"].items():
-        interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not told"
-        after = f"{row['after']:.5g}" if row["told"] else "as it was"
+        interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not identifiable"
+        after = f"{row['after']:.5g}" if row["told"] else "unchanged"
         table.add_row(name, f"{row['before']:.5g}", after, interval)
     return table
 
 
 def _errors(result: Identification) -> Table:
-    """Lay out the errors in what was kept back."""
-    kept = "the logs" if result.whole_logs else "the half"
-    table = Table(title=f"RMS errors of predictions in {kept} kept back")
+    """Return a table of the prediction errors of held-out data."""
+    kept = "logs" if result.whole_logs else "halves of the logs"
+    table = Table(title=f"RMS prediction errors of held-out {kept}")
     table.add_column("error")
     for kind in KINDS:
         table.add_column(kind, justify="right")

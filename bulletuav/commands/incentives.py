@@ -1,4 +1,4 @@
-"""`bulletuav incentives`: does a task pay for what it wants?"""
+"""`bulletuav incentives`: check that reward functions favour the intended behaviour."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from bulletuav.commands.arguments import (
     add_episodes,
     add_options,
     given_options,
-    out_folder,
+    make_out_folder,
     show_episodes,
 )
 from bulletuav.commands.output import print_files
@@ -16,12 +16,13 @@ from bulletuav.files import replace_file
 from bulletuav.tasks import find_task, list_tasks
 
 ABOUT = {
-    "help": "compare what tasks pay their baselines and policies that shirk",
+    "help": "check rewards: compare returns of baselines and of policies that shirk",
     "description": (
-        "Fly each task with its baseline and with policies that shirk: stay, climb, dive, leave, "
-        "crash, circle the goal, clump, fly straight. The baseline is to out-earn each by more "
-        "than a tenth of its lead over staying (lower end of the 95 % interval). Print the best "
-        "paid shirker of each task, and write the whole table."
+        "Check the reward functions of tasks. Fly each task with its baseline and with policies "
+        "that shirk (avoid the task): stay, climb, dive, leave, crash, circle the goal, clump, fly "
+        "straight. The return of the baseline must exceed that of each by more than a tenth of its "
+        "lead over staying (lower end of the 95 % interval). Print the shirker with the "
+        "smallest gap to the baseline in each task, and write the whole table."
     ),
     "epilog": """examples:
   bulletuav incentives crossing --episodes 20 --out incentives
@@ -42,9 +43,9 @@ COLUMNS = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the tasks, their difficulties, how many episodes, where to write, and the options."""
-    parser.add_argument("tasks", nargs="*", help="of `bulletuav tasks` (default: all)")
-    parser.add_argument("--policy", help="the baseline (default: the task's)")
+    """Add tasks, difficulties, episodes, output folder and environment options."""
+    parser.add_argument("tasks", nargs="*", help="names of `bulletuav tasks` (default: all)")
+    parser.add_argument("--policy", help="baseline policy (default: that of the task)")
     parser.add_argument(
         "--difficulties", metavar="A,B", help="easy, medium, hard, extreme (default: all)"
     )
@@ -60,10 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Compare, print and write."""
+    """Compare returns, print the summary and write the tables."""
     options = given_options(arguments)
-    out = out_folder(arguments.out)
-    # Each task at each difficulty, against each shirker that it has
+    out = make_out_folder(arguments.out)
+    # Each task at each difficulty
     cases = [
         (task, difficulty)
         for task in arguments.tasks or list_tasks()
@@ -86,37 +87,37 @@ def run(arguments: argparse.Namespace) -> None:
                 **{**options, "difficulty": difficulty},
             )
 
-    # Of each case the best paid shirker is enough to look at; the file has all.
+    # Print the shirker with the smallest gap for each case; the file has all
     worst: dict[tuple[str, str], Incentive] = {}
     for one in found:
         case = (one.task, one.difficulty)
         if case not in worst or one.gap.low < worst[case].gap.low:
             worst[case] = one
     files = [out / "incentives.md", out / "all.md"]
-    table = markdown(list(worst.values()))
+    table = incentives_table(list(worst.values()))
     replace_file(files[0], table)
-    replace_file(files[1], markdown(found))
+    replace_file(files[1], incentives_table(found))
     print(table)
     print_files(files)
 
 
 def _difficulties(task: str, asked: str | None) -> list[str]:
-    """List the difficulties of a task, or those that were asked for."""
+    """Return the requested difficulties, or else all of the task."""
     if asked:
         return [name.strip() for name in asked.split(",") if name.strip()]
     return list(find_task(task).difficulties)
 
 
-def markdown(found: list[Incentive]) -> str:
-    """Write comparisons as a table in markdown; its caption names episodes and seeds."""
+def incentives_table(found: list[Incentive]) -> str:
+    """Return comparisons as a markdown table, with episodes and seeds in the caption."""
     flown = "; ".join(dict.fromkeys(one.conditions.flown for one in found))
     lines = [
-        f"Each policy of each row: {flown}\n",
+        f"Each policy in each row: {flown}\n",
         "| " + " | ".join(COLUMNS) + " |",
         "|" + "---|" * len(COLUMNS),
     ]
     for one in found:
-        # What a shirker loses, as a share of what flying earns at all
+        # Gap to the shirker as a fraction of the lead of the baseline over staying
         share = one.gap.low / one.lead if one.lead > 0 else float("nan")
         row = (
             one.task,

@@ -1,4 +1,4 @@
-"""`bulletuav merge`: the files of an evaluation or a comparison from its pieces."""
+"""`bulletuav merge`: join the pieces of an evaluation, comparison or dataset."""
 
 import argparse
 from pathlib import Path
@@ -8,10 +8,10 @@ from bulletuav.commands.output import print_files
 from bulletuav.report.results import merge
 
 ABOUT = {
-    "help": "make one evaluation, comparison or dataset of pieces that were flown apart",
+    "help": "join the pieces of an evaluation, comparison or dataset",
     "description": (
         "Join the pieces that `--piece K/N` of evaluate, compare or dataset wrote to a folder. The "
-        "files are the same as those of one process that did everything."
+        "resulting files are identical to those of one process."
     ),
     "epilog": """examples:
   bulletuav evaluate crossing --policy orca --out flown --piece 1/2
@@ -21,11 +21,11 @@ ABOUT = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the folder, and whether it is trusted."""
-    parser.add_argument("path", type=Path, metavar="DIR", help="the folder that pieces wrote to")
+    """Add the folder, and --trust."""
+    parser.add_argument("path", type=Path, metavar="DIR", help="folder of the pieces")
     add_trust(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Join, and tell what was written."""
+    """Join the pieces, and print the written files."""
     print_files(merge(arguments.path, arguments.trust))

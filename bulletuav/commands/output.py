@@ -1,4 +1,4 @@
-"""What commands print on standard output: tables, and the files that were written."""
+"""Output of commands on standard output: tables, texts, and lists of written files."""
 
 import shutil
 import textwrap
@@ -12,17 +12,17 @@ from rich.table import Table
 from rich.text import Text
 
 PADDING = 2
-"""Columns of the terminal that the spaces on both sides of a cell take"""
+"""Width of the padding of a cell, in characters"""
 
-LEAST_PROSE, MOST_PROSE = 40, 100
-"""Bounds of the width to which prose is wrapped: a narrower terminal breaks it by itself"""
+MIN_TEXT_WIDTH, MAX_TEXT_WIDTH = 40, 100
+"""Minimum and maximum width of wrapped text; narrower terminals wrap it themselves"""
 
 
 def print_table(table: Table) -> None:
-    """Print a table so that no word of it is cut, however narrow the terminal is.
+    """Print a table without truncating words, whatever the width of the terminal.
 
-    Cells break between words. Where even that does not fit, each row becomes lines of the form
-    `heading: cell`, which the terminal breaks where it likes.
+    Cells are wrapped between words. If the table still does not fit, each row is printed as lines
+    of the form `heading: cell`.
 
     Args:
         table: The table. Its cells are plain text, without rich's markup, or `rich.text.Text`.
@@ -49,36 +49,35 @@ def print_table(table: Table) -> None:
         print(table.caption)
 
 
-def _column_widths(rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
-    """Share the width of a terminal among the columns of a table.
+def _column_widths(rows: Sequence[Sequence[str]], total_width: int) -> list[int] | None:
+    """Distribute the width of a terminal over the columns of a table.
 
     Args:
-        rows: Texts of all cells, with the headings.
-        room: Width of all columns together.
+        rows: Texts of all cells, including headings.
+        total_width: Total width of all columns.
 
     Returns:
-        The width of each column, at least that of its longest word; None where that is more than
-        there is.
+        The width of each column, at least that of its longest word; None if the columns do not fit.
     """
     columns = list(zip(*rows, strict=True))
     needed = [max(_longest(text.split()) for text in column) for column in columns]
     widths = [max(_longest(text.splitlines()) for text in column) for column in columns]
-    if sum(needed) > room:
+    if sum(needed) > total_width:
         return None
-    # The widest column that can be narrower gives way first
-    while sum(widths) > room:
+    # Narrow the widest column that is not at its minimum
+    while sum(widths) > total_width:
         slack = [width if width > need else 0 for width, need in zip(widths, needed, strict=True)]
         widths[slack.index(max(slack))] -= 1
     return widths
 
 
 def _longest(texts: Iterable[str]) -> int:
-    """Return the width of the widest text; 0 where there is none."""
+    """Return the width of the widest text; 0 if there are none."""
     return max(map(cell_len, texts), default=0)
 
 
 def _grid(table: Table, rows: Sequence[Sequence[Text]], widths: Sequence[int]) -> Table:
-    """Lay out a table with columns of given widths."""
+    """Return a table with columns of the given widths."""
     edges = box.HEAVY_HEAD if table.show_header else box.SQUARE
     grid = Table(
         box=None if table.box is None else edges,
@@ -93,7 +92,7 @@ def _grid(table: Table, rows: Sequence[Sequence[Text]], widths: Sequence[int]) -
 
 
 def _lines(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterable[str]:
-    """Write each row as lines of the form `heading: cell`, or as one where there are none."""
+    """Yield each row as lines of the form `heading: cell`, or as one line without headings."""
     for row in rows:
         first, *others = (" ".join(text.split()) for text in row)
         if not headings:
@@ -105,12 +104,12 @@ def _lines(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterable[s
 
 
 def print_text(text: str) -> None:
-    """Print prose, wrapped between words to the width of the terminal; lists stay lists."""
-    width = min(max(shutil.get_terminal_size().columns, LEAST_PROSE), MOST_PROSE)
+    """Print a text, wrapped to the width of the terminal; list items stay separate lines."""
+    width = min(max(shutil.get_terminal_size().columns, MIN_TEXT_WIDTH), MAX_TEXT_WIDTH)
     for line in text.replace("\n  ", " ").splitlines():
         print(textwrap.fill(line, width, subsequent_indent="  ", break_on_hyphens=False))
 
 
 def print_files(files: Iterable[Path]) -> None:
-    """Print where the written files are."""
+    """Print the paths of written files."""
     print("\n".join(f"wrote {path}" for path in files))

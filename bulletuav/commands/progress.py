@@ -1,4 +1,4 @@
-"""Progress of commands on standard error: a bar on a terminal, lines elsewhere."""
+"""Progress on standard error: a bar on terminals, lines otherwise."""
 
 import contextlib
 import sys
@@ -12,47 +12,43 @@ from bulletuav.compiled import dispatcher
 from bulletuav.compiled.dispatcher import Compilation
 
 LINE_PERIOD = 10.0
-"""Least time between two lines, s"""
+"""Minimum time between two lines, s"""
 DRAWING_PERIOD = 0.1
-"""Least time between two drawings of a bar, s"""
-USUAL_FUNCTIONS = 270
-"""Functions that the first flight of `crossing` compiles: 246 as point_mass, 300 by bullet"""
+"""Minimum time between two redraws of a bar, s"""
+EXPECTED_FUNCTIONS = 270
+"""Typical number of functions compiled on the first run: 246 (point_mass) to 300 (bullet)"""
 Show = Callable[[float, str], None]
-"""Function that shows how much is done so far, and a note"""
+"""Function that displays the finished amount and a note"""
 
 
-class Report:
-    """What is called with how much is done so far."""
+class ProgressReport:
+    """Callback that displays the finished amount with the last note."""
 
     def __init__(self, show: Show) -> None:
-        """Keep the function that shows it."""
+        """Set the display function."""
         self._show, self._note = show, ""
 
     def __call__(self, done: float) -> None:
-        """Show how much is done so far, and the last note."""
+        """Display the finished amount and the last note."""
         self._show(done, self._note)
 
     def note(self, text: str) -> None:
-        """Keep what is shown beside it from now on."""
+        """Set the text that is displayed next to the progress."""
         self._note = text
 
 
 @contextlib.contextmanager
-def show_progress(
-    activity: str,
-    total: int,
-    unit: str,
-) -> Iterator[Report]:
-    """Show how much of something is done.
+def show_progress(activity: str, total: int, unit: str) -> Iterator[ProgressReport]:
+    """Show the progress of an activity.
 
     Args:
-        activity: What is going on, such as "flying".
-        total: How much there is to do.
-        unit: What `total` counts, such as "decisions".
+        activity: Name of the activity, such as "flying".
+        total: Total amount of work.
+        unit: Unit of `total`, such as "decisions".
 
     Yields:
-        What to call with how much is done so far. Nothing is shown before its first
-        call, so that errors of input come first.
+        The callback for the finished amount. Nothing is shown before its first call, so that input
+        errors are printed first.
     """
     console = Console(stderr=True)
     if console.is_terminal:
@@ -61,31 +57,26 @@ def show_progress(
         display = _lines(activity, total, unit)
     try:
         with display as show:
-            yield Report(show)
+            yield ProgressReport(show)
     finally:
         dispatcher.COMPILATION.forget_watch()
 
 
 def _working_time() -> float:
-    """Read a clock that stands still during compilation, which says nothing about what is left."""
+    """Return the time without compilation, for estimates of the remaining time."""
     return time.monotonic() - dispatcher.COMPILATION.seconds
 
 
 def _compiled(compilation: Compilation) -> str:
-    """Describe how far compilation is."""
+    """Return a text with the progress of the compilation."""
     number = compilation.num_functions
-    left = f" of about {USUAL_FUNCTIONS}" if number <= USUAL_FUNCTIONS else ""
+    left = f" of about {EXPECTED_FUNCTIONS}" if number <= EXPECTED_FUNCTIONS else ""
     return f"{number}{left} functions, {compilation.seconds:.0f} s (the first time only)"
 
 
 @contextlib.contextmanager
-def _bar(
-    console: Console,
-    activity: str,
-    total: int,
-    unit: str,
-) -> Iterator[Show]:
-    """Show a bar with the time that remains; while functions are compiled, one for them."""
+def _bar(console: Console, activity: str, total: int, unit: str) -> Iterator[Show]:
+    """Show a bar with the remaining time, and another bar during compilation."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -93,8 +84,8 @@ def _bar(
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}", markup=False),
     )
-    # Drawn here, not by a thread of Rich: workers may be forked meanwhile, and would wait forever
-    # for a lock of the terminal that the thread holds
+    # Without a refresh thread of Rich: a worker that is forked while the thread holds the lock of
+    # the terminal would wait for this lock forever
     with Progress(
         *columns, console=console, get_time=_working_time, auto_refresh=False
     ) as progress:
@@ -110,17 +101,17 @@ def _bar(
         def show_compilation(compilation: Compilation) -> None:
             if "compiling" not in bars:
                 bars["compiling"] = progress.add_task(
-                    "compiling", total=USUAL_FUNCTIONS, amount="", note=""
+                    "compiling", total=EXPECTED_FUNCTIONS, amount="", note=""
                 )
             number, amount = compilation.num_functions, _compiled(compilation)
             progress.update(bars["compiling"], completed=number, amount=amount)
             draw()
 
         def show(done: float, note: str) -> None:
-            # What goes on now is no compilation any more, or not yet again
+            # The compilation is over, or interrupted by other work
             if "compiling" in bars:
                 progress.remove_task(bars.pop("compiling"))
-            # The bar appears with the first report.
+            # The bar appears with the first report
             if activity not in bars:
                 bars[activity] = progress.add_task(activity, total=total, amount="", note="")
             amount = f"{done:,.0f} of {total:,.0f} {unit}"
@@ -132,19 +123,15 @@ def _bar(
 
 
 @contextlib.contextmanager
-def _lines(
-    activity: str,
-    total: int,
-    unit: str,
-) -> Iterator[Show]:
-    """Print a line at the beginning, every `LINE_PERIOD`, and when all is done."""
-    begin: float | None = None  # when the first report came: what was before is no part of it
-    next_line = 0.0  # when the next line about compilation is due
-    last: tuple[float, float] | None = None  # when the last line was printed, and what was done
+def _lines(activity: str, total: int, unit: str) -> Iterator[Show]:
+    """Print a line at the start, every `LINE_PERIOD`, and at the end."""
+    begin: float | None = None  # time of the first report; earlier time is not counted
+    next_line = 0.0  # compilation time at which the next line is due
+    last: tuple[float, float] | None = None  # time and finished amount of the last line
 
     def show_compilation(compilation: Compilation) -> None:
         nonlocal next_line
-        # A few functions take no time worth a line
+        # A few functions compile too fast to be worth a line
         if compilation.num_functions >= dispatcher.MANY and compilation.seconds >= next_line:
             next_line = compilation.seconds + LINE_PERIOD
             sys.stderr.write(f"compiling: {_compiled(compilation)}\n")
@@ -154,7 +141,7 @@ def _lines(
         nonlocal begin, last
         now = _working_time()
         begin = now if begin is None else begin
-        # Trainers may go beyond the total, as they end with a whole rollout.
+        # Trainers may exceed the total, as they finish the last rollout
         done = min(done, total)
         if last is not None:
             last_time, last_done = last

@@ -1,4 +1,4 @@
-"""`bulletuav replay`: a page, or a film, that shows a recorded flight in three dimensions."""
+"""`bulletuav replay`: write a 3-D replay of a recorded flight, as a web page or a video."""
 
 import argparse
 import itertools
@@ -10,11 +10,11 @@ from bulletuav.report.film import CAMERAS, Film
 from bulletuav.report.replay import REPLAY, read_run, replay_run
 
 ABOUT = {
-    "help": "write a page or a film that replays a flight in three dimensions",
+    "help": "write a 3-D replay of a recorded flight, as a web page or a video",
     "description": (
-        "Make one HTML file of what `bulletuav fly` recorded. Any browser with WebGL 2 shows it, "
-        "without a network: the flight to play and turn about, with plots of each drone. Or make "
-        "a film (.mp4), which needs the extra 'video'."
+        "Write a recording of `bulletuav fly` as one HTML file. Any browser with WebGL 2 shows it "
+        "offline: a 3-D view with playback controls, and plots of each drone. Or write "
+        "a video (.mp4), which needs the extra 'video'."
     ),
     "epilog": """examples:
   bulletuav fly crossing --out flight && bulletuav replay flight
@@ -26,29 +26,31 @@ PAGES, FILM = (".html", ".htm"), ".mp4"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flight, where to write, and the camera of films."""
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder that `bulletuav fly` wrote")
+    """Add the flight, the output file, and the camera of videos."""
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of `bulletuav fly`")
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
-        help=f"the page (.html) or film (.mp4) (default: {REPLAY} in the folder)",
+        help=f"web page (.html) or video (.mp4) (default: {REPLAY} in the folder)",
     )
     parser.add_argument(
         "--camera",
-        help=f"film: one of {', '.join(CAMERAS)}, which turn about all, fly behind a drone, and "
-        f"stand (default: {CAMERAS[0]})",
+        help=f"video: one of {', '.join(CAMERAS)}: circle all drones, follow one drone, or "
+        f"stand still (default: {CAMERAS[0]})",
     )
-    parser.add_argument("--drone", type=int, help="film: number of the drone that follow is behind")
+    parser.add_argument("--drone", type=int, help="video: index of the drone to follow")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the page or the film."""
+    """Write the web page or the video."""
     out = arguments.out
     if out is not None and out.suffix == FILM:
         path = _film(arguments)
     elif arguments.camera is not None or arguments.drone is not None:
-        raise ValueError("--camera and --drone are for films (--out FILE.mp4): pages have all")
+        raise ValueError(
+            "--camera and --drone are for videos (--out FILE.mp4): web pages have all views"
+        )
     elif out is not None and out.suffix not in PAGES:
         raise ValueError(f"--out is {out}: its name has to end in .html or {FILM}")
     else:
@@ -57,7 +59,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _film(arguments: argparse.Namespace) -> Path:
-    """Write the film."""
+    """Write the video, and return its path."""
     recording, title = read_run(arguments.run)
     path: Path = arguments.out
     film = Film(

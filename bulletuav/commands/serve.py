@@ -1,4 +1,4 @@
-"""`bulletuav serve`: drones that programs of others fly."""
+"""`bulletuav serve`: simulated drones for external client programs."""
 
 import argparse
 from collections.abc import Callable
@@ -11,13 +11,14 @@ from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.commands.progress import show_progress
 from bulletuav.envs.viewer import join_address
-from bulletuav.errors import choose
+from bulletuav.errors import find_choice
 
 ABOUT = {
-    "help": "let programs for other drones fly ours",
+    "help": "serve simulated drones to cflib, AirSim, MAVLink or PX4 programs",
     "description": (
-        "Serve drones to programs that were written for others. They fly in real time until the "
-        "server is interrupted. It listens to this machine alone, unless --host says otherwise."
+        "Serve simulated drones to programs written for real drones or other simulators. They "
+        "fly in real time until the server is interrupted. By default the server accepts only "
+        "clients on this machine."
     ),
     "epilog": """examples:
   bulletuav serve crazyflie --drones 10
@@ -30,32 +31,34 @@ LOOPBACK = "127.0.0.1"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the kind of server, where it listens, and what flies."""
-    # Who flies
-    parser.add_argument("kind", help=f"one of: {', '.join(KINDS)}")
-    parser.add_argument("--drones", type=int, default=1, metavar="N", help="how many (default: 1)")
-    parser.add_argument("--airframe", help="name or URDF (default: iris; for crazyflie cf2x)")
-    # Where to listen; only this machine unless told otherwise
+    """Add the type of server, its address, drones and world."""
+    # Drones
+    parser.add_argument("kind", help=f"protocol: {', '.join(KINDS)}")
+    parser.add_argument(
+        "--drones", type=int, default=1, metavar="N", help="number of drones (default: 1)"
+    )
+    parser.add_argument("--airframe", help="name or URDF file (default: iris; for crazyflie cf2x)")
+    # Address; by default only this machine has access
     parser.add_argument(
         "--host",
         default=LOOPBACK,
-        help=f"address to listen at (default: {LOOPBACK}); whoever reaches it can fly the drones",
+        help=f"address to listen on (default: {LOOPBACK}); any client can fly the drones",
     )
-    parser.add_argument("--port", type=int, help="first port (default: the client's)")
+    parser.add_argument("--port", type=int, help="first port (default: that of the protocol)")
     parser.add_argument(
         "--client-port",
         type=int,
         default=mavlink.CLIENT_PORT,
-        help=f"mavlink: where the first vehicle's client listens (default: {mavlink.CLIENT_PORT})",
+        help=f"mavlink: port of the client of the first vehicle (default: {mavlink.CLIENT_PORT})",
     )
     parser.add_argument(
-        "--speed", type=float, default=1.0, help="simulated seconds a second (default: 1)"
+        "--speed", type=float, default=1.0, help="speed relative to real time (default: 1)"
     )
-    # The world and its clock
+    # World and clock
     parser.add_argument(
         "--dynamics",
         default="bullet",
-        help="bullet or rigid_body, which have motors (default: bullet)",
+        help="bullet or rigid_body, the models with motors (default: bullet)",
     )
     parser.add_argument(
         "--wind",
@@ -65,19 +68,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("EAST", "NORTH", "UP"),
         help="steady wind in m/s",
     )
-    parser.add_argument("--seed", type=int, help="of gusts and noise (default: another each time)")
-    parser.add_argument("--lidar", action="store_true", help="airsim: carry a range finder")
+    parser.add_argument("--seed", type=int, help="seed of gusts and noise (default: random)")
+    parser.add_argument("--lidar", action="store_true", help="airsim: equip drones with a lidar")
     parser.add_argument(
-        "--paused", action="store_true", help="airsim: time stands still until a client lets it go"
+        "--paused", action="store_true", help="airsim: start paused, until a client continues"
     )
     parser.add_argument(
-        "--seconds", type=float, help="how long to serve (default: until interrupted)"
+        "--seconds", type=float, help="duration of the server in s (default: until interrupted)"
     )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Start a server, and serve."""
-    choose("kind of server", arguments.kind, KINDS)(arguments)
+    """Start the server of the given protocol."""
+    find_choice("kind of server", arguments.kind, KINDS)(arguments)
 
 
 def _options(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -90,25 +93,22 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _serve(
-    flown: Any,
-    make: Callable[[], Any],
-    told: Callable[[Any], str],
-    seconds: float | None,
+    flown: Any, make: Callable[[], Any], describe: Callable[[Any], str], seconds: float | None
 ) -> None:
-    """Open the ports, compile, tell where they are, and serve; close all at the end.
+    """Open the ports, compile, print the addresses, and serve; close everything at the end.
 
     Args:
-        flown: What flies.
-        make: Function that opens the ports.
-        told: Function of the server that gives the line to print.
-        seconds: How long to serve.
+        flown: The simulated drones.
+        make: Function that opens the ports and returns the server.
+        describe: Function that returns the line to print for a server.
+        seconds: Duration in s; None for no limit.
     """
     try:
         server = make()
         try:
             with show_progress("compiling", 1, "servers"):
                 flown.warm_up()
-            print(told(server), flush=True)
+            print(describe(server), flush=True)
             server.run(seconds)
         finally:
             server.close()
@@ -116,14 +116,14 @@ def _serve(
         flown.close()
 
 
-def _at(arguments: argparse.Namespace, usual: int) -> tuple[str, int, float]:
-    """Tell address, port and speed."""
-    port = usual if arguments.port is None else arguments.port
+def _address(arguments: argparse.Namespace, default_port: int) -> tuple[str, int, float]:
+    """Return address, port and speed."""
+    port = default_port if arguments.port is None else arguments.port
     return arguments.host, port, arguments.speed
 
 
-def _places(host: str, ports: list[int], scheme: str = "") -> str:
-    """List where a server listens: the first and the last address if ports are consecutive."""
+def _format_addresses(host: str, ports: list[int], scheme: str = "") -> str:
+    """Return the addresses of a server: the first and the last if ports are consecutive."""
     places = [f"{scheme}{join_address(host, port)}" for port in ports]
     if len(ports) > 2 and ports == list(range(ports[0], ports[0] + len(ports))):
         return f"{places[0]} to {places[-1]}"
@@ -135,20 +135,22 @@ def _serve_crazyflie(arguments: argparse.Namespace) -> None:
     fleet = CrazyflieFleet(arguments.drones, arguments.airframe or "cf2x", **_options(arguments))
     _serve(
         fleet,
-        lambda: crazyflie.CrazyflieServer(fleet, *_at(arguments, crazyflie.PORT)),
-        lambda server: f"{len(fleet)} drones at {_places(arguments.host, server.ports, 'udp://')}",
+        lambda: crazyflie.CrazyflieServer(fleet, *_address(arguments, crazyflie.PORT)),
+        lambda server: (
+            f"{len(fleet)} drones at {_format_addresses(arguments.host, server.ports, 'udp://')}"
+        ),
         arguments.seconds,
     )
 
 
 def _serve_airsim(arguments: argparse.Namespace) -> None:
-    """Serve vehicles of AirSim's calls."""
+    """Serve vehicles to AirSim clients."""
     frame = arguments.airframe or "iris"
     world = AirsimWorld(arguments.drones, frame, lidar=arguments.lidar, **_options(arguments))
     world.paused = arguments.paused
     _serve(
         world,
-        lambda: airsim.AirsimServer(world, *_at(arguments, airsim.PORT)),
+        lambda: airsim.AirsimServer(world, *_address(arguments, airsim.PORT)),
         lambda server: f"{', '.join(world.vehicles)} at {join_address(server.host, server.port)}",
         arguments.seconds,
     )
@@ -160,9 +162,9 @@ def _serve_mavlink(arguments: argparse.Namespace) -> None:
     clients = arguments.client_port
     _serve(
         fleet,
-        lambda: mavlink.MavlinkServer(fleet, *_at(arguments, mavlink.PORT), clients),
+        lambda: mavlink.MavlinkServer(fleet, *_address(arguments, mavlink.PORT), clients),
         lambda server: (
-            f"{len(fleet)} vehicles at {_places(arguments.host, server.ports)}; "
+            f"{len(fleet)} vehicles at {_format_addresses(arguments.host, server.ports)}; "
             f"they send to ports {clients} to {clients + len(fleet) - 1}"
         ),
         arguments.seconds,
@@ -170,14 +172,15 @@ def _serve_mavlink(arguments: argparse.Namespace) -> None:
 
 
 def _serve_hil(arguments: argparse.Namespace) -> None:
-    """Serve bodies to autopilots, by PX4's protocol for simulators."""
+    """Serve simulated bodies to autopilots, by PX4's simulator protocol."""
     options = {**_options(arguments), "seed": arguments.seed or 0}
     bodies = HilBodies(arguments.drones, arguments.airframe or "iris", **options)
     _serve(
         bodies,
-        lambda: hil.HilServer(bodies, *_at(arguments, hil.PORT)),
+        lambda: hil.HilServer(bodies, *_address(arguments, hil.PORT)),
         lambda server: (
-            f"{len(bodies)} bodies wait for autopilots at {_places(arguments.host, server.ports)}"
+            f"{len(bodies)} bodies wait for autopilots at "
+            f"{_format_addresses(arguments.host, server.ports)}"
         ),
         arguments.seconds,
     )

@@ -1,4 +1,4 @@
-"""`bulletuav tasks`: the list of tasks, or the MDP and options of one."""
+"""`bulletuav tasks`: list the tasks, or describe the MDP and options of one task."""
 
 import argparse
 import dataclasses
@@ -21,10 +21,10 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.ingredients import find_term
 
 ABOUT = {
-    "help": "list the tasks, or print the MDP and options of one",
+    "help": "list the tasks, or describe the MDP and options of one task",
     "description": (
-        "List the tasks, or explain one: its observation, action, reward, ends, difficulties and "
-        "main options, or with --all everything about it."
+        "List the tasks, or describe one: its observation, action, reward, ends, difficulties and "
+        "main options, or with --all all of its terms and options."
     ),
     "epilog": """examples:
   bulletuav tasks
@@ -33,32 +33,32 @@ ABOUT = {
   bulletuav tasks crossing --observation --drones 3 --set observation=position,goal""",
 }
 MDP = ("Observation", "Action", "Reward", "- ", "End:", "Success:")
-"""Beginnings of the paragraphs of a task's docstring that describe its MDP"""
+"""First words of the paragraphs of a task docstring that describe its MDP"""
 MAIN_OPTIONS = 10
-"""Options that the summary of a task lists"""
+"""Number of options in the summary of a task"""
 ENDING = ("at_goal", "boundary", "contact_ends", "conflict_ends")
-"""Options that say what ends an episode"""
+"""Options that define what ends an episode"""
 OPTION = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
-"""An option in the list of attributes of a docstring: its name, and what it is"""
+"""Entry of an option in the attributes of a docstring: name and description"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the task, if any, and the options that its observation depends on."""
-    parser.add_argument("task", nargs="?", help="print this task's MDP and options")
+    """Add the task, the parts to print, and environment options."""
+    parser.add_argument("task", nargs="?", help="task to describe (default: list all tasks)")
     parser.add_argument(
         "--observation",
         dest="show_observation",
         action="store_true",
-        help="print what each number of an observation is, with the options given",
+        help="print name, unit and bounds of each number of an observation, with the given options",
     )
     parser.add_argument(
-        "--all", action="store_true", help="print all terms, ends and options of the task"
+        "--all", action="store_true", help="print all reward terms, ends and options of the task"
     )
     add_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """List the tasks, or print one's MDP and options, or its observation."""
+    """List the tasks, or print MDP, options or observation of one task."""
     if arguments.task is None:
         _print_list()
     elif arguments.show_observation:
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def observation_table(task: str, options: Mapping[str, Any]) -> Table:
-    """Lay out what each number of an observation is.
+    """Return a table of the numbers of an observation.
 
     Args:
         task: Name of the task.
@@ -84,7 +84,7 @@ def observation_table(task: str, options: Mapping[str, Any]) -> Table:
     for heading in ("index", "number", "unit", "low", "high"):
         table.add_column(heading, justify="left" if heading in ("number", "unit") else "right")
     numbers = zip(spec.observer.labels, spec.observer.low, spec.observer.high, strict=True)
-    # Numbers of the vector come first, each with its place in it; pictures have names instead.
+    # First the numbers of the vector by index, then the images by name
     for index, (label, low, high) in enumerate(numbers):
         table.add_row(str(index), label.name, label.unit, f"{low:g}", f"{high:g}")
     for name in spec.observer.images:
@@ -93,7 +93,7 @@ def observation_table(task: str, options: Mapping[str, Any]) -> Table:
 
 
 def _print_list() -> None:
-    """Print each task's name and the first line of its docstring."""
+    """Print the name of each task and the first line of its docstring."""
     tasks = list_tasks()
     width = max(map(len, tasks))
     for name in tasks:
@@ -101,7 +101,7 @@ def _print_list() -> None:
 
 
 def _summarise(name: str) -> None:
-    """Print a task's MDP, what its difficulties set, and its main options."""
+    """Print the MDP of a task, the options of its difficulties, and its main options."""
     task = find_task(name)
     first, *others = (inspect.getdoc(task) or "").split("\n\n")
     print_text(f"{name}: {first}\n")
@@ -113,20 +113,22 @@ def _summarise(name: str) -> None:
     print_table(main_options_table(task))
     print()
     print_text(
-        f"What they mean, and all else: bulletuav tasks {name} --all. "
-        f"Each number of an observation: bulletuav tasks {name} --observation."
+        f"Meaning of these, and all other options: bulletuav tasks {name} --all. "
+        f"Numbers of the observation: bulletuav tasks {name} --observation."
     )
 
 
 def main_options_table(task: type[Task[Any]]) -> Table:
-    """Lay out the main options of a task: those that difficulties set, its own, and common ones.
+    """Return a table of the main options of a task.
+
+    These are the options that its difficulties set, its own options, and common options.
 
     Args:
         task: Class of the task.
 
     Returns:
-        A table with each option's name and default, and its value at each difficulty, which is
-        empty where that leaves the default. What is uncertain is counted.
+        A table with name and default of each option, and its value at each difficulty, which is
+        empty if it is the default. For random options their number is shown.
     """
     own = vars(task.Config).get("__annotations__", {})
     common = {field.name: field.default for field in dataclasses.fields(EnvOptions)}
@@ -138,7 +140,7 @@ def main_options_table(task: type[Task[Any]]) -> Table:
         table.add_column(heading)
     varied = dict.fromkeys(itertools.chain(*levels.values()))
     names = list(dict.fromkeys([*varied, *own, *task.defaults, *_defaults(task)]))
-    # All that a difficulty sets, be it more
+    # Show all options that difficulties set, even if more than `MAIN_OPTIONS`
     for name in names[: max(MAIN_OPTIONS, len(varied))]:
         values = (_short(level[name]) if name in level else "" for level in levels.values())
         table.add_row(name, _short(defaults[name]), *values)
@@ -146,14 +148,14 @@ def main_options_table(task: type[Task[Any]]) -> Table:
 
 
 def _short(value: Any) -> str:
-    """Write the value of an option in a few characters."""
+    """Format the value of an option in a few characters."""
     if isinstance(value, Mapping):
         return f"{len(value)} uncertain" if value else "none"
     return str(value)
 
 
 def _explain(name: str) -> None:
-    """Print a task's docstring, and tables of what its class and its options say."""
+    """Print the docstring of a task, and tables of its observation, reward, ends and options."""
     task = find_task(name)
     print(f"{inspect.getdoc(task)}\n")
     print_table(observation_table(name, {}))
@@ -165,15 +167,15 @@ def _explain(name: str) -> None:
 
 
 def reward_table(task: type[Task[Any]]) -> Table:
-    """Lay out all reward terms of a task, those of weight 0 too.
+    """Return a table of all reward terms of a task, including terms of weight 0.
 
     Args:
         task: Class of the task.
 
     Returns:
-        A table with each term's name, its weight, and what it is.
+        A table with name, weight and description of each term.
     """
-    table = _table("reward per decision: the sum of these terms times their weights")
+    table = _table("reward of a decision: weighted sum of these terms")
     for name, value in task.reward.items():
         term, weight = value if isinstance(value, tuple) else (name, value)
         computed = name in task.computed_terms
@@ -183,7 +185,7 @@ def reward_table(task: type[Task[Any]]) -> Table:
 
 
 def ends_table(task: type[Task[Any]]) -> Table:
-    """Lay out what ends a drone's episode, with the defaults.
+    """Return a table of the conditions that end the episode of a drone, with default options.
 
     Args:
         task: Class of the task.
@@ -193,30 +195,30 @@ def ends_table(task: type[Task[Any]]) -> Table:
         and the horizon.
     """
     spec = EnvSpec(task, 1, {})
-    table = _table("ends of an episode, with the defaults")
+    table = _table("ends of an episode, with default options")
     for one in task.ends:
         table.add_row(one.__name__, "terminated", _summary(one))
-    told = option_texts(task.Config)
+    descriptions = option_texts(task.Config)
     for name in ENDING:
-        if name in told:
+        if name in descriptions:
             value = getattr(spec.task.config, name)
-            table.add_row(name, repr(value), told[name])
+            table.add_row(name, repr(value), descriptions[name])
     if spec.options.battery_capacity is not None:
-        table.add_row("battery", "terminated", "Its charge is used up.")
+        table.add_row("battery", "terminated", "The battery is empty.")
     table.add_row("horizon", "truncated", f"After {spec.options.horizon} decisions.")
     return table
 
 
 def difficulties_table(task: type[Task[Any]]) -> Table:
-    """Lay out which options difficulties and presets set.
+    """Return a table of the options that difficulties and presets set.
 
     Args:
         task: Class of the task.
 
     Returns:
-        A table with the name of each, and its options as NAME=VALUE.
+        A table with the name of each difficulty and preset, and its options as NAME=VALUE.
     """
-    table = _table("difficulties and presets: options that they set")
+    table = _table("options of difficulties and presets")
     for name, values in task.difficulties.items():
         table.add_row(f"difficulty {name}", _pairs(values) or "the defaults")
     for name, values in task.presets.items():
@@ -225,28 +227,28 @@ def difficulties_table(task: type[Task[Any]]) -> Table:
 
 
 def options_table(task: type[Task[Any]]) -> Table:
-    """Lay out the task's own options, and its defaults of those common to all tasks.
+    """Return a table of the options of a task, and of its defaults of common options.
 
     Args:
         task: Class of the task.
 
     Returns:
-        A table with each option's name, default and meaning.
+        A table with name, default and description of each option.
     """
     table = _table("options and their defaults")
-    told = option_texts(task.Config)
+    descriptions = option_texts(task.Config)
     for name, default in _defaults(task).items():
-        table.add_row(name, repr(default), told.get(name, ""))
+        table.add_row(name, repr(default), descriptions.get(name, ""))
     for name, value in task.defaults.items():
         table.add_row(name, repr(value), "Common to all tasks, see below.")
     if (actions := _default_actions(task)) is not None:
-        table.add_row("action by dynamics", actions, "Where none is chosen.")
+        table.add_row("action by dynamics", actions, "Default action of each dynamics model.")
     return table
 
 
 def _defaults(task: type[Task[Any]]) -> dict[str, Any]:
-    """Collect the defaults of a task's own options."""
-    # Fields without a plain default are dicts, empty unless the user fills them.
+    """Return the defaults of the options of a task."""
+    # Fields without a plain default are dicts, empty by default
     return {
         field.name: {} if field.default is dataclasses.MISSING else field.default
         for field in dataclasses.fields(task.Config)
@@ -254,19 +256,19 @@ def _defaults(task: type[Task[Any]]) -> dict[str, Any]:
 
 
 def _default_actions(task: type[Task[Any]]) -> str | None:
-    """List the default action of each dynamics, as NAME=VALUE; None if all have the same one."""
+    """Return the default action of each dynamics as NAME=VALUE; None if all are equal."""
     actions = {name: resolve(task, {"dynamics": name}).options.action for name in DYNAMICS}
     return _pairs(actions) if len(set(actions.values())) > 1 else None
 
 
 def option_texts(config: type) -> dict[str, str]:
-    """Read what a config's docstring, and those of its bases, tell of each option.
+    """Read the description of each option from the docstrings of a config class and its bases.
 
     Args:
-        config: Class of the config.
+        config: The config class.
 
     Returns:
-        Text by name of the option; that of the nearest class counts.
+        Descriptions by name of the option; those of derived classes take precedence.
     """
     texts: dict[str, str] = {}
     for kind in inspect.getmro(config):
@@ -276,7 +278,7 @@ def option_texts(config: type) -> dict[str, str]:
 
 
 def _before_attributes(config: type) -> str:
-    """Return a docstring without its list of attributes."""
+    """Return the docstring of a config without its attributes."""
     return inspect.cleandoc(config.__doc__ or "").partition("\n\nAttributes:")[0]
 
 
@@ -286,10 +288,10 @@ def _summary(function: Any) -> str:
 
 
 def _table(title: str) -> Table:
-    """Make a table without headings, whose last column is a text."""
+    """Make a table without headings."""
     return Table(title=title, title_justify="left", show_header=False, show_lines=True)
 
 
 def _pairs(options: Mapping[str, Any]) -> str:
-    """Write options as NAME=VALUE with commas between them."""
+    """Return options as comma-separated NAME=VALUE."""
     return ", ".join(f"{name}={value!r}" for name, value in options.items())

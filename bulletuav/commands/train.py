@@ -1,4 +1,4 @@
-"""`bulletuav train`: train a policy, in one run or with several seeds and tasks."""
+"""`bulletuav train`: train policies, in one run or with several seeds and tasks."""
 
 import argparse
 import dataclasses
@@ -12,7 +12,7 @@ from bulletuav.commands.arguments import (
     add_options,
     add_trust,
     given_options,
-    out_folder,
+    make_out_folder,
     parse_pairs,
     show_episodes,
 )
@@ -35,7 +35,7 @@ from bulletuav.policies.run import (
 )
 from bulletuav.report.charts import plot_curves
 from bulletuav.tasks import find_task
-from bulletuav.training.campaign import Campaign, learning_table, wall_time
+from bulletuav.training.campaign import Campaign, describe_wall_time, learning_table
 from bulletuav.training.store import (
     CURVE,
     UPDATES,
@@ -47,10 +47,10 @@ from bulletuav.training.store import (
 ABOUT = {
     "help": "train a policy that all drones share, with stable-baselines3",
     "description": (
-        "Train a policy that all drones share (extra 'sb3'). The folder of a run holds run.yaml, "
+        "Train a policy that all drones share (extra 'sb3'). The folder of a run has run.yaml, "
         "which reproduces it, policy.safetensors, checkpoints, the learning curve and "
-        "TensorBoard's files. The same command continues where it was interrupted, to the same "
-        "weights. Tasks with a policy in the package start from its settings."
+        "TensorBoard logs. The same command resumes an interrupted run, with the same final "
+        "weights. For tasks with a policy in the package, its settings are the defaults."
     ),
     "epilog": """examples:
   bulletuav train crossing --algo ppo --steps 2e6 --seed 0 --out crossing-run
@@ -61,41 +61,41 @@ ABOUT = {
   bulletuav train --all --seeds 0,1,2 --workers 2 --out learning""",
 }
 Result = TypeVar("Result")
-"""What some work gives"""
-GIVEN = ("seed", "steps", "worlds", "evaluations", "episodes")
+"""Result of a function"""
+RUN_ARGUMENTS = ("seed", "steps", "worlds", "evaluations", "episodes")
 """Arguments that are fields of `RunConfig` under the same name"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what to learn, by which algorithm, for how long, where to write, and the options."""
-    # What to train: a task, a file, or all that the package ships
+    """Add task, algorithm, duration, seeds, output folder and environment options."""
+    # A task, a file of settings, or all tasks with a policy in the package
     parser.add_argument("task", nargs="?", help="one of `bulletuav tasks`")
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="the run.yaml of a run, or one like it"
+        "--config", type=Path, metavar="FILE", help="settings: run.yaml of a run, or a similar file"
     )
     parser.add_argument(
         "--all",
         action="store_true",
-        help=f"train the package's policies: {', '.join(shipped_tasks())}",
+        help=f"train the policies of the package: {', '.join(shipped_tasks())}",
     )
-    # How, how often, and where to write
+    # Settings, seeds and output
     add_run(parser)
     parser.add_argument(
         "--seeds",
-        type=seeds,
+        type=parse_seeds,
         metavar="A,B",
-        help="train once with each seed, and draw their curves together",
+        help="train once with each seed, and plot all learning curves",
     )
     parser.add_argument(
         "--workers",
         type=int,
         default=1,
-        help="with --all or --seeds: runs at once, each in a process (default: 1)",
+        help="with --all or --seeds: number of parallel runs (default: 1)",
     )
     parser.add_argument(
         "--mlflow",
         action="store_true",
-        help="tell MLflow, too, where MLFLOW_TRACKING_URI says (extra 'mlflow')",
+        help="also log to MLflow, at MLFLOW_TRACKING_URI (extra 'mlflow')",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: one in training/)"
@@ -103,24 +103,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """Add the settings of a run, and the options of its environment."""
-    # The learner
-    parser.add_argument("--algo", help=f"{', '.join(ALGORITHMS)} (default: ppo)")
-    parser.add_argument("--steps", type=count, help="decisions of all drones together, such as 2e6")
-    parser.add_argument("--seed", type=int, help="same seed, same weights (default: 0)")
-    parser.add_argument("--worlds", type=int, help="worlds that fly at once")
-    # How its progress is judged
+    """Add the settings of a training run, and the options of its environment."""
+    # Algorithm
+    parser.add_argument("--algo", help=f"algorithm: {', '.join(ALGORITHMS)} (default: ppo)")
+    parser.add_argument(
+        "--steps", type=parse_count, help="total decisions of all drones, such as 2e6"
+    )
+    parser.add_argument(
+        "--seed", type=int, help="random seed; equal seeds give equal weights (default: 0)"
+    )
+    parser.add_argument("--worlds", type=int, help="number of parallel worlds")
+    # Evaluation and curriculum
     parser.add_argument(
         "--evaluations",
         type=int,
         metavar="N",
-        help="evaluations during the training, each with a checkpoint",
+        help="number of evaluations during training, each with a checkpoint",
     )
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each evaluation")
     parser.add_argument(
         "--curriculum",
         metavar="A,B",
-        help="difficulties, easiest first: one stage for each, the next after success",
+        help="difficulties from easy to hard: a stage for each, the next one after success",
     )
     parser.add_argument(
         "--model",
@@ -133,11 +137,11 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
 
 
-def count(text: str) -> int:
-    """Parse a whole number, which may be written as 2e6.
+def parse_count(text: str) -> int:
+    """Parse an integer, which may be written as 2e6.
 
     Raises:
-        ValueError: It is not one; argparse makes the message.
+        ValueError: If the text is not an integer; argparse makes the message.
     """
     number = float(text)
     if not number.is_integer():
@@ -145,18 +149,18 @@ def count(text: str) -> int:
     return int(number)
 
 
-def seeds(text: str) -> list[int]:
-    """Parse whole numbers with commas between them, and keep each once.
+def parse_seeds(text: str) -> list[int]:
+    """Parse comma-separated integers, without duplicates.
 
     Raises:
-        ValueError: There is anything else; argparse makes the message.
+        ValueError: If a part is not an integer; argparse makes the message.
     """
     return list(dict.fromkeys(int(part) for part in text.split(",")))
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Train, print and draw."""
-    # Say what is contradictory before anything is read.
+    """Train, print the results and plot the learning curves."""
+    # Report contradictions before any file is read
     if sum([arguments.task is not None, arguments.config is not None, arguments.all]) != 1:
         raise ValueError("train what? Give one of TASK, --config FILE or --all")
     for one, other in (("seed", "seeds"), ("difficulty", "curriculum")):
@@ -174,17 +178,17 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
-    """Change the settings that a run starts from by what was given on the command line.
+    """Return the settings of a run: the base settings, overridden by the command line.
 
-    Options that were given hold in training and in evaluations, so that `evaluate` with the same
-    options finds the same score.
+    Given options apply to training and to evaluations, so that `evaluate` with the same options
+    returns the same score.
 
     Args:
-        arguments: Parsed arguments of a command with those of `add_run`.
-        base: The settings that it starts from.
+        arguments: Parsed arguments of a command that uses `add_run`.
+        base: The base settings.
 
     Raises:
-        ValueError: A setting is impossible, or of a form that cannot be read.
+        ValueError: If a setting is invalid, or cannot be parsed.
     """
     given = given_options(arguments)
     algo = arguments.algo or base.algo
@@ -193,17 +197,19 @@ def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
     if algo == base.algo:
         model = {**base.model, **model}
     else:
-        # Settings of one algorithm are not those of another.
+        # Settings of another algorithm do not apply
         options = _with_action(base.task, algo, options)
 
     changes: dict[str, Any] = {
-        name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None
+        name: getattr(arguments, name)
+        for name in RUN_ARGUMENTS
+        if getattr(arguments, name) is not None
     }
-    # Evaluations take over the others by themselves
+    # Evaluations use the other options automatically
     held = {name: value for name, value in given.items() if name not in (*INTERFACE, *SCENE)}
     kept = {name: value for name, value in base.evaluation.items() if name not in given}
     changes["evaluation"] = {**kept, **held}
-    # A curriculum of difficulties replaces the stages of the settings.
+    # A curriculum of difficulties replaces the stages of the settings
     if arguments.curriculum:
         changes["stages"] = [{"difficulty": name} for name in arguments.curriculum.split(",")]
         changes["curriculum"] = {}
@@ -213,17 +219,18 @@ def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
 
 
 def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
-    """Read the settings of the file or of the package, or take the defaults.
+    """Return the base settings: from a file, from the package, or defaults.
 
-    The package's settings say how a task is learned. Its difficulty, the other options of `SCENE`
-    and those of evaluations are the task's own unless they are given, as in `evaluate`.
+    From the settings of the package, only those of learning are used. The difficulty, the other
+    options of `SCENE` and the options of evaluations are the defaults of the task unless given, as
+    in `evaluate`.
 
     Args:
         arguments: Parsed arguments of a command with `--config`.
-        task: The task, where no file is given.
+        task: The task, if no file is given.
 
     Raises:
-        ValueError: The file holds no settings, or there is no such task.
+        ValueError: If the file has no valid settings, or the task is unknown.
     """
     if arguments.config is not None:
         is_folder = arguments.config.is_dir()
@@ -238,24 +245,20 @@ def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
 
 
 def _shipped_config(task: str) -> RunConfig:
-    """Read the settings with which the package's policy of a task was trained, with seed 0."""
+    """Read the settings of the policy of the package for a task, with seed 0."""
     return dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0)
 
 
 def _stages_without(base: RunConfig, given: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Drop from the stages what was given, which goes before it; equal stages become one."""
+    """Remove given options, which take precedence, from the stages; merge equal stages."""
     stages = [
         {name: value for name, value in stage.items() if name not in given} for stage in base.stages
     ]
     return stages if any(stage != stages[0] for stage in stages) else stages[:1]
 
 
-def _with_action(
-    task: str,
-    algo: str,
-    options: dict[str, Any],
-) -> dict[str, Any]:
-    """Give DQN, which chooses among discrete actions, those of `discrete` unless it has others."""
+def _with_action(task: str, algo: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Set the action `discrete` for DQN, unless the action is already discrete."""
     if algo != "dqn":
         return options
     common = resolve(find_task(task), options).options
@@ -266,16 +269,16 @@ def _with_action(
 
 def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
     """Train one run in its folder."""
-    # Imported here, as only from here on the extra is needed.
+    # Imported here, as it needs an extra
     from bulletuav.training.trainer import train
 
-    # Each run has a folder of its own, so that several do not meet.
+    # By default each run has its own folder
     default = Path("training") / f"{config.task}-{config.algo}-{config.seed}"
-    out = out_folder(arguments.out or default)
+    out = make_out_folder(arguments.out or default)
     print_conditions(f"in training: {training_conditions(config)}")
     with show_progress(f"training {config.task}", config.steps, "steps") as report:
         mlflow = arguments.mlflow
-        rows = or_tell(out, lambda: train(config, out, report, report.note, mlflow))
+        rows = with_resume_hint(out, lambda: train(config, out, report, report.note, mlflow))
     _finish(
         arguments,
         out,
@@ -287,7 +290,7 @@ def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
 
 def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:
     """Train each configuration with each seed, in folders below `runs`."""
-    out = out_folder(arguments.out or Path("training"))
+    out = make_out_folder(arguments.out or Path("training"))
     chosen = arguments.seeds or ([0, 1, 2] if arguments.seed is None else [arguments.seed])
     runs = [dataclasses.replace(config, seed=seed) for config in configs for seed in chosen]
     campaign = Campaign(runs, out / "runs", arguments.mlflow)
@@ -295,34 +298,34 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
         print_conditions(f"evaluations in training: {conditions}")
     with show_progress(f"training {len(runs)} runs", campaign.total, "steps") as report:
         workers = arguments.workers
-        learned = or_tell(out, lambda: campaign.train(workers, report, report.note))
-    _finish(arguments, out, learned, [campaign.place(config) for config in runs], [])
+        learned = with_resume_hint(out, lambda: campaign.train(workers, report, report.note))
+    _finish(arguments, out, learned, [campaign.run_folder(config) for config in runs], [])
 
 
-def or_tell(out: Path, work: Callable[[], Result]) -> Result:
-    """Do the work; where it is interrupted, say how to go on.
+def with_resume_hint(out: Path, work: Callable[[], Result]) -> Result:
+    """Call a function; after an interrupt, report how to resume.
 
     Args:
-        out: The folder of the work.
-        work: What to do.
+        out: The output folder.
+        work: The function.
 
     Returns:
-        What it gives.
+        The result of the function.
 
     Raises:
-        KeyboardInterrupt: With a line about what is kept.
+        KeyboardInterrupt: With a message about how to resume.
     """
     try:
         return work()
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"{TEXT}: the same command goes on from the last checkpoint in {out}, to the same "
-            f"weights"
+            f"{TEXT}: the same command resumes from the last checkpoint in {out}, with the same "
+            f"final weights"
         ) from None
 
 
 def print_conditions(text: str) -> None:
-    """Print what progress is told of, once, where progress goes."""
+    """Print the conditions of the progress reports on standard error."""
     print(text, file=sys.stderr)
 
 
@@ -333,11 +336,11 @@ def _finish(
     folders: list[Path],
     files: list[Path],
 ) -> None:
-    """Evaluate the final policies, print and write their table, and draw the learning curves."""
+    """Evaluate the final policies, print and write their table, and plot the curves."""
     table = out / "learning.md"
     picture = out / "curves.png"
     plot_curves(runs, picture)
-    # As `bulletuav evaluate` flies the folder of a run
+    # As `bulletuav evaluate` does for the folder of a run
     total = sum(config.episodes for config, _ in runs)
     with show_episodes(total) as advance:
         scores = [
@@ -347,7 +350,7 @@ def _finish(
                 config.episodes,
                 workers=arguments.workers,
                 progress=advance,
-                trust=True,  # modules that these settings name are imported already
+                trust=True,  # modules that these settings name are already imported
                 **config.evaluated,
             )
             for (config, _), folder in zip(runs, folders, strict=True)
@@ -356,7 +359,7 @@ def _finish(
     print(table.read_text(encoding="utf-8"))
     for config, rows in runs:
         named = f"{config.task}, {config.algo}, action {config.action}, seed {config.seed}"
-        print(f"{named}: {wall_time(rows)}")
+        print(f"{named}: {describe_wall_time(rows)}")
     for score in scores:
         print_score(score, f", options of {Path(score.about['policy']) / CONFIG}")
     print_files([*files, table, picture])

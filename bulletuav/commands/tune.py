@@ -1,19 +1,19 @@
-"""`bulletuav tune`: search the settings of a training run."""
+"""`bulletuav tune`: search hyperparameters of a training run."""
 
 import argparse
 from pathlib import Path
 from typing import Any
 
 from bulletuav.analysis.metrics import METRICS
-from bulletuav.commands.arguments import out_folder, parse_pairs
+from bulletuav.commands.arguments import make_out_folder, parse_pairs
 from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.commands.train import (
     add_run,
     base_config,
-    or_tell,
     print_conditions,
     run_config,
+    with_resume_hint,
 )
 from bulletuav.errors import shown
 from bulletuav.files import replace_file
@@ -24,12 +24,12 @@ from bulletuav.training.store import evaluation_conditions
 from bulletuav.training.study import STUDY, TRIALS, Study, best_trials, run_study
 
 ABOUT = {
-    "help": "search the settings of a training run, with Optuna",
+    "help": "search hyperparameters of training runs, with Optuna",
     "description": (
-        "Train runs whose settings vary within ranges, each a run of `bulletuav train`, and tell "
-        "which did best (extras 'tune' and 'sb3'). What is tried follows from the seed alone, "
-        "whatever the number of processes. The same command continues where it was interrupted; "
-        "with more --trials it goes on."
+        "Train runs with settings from a search space, each a run of `bulletuav train`, and print "
+        "the best (extras 'tune' and 'sb3'). The trials depend only on the seed, not on the "
+        "number of processes. The same command resumes an interrupted study; "
+        "with more --trials it continues."
     ),
     "epilog": """examples:
   bulletuav tune crossing --dynamics point_mass --steps 3e5 --trials 24 --workers 2 \\
@@ -38,20 +38,20 @@ ABOUT = {
   bulletuav tune --study study/study.yaml --out again
   bulletuav train --config study/trials/000/run.yaml --steps 4e6 --out long""",
 }
-GIVEN = ("metric", "trials", "batch")
+STUDY_ARGUMENTS = ("metric", "trials", "batch")
 """Arguments that are settings of a study under the same name"""
 KEYS = ("low", "high", "step")
-"""What stands between colons, in this order"""
+"""Values between colons, in this order"""
 FORM = "LOW:HIGH, LOW:HIGH:log, LOW:HIGH:STEP or A,B,C is needed"
-"""What the argument of --search has to be"""
+"""Required form of the argument of --search"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what is searched, how long, and the settings of the runs."""
-    # Where the settings come from that do not vary
+    """Add search space, number of trials, and settings of the runs."""
+    # Source of the settings that do not vary
     parser.add_argument("task", nargs="?", help="one of `bulletuav tasks`")
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="run.yaml with the settings that do not vary"
+        "--config", type=Path, metavar="FILE", help="run.yaml with the fixed settings"
     )
     parser.add_argument("--study", type=Path, metavar="FILE", help=f"{STUDY} of a study")
     parser.add_argument(
@@ -60,26 +60,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=RANGE",
         help=(
-            "setting that varies, by its name in run.yaml, such as model.gamma=0.9:0.999, "
+            "setting to search, by its name in run.yaml, such as model.gamma=0.9:0.999, "
             "model.learning_rate=1e-4:1e-2:log, options.num_neighbours=2,4; can be repeated"
         ),
     )
     parser.add_argument(
         "--metric",
-        help=f"what the last evaluation is judged by: {', '.join(METRICS)} (default: return)",
+        help=f"objective, of the last evaluation: {', '.join(METRICS)} (default: return)",
     )
-    parser.add_argument("--trials", type=int, metavar="N", help="runs to train (default: 20)")
+    parser.add_argument("--trials", type=int, metavar="N", help="number of runs (default: 20)")
     parser.add_argument(
         "--batch",
         type=int,
         metavar="N",
-        help="runs that are chosen at once; other numbers try other settings (default: 4)",
+        help="trials that are suggested at a time; it affects the suggestions (default: 4)",
     )
     parser.add_argument(
         "--workers",
         type=int,
         default=1,
-        help="processes; their number does not change the results (default: 1)",
+        help="number of processes; it does not change the results (default: 1)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: one in tuning/)"
@@ -88,59 +88,63 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Search, print and draw."""
-    # Interrupted studies go on with the trials that are missing
+    """Run the study, print the results and plot them."""
+    # An interrupted study continues with the missing trials
     study = _study(arguments)
-    out = out_folder(arguments.out or Path("tuning") / study.run.task)
+    out = make_out_folder(arguments.out or Path("tuning") / study.run.task)
     print_conditions(f"evaluations of the trials: {evaluation_conditions(study.run)}")
     with show_progress(f"tuning {study.run.task}", study.trials, "trials") as report:
-        trials = or_tell(out, lambda: run_study(study, out, arguments.workers, report, report.note))
-    # What was found, as a table and a picture
+        trials = with_resume_hint(
+            out, lambda: run_study(study, out, arguments.workers, report, report.note)
+        )
+    # Results, as a table and a picture
     table, picture = out / "study.md", out / "study.png"
     text = study_table(study, trials)
     replace_file(table, text)
     plot_study(study, trials, picture)
     print(text)
-    # The command that makes something of it
+    # Command that continues with the best settings
     best = best_trials(study, trials)[0].folder / CONFIG
     print(f"train the best one for longer: bulletuav train --config {best} --steps ... --out ...")
     print_files([out / STUDY, out / TRIALS, table, picture])
 
 
 def _study(arguments: argparse.Namespace) -> Study:
-    """Take the settings of a study, a file or a task, and change what was given."""
+    """Return the study of a study file, a run.yaml or a task, with given options."""
     sources = [arguments.task, arguments.config, arguments.study]
     if sum(source is not None for source in sources) != 1:
         raise ValueError("tune what? Give one of TASK, --config FILE or --study FILE")
-    # Options of the command go before what a file tells
+    # Given options override the file
     settings: dict[str, Any] = {
-        name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None
+        name: getattr(arguments, name)
+        for name in STUDY_ARGUMENTS
+        if getattr(arguments, name) is not None
     }
     space: Space = {}
     if arguments.study is not None:
         known = Study.read(arguments.study, arguments.trust)
         base, space = known.run, known.space
-        settings = {name: getattr(known, name) for name in GIVEN} | settings
+        settings = {name: getattr(known, name) for name in STUDY_ARGUMENTS} | settings
     else:
         base = base_config(arguments, arguments.task)
-    # A study without a new search goes on with its own
+    # Without --search, a study file keeps its search space
     if arguments.search or not space:
         space = space | parse_space(_searched(arguments.search))
     return Study(run_config(arguments, base), space, **settings)
 
 
 def _searched(pairs: list[str]) -> dict[str, Any]:
-    """Make of --search what a file would hold."""
-    return {name: _range(name, told) for name, told in parse_pairs("--search", pairs).items()}
+    """Parse --search to the form of a study file."""
+    return {name: _range(name, value) for name, value in parse_pairs("--search", pairs).items()}
 
 
-def _range(name: str, told: Any) -> dict[str, Any]:
-    """Make one range, or choices, of a value with colons or commas."""
-    if isinstance(told, list | tuple):
-        return {"choices": list(told)}
-    parts = str(told).split(":")
+def _range(name: str, value: Any) -> dict[str, Any]:
+    """Convert a value with colons or commas to a range or choices."""
+    if isinstance(value, list | tuple):
+        return {"choices": list(value)}
+    parts = str(value).split(":")
     if len(parts) not in (2, 3):
-        raise ValueError(f"--search {name}={shown(told)}: {FORM}")
+        raise ValueError(f"--search {name}={shown(value)}: {FORM}")
     named = [f"{key}={part}" for key, part in zip(KEYS, parts, strict=False)]
     numbers = parse_pairs("--search", named)
     if numbers.get("step") == "log":

@@ -1,4 +1,4 @@
-"""`bulletuav verify`: fly what files tell of once more, and compare."""
+"""`bulletuav verify`: reproduce recorded results, and compare them bit for bit."""
 
 import argparse
 import sys
@@ -13,10 +13,10 @@ from bulletuav.commands.progress import show_progress
 from bulletuav.report.verification import Check, Verifier
 
 ABOUT = {
-    "help": "fly a recording, evaluation, leaderboard or dataset again and compare every bit",
+    "help": "reproduce a recording, evaluation, leaderboard or dataset, bit for bit",
     "description": (
-        "Check the seals of files that fly, evaluate, compare or dataset wrote, fly what they tell "
-        "of once more, and compare the hashes. The exit code is 1 where something differs."
+        "Check the seals (hashes) of files of fly, evaluate, compare or dataset, fly the episodes "
+        "again, and compare the hashes. The exit code is 1 if anything differs."
     ),
     "epilog": """examples:
   bulletuav fly crossing --out flight && bulletuav verify flight
@@ -26,16 +26,14 @@ ABOUT = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what is verified, in how many processes, and whether it is trusted."""
-    parser.add_argument("path", type=Path, metavar="FILE", help="a file of results, or its folder")
-    parser.add_argument(
-        "--workers", type=int, default=1, help="processes for many episodes (default: 1)"
-    )
+    """Add the file or folder, --workers and --trust."""
+    parser.add_argument("path", type=Path, metavar="FILE", help="file of results, or its folder")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes (default: 1)")
     add_trust(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Verify, print, and leave with code 1 where something differs."""
+    """Verify, print the comparison, and exit with code 1 if anything differs."""
     verifier = Verifier(arguments.workers, arguments.trust, show_progress)
     checks = verifier.verify(arguments.path)
     print_table(_table(arguments.path, checks))
@@ -44,7 +42,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _table(path: Path, checks: list[Check]) -> Table:
-    """Lay out what was compared."""
+    """Return a table of the comparisons."""
     table = Table(title=str(path))
     for heading in ("what", "in the file", "found", "same"):
         table.add_column(heading)

@@ -25,7 +25,7 @@ from bulletuav.engine.parking import parking_places
 from bulletuav.engine.queries import EngineQueries
 from bulletuav.engine.scene_copy import AddedPiece, ScenePoses
 from bulletuav.engine.tiles import globalise, localise, tile_offset
-from bulletuav.errors import choose, finite
+from bulletuav.errors import find_choice, finite
 from bulletuav.geometry.obstacle import MOST_FRICTION, Obstacle
 from bulletuav.geometry.rotation import product, to_world
 from bulletuav.geometry.scenery import NOWHERE, Scenery, add_pieces
@@ -87,7 +87,7 @@ class Engine(EngineQueries):
             RuntimeError: There is no screen for a window.
             ValueError: Bullet cannot load the URDF of an airframe, or `rays` is neither.
         """
-        choose("rays", rays, dict.fromkeys(RAY_METHODS))
+        find_choice("rays", rays, dict.fromkeys(RAY_METHODS))
         require_loadable(airframes)
         offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])
         super().__init__(

@@ -42,7 +42,7 @@ from bulletuav.envs.snapshot import (
     require_contacts,
     require_snapshot,
 )
-from bulletuav.errors import as_int, as_sequence, choose, finite, numbers_of, points_of, shown
+from bulletuav.errors import as_int, as_sequence, find_choice, finite, numbers_of, points_of, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, product, to_world
 from bulletuav.geometry.scenery import Scenery
@@ -193,7 +193,7 @@ class Airspace(Environment):
         self._require_open()
         rows, _ = rows_of(drones, len(self.airframes))
         if isinstance(rotor_speed, str):
-            rotor_speed = choose("rotor_speed", rotor_speed, {"hover": self.hover_speed})[rows]
+            rotor_speed = find_choice("rotor_speed", rotor_speed, {"hover": self.hover_speed})[rows]
         most = self.world.max_rotor_speed(rows)
         state = state_numbers(most, position, quaternion, velocity, rates, rotor_speed)
         self.simulation.look()

@@ -17,7 +17,13 @@ from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.envs.resolve import airframes_of, make_tuples
 from bulletuav.envs.viewer import VIEWERS
-from bulletuav.errors import UnknownOptionError, choose, finite, nearest, numbers_of, shown
+from bulletuav.errors import (
+    UnknownOptionError,
+    find_choice,
+    finite,
+    numbers_of,
+    shown,
+)
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor
@@ -87,7 +93,7 @@ def airspace_options(
     for name in given:
         if name not in known:
             raise UnknownOptionError(
-                f"unknown option of Airspace: {name!r}: {nearest(name, known)}"
+                f"unknown option of Airspace: {name!r}: {suggest_names(name, known)}"
             )
     # Positions tell how many drones there are
     places = numbers_of("position is", position)
@@ -313,7 +319,7 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
     elif isinstance(level, np.integer) and level in LEVELS.values():  # as `levels` tells it
         chosen = SetpointLevel(int(level))
     else:
-        chosen = choose(
+        chosen = find_choice(
             "setpoint level", level.lower() if isinstance(level, str) else level, LEVELS
         )
     # Nothing leads up: a dynamics of points has no attitude to command

@@ -18,7 +18,7 @@ from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.envs.viewer import require_single
-from bulletuav.errors import as_int, as_sequence, choose, finite, shown
+from bulletuav.errors import as_int, as_sequence, find_choice, finite, shown
 from bulletuav.sensors.base import Label
 from bulletuav.tasks import TaskSource
 
@@ -192,11 +192,11 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the agent's observation space, the same object each time."""
-        return choose("agent", agent, self.observation_spaces)
+        return find_choice("agent", agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> Space[Any]:
         """Return the agent's action space, the same object each time."""
-        return choose("agent", agent, self.action_spaces)
+        return find_choice("agent", agent, self.action_spaces)
 
     @exclusive
     def reset(

@@ -14,7 +14,14 @@ from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
 from bulletuav.envs.resolve import resolve
 from bulletuav.envs.state import Sizes, State
-from bulletuav.errors import as_int, as_sequence, numbers_of, require_memory, shown, unknown
+from bulletuav.errors import (
+    as_int,
+    as_sequence,
+    numbers_of,
+    require_available_memory,
+    shown,
+    unknown,
+)
 from bulletuav.sensors.base import SensorSetup
 from bulletuav.sensors.camera import IMAGES
 from bulletuav.sensors.lidar import make_beams
@@ -151,7 +158,7 @@ class EnvSpec:
             f"observe"
         )
         remedy = "lower num_worlds, num_drones, or what is observed"
-        require_memory(what, self.num_worlds * each, remedy)
+        require_available_memory(what, self.num_worlds * each, remedy)
 
     def _world_bytes(self) -> float:
         """Estimate what a world takes.

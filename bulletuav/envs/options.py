@@ -13,7 +13,7 @@ from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.envs.rates import MOST_HZ, decision_rate, picture_rate
 from bulletuav.envs.viewer import USUAL_ADDRESS, VIEWERS, parse_address
-from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
+from bulletuav.errors import as_int, as_sequence, find_choice, finite, shown, unknown
 from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
@@ -180,7 +180,7 @@ class EnvOptions:
         if self.seed is not None:
             self._keep("seed", as_int("seed", self.seed, 0))
         if self.render_mode is not None:
-            choose("render_mode", self.render_mode, dict.fromkeys(RENDER_MODES))
+            find_choice("render_mode", self.render_mode, dict.fromkeys(RENDER_MODES))
         parse_address(self.render_address)
         for name in ("render_size", "camera_size"):
             self._keep(
@@ -193,12 +193,12 @@ class EnvOptions:
         dynamics = find_dynamics(self.dynamics)
         if self.contacts is None:
             self._keep("contacts", dynamics.contacts[0])
-        choose("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
+        find_choice("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
         choices = {"action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
         choices["rays"] = tuple(RAY_METHODS)
         for name, known in choices.items():
-            choose(name, getattr(self, name), dict.fromkeys(known))
+            find_choice(name, getattr(self, name), dict.fromkeys(known))
         check_names("effects", "effect", self.effects, EFFECTS)
         for name in ("normalise", "integral", "debug"):
             value = getattr(self, name)
@@ -328,7 +328,7 @@ class EnvOptions:
                 "function, which tells the wind at each height"
             )
         if isinstance(self.turbulence, str):
-            choose("turbulence", self.turbulence, TURBULENCE)
+            find_choice("turbulence", self.turbulence, TURBULENCE)
         elif self.turbulence is not None:
             self._keep("turbulence", finite("turbulence", self.turbulence, most=MOST_WIND))
             if self.turbulence < 0:

@@ -19,7 +19,7 @@ from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_face
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.envs.teams import team_rows
-from bulletuav.errors import choose, shown, unknown
+from bulletuav.errors import find_choice, shown, unknown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation, part
 
@@ -82,11 +82,11 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the agent's observation space, the same object each time."""
-        return choose("agent", agent, self.observation_spaces)
+        return find_choice("agent", agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> Space[Any]:
         """Return the agent's action space, the same object each time."""
-        return choose("agent", agent, self.action_spaces)
+        return find_choice("agent", agent, self.action_spaces)
 
     @property
     def np_random(self) -> np.random.Generator:

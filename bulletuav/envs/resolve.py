@@ -20,7 +20,15 @@ from bulletuav.envs.options import (
     EnvOptions,
 )
 from bulletuav.envs.randomization import Randomization, known_uncertainties
-from bulletuav.errors import UnknownOptionError, as_int, as_sequence, choose, finite, nearest, shown
+from bulletuav.errors import (
+    UnknownOptionError,
+    as_int,
+    as_sequence,
+    find_choice,
+    finite,
+    shown,
+    suggest_names,
+)
 from bulletuav.sensors.base import Sensor
 from bulletuav.sensors.suite import known_sensors
 from bulletuav.tasks.base import Task
@@ -107,22 +115,22 @@ def _with_defaults(
             # The words are those of Python's own TypeError, which some wrappers look for.
             raise UnknownOptionError(
                 f"unknown option of task {task.name!r}: unexpected keyword argument {name!r}: "
-                f"{nearest(name, known)}"
+                f"{suggest_names(name, known)}"
             )
     # What the difficulty and the preset change.
     first = "easy" if "easy" in task.difficulties else next(iter(task.difficulties))
     usual_difficulty = task.defaults.get("difficulty", first)
     difficulty = given.get("difficulty", usual_difficulty)
-    changes = choose("difficulty", difficulty, dict(task.difficulties))
+    changes = find_choice("difficulty", difficulty, dict(task.difficulties))
     preset: Mapping[str, Any] = {}
     if given.get("preset") is not None:
         if not task.presets:
             raise ValueError(f"preset is {shown(given['preset'])}: task {task.name!r} has none")
-        preset = choose("preset", given["preset"], dict(task.presets))
+        preset = find_choice("preset", given["preset"], dict(task.presets))
     # Later ones go before earlier ones.
     usual = {**DEFAULTS, **task.defaults, **changes, **preset}
     for name in usual:
-        choose(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(known))
+        find_choice(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(known))
     values = {**usual, **given, "difficulty": difficulty}
     # Weights that are given change those of the preset one by one.
     if isinstance(given.get("weights"), Mapping):
@@ -248,7 +256,7 @@ def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
         raise ValueError(f"{name} is {shown(value)}: True or False is needed")
     # By type; what is none of these is checked by who uses it
     if typing.get_origin(kind) is Literal:
-        choose(name, value, dict.fromkeys(typing.get_args(kind)))
+        find_choice(name, value, dict.fromkeys(typing.get_args(kind)))
     elif kind is float:
         value = finite(name, value, most=most)
         if value < 0:

@@ -13,7 +13,7 @@ from bulletuav.envs.infos import later
 from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.errors import as_int, choose, numbers_of
+from bulletuav.errors import as_int, find_choice, numbers_of
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
@@ -36,7 +36,7 @@ def autoreset(mode: Any) -> AutoresetMode:
     for one in AutoresetMode:
         modes[one.name] = one
         modes[one.value] = one
-    return choose("autoreset_mode", mode, modes)
+    return find_choice("autoreset_mode", mode, modes)
 
 
 class BatchAviary(LabelledEnvironment):

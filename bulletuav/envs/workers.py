@@ -33,8 +33,8 @@ from bulletuav.envs.worker import (
     raise_first,
     work,
 )
-from bulletuav.errors import as_int, choose, finite, numbers_of
-from bulletuav.interrupts import kept_from_children
+from bulletuav.errors import as_int, find_choice, finite, numbers_of
+from bulletuav.interrupts import block_interrupts
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import VECTOR, Observation
 
@@ -138,7 +138,7 @@ class WorkerAviary(LabelledEnvironment):
         mine, theirs = context.Pipe()
         process = context.Process(target=work, args=(theirs, *arguments), daemon=True)
         try:
-            with kept_from_children():
+            with block_interrupts():
                 process.start()
         except (AssertionError, AttributeError, TypeError, pickle.PicklingError) as error:
             raise ValueError(
@@ -367,7 +367,9 @@ def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:
     """Raise ValueError for processes that cannot be."""
     as_int("workers", workers, 1, MOST_WORKERS)
     if start_method is not None:
-        choose("start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods()))
+        find_choice(
+            "start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods())
+        )
     if finite("timeout", timeout) <= 0:
         raise ValueError(f"timeout is {timeout:g} s: it must be above 0")
 

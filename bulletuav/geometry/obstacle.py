@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bulletuav.errors import as_sequence, choose, finite, points_of, shown
+from bulletuav.errors import as_sequence, find_choice, finite, points_of, shown
 from bulletuav.geometry.convex import hull_shape, reach
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 
@@ -51,7 +51,7 @@ class Obstacle:
     restitution: float = 0.0
 
     def __post_init__(self) -> None:
-        choose("kind of obstacle", self.kind, SIZES)
+        find_choice("kind of obstacle", self.kind, SIZES)
         size = as_sequence("size of an obstacle", self.size, SIZES[self.kind])
         if min((finite("size of an obstacle", one, most=LARGEST) for one in size), default=1) <= 0:
             raise ValueError(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bulletuav.errors import nearest
+from bulletuav.errors import suggest_names
 from bulletuav.vehicle.airframe import Airframe
 
 Get = Callable[[Airframe], float]
@@ -166,7 +166,9 @@ def choose_constants(
         found = [constant for constant in CONSTANTS if name in (constant.name, constant.group)]
         if not found and name != BATTERY:
             choices = (*BY_NAME, *GROUPS, BATTERY)
-            raise ValueError(f"--fit {name}: there is no such constant; {nearest(name, choices)}")
+            raise ValueError(
+                f"--fit {name}: there is no such constant; {suggest_names(name, choices)}"
+            )
         if found and found[0].group == "wake" and not has_other:
             raise ValueError(f"--fit {name} needs the columns other_x, other_y, other_z")
         if found and found[0].group == "voltage" and not has_pwm:

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.errors import nearest, require_file, shown
+from bulletuav.errors import require_file, shown, suggest_names
 from bulletuav.parsing import plain_digits
 from bulletuav.vehicle.airframe import MAX_ROTORS, STANDARD_GRAVITY
 from bulletuav.vehicle.rotors import RPM
@@ -133,7 +133,9 @@ def parse_map(pairs: Iterable[str]) -> dict[str, Source]:
         if not equals or not text:
             raise ValueError(f"--map {pair}: NAME=COLUMN[*FACTOR][+OFFSET] is needed")
         if name not in NAMES:
-            raise ValueError(f"--map {pair}: no column is called {name!r}; {nearest(name, NAMES)}")
+            raise ValueError(
+                f"--map {pair}: no column is called {name!r}; {suggest_names(name, NAMES)}"
+            )
         if name in sources:
             raise ValueError(f"--map {pair}: {name} is given twice")
         sources[name] = _parse_source(pair, text)
@@ -270,7 +272,7 @@ def _wanted(
         if source.column not in header:
             raise ValueError(
                 f"{path}: --map {name}={source.column}: there is no such column; "
-                f"{nearest(source.column, header)}"
+                f"{suggest_names(source.column, header)}"
             )
     attitude = EULER if all(name in known for name in EULER) else QUATERNION
     if all(name in known for name in QUATERNION):
@@ -314,4 +316,4 @@ def _hint(name: str, header: list[str]) -> str:
     like = [column for column in header if column.lower().endswith(known)]
     if like:
         return f"perhaps {' or '.join(map(repr, like[:3]))}"
-    return nearest(name, header)[:MOST_HINT]
+    return suggest_names(name, header)[:MOST_HINT]

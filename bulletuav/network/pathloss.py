@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.compiled.kernel import elementwise
-from bulletuav.errors import choose, numbers_of
+from bulletuav.errors import find_choice, numbers_of
 from bulletuav.network.propagation import (
     NLOS_EXPONENT,
     antenna_distance,
@@ -212,7 +212,7 @@ def check_validity(
         UserWarning: A drone or user stands for the base of the standard at another height. Drones
             do so for TR 38.901, users for TR 36.777.
     """
-    model: PathLossModel = choose("path loss model", name, PATHLOSS_MODELS)
+    model: PathLossModel = find_choice("path loss model", name, PATHLOSS_MODELS)
     given = {"frequency": frequency, "distance": distance, "drone": drone, "user": user}
     for quantity, value in given.items():
         if value is None:

@@ -9,7 +9,7 @@ import numpy as np
 from bulletuav.compiled.functions import hypot
 from bulletuav.compiled.kernel import allocating, func
 from bulletuav.compiled.program import Program
-from bulletuav.errors import choose, finite
+from bulletuav.errors import find_choice, finite
 from bulletuav.geometry.rotation import quat4, to_body
 from bulletuav.network.antenna import PEAK, gain_towards
 from bulletuav.network.fading import rician_gain
@@ -194,7 +194,7 @@ class Uplink:
             if getattr(config, name) <= 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
         if isinstance(config.activity, str):
-            choose("activity", config.activity, {"load": None})
+            find_choice("activity", config.activity, {"load": None})
         else:
             finite("activity", config.activity, 0, 1)
         # The standards' models are each for a range of frequencies

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, cast
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import action_for, resolve
-from bulletuav.errors import choose, shown, unknown
+from bulletuav.errors import find_choice, shown, unknown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.mismatch import naming_task
 from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunConfig, shipped
@@ -293,7 +293,7 @@ def _from_model(
     trust: bool,
 ) -> PolicySpec:
     """Find a model that stable-baselines3 saved, from what stands before and after the colon."""
-    choose("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
+    find_choice("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
     if not file:
         raise ValueError(
             f"policy is {source!r}: the path of a model is needed after the colon, "

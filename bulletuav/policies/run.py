@@ -17,7 +17,7 @@ from bulletuav.envs.curriculum import Curriculum, check_stages
 from bulletuav.envs.env_spec import MOST_WORLDS
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import resolve
-from bulletuav.errors import as_int, choose, shown, unknown
+from bulletuav.errors import as_int, find_choice, shown, unknown
 from bulletuav.parsing import read_yaml
 from bulletuav.tasks import find_task
 from bulletuav.version import CONSTANTS
@@ -134,7 +134,7 @@ class RunConfig:
             ValueError: A setting, or an option of an environment, is impossible.
         """
         task = find_task(self.task)
-        choose("algorithm", self.algo, dict.fromkeys(ALGORITHMS))
+        find_choice("algorithm", self.algo, dict.fromkeys(ALGORITHMS))
         for name, (least, most) in LIMITS.items():
             as_int(name, getattr(self, name), least, most)
         for name in ("options", "curriculum", "model", "evaluation"):
@@ -148,7 +148,7 @@ class RunConfig:
         # Making the curriculum and the options of all environments checks them.
         check_stages(self.stages)
         for name in self.curriculum:
-            choose("setting of curriculum:", name, dict.fromkeys(("up", "down", "window")))
+            find_choice("setting of curriculum:", name, dict.fromkeys(("up", "down", "window")))
         Curriculum(len(self.stages), **self.curriculum)
         for stage in self.stages:
             resolve(task, {**self.options, **stage})

@@ -12,7 +12,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from PIL import Image
 
 from bulletuav.analysis.recording import Recording
-from bulletuav.errors import printable
+from bulletuav.errors import printable_text
 from bulletuav.files import whole_file
 from bulletuav.report.figures import (
     ABOVE,
@@ -64,7 +64,7 @@ class Animation:
             title: Title of the pictures.
         """
         self._recording = recording
-        self._title = printable(title)
+        self._title = printable_text(title)
         self._d_safe = d_safe
         # The last row is always shown, also where rows are left out.
         self._frames = list(range(0, len(recording.time), -(-len(recording.time) // MOST_FRAMES)))

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.analysis.metrics import Estimate
 from bulletuav.report.figures import blank_figure, save_figure
-from bulletuav.training.campaign import Learned
+from bulletuav.training.campaign import TrainedRun
 from bulletuav.training.store import Row, evaluation_conditions
 
 COLOURS = (
@@ -121,7 +121,7 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
     save_figure(figure, path)
 
 
-def plot_curves(runs: Sequence[Learned], path: Path) -> None:
+def plot_curves(runs: Sequence[TrainedRun], path: Path) -> None:
     """Plot the learning curves of runs as a PNG file, a row for each task.
 
     It shows what the evaluations on the way found over the steps: each seed, their mean and range.

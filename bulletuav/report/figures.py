@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
 from bulletuav.analysis.recording import Recording
-from bulletuav.errors import printable
+from bulletuav.errors import printable_text
 from bulletuav.files import whole_file
 
 MOST_NUMBERS = 24
@@ -50,7 +50,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     """
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
-        text.set_text(printable(text.get_text()))
+        text.set_text(printable_text(text.get_text()))
     with whole_file(path) as part:
         figure.savefig(part, dpi=110)
 

@@ -12,7 +12,7 @@ from bulletuav.analysis.recorded import Recording
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.marks import Lens, Marks, draw
 from bulletuav.envs.renderer import Renderer, fit, pixel_size
-from bulletuav.errors import as_int, choose
+from bulletuav.errors import as_int, find_choice
 from bulletuav.files import whole_file
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
@@ -74,7 +74,7 @@ class Film:
             ValueError: There is no such camera or drone, or the scene is damaged.
         """
         # What is shown, and by which camera
-        choose("camera", camera, dict.fromkeys(CAMERAS))
+        find_choice("camera", camera, dict.fromkeys(CAMERAS))
         count = recording.position.shape[1]
         self._drone = as_int("drone", drone, 0, count - 1)
         self._recording, self._title, self._camera = recording, title, camera

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 
 FPS = 20
 """Pictures a second"""
@@ -25,7 +25,7 @@ def save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:
     try:
         import imageio_ffmpeg
     except ImportError:
-        raise missing("writing a film (.mp4)", "video") from None
+        raise missing_extra("writing a film (.mp4)", "video") from None
     first = next(pictures)
     count = 1
     writer = imageio_ffmpeg.write_frames(str(path), first.shape[1::-1], fps=FPS, macro_block_size=2)

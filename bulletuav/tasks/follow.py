@@ -7,7 +7,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from bulletuav.compiled.functions import atan2, cos, hypot, sin
-from bulletuav.errors import choose
+from bulletuav.errors import find_choice
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
 from bulletuav.tasks.base import Task
@@ -168,7 +168,7 @@ class Follow(Task[FollowConfig]):
                 together, or drones could start in touch with the target or the ground.
         """
         super().__init__(config, context)
-        target = choose("target", config.target, TARGETS)
+        target = find_choice("target", config.target, TARGETS)
         self._body = target.body
         self._height = target.height
         if config.target_speed >= context.max_speed:

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from bulletuav.errors import nearest, shown
+from bulletuav.errors import shown, suggest_names
 from bulletuav.registry import find
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.frame import FIELDS, Frame
@@ -163,7 +163,7 @@ class Binding:
         }
         raise ValueError(
             f"{who} of task {self.task!r} asks for {name!r}, which is no field, reading, memory or "
-            f"number of the task: {nearest(name, choices)}"
+            f"number of the task: {suggest_names(name, choices)}"
         )
 
 

@@ -1,1 +1,1 @@
-"""Training runs: kept in a folder, interrupted and resumed to the same bits."""
+"""Training runs that are stored in a folder and resume reproducibly, bit for bit."""

@@ -1,4 +1,4 @@
-"""Several training runs, in processes, and the table of what they learned."""
+"""Several training runs in parallel processes, and the table of their results."""
 
 import contextlib
 import math
@@ -19,41 +19,41 @@ from typing import Any
 
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.errors import as_int
-from bulletuav.interrupts import kept_from_children
+from bulletuav.interrupts import block_interrupts
 from bulletuav.parsing import read_json
 from bulletuav.policies.run import RunConfig
-from bulletuav.training.store import STATE, WALL, Row, number_rows
+from bulletuav.training.store import STATE, WALL_COLUMNS, Row, number_rows
 
-Learned = tuple[RunConfig, list[Row]]
-"""A run and its learning curve"""
-TOLD = ("return", "success", "conflict", "collision", "completed")
-"""Metrics of the table"""
-LOOK = 1.0
-"""Time between looks at how far the runs are, s"""
+TrainedRun = tuple[RunConfig, list[Row]]
+"""Settings and learning curve of a run"""
+TABLE_METRICS = ("return", "success", "conflict", "collision", "completed")
+"""Metrics in the table of results"""
+POLL_PERIOD = 1.0
+"""Polling period of the progress of the runs, s"""
 
 
 class Campaign:
-    """Training runs, each in a folder of its own: `folder`/task/seed.
+    """Training runs, each in its own folder: `folder`/task/seed.
 
     Attributes:
-        configs: The runs.
-        total: Steps of all together.
+        configs: Settings of the runs.
+        total: Total number of steps of all runs.
     """
 
     def __init__(self, configs: Sequence[RunConfig], folder: Path, mlflow: bool = False) -> None:
-        """Plan a campaign.
+        """Make a campaign.
 
         Args:
-            configs: The runs, each of another task or seed.
-            folder: Where their folders are, or will be.
-            mlflow: Whether MLflow is told, too.
+            configs: Settings of the runs, which differ in task or seed.
+            folder: Parent folder of the runs.
+            mlflow: If True, also log to MLflow.
         """
         self.configs = list(configs)
         self.total = sum(config.steps for config in configs)
         self._folder = folder
         self._mlflow = mlflow
 
-    def place(self, config: RunConfig) -> Path:
+    def run_folder(self, config: RunConfig) -> Path:
         """Return the folder of a run."""
         return self._folder / config.task / str(config.seed)
 
@@ -61,31 +61,31 @@ class Campaign:
         self,
         workers: int = 1,
         progress: Callable[[int], None] = lambda steps: None,
-        told: Callable[[str], None] = lambda text: None,
-    ) -> list[Learned]:
+        note: Callable[[str], None] = lambda text: None,
+    ) -> list[TrainedRun]:
         """Train all runs.
 
-        Finished ones are not trained again, others go on from their last checkpoint. Where one
-        raises, what the others have done since their last checkpoints is lost.
+        Finished runs are not trained again; others resume from their last checkpoint. If a run
+        raises an error, the other runs lose the progress since their last checkpoints.
 
         Args:
-            workers: Processes, of which each trains one run at a time.
-            progress: Told the steps done so far by all.
-            told: Told in words what the last evaluation of each run found.
+            workers: Number of processes; each trains one run at a time.
+            progress: Called with the number of finished steps of all runs.
+            note: Called with a text of the last evaluation of each run.
 
         Returns:
-            The runs with their learning curves.
+            Settings and learning curve of each run.
 
         Raises:
-            Exception: Whatever a run raises.
+            Exception: Any error of a run.
         """
-        with processes(workers) as pool:
-            with kept_from_children():
+        with training_processes(workers) as pool:
+            with block_interrupts():
                 futures = [
-                    pool.submit(train_in_process, config, self.place(config), self._mlflow)
+                    pool.submit(train_in_process, config, self.run_folder(config), self._mlflow)
                     for config in self.configs
                 ]
-            self._watch(futures, progress, told)
+            self._watch(futures, progress, note)
         progress(self.total)
         return [
             (config, future.result()) for config, future in zip(self.configs, futures, strict=True)
@@ -95,18 +95,20 @@ class Campaign:
         self,
         futures: Sequence[Future[list[Row]]],
         progress: Callable[[int], None],
-        told: Callable[[str], None],
+        note: Callable[[str], None],
     ) -> None:
-        """Tell the progress until all runs are done, or raise what one of them raised."""
-        while wait(futures, LOOK, FIRST_EXCEPTION).not_done and not any(map(_failed, futures)):
-            last = [_last(self.place(config)) for config in self.configs]
-            told(self._words(last))
+        """Report the progress until all runs are done, or raise the error of a failed run."""
+        while wait(futures, POLL_PERIOD, FIRST_EXCEPTION).not_done and not any(
+            map(_failed, futures)
+        ):
+            last = [_last(self.run_folder(config)) for config in self.configs]
+            note(self._describe_progress(last))
             progress(sum(int(row["steps"]) for row in last if row))
         for future in filter(_failed, futures):
             future.result()
 
-    def _words(self, last: Sequence[Row]) -> str:
-        """Say what the last evaluation of each run found, of those that have one."""
+    def _describe_progress(self, last: Sequence[Row]) -> str:
+        """Return a text with return and success of the last evaluation of each run."""
         return "; ".join(
             f"{config.task} {config.seed}: evaluated return {row['return']:.4g}, success "
             f"{row['success']:.2f}"
@@ -116,28 +118,28 @@ class Campaign:
 
 
 @contextlib.contextmanager
-def processes(workers: int) -> Iterator[Executor]:
-    """Begin processes that train; they are killed where anything is raised.
+def training_processes(workers: int) -> Iterator[Executor]:
+    """Start a pool of training processes, which are killed if the block raises an error.
 
     Args:
-        workers: How many.
+        workers: Number of processes.
 
     Yields:
-        What runs `train_in_process`.
+        The executor, for `train_in_process`.
 
     Raises:
-        ValueError: `workers` is no number of processes.
-        RuntimeError: A process has died.
+        ValueError: If `workers` is not an integer of at least 1.
+        RuntimeError: If a process has died.
     """
     as_int("workers", workers, 1)
-    # PyTorch's threads do not survive a fork.
+    # PyTorch's threads do not survive a fork
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupts) as pool:
         try:
             yield pool
         except BaseException as error:
-            # A process that is stopped would not hear anything milder.
+            # Only SIGKILL ends a process that is stopped
             for process in set(multiprocessing.active_children()) - others:
                 process.kill()
             if isinstance(error, BrokenProcessPool):
@@ -149,23 +151,23 @@ def processes(workers: int) -> Iterator[Executor]:
 
 
 def _failed(future: Future[Any]) -> bool:
-    """Tell whether a run ended with an error."""
+    """Return True if a run has ended with an error."""
     return future.done() and future.exception() is not None
 
 
-def _leave_interrupts() -> None:
-    """Leave interrupts to the process that asks."""
+def _ignore_interrupts() -> None:
+    """Ignore interrupts in a worker: the parent process handles them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def train_in_process(config: RunConfig, folder: Path, mlflow: bool = False) -> list[Row]:
-    """Train one run in a process of `processes`; see `bulletuav.training.trainer.train`."""
+    """Train one run in a worker process; see `bulletuav.training.trainer.train`."""
     from bulletuav.training.trainer import train
 
     parent = multiprocessing.parent_process()
 
     def end_with_parent(steps: int) -> None:
-        # Once the parent was killed nobody waits for this run, and who resumes it wants the folder.
+        # If the parent was killed, exit and release the folder, so that the run can be resumed
         if parent is not None and not parent.is_alive():
             os._exit(1)
 
@@ -173,46 +175,46 @@ def train_in_process(config: RunConfig, folder: Path, mlflow: bool = False) -> l
 
 
 def _last(folder: Path) -> Row:
-    """Read the last row of a run's curve; an empty one where there is none."""
-    # A damaged file is for the run itself to complain of.
+    """Read the last row of the learning curve of a run; empty if there is none."""
+    # The run itself reports a damaged file
     try:
         return number_rows(read_json(folder / STATE)["rows"])[-1]
     except (ValueError, LookupError, TypeError):
         return {}
 
 
-def wall_time(rows: Sequence[Row]) -> str:
-    """Say how much wall time a run took, and what for.
+def describe_wall_time(rows: Sequence[Row]) -> str:
+    """Return a text with the wall time of a run, and its fractions by activity.
 
     Args:
-        rows: Its learning curve.
+        rows: Learning curve of the run.
     """
-    seconds = {name: sum(row[name] for row in rows) for name in WALL}
+    seconds = {name: sum(row[name] for row in rows) for name in WALL_COLUMNS}
     whole = sum(row["seconds"] for row in rows)
     parts = ", ".join(f"{name} {100 * one / whole:.0f} %" for name, one in seconds.items())
     return f"{whole / 60:.1f} minutes: {parts}"
 
 
-def learning_table(runs: Sequence[Learned], scores: Sequence[Evaluation]) -> str:
-    """Write a table of runs: what each took, and the score of its final policy.
+def learning_table(runs: Sequence[TrainedRun], scores: Sequence[Evaluation]) -> str:
+    """Return a table of runs with their cost and the scores of their final policies.
 
     Args:
-        runs: The runs with their learning curves.
-        scores: The evaluation of the final policy of each.
+        runs: Settings and learning curve of each run.
+        scores: Evaluation of the final policy of each run.
 
     Returns:
-        The table in markdown. Minutes and speed are of wall time, with evaluations.
+        The table in markdown. Minutes and steps/s are of wall time, including evaluations.
     """
     estimates = [score.estimates() for score in scores]
-    # Metrics that at least one run has
-    shown = [name for name in TOLD if any(found[name].episodes for found in estimates)]
+    # Metrics with a value in at least one run
+    shown = [name for name in TABLE_METRICS if any(found[name].episodes for found in estimates)]
     headings = [
         "task",
         "algorithm",
         "seed",
         "steps",
         "minutes",
-        *WALL,
+        *WALL_COLUMNS,
         "steps/s",
         "difficulty",
         "dynamics",
@@ -220,10 +222,10 @@ def learning_table(runs: Sequence[Learned], scores: Sequence[Evaluation]) -> str
         *shown,
     ]
     lines = [_line(headings), "|---" * len(headings) + "|"]
-    # One row a run, by its final policy
+    # One row for each run
     for (config, rows), score, estimate in zip(runs, scores, estimates, strict=True):
         last = rows[-1]
-        # Rows tell the time since the one before; a clock may not have gone on
+        # Each row has the time since the previous row, which may be 0
         seconds = max(sum(row["seconds"] for row in rows), 1e-9)
         means = [estimate[name].mean for name in shown]
         found = ["-" if math.isnan(mean) else f"{mean:.2f}" for mean in means]
@@ -236,7 +238,10 @@ def learning_table(runs: Sequence[Learned], scores: Sequence[Evaluation]) -> str
                     str(config.seed),
                     f"{last['steps']:,.0f}",
                     f"{seconds / 60:.1f}",
-                    *(f"{100 * sum(row[name] for row in rows) / seconds:.0f} %" for name in WALL),
+                    *(
+                        f"{100 * sum(row[name] for row in rows) / seconds:.0f} %"
+                        for name in WALL_COLUMNS
+                    ),
                     f"{last['steps'] / seconds:,.0f}",
                     conditions.difficulty,
                     conditions.dynamics,
@@ -249,5 +254,4 @@ def learning_table(runs: Sequence[Learned], scores: Sequence[Evaluation]) -> str
 
 
 def _line(cells: Sequence[str]) -> str:
-    """Write a row of a table."""
     return "| " + " | ".join(cells) + " |"

@@ -1,6 +1,6 @@
-"""A checkpoint: all that a model of stable-baselines3 needs to go on learning.
+"""Checkpoints: the complete training state of a model of stable-baselines3.
 
-It is numbers and nothing else.
+A checkpoint contains only arrays and numbers, and no pickled objects.
 """
 
 import json
@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 
-from bulletuav.errors import missing
+from bulletuav.errors import missing_extra
 from bulletuav.files import whole_file
 from bulletuav.parsing import parse_json
 from bulletuav.policies.neural_network import HIGH, LOW, read_weights
@@ -26,7 +26,7 @@ try:
         recursive_setattr,
     )
 except ImportError:
-    raise missing("training", "sb3") from None
+    raise missing_extra("training", "sb3") from None
 
 COUNTERS = (
     "num_timesteps",
@@ -36,26 +36,27 @@ COUNTERS = (
     "_current_progress_remaining",
     "exploration_rate",
 )
-"""Numbers of a model that its learning depends on, of those algorithms that have them"""
+"""Counters of a model on which training depends, for the algorithms that have them"""
 
 
-def save(model: Any, folder: Path) -> None:
-    """Write a model.
+def save_checkpoint(model: Any, folder: Path) -> None:
+    """Write a checkpoint of a model.
 
     Args:
-        model: Of any algorithm of stable-baselines3.
-        folder: For policy.safetensors (the policy), training.safetensors (optimizers, further
-            variables, counters) and, where the algorithm has a replay buffer, replay.safetensors.
+        model: Model of any algorithm of stable-baselines3.
+        folder: Folder for policy.safetensors (the policy), training.safetensors (optimizers,
+            further variables, counters) and, if the algorithm has a replay buffer,
+            replay.safetensors.
 
     Raises:
-        OSError: A file cannot be written.
+        OSError: If a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    # The policy flies without PyTorch: the bounds of its actions go with it.
+    # The policy file includes action bounds, so that inference does not need PyTorch
     space = model.action_space
     bounds = {LOW: space.low, HIGH: space.high} if isinstance(space, Box) else {}
     _write({**_arrays(model.policy.state_dict()), **bounds}, folder / POLICY)
-    # Names tell the optimizer, the number of the parameter, and which of its arrays it is.
+    # Names of arrays: optimizer/index of the parameter/key of its state
     rest: dict[str, np.ndarray] = {}
     for name in _optimizers(model):
         for index, state in recursive_getattr(model, name).state_dict()["state"].items():
@@ -68,15 +69,15 @@ def save(model: Any, folder: Path) -> None:
         _write(_rows(buffer), folder / REPLAY)
 
 
-def restore(model: Any, folder: Path) -> None:
-    """Set a new model of the same settings to where a saved one stood.
+def restore_checkpoint(model: Any, folder: Path) -> None:
+    """Restore a checkpoint into a new model of the same settings.
 
     Args:
         model: The new model.
-        folder: That of the checkpoint.
+        folder: Folder of the checkpoint.
 
     Raises:
-        ValueError: The files are damaged, or of a model of other settings.
+        ValueError: If the files are damaged, or belong to a model of other settings.
     """
     try:
         _restore(model, folder)
@@ -95,7 +96,6 @@ def restore(model: Any, folder: Path) -> None:
 
 
 def _restore(model: Any, folder: Path) -> None:
-    """Read policy, optimizers, variables, counters and replay buffer."""
     weights = read_weights(folder / POLICY)
     model.policy.load_state_dict(
         {name: torch.as_tensor(weights[name]) for name in model.policy.state_dict()}
@@ -107,7 +107,7 @@ def _restore(model: Any, folder: Path) -> None:
         optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
     for name in _variables(model):
         recursive_setattr(model, f"{name}.data", torch.as_tensor(rest[name]))
-    # Counters keep the type that the model gave them.
+    # Counters keep their types
     with safe_open(folder / TRAINING, "numpy") as file:
         counters = parse_json(file.metadata()["counters"], "its metadata")
     for name in COUNTERS:
@@ -118,14 +118,10 @@ def _restore(model: Any, folder: Path) -> None:
         _fill(model.replay_buffer, load_file(folder / REPLAY))
 
 
-def _write(
-    arrays: dict[str, np.ndarray],
-    path: Path,
-    about: dict[str, str] | None = None,
-) -> None:
-    """Write arrays by name, and what is told about them."""
+def _write(arrays: dict[str, np.ndarray], path: Path, about: dict[str, str] | None = None) -> None:
+    """Write arrays by name, with metadata."""
     with whole_file(path) as part:
-        # A full disk raises an error of safetensors.
+        # safetensors raises its own error, as for a full disk
         try:
             save_file(arrays, part, about)
         except SafetensorError as error:
@@ -133,18 +129,18 @@ def _write(
 
 
 def _optimizers(model: Any) -> list[str]:
-    """Name the optimizers of a model."""
+    """Return the names of the optimizers of a model."""
     return [name for name in model._get_torch_save_params()[0] if name != "policy"]
 
 
 def _variables(model: Any) -> list[str]:
-    """Name the variables of a model that belong to neither policy nor optimizers."""
+    """Return the names of the variables of a model outside its policy and optimizers."""
     names = model._get_torch_save_params()[1]
     return [name for name in names if recursive_getattr(model, name) is not None]
 
 
 def _arrays(values: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Copy tensors and numbers to arrays, as some of the tensors share their memory."""
+    """Copy tensors and numbers to arrays: some tensors share memory."""
     return {
         name: np.array(torch.as_tensor(value).detach().cpu().numpy())
         for name, value in values.items()
@@ -152,9 +148,9 @@ def _arrays(values: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def _states(arrays: dict[str, np.ndarray], begin: str) -> dict[int, dict[str, Any]]:
-    """Return the state of an optimizer by parameter, of the arrays whose names begin with `begin`.
+    """Return optimizer state by parameter, from the arrays whose names start with `begin`.
 
-    Whole numbers, which some optimizers count steps with, become no tensors.
+    Integer scalars, the step counters of some optimizers, stay Python integers.
     """
     states: dict[int, dict[str, Any]] = {}
     for name, array in arrays.items():
@@ -167,9 +163,9 @@ def _states(arrays: dict[str, np.ndarray], begin: str) -> dict[int, dict[str, An
 
 
 def _parts(buffer: Any) -> dict[str, np.ndarray]:
-    """Return the arrays of a replay buffer by name, a row for each transition.
+    """Return the arrays of a replay buffer by name, with one row for each transition.
 
-    Those of pictures are kept in dicts.
+    Image observations are stored in dicts of arrays.
     """
     parts: dict[str, np.ndarray] = {}
     for name, value in vars(buffer).items():
@@ -180,13 +176,13 @@ def _parts(buffer: Any) -> dict[str, np.ndarray]:
 
 
 def _rows(buffer: Any) -> dict[str, np.ndarray]:
-    """Return the transitions in a replay buffer by name, and where the next goes."""
+    """Return the stored transitions of a replay buffer by name, and its write position."""
     place = {"position": np.array(buffer.pos), "full": np.array(buffer.full)}
     return place | {name: array[: buffer.size()] for name, array in _parts(buffer).items()}
 
 
 def _fill(buffer: Any, kept: dict[str, np.ndarray]) -> None:
-    """Put the transitions of `_rows` into an empty replay buffer."""
+    """Fill an empty replay buffer with the transitions of `_rows`."""
     buffer.pos = int(kept["position"])
     buffer.full = bool(kept["full"])
     for name, array in _parts(buffer).items():

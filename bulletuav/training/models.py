@@ -1,4 +1,4 @@
-"""Models of stable-baselines3 from a run's settings."""
+"""Creation of stable-baselines3 models from the settings of a run."""
 
 import inspect
 import itertools
@@ -20,15 +20,15 @@ from bulletuav.adapters.sb3_policy import FEATURES, policy_arguments
 from bulletuav.errors import (
     as_int,
     as_sequence,
-    choose,
+    find_choice,
     finite,
-    require_memory,
+    require_available_memory,
     shown,
     unknown,
 )
 from bulletuav.policies.run import RunConfig, whole_number
 
-OURS = (
+RESERVED_ARGUMENTS = (
     "policy",
     "env",
     "seed",
@@ -36,40 +36,40 @@ OURS = (
     "tensorboard_log",
     "_init_setup_model",
 )
-"""Arguments that a run gives itself"""
-LEAST = {"gradient_steps": -1, "learning_starts": 0}
-"""Least values of whole numbers; of others it is 1, or the default where that is less"""
-MOST = 10**12
-"""Largest whole number that a setting may be"""
-MOST_LAYERS = 100
-"""Layers that a network may have"""
-SHARES = ("gamma", "gae_lambda", "tau")
-"""Settings from 0 to 1"""
+"""Arguments that the run sets and users cannot"""
+MIN_INTEGERS = {"gradient_steps": -1, "learning_starts": 0}
+"""Minimum of integer settings; for others it is 1, or the default if smaller"""
+MAX_INTEGER = 10**12
+"""Maximum of integer settings"""
+MAX_LAYERS = 100
+"""Maximum number of layers of a network"""
+FRACTIONS = ("gamma", "gae_lambda", "tau")
+"""Settings with values from 0 to 1"""
 NUMBER_BYTES = 4
-"""Bytes of a number in buffers and networks"""
-OTHERS = 6
-"""Numbers that are kept of a transition beside what is seen and done"""
+"""Size of a number in buffers and networks, bytes"""
+NUM_EXTRA = 6
+"""Numbers stored for each transition besides observations and actions"""
 ON_POLICY = ("ppo", "a2c")
-"""Algorithms that learn from rollouts"""
+"""On-policy algorithms, which learn from rollouts"""
 
 
 def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
-    """Make a model with the weights that the run's seed gives.
+    """Create a model with initial weights from the seed of the run.
 
-    Settings are the arguments of the algorithm's class. Some have a meaning of their own:
-    `learning_rate` [a, b] falls linearly from a to b over the run. `action_noise` is the deviation
-    of Gaussian noise on each number of an action. `features` names what observed numbers go through
-    first, of `bulletuav.adapters`: "symlog", also the default, "swarm", "user_sum", or None.
+    Settings are the arguments of the class of the algorithm, with these exceptions: `learning_rate`
+    [a, b] falls linearly from a to b over the run. `action_noise` is the standard deviation of
+    Gaussian noise on each number of an action. `features` names the feature extractor of
+    `bulletuav.adapters`: "symlog" (the default), "swarm", "user_sum", or None.
 
     Args:
-        config: The run.
-        env: What it learns in.
+        config: Settings of the run.
+        env: The training environment.
 
     Returns:
-        The model, of the algorithm's class.
+        The model, an instance of the class of the algorithm.
 
     Raises:
-        ValueError: The algorithm does not take a setting, or the machine cannot hold the model.
+        ValueError: If the algorithm has no such setting, or the model exceeds the memory.
     """
     settings = config.settings
     kind = algorithm(config.algo)
@@ -77,27 +77,27 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     features = settings["features"]
     if features is not None:
         named = {name: one for name, one in FEATURES.items() if name is not None}
-        choose("features", features, named)
+        find_choice("features", features, named)
     arguments = policy_arguments(settings, env.num_drones, env.labels, pictures)
     del settings["features"]
-    # What the algorithm does not take is found before anything large is made.
+    # Check settings before anything large is allocated
     _check(kind, settings)
     settings["policy_kwargs"] = arguments
     _require_memory(config.algo, settings, env)
     _translate(settings, env)
     if not pictures:
-        # Buffers that leave out slots without a drone.
+        # Buffers that drop slots without a drone
         if config.algo in ON_POLICY:
             settings.setdefault("rollout_buffer_class", LivingRollouts)
         else:
             settings.setdefault("replay_buffer_class", LivingReplay)
     elif env.num_drones > 1:
         raise ValueError(
-            "pictures are learned from with one drone a world: "
-            "SB3's buffers for them know of no empty slots"
+            "training on images needs one drone in each world: "
+            "SB3's buffers for images cannot drop empty slots"
         )
     try:
-        # Minibatches of living drones never divide the rollout, of which SB3 would warn.
+        # SB3 warns if minibatches do not divide the rollout, which never holds here
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="(?s).*mini-batch")
             return kind(
@@ -113,11 +113,11 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
 
 
 def check_settings(config: RunConfig) -> None:
-    """Check the algorithm's settings of a run without making anything.
+    """Check the algorithm settings of a run, without creating a model.
 
     Raises:
-        ValueError: The algorithm does not take one of them; the nearest names are told.
-        ImportError: The extra `sb3` is missing.
+        ValueError: If the algorithm has no such setting. The message suggests the closest names.
+        ImportError: If the extra `sb3` is not installed.
     """
     settings = config.settings
     del settings["features"]
@@ -125,66 +125,62 @@ def check_settings(config: RunConfig) -> None:
 
 
 def _check(kind: Any, settings: dict[str, Any]) -> None:
-    """Check the settings, and make numbers of the kind that their defaults are.
+    """Check the settings, and convert numbers to the types of their defaults.
 
-    Raises ValueError for those that the algorithm's class does not take, and for numbers of another
-    kind than its own.
+    Raises ValueError for settings that the class of the algorithm does not have, and for values of
+    another type.
     """
     known = {
         name: one.default
         for name, one in inspect.signature(kind).parameters.items()
-        if name not in OURS
+        if name not in RESERVED_ARGUMENTS
     }
     for name, value in settings.items():
         if name not in known:
             raise unknown(f"setting of {kind.__name__}:", name, [*known, "features"])
-        # Bools are ints in Python, and so come first; lists are for `_translate`.
+        # Check bools first, as they are ints in Python; `_translate` handles lists
         default = known[name]
         is_list = isinstance(value, list | tuple)
         if isinstance(default, bool):
             if not isinstance(value, bool):
                 raise ValueError(f"{name} is {value!r}: True or False is needed")
         elif isinstance(default, int) and not is_list:
-            least = LEAST.get(name, min(default, 1))
-            settings[name] = as_int(name, whole_number(value), least, MOST)
+            minimum = MIN_INTEGERS.get(name, min(default, 1))
+            settings[name] = as_int(name, whole_number(value), minimum, MAX_INTEGER)
         elif isinstance(default, float) and not is_list:
-            bounds = (0, 1) if name in SHARES else ()
+            bounds = (0, 1) if name in FRACTIONS else ()
             settings[name] = finite(name, value, *bounds)
 
 
-def _require_memory(
-    algo: str,
-    settings: dict[str, Any],
-    env: DroneVecEnv,
-) -> None:
-    """Raise ValueError, with both figures, for what does not fit into the machine."""
+def _require_memory(algo: str, settings: dict[str, Any], env: DroneVecEnv) -> None:
+    """Raise ValueError if buffers or networks exceed the memory of this machine."""
     observed = flatdim(env.observation_space)
     acted = math.prod(env.action_space.shape or (1,))
     if algo in ON_POLICY:
         steps = settings["n_steps"]
-        row = (observed + acted + OTHERS) * NUMBER_BYTES
-        require_memory(
+        row = (observed + acted + NUM_EXTRA) * NUMBER_BYTES
+        require_available_memory(
             f"rollouts of n_steps {steps} in {env.num_envs} slots (worlds times drones)",
             steps * env.num_envs * row,
             "lower n_steps or worlds",
         )
     else:
-        # A transition holds what was seen before and after.
-        row = (2 * observed + acted + OTHERS) * NUMBER_BYTES
+        # A transition has the observations before and after the step
+        row = (2 * observed + acted + NUM_EXTRA) * NUMBER_BYTES
         for name in ("buffer_size", "batch_size"):
             size = settings[name]
-            require_memory(f"transitions of {name} {size}", size * row, f"lower {name}")
+            require_available_memory(f"transitions of {name} {size}", size * row, f"lower {name}")
     _require_networks(settings["policy_kwargs"].get("net_arch", []), observed)
 
 
 def _require_networks(widths: Any, observed: int) -> None:
-    """Raise ValueError for networks that do not fit into the machine."""
+    """Raise ValueError if networks exceed the memory of this machine."""
     lists = list(widths.values()) if isinstance(widths, Mapping) else [widths]
     for layers in lists:
-        named = as_sequence("net_arch of policy_kwargs", layers, most=MOST_LAYERS)
-        sizes = [as_int("net_arch", size, 1, MOST) for size in named]
+        named = as_sequence("net_arch of policy_kwargs", layers, most=MAX_LAYERS)
+        sizes = [as_int("net_arch", size, 1, MAX_INTEGER) for size in named]
         weights = sum(one * two for one, two in itertools.pairwise([observed, *sizes]))
-        require_memory(
+        require_available_memory(
             f"networks of net_arch {shown(widths)}",
             weights * NUMBER_BYTES,
             "lower net_arch in policy_kwargs",
@@ -192,7 +188,7 @@ def _require_networks(widths: Any, observed: int) -> None:
 
 
 def _translate(settings: dict[str, Any], env: DroneVecEnv) -> None:
-    """Make objects of the settings that stand for some."""
+    """Convert settings to objects of stable-baselines3: schedules and noise."""
     from stable_baselines3.common.noise import NormalActionNoise
     from stable_baselines3.common.utils import LinearSchedule
 
@@ -204,7 +200,7 @@ def _translate(settings: dict[str, Any], env: DroneVecEnv) -> None:
         settings["learning_rate"] = LinearSchedule(first, last, 1.0)
     if isinstance(settings.get("train_freq"), list):
         settings["train_freq"] = tuple(settings["train_freq"])
-    # Discrete actions have no noise.
+    # Discrete actions have no noise
     noise = settings.get("action_noise")
     if noise is not None and isinstance(env.action_space, Box):
         size = env.action_space.shape[0]

@@ -1,6 +1,6 @@
-"""The folder of a training run: configuration, curve, policy, checkpoints, and how far it is.
+"""The folder of a training run: configuration, curve, policy, checkpoints and progress.
 
-Nothing of it is pickled: no file of it can run code when it is read.
+No file is pickled, so that reading a folder cannot run code.
 """
 
 import contextlib
@@ -24,19 +24,19 @@ from bulletuav.policies.run import CHECKPOINTS, CONFIG, MODULE_NAME, POLICY, Run
 from bulletuav.tasks import find_task
 
 EVALUATION_SEED = 1_000_000
-"""Seed of the first episode of evaluations on the way: no seed of training or of tables"""
+"""Seed of the first episode of evaluations during training, apart from other seeds"""
 RECENT = 100
-"""Number of training episodes over which progress is averaged"""
+"""Number of recent training episodes over which progress is averaged"""
 CURVE = "curve.csv"
 """File of the learning curve"""
 UPDATES = "updates.csv"
-"""File of what training told of itself, by updates"""
-WALL = ("simulation", "update", "evaluation")
-"""Columns of the curve with the parts of its wall time"""
+"""File of training statistics by update"""
+WALL_COLUMNS = ("simulation", "update", "evaluation")
+"""Columns of the curve with the wall time by activity"""
 STATE = "state.json"
-"""File that tells how far the run is"""
+"""File with the progress of the run"""
 TRAINING = "training.safetensors"
-"""File of a checkpoint with what training needs beside the policy"""
+"""File of a checkpoint with the training state besides the policy"""
 REPLAY = "replay.safetensors"
 """File of a checkpoint with the replay buffer"""
 PACKAGES = (
@@ -47,31 +47,31 @@ PACKAGES = (
     "numba",
     "pybullet",
 )
-"""Packages on whose versions the weights may depend"""
+"""Packages whose versions may affect the weights"""
 Row = dict[str, float]
 """A row of the learning curve"""
 
 
 class FolderError(ValueError):
-    """Error for a folder in which a run cannot be kept, whatever its settings."""
+    """Error of a folder that cannot store the run, independent of the settings of the run."""
 
 
 class Store:
-    """What is kept of a run, each file written as a whole or not at all.
+    """Storage of a run in a folder, with atomically written files.
 
     Attributes:
-        folder: Where the files are: `run.yaml`, `curve.csv`, `policy.safetensors`, `state.json`,
+        folder: Folder of the files `run.yaml`, `curve.csv`, `policy.safetensors`, `state.json`,
             `updates.csv`, and checkpoints.
-        rows: The learning curve, a row for each evaluation, see below.
-        updates: What training told of itself, about a thousand rows, until the last checkpoint.
+        rows: The learning curve, one row for each evaluation, see below.
+        updates: Training statistics up to the last checkpoint, about a thousand rows.
         curriculum: State of the curriculum at the last checkpoint.
 
     Columns of the curve:
-        - "steps" and, of them, "decisions" that a drone flew;
+        - "steps" of all slots, and "decisions" of active drones among them;
         - "stage" of the curriculum;
-        - "seconds" of wall time since the row before, which are those of "simulation" (with the
-          choice of actions), of the "update" of networks, and of "evaluation";
-        - means of the episodes in training since then, of a drone: "train/return",
+        - "seconds" of wall time since the previous row, the sum of "simulation" (including the
+          choice of actions), "update" of networks, and "evaluation";
+        - means over the training episodes of drones since the previous row: "train/return",
           "train/decisions", "train/success", "train/conflicts", "train/collision";
         - means of `bulletuav.analysis.metrics.METRICS` in the evaluation;
         - in the file also the conditions of the evaluation: "task", "difficulty", "dynamics",
@@ -79,14 +79,14 @@ class Store:
     """
 
     def __init__(self, folder: Path, config: RunConfig) -> None:
-        """Open a folder and read how far the run is.
+        """Open a folder, and read the progress of the run.
 
         Args:
-            folder: The folder, made if it is not there.
-            config: The run.
+            folder: The folder, created if missing.
+            config: Settings of the run.
 
         Raises:
-            FolderError: The folder holds another run, is damaged or cannot be written to.
+            FolderError: If the folder has another run, is damaged or not writable.
         """
         self.folder = folder
         self.rows: list[Row] = []
@@ -104,7 +104,7 @@ class Store:
             raise _not_writable(folder, error) from None
 
     def _load(self, about: str) -> None:
-        """Read a run that was begun; warn of other versions than those that `about` tells."""
+        """Read an existing run, and warn if its versions of packages differ from `about`."""
         self._require_same()
         if any((self.folder / CHECKPOINTS).glob("*.zip")):
             raise FolderError(
@@ -113,8 +113,10 @@ class Store:
             )
         try:
             state = read_json(self.folder / STATE)
-            # Runs of older versions do not tell where the time went.
-            self.rows = [dict.fromkeys(WALL, math.nan) | row for row in number_rows(state["rows"])]
+            # Runs of older versions have no wall time by activity
+            self.rows = [
+                dict.fromkeys(WALL_COLUMNS, math.nan) | row for row in number_rows(state["rows"])
+            ]
             self.curriculum = state["curriculum"]
             if not isinstance(self.curriculum, dict):
                 raise TypeError(f"its curriculum is {shown(self.curriculum)}")
@@ -126,17 +128,17 @@ class Store:
                 f"{self.folder} holds a run that is damaged ({reason_of(error)}): "
                 f"choose another folder"
             ) from None
-        # The first line of the configuration tells the versions.
+        # The first line of the configuration lists the versions
         begun = read_file(self.folder / CONFIG).splitlines()[0]
         if begun != about and not self.finished:
             warnings.warn(
-                f"{self.folder} was begun with {begun[2:]}: weights may come out differently now",
+                f"{self.folder} was begun with {begun[2:]}: weights may differ now",
                 stacklevel=4,
             )
 
     def _require_same(self) -> None:
-        """Raise ValueError unless the folder's configuration is that of the run."""
-        # Modules that the run itself names are the user's own; a folder may not name others.
+        """Raise FolderError unless the folder has the configuration of this run."""
+        # Trust only modules that the settings of the run itself name
         names = MODULE_NAME.search(self._config.text()) is not None
         known = RunConfig.read(self.folder / CONFIG, trust=names).plain()
         for name, value in self._config.plain().items():
@@ -148,7 +150,7 @@ class Store:
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are done."""
+        """True if all steps are done."""
         return bool(self.rows) and self.rows[-1]["steps"] >= self._config.steps
 
     @property
@@ -158,28 +160,22 @@ class Store:
 
     @property
     def last(self) -> Path:
-        """Folder of the last checkpoint, of which there is one where there are rows."""
+        """Folder of the last checkpoint, which exists if there are rows."""
         return self._checkpoint(len(self.rows) - 1)
 
     def _checkpoint(self, number: int) -> Path:
-        """Return the folder of a checkpoint."""
         return self.folder / CHECKPOINTS / f"{number:03d}"
 
-    def add(
-        self,
-        row: Row,
-        updates: list[Row],
-        curriculum: dict[str, Any],
-    ) -> None:
-        """Keep a row of the curve, once its checkpoint is complete.
+    def add(self, row: Row, updates: list[Row], curriculum: dict[str, Any]) -> None:
+        """Store a row of the curve, once its checkpoint is complete.
 
         Args:
             row: The row.
-            updates: Rows of the updates since the one before.
+            updates: Statistics of the updates since the previous row.
             curriculum: State of the curriculum.
 
         Raises:
-            OSError: A file cannot be written.
+            OSError: If a file cannot be written.
         """
         checkpoint = self.next
         rows = [*self.rows, row]
@@ -187,17 +183,17 @@ class Store:
             shutil.copyfile(checkpoint / POLICY, part)
         conditions = evaluation_conditions(self._config)._asdict()
         replace_file(self.folder / CURVE, _table([one | conditions for one in rows]))
-        # One that is ahead of the state is cut to it when the run goes on.
+        # Rows beyond the state are dropped when the run is resumed
         updates = [*self.updates, *updates]
         replace_file(self.folder / UPDATES, _table(updates))
-        # How far the run is comes last: who is interrupted before it does the chapter again.
+        # The state is written last: an interrupt before it repeats the segment
         replace_file(
             self.folder / STATE,
             json.dumps({"rows": rows, "curriculum": curriculum}),
         )
         self.rows, self.updates = rows, updates
         self.curriculum = curriculum
-        # Of older checkpoints the policies alone are kept.
+        # Older checkpoints keep only their policies
         for old in (self.folder / CHECKPOINTS).glob("*"):
             for name in (TRAINING, REPLAY) if old != checkpoint else ():
                 (old / name).unlink(missing_ok=True)
@@ -207,7 +203,7 @@ def evaluation_conditions(config: RunConfig) -> Conditions:
     """Return the conditions of the evaluations during a training.
 
     Args:
-        config: The settings of the run.
+        config: Settings of the run.
     """
     task = find_task(config.task)
     options = resolve(task, config.evaluated).options
@@ -221,10 +217,10 @@ def evaluation_conditions(config: RunConfig) -> Conditions:
 
 
 def training_conditions(config: RunConfig) -> str:
-    """Write what the episodes of a training fly, by whose returns progress is shown.
+    """Return a text with the conditions of the training episodes, whose returns are reported.
 
     Args:
-        config: The settings of the run; several stages have several difficulties or dynamics.
+        config: Settings of the run, whose stages may have several difficulties or dynamics.
     """
     task = find_task(config.task)
     stages = [resolve(task, {**config.options, **stage}).options for stage in config.stages]
@@ -237,7 +233,7 @@ def training_conditions(config: RunConfig) -> str:
 
 
 def _table(rows: Sequence[Mapping[str, object]]) -> str:
-    """Write rows as CSV; what one of them lacks is left empty."""
+    """Return rows as CSV; missing values are empty."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = io.StringIO()
     writer = csv.DictWriter(table, names, lineterminator="\n")
@@ -247,11 +243,11 @@ def _table(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def number_rows(rows: Any) -> list[Row]:
-    """Check that a value of a file is rows of numbers, each with its "steps".
+    """Check that a value is a list of rows of numbers, each with finite "steps".
 
     Raises:
-        TypeError: It is something else.
-        KeyError: A row has no steps.
+        TypeError: If the value has another form.
+        KeyError: If a row has no "steps".
     """
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise TypeError(f"its rows are {shown(rows)}")
@@ -265,7 +261,7 @@ def number_rows(rows: Any) -> list[Row]:
 
 
 def _read_rows(path: Path, steps: int) -> list[Row]:
-    """Read the rows of `_table` until a number of steps; older versions wrote none."""
+    """Read the rows of a CSV file up to a number of steps; older versions have no file."""
     if not path.exists():
         return []
     with path.open(newline="", encoding="utf-8") as file:
@@ -277,16 +273,16 @@ def _read_rows(path: Path, steps: int) -> list[Row]:
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Keep a folder to this process; it is made if it is not there.
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Lock a folder for this process; create it if missing.
 
     Args:
         folder: The folder.
 
     Raises:
-        FolderError: Another process trains in the folder, or it cannot be written to.
+        FolderError: If another process trains in the folder, or it is not writable.
     """
-    # This package comes with PyTorch.
+    # A dependency of PyTorch
     from filelock import FileLock, Timeout
 
     try:
@@ -295,7 +291,7 @@ def locked(folder: Path) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise FolderError(
-            f"{folder} is being trained in by another process: wait, or choose another folder"
+            f"{folder} is locked by another training process: wait, or choose another folder"
         ) from None
     except OSError as error:
         raise _not_writable(folder, error) from None
@@ -304,23 +300,23 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
-    """Open the store of a run, while nobody else trains in its folder.
+def open_store(folder: Path, config: RunConfig) -> Iterator[Store]:
+    """Open the store of a run, and lock its folder.
 
     Args:
-        folder: The folder, made if it is not there.
-        config: The run.
+        folder: The folder, created if missing.
+        config: Settings of the run.
 
     Yields:
         The store.
 
     Raises:
-        FolderError: See `locked` and `Store`.
+        FolderError: See `lock_folder` and `Store`.
     """
-    with locked(folder):
+    with lock_folder(folder):
         yield Store(folder, config)
 
 
 def _not_writable(folder: Path, error: OSError) -> FolderError:
-    """Make the error for a folder that cannot be written to."""
+    """Return the error for a folder that is not writable."""
     return FolderError(f"{folder} cannot be a folder to write to: {error.strerror or error}")

@@ -1,4 +1,4 @@
-"""A study: training runs whose settings vary, chosen by what earlier ones came to."""
+"""Hyperparameter studies: training runs whose settings are chosen from earlier results."""
 
 import csv
 import dataclasses
@@ -13,21 +13,21 @@ from typing import Any, NamedTuple
 
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.metrics import METRICS
-from bulletuav.errors import as_int, choose, shown, unknown
+from bulletuav.errors import as_int, find_choice, shown, unknown
 from bulletuav.files import replace_file
-from bulletuav.interrupts import kept_from_children
+from bulletuav.interrupts import block_interrupts
 from bulletuav.policies.run import MODULE_NAME, VERSION, RunConfig, read_settings, write_settings
 from bulletuav.policies.space import Space, check_space, parse_space, with_values
-from bulletuav.training.campaign import processes, train_in_process
-from bulletuav.training.store import FolderError, Row, evaluation_conditions, locked
+from bulletuav.training.campaign import train_in_process, training_processes
+from bulletuav.training.store import FolderError, Row, evaluation_conditions, lock_folder
 
 STUDY = "study.yaml"
-"""File with the settings of a study, in its folder"""
+"""File with the settings of a study"""
 TRIALS = "trials.csv"
-"""File with the trials, in their order"""
+"""File with the trials in order"""
 RUNS = "trials"
-"""Folder of the trials' runs"""
-FALLING = (
+"""Folder of the runs of the trials"""
+MINIMISED = (
     "collision",
     "conflict",
     "conflicts",
@@ -38,21 +38,21 @@ FALLING = (
     "energy",
     "latency",
 )
-"""Metrics of which less is better"""
-MOST_TRIALS = 10_000
-"""Most trials of a study"""
+"""Metrics where lower is better"""
+MAX_TRIALS = 10_000
+"""Maximum number of trials of a study"""
 
 
 @dataclass(frozen=True)
 class Study:
-    """The settings that decide a study.
+    """Settings of a study.
 
     Attributes:
-        run: What does not vary. Its seed is that of the study, too.
-        space: What varies.
-        metric: What the last evaluation of each run is judged by, one of `METRICS`.
-        trials: How many runs are trained.
-        batch: Runs that are chosen at once, knowing nothing of each other.
+        run: Settings that do not vary. Its seed is also that of the study.
+        space: Search space.
+        metric: Objective: one of `METRICS`, of the last evaluation of each run.
+        trials: Number of runs.
+        batch: Number of trials that are suggested at a time, from the same results.
     """
 
     run: RunConfig
@@ -65,11 +65,11 @@ class Study:
         """Check all settings.
 
         Raises:
-            ValueError: One is impossible.
+            ValueError: If a setting is invalid.
         """
-        choose("metric", self.metric, METRICS)
-        as_int("trials", self.trials, 1, MOST_TRIALS)
-        as_int("batch", self.batch, 1, MOST_TRIALS)
+        find_choice("metric", self.metric, METRICS)
+        as_int("trials", self.trials, 1, MAX_TRIALS)
+        as_int("batch", self.batch, 1, MAX_TRIALS)
         check_space(self.run, self.space)
 
     @classmethod
@@ -77,18 +77,18 @@ class Study:
         """Read the settings from a YAML file.
 
         Args:
-            path: A file as `text` writes it, or one by hand: `version`, `run` (as `run.yaml`),
-                `space` (see `parse_space`), and any other.
-            trust: Whether modules that it names as `module:Name` may be imported.
+            path: A file as `text` writes it, or a hand-written file with `version`, `run` (as
+                `run.yaml`), `space` (see `parse_space`), and other settings.
+            trust: If True, modules that the file names as `module:Name` may be imported.
 
         Raises:
-            ValueError: The file is of another kind or version, or holds an impossible setting.
-            FileNotFoundError: There is no such file.
+            ValueError: If the file has another format or version, or an invalid setting.
+            FileNotFoundError: If the file does not exist.
         """
         values = read_settings(path, f"{STUDY} of a study", trust)
         known = [field.name for field in dataclasses.fields(cls)]
         try:
-            # Files may be written by hand, so names are checked first
+            # Files may be written by hand, so check names first
             for name in values:
                 if name not in known:
                     raise unknown("setting of a study:", name, known)
@@ -104,11 +104,11 @@ class Study:
 
     @property
     def maximise(self) -> bool:
-        """Whether more of the metric is better."""
-        return self.metric not in FALLING
+        """True if higher values of the metric are better."""
+        return self.metric not in MINIMISED
 
     def text(self) -> str:
-        """Write the settings as YAML, which `read` takes back."""
+        """Return the settings as YAML, which `read` parses."""
         run = self.run.plain()
         del run["version"]
         space = {name: one.plain() for name, one in self.space.items()}
@@ -120,11 +120,11 @@ class Trial(NamedTuple):
     """A run of a study.
 
     Attributes:
-        number: Its number, from 0.
-        values: What varies, by name.
-        result: The metric of its last evaluation; NaN where it failed.
-        error: Why it failed.
-        folder: Where its run is.
+        number: Index of the trial, from 0.
+        values: Values of the varied settings by name.
+        result: Metric of the last evaluation; NaN if the trial failed.
+        error: Reason of the failure; empty if the trial succeeded.
+        folder: Folder of the run.
     """
 
     number: int
@@ -139,56 +139,56 @@ def run_study(
     folder: Path,
     workers: int = 1,
     progress: Callable[[int], None] = lambda trials: None,
-    told: Callable[[str], None] = lambda text: None,
+    note: Callable[[str], None] = lambda text: None,
 ) -> list[Trial]:
-    """Train the runs of a study, a batch at a time.
+    """Train the runs of a study, one batch at a time.
 
-    What a batch tries follows from the seed and from the batches before. So neither timing nor the
-    number of processes changes anything. A call with the same study goes on where one was
-    interrupted, and one with more trials goes on with these.
+    The values of a batch depend only on the seed and on the results of earlier batches. Timing and
+    the number of processes therefore do not change the study. A call with the same study resumes an
+    interrupted one, and a call with more trials continues it.
 
     Args:
         study: The study.
-        folder: The folder, made if it is not there.
-        workers: Processes, of which each trains one run at a time.
-        progress: Told the trials done so far.
-        told: Told in words what was best so far.
+        folder: The folder, created if missing.
+        workers: Number of processes; each trains one run at a time.
+        progress: Called with the number of finished trials.
+        note: Called with a text of the best trial so far.
 
     Returns:
-        The trials in their order.
+        The trials in order.
 
     Raises:
-        FolderError: The folder holds another study, or another process works in it.
-        ValueError: All trials failed.
-        ImportError: The extra `tune` or `sb3` is missing.
+        FolderError: If the folder has another study, or is locked by another process.
+        ValueError: If all trials failed.
+        ImportError: If the extra `tune` or `sb3` is not installed.
     """
-    # Imported here, as only from here on the extras are needed.
+    # Imported here, as these modules need extras
     from bulletuav.adapters.optuna import suggest
     from bulletuav.training.models import check_settings
 
     for name, one in study.space.items():
         check_settings(with_values(study.run, {name: one.first}))
     trials: list[Trial] = []
-    with locked(folder), processes(workers) as pool:
-        _begin(study, folder)
+    with lock_folder(folder), training_processes(workers) as pool:
+        _write_settings(study, folder)
         progress(0)
-        # A batch is chosen from the results of those before, whoever was faster
+        # A batch depends on the results of earlier batches, whatever their order of completion
         while len(trials) < study.trials:
             tried = [(trial.values, trial.result) for trial in trials]
             count = min(study.batch, study.trials - len(trials))
             seed = (study.run.seed, len(trials))
             batch = suggest(study.space, tried, count, seed, study.maximise)
             futures = [
-                _submit(pool, study, values, _place(folder, len(trials) + k))
+                _submit(pool, study, values, _run_folder(folder, len(trials) + k))
                 for k, values in enumerate(batch)
             ]
-            # In the order of the trials, and written after each
+            # Collect results in the order of the trials, and write the table after each
             for values, future in zip(batch, futures, strict=True):
                 number = len(trials)
                 outcome = _outcome(future, study.metric)
-                trials.append(Trial(number, values, *outcome, _place(folder, number)))
+                trials.append(Trial(number, values, *outcome, _run_folder(folder, number)))
                 replace_file(folder / TRIALS, _table(study, trials))
-                told(_words(study, trials))
+                note(_describe_best(study, trials))
                 progress(len(trials))
     if all(trial.error for trial in trials):
         raise ValueError(f"all trials failed, the first one because: {trials[0].error}")
@@ -196,21 +196,21 @@ def run_study(
 
 
 def best_trials(study: Study, trials: Sequence[Trial]) -> list[Trial]:
-    """Sort the trials that did not fail, best first; of equals the earlier comes first."""
+    """Return the successful trials, best first; ties are in order of the trials."""
     done = [trial for trial in trials if not trial.error]
     return sorted(done, key=lambda trial: trial.result, reverse=study.maximise)
 
 
 def trial_conditions(study: Study, trial: Trial) -> Conditions:
-    """Return the conditions of the result of a trial that did not fail."""
+    """Return the evaluation conditions of a successful trial."""
     return evaluation_conditions(with_values(study.run, trial.values))
 
 
-def _begin(study: Study, folder: Path) -> None:
-    """Write the settings, or check that they are those of the folder."""
+def _write_settings(study: Study, folder: Path) -> None:
+    """Write the settings, or check that they match those in the folder."""
     path = folder / STUDY
     if path.exists():
-        # Modules that the study itself names are the user's own.
+        # Trust only modules that the study itself names
         known = Study.read(path, MODULE_NAME.search(study.text()) is not None)
         if dataclasses.replace(known, trials=study.trials).text() != study.text():
             raise ValueError(
@@ -219,31 +219,25 @@ def _begin(study: Study, folder: Path) -> None:
     replace_file(path, study.text())
 
 
-def _place(folder: Path, number: int) -> Path:
-    """Return the folder of a trial's run."""
+def _run_folder(folder: Path, number: int) -> Path:
     return folder / RUNS / f"{number:03d}"
 
 
-def _submit(
-    pool: Executor,
-    study: Study,
-    values: Mapping[str, Any],
-    place: Path,
-) -> Future[Any]:
-    """Begin a trial; one whose settings are impossible together has failed at once."""
+def _submit(pool: Executor, study: Study, values: Mapping[str, Any], place: Path) -> Future[Any]:
+    """Start a trial; a trial with an invalid combination of settings fails immediately."""
     try:
         config = with_values(study.run, values)
     except ValueError as error:
         future: Future[Any] = Future()
         future.set_exception(error)
         return future
-    with kept_from_children():
+    with block_interrupts():
         return pool.submit(train_in_process, config, place)
 
 
 def _outcome(future: Future[list[Row]], metric: str) -> tuple[float, str]:
-    """Wait for a trial; gives its result, or NaN and why it failed."""
-    # Other errors, such as a full disk, are none of the trial's settings, and end the study.
+    """Wait for a trial, and return its result, or NaN and the reason of the failure."""
+    # Other errors, such as a full disk, are not due to the settings, and end the study
     try:
         result = float(future.result()[-1][metric])
     except FolderError:
@@ -254,7 +248,7 @@ def _outcome(future: Future[list[Row]], metric: str) -> tuple[float, str]:
 
 
 def _table(study: Study, trials: list[Trial]) -> str:
-    """Write the trials as CSV with the conditions of their results; values are in JSON."""
+    """Return the trials as CSV with their conditions; values are in JSON."""
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(["trial", study.metric, *study.space, "error", *Conditions._fields])
@@ -266,7 +260,7 @@ def _table(study: Study, trials: list[Trial]) -> str:
     return table.getvalue()
 
 
-def _words(study: Study, trials: list[Trial]) -> str:
-    """Say what was best so far."""
+def _describe_best(study: Study, trials: list[Trial]) -> str:
+    """Return a text with the best trial so far."""
     best = best_trials(study, trials)
     return f"best {study.metric} {best[0].result:.4g} in trial {best[0].number}" if best else ""

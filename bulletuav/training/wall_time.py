@@ -1,22 +1,22 @@
-"""Wall time of a training run, by what it was spent on."""
+"""Wall time of a training run by activity."""
 
 import time
 
-from bulletuav.training.store import WALL
+from bulletuav.training.store import WALL_COLUMNS
 
 
 class WallTime:
-    """A clock that knows what the time is spent on."""
+    """Clock that measures the wall time of each activity."""
 
     def __init__(self) -> None:
-        """Begin with simulation."""
-        self._seconds = dict.fromkeys(WALL, 0.0)
-        self._part = WALL[0]
+        """Start the clock with the activity "simulation"."""
+        self._seconds = dict.fromkeys(WALL_COLUMNS, 0.0)
+        self._part = WALL_COLUMNS[0]
         self._since = time.perf_counter()
 
     @property
     def part(self) -> str:
-        """What time is spent on now, one of `WALL`."""
+        """The current activity, one of `WALL_COLUMNS`."""
         return self._part
 
     @part.setter
@@ -25,7 +25,7 @@ class WallTime:
         self._part = part
 
     def seconds(self) -> dict[str, float]:
-        """Give the seconds so far of each part of `WALL`, which add up to all of them."""
+        """Return the seconds so far by activity; their sum is the total wall time."""
         now = time.perf_counter()
         self._seconds[self._part] += now - self._since
         self._since = now

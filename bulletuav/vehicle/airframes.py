@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.errors import printable, require_file, shown, unknown
+from bulletuav.errors import printable_text, require_file, shown, unknown
 from bulletuav.geometry.obstacle import FRICTION, MOST_FRICTION
 from bulletuav.registry import find, register
 from bulletuav.vehicle.airframe import (
@@ -116,7 +116,7 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
         "airframe", source, f"pass the path of a URDF or one of {available_airframes()}"
     )
     path = path.resolve()
-    if printable(str(path)) != str(path):
+    if printable_text(str(path)) != str(path):
         raise ValueError(
             f"airframe {shown(str(path))} has bytes in its path that are no UTF-8: rename the file "
             f"or its folder"

@@ -13,7 +13,7 @@ import numpy as np
 from bulletuav.compiled.functions import log, power
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.program import Program
-from bulletuav.errors import as_sequence, choose, finite, numbers_of
+from bulletuav.errors import as_sequence, find_choice, finite, numbers_of
 from bulletuav.vehicle.gusts import DRAWS, FOOT, ROWS, WAVES, add_gusts, draw_waves
 
 KNOT = 1852 / 3600
@@ -78,7 +78,7 @@ def as_profile(given: object) -> Profile | None:
         return None
     named = isinstance(given, str)
     law, *numbers = (given,) if named else as_sequence("wind_profile", given, 2)
-    number = choose("wind_profile", law, PROFILES)
+    number = find_choice("wind_profile", law, PROFILES)
     if not numbers:
         return Profile(law, number.usual)
     label = f"wind_profile: {number.name} of {law!r}"

@@ -1,16 +1,16 @@
-"""The script downwash.py of gym-pybullet-drones, here: two Crazyflies cross above each other.
+"""The script downwash.py of gym-pybullet-drones in bulletuav: two Crazyflies cross vertically.
 
-One flies to and fro 1 m high, the other 0.5 m high, each 1 m in 2.5 s, so that they meet every
-2.5 s. They fly twice, with the wake of the upper drone and without it. The docs set this beside the
-script there, line for line. Prints how far the wake pushes the lower drone down, and draws heights
-over time.
+One drone flies back and forth at a height of 1 m, the other at 0.5 m, each 1 m in 2.5 s, so that
+they meet every 2.5 s. They fly twice, with the wake of the upper drone and without it. The docs
+compare this script with the original, line by line. Prints how far the wake pushes the lower drone
+down, and plots heights over time.
 
 Run it:
 
     python examples/from_gym_pybullet_drones/downwash.py
     python examples/from_gym_pybullet_drones/downwash.py --seconds 30 --out wakes
 
-Takes 5 s, most of it to start.
+Takes 5 s, most of it for the start.
 """
 
 import argparse
@@ -22,7 +22,7 @@ import bulletuav
 from bulletuav import SetpointLevel
 from bulletuav.report.pictures import blank_figure
 
-HZ, PERIOD = 48, 5.0  # commands a second, s
+HZ, PERIOD = 48, 5.0  # commands per second, s
 HEIGHTS = np.array([1.0, 0.5])  # m
 
 parser = argparse.ArgumentParser(
@@ -34,13 +34,13 @@ args = parser.parse_args()
 
 
 def targets(time: float) -> np.ndarray:
-    """Tell where each drone is to be: (2, 3), m."""
+    """Return the target position of each drone, (2, 3), m."""
     x = 0.5 * np.cos(2 * np.pi * time / PERIOD + np.array([0.0, np.pi]))
     return np.stack([x, np.zeros(2), HEIGHTS], axis=1)
 
 
 def fly(effects: tuple[str, ...]) -> np.ndarray:
-    """Fly to and fro; return positions (T, 2, 3), m."""
+    """Fly back and forth; return positions (T, 2, 3), m."""
     airspace = bulletuav.Airspace(
         targets(0.0), "cf2x", physics_hz=240, decision_hz=HZ, controller="pid", effects=effects
     )

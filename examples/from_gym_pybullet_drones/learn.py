@@ -1,8 +1,8 @@
-"""The script learn.py of gym-pybullet-drones, here: PPO learns to hover.
+"""The script learn.py of gym-pybullet-drones in bulletuav: PPO learns to hover.
 
 Trains PPO of stable-baselines3 on Gymnasium environments of the task `hover`. Prints the return
-before and after, and how far from the target flights end. The docs set it beside the script there,
-line for line. Many worlds in one call learn faster: see examples/ppo_hover.py.
+before and after, and the final distance from the target. The docs compare this script with the
+original, line by line. Many worlds in one call learn faster: see examples/ppo_hover.py.
 
 Run it:
 
@@ -43,15 +43,15 @@ model = PPO(
     n_steps=128,
     batch_size=512,
     learning_rate=1e-3,
-    gamma=0.97,  # looks about a second ahead
-    policy_kwargs={"log_std_init": -1.5},  # actions begin near those of the policy
+    gamma=0.97,  # horizon of about one second
+    policy_kwargs={"log_std_init": -1.5},  # small initial noise
     seed=0,
     device="cpu",
 )
 
 
 def evaluate(name: str) -> None:
-    """Fly 10 episodes, and print returns and how far from the target they end."""
+    """Fly 10 episodes, and print returns and final distances from the target."""
     ends = []
 
     def note(local: dict[str, Any], _: dict[str, Any]) -> None:

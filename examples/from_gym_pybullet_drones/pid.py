@@ -1,15 +1,15 @@
-"""The script pid.py of gym-pybullet-drones, here: three Crazyflies on circles.
+"""The script pid.py of gym-pybullet-drones in bulletuav: three Crazyflies on circles.
 
-Each flies a circle of 0.6 m in 10 s at its own height, by the Crazyflie's PID. Targets come 48
-times a second, physics runs at 240 Hz, with rigid-body motion alone. The docs set it beside the
-script there, line for line. Prints errors and draws the circles.
+Each drone flies a circle of 0.6 m in 10 s at its own height, with the Crazyflie's PID. Targets are
+set at 48 Hz, physics runs at 240 Hz, with rigid-body motion only. The docs compare this script with
+the original, line by line. Prints errors and plots the circles.
 
 Run it:
 
     python examples/from_gym_pybullet_drones/pid.py
     python examples/from_gym_pybullet_drones/pid.py --seconds 30 --out circles
 
-Takes 5 s, most of it to start.
+Takes 5 s, most of it for the start.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from bulletuav import SetpointLevel
 from bulletuav.geometry.rotation import from_euler
 from bulletuav.report.pictures import blank_figure
 
-RADIUS, PERIOD, HZ = 0.3, 10.0, 48  # m, s, commands a second
+RADIUS, PERIOD, HZ = 0.3, 10.0, 48  # m, s, commands per second
 
 parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -37,7 +37,7 @@ yaw = np.array([0, 1, 2]) * np.pi / 6
 
 
 def targets(time: float) -> np.ndarray:
-    """Tell where on its circle each drone is to be, and its yaw: (3, 4)."""
+    """Return the target position and yaw of each drone, (3, 4)."""
     angle = phase + 2 * np.pi * time / PERIOD
     x, y = RADIUS * np.cos(angle), RADIUS * np.sin(angle) - RADIUS
     return np.stack([x, y, height, yaw], axis=1)

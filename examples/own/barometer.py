@@ -1,15 +1,16 @@
-"""A barometer as a sensor of one's own, and an observation block that shows it in metres.
+"""A custom sensor, a barometer, and an observation block with the altitude from it.
 
-The package has one, too, with the errors of a real chip. Given to an environment, this one takes
-its place.
+The package also has a barometer, with the errors of a real chip. This sensor replaces it when it is
+given to an environment.
 
 Run it:
 
     python examples/own/barometer.py
 
 The standard atmosphere below 11 km is that of ISO 2533:1975 (the same as the U.S. Standard
-Atmosphere, 1976): 1013.25 hPa and 288.15 K at sea level, 6.5 K less a kilometre. It is told in
-geopotential heights; at 1000 m these differ from heights by 0.16 m, which is left out here.
+Atmosphere, 1976): 1013.25 hPa and 288.15 K at sea level, and 6.5 K less per kilometre. It is
+defined in geopotential heights; at 1000 m these differ from heights by 0.16 m, which is neglected
+here.
 """
 
 from collections.abc import Mapping
@@ -44,8 +45,8 @@ class Barometer(Sensor):
     """Static pressure, with white noise and a slow drift.
 
     Attributes:
-        noise: (W, N) standard deviation of a reading, Pa; a good one has 1 Pa, which is 8 cm.
-        drift: (W, N) random walk, Pa after one second; it grows with the root of time.
+        noise: (W, N) standard deviation of a reading, Pa; good sensors have 1 Pa, which is 8 cm.
+        drift: (W, N) random walk, standard deviation after one second, Pa; it grows as sqrt(t).
     """
 
     name = "barometer"
@@ -57,7 +58,7 @@ class Barometer(Sensor):
     _drifted: np.ndarray | float = 0.0
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Measure. The drift of a world begins at zero with each of its episodes."""
+        """Return the pressure readings; the drift is reset to zero at the start of an episode."""
         normal, _ = moment.draw(width=2)
         walked = self._drifted + np.sqrt(self.setup.period) * self.drift * normal[..., 0]
         fresh = moment.mask & (moment.steps == 0)[:, None]
@@ -68,13 +69,13 @@ class Barometer(Sensor):
 
 @block([Label("pressure altitude", "m", LOWEST, HIGHEST)])
 def pressure_altitude(barometer: float) -> float:
-    """Return the height that a drone makes of its pressure, m."""
+    """Return the altitude that corresponds to the measured pressure, m."""
     share: float = (barometer / SEA_LEVEL_PRESSURE) ** (1.0 / EXPONENT)
     return SEA_LEVEL_TEMPERATURE / LAPSE * (1.0 - share)
 
 
 def main() -> None:
-    """Check the sensor, then compare what drones think with how high they are."""
+    """Check the sensor, then compare measured with true altitudes."""
     bulletuav.check_sensor(Barometer())
     aviary = bulletuav.Aviary(
         "crossing",

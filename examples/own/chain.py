@@ -1,6 +1,6 @@
-"""A task of one's own: drones keep a line, evenly spaced, behind a leader that moves.
+"""A custom task: drones keep an evenly spaced line behind a moving leader.
 
-The leader's place goes round a circle. Every other drone has its place behind the one before it.
+The goal of the leader moves on a circle. The goal of each other drone is behind the drone in front.
 
 Run it:
 
@@ -33,7 +33,7 @@ class ChainConfig(TaskConfig):
 
 @reward
 def uneven(i: int, position: Vec3, all_position: np.ndarray, spacing: float) -> float:
-    """Return how far the gap to the drone in front is off, seen from above, m."""
+    """Return the error of the horizontal distance to the drone in front, m."""
     if i == 0:
         return 0.0
     front = all_position[i - 1]
@@ -43,15 +43,15 @@ def uneven(i: int, position: Vec3, all_position: np.ndarray, spacing: float) -> 
 
 @end
 def in_place(distance: float, spacing: float) -> bool:
-    """Tell whether the drone is nearer to its place than a fifth of the spacing."""
+    """Return True if the drone is within a fifth of the spacing of its goal."""
     return distance < spacing / 5
 
 
 class Chain(Task[ChainConfig]):
-    """Keep a line behind the leader's place, which goes round a circle.
+    """Keep a line behind the goal of the leader, which moves on a circle.
 
-    Reward, per decision: -0.1 a metre to one's place, -0.1 a metre that a gap is off; -10 on
-    contact, which ends the episode of the drone.
+    Reward, per decision: -0.1 per metre of distance to the goal, -0.1 per metre of spacing error;
+    -10 on contact, which ends the episode of the drone.
     """
 
     name = "chain"
@@ -63,7 +63,7 @@ class Chain(Task[ChainConfig]):
     success = in_place
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Start near the places, at rest."""
+        """Start near the goals, at rest."""
         config, count = self.config, self.context.num_drones
         angle = rng.uniform(-np.pi, np.pi) - np.arange(count) * config.spacing / config.radius
         flat = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
@@ -73,7 +73,7 @@ class Chain(Task[ChainConfig]):
         return Spawn(position=goal + offset, goal=goal, goal_velocity=config.leader_speed * ahead)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Turn places and their velocities about the middle."""
+        """Rotate goals and their velocities about the centre."""
         angle = self.context.period * self.config.leader_speed / self.config.radius
         turn = [[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
         scene.goal[flying] = scene.goal[flying] @ turn

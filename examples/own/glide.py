@@ -1,4 +1,4 @@
-"""Dynamics of one's own: drones speed up as they are told, and drag slows them down.
+"""Custom dynamics: commanded accelerations, and linear drag.
 
 Run it:
 
@@ -20,9 +20,9 @@ DRAG = 0.2
 
 
 class Glide(Dynamics):
-    """Acceleration as commanded, and a drag that grows with the speed through the air.
+    """Dynamics with the commanded acceleration, and drag proportional to airspeed.
 
-    Both are held during a substep.
+    Both are constant during a substep.
     """
 
     consumes = SetpointLevel.ACCELERATION
@@ -30,7 +30,7 @@ class Glide(Dynamics):
     def advance_substep(
         self, swarm: Swarm, alive: np.ndarray, setpoint: np.ndarray, air: Air
     ) -> None:
-        """Move all drones through one substep; the base class puts back those that do not fly."""
+        """Advance all drones by one substep; the base class restores drones that do not fly."""
         dt = self.flight.dt
         acceleration = setpoint[..., :3] - DRAG * (swarm.velocity - air.wind)
         swarm.position[:] += dt * swarm.velocity + dt**2 / 2 * acceleration

@@ -1,4 +1,4 @@
-"""An airframe of one's own: heavy.urdf is all of it. This program looks at it and flies it.
+"""A custom airframe, defined in heavy.urdf; this program prints its properties and flies it.
 
 Run it:
 
@@ -16,7 +16,7 @@ HEAVY = Path(__file__).with_name("heavy.urdf")
 
 
 def main() -> None:
-    """Load the airframe, which checks each number, and fly it beside a light one."""
+    """Load the airframe, which checks each value, and compare it with a lighter one."""
     airframe = bulletuav.load_airframe(HEAVY)
     lift = airframe.max_thrust / (airframe.mass * STANDARD_GRAVITY)
     print(f"{airframe.name}: {airframe.mass:g} kg, {len(airframe.rotors)} rotors", end=", ")

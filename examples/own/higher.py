@@ -1,6 +1,6 @@
-"""A policy of one's own: straight to the goal, and higher to the east than to the north.
+"""A custom policy: straight to the goal, and higher on eastbound than on northbound flights.
 
-Aircraft do the same: by the semicircular rule the heading decides the altitude.
+Aircraft use a similar rule: by the semicircular rule the altitude depends on the heading.
 
 Run it:
 
@@ -16,21 +16,21 @@ from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
 RISE = 12.0
-"""m, by which drones that fly east are higher, until their goals are near"""
+"""Additional altitude of eastbound drones, until they are near their goals, m"""
 
 
 class Higher(Policy):
-    """Fly straight to the goal, and higher than others where that is to the east."""
+    """Fly straight to the goal, and higher if the goal is to the east."""
 
     name = "higher"
     actions = ("velocity",)
     reads_swarm = True
 
     def reset(self, mask: np.ndarray) -> None:
-        """Do nothing: nothing is remembered."""
+        """Do nothing: the policy has no memory."""
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Ask for velocities (W, N, 3) that lead to the goals, fast where these are far."""
+        """Return velocities (W, N, 3) towards the goals, proportional to the distance."""
         scene = self.aviary.scene
         way = np.abs(scene.goal - scene.start)
         towards = scene.goal - swarm.position

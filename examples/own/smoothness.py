@@ -1,7 +1,8 @@
-"""A reward term of one's own, beside those of any task: it is written in two ways.
+"""A custom reward term, in addition to those of any task, written in two ways.
 
-A function of one drone's numbers, marked by @reward, is compiled. A function of `frame` gets the
-arrays of all drones of all worlds, and is plain NumPy. Both give the same.
+A function of the quantities of one drone, with the decorator @reward, is compiled. A function of
+`frame` receives the arrays of all drones of all worlds, and is plain NumPy. Both have the same
+result.
 
 Run it:
 
@@ -19,7 +20,7 @@ from bulletuav.tasks import Frame, reward
 
 @reward
 def smoothness(velocity: Vec3, velocity_before: Vec3) -> float:
-    """Return how much the velocity changed in the decision, m/s."""
+    """Return the norm of the change of velocity in the decision, m/s."""
     x = velocity[0] - velocity_before[0]
     y = velocity[1] - velocity_before[1]
     z = velocity[2] - velocity_before[2]
@@ -27,13 +28,13 @@ def smoothness(velocity: Vec3, velocity_before: Vec3) -> float:
 
 
 def smoothness_of_all(frame: Frame) -> np.ndarray:
-    """Return the same of all drones (W, N), m/s."""
+    """Return the norm of the change of velocity of all drones (W, N), m/s."""
     change: np.ndarray = np.linalg.norm(frame.after.velocity - frame.before.velocity, axis=-1)
     return change
 
 
 def main() -> None:
-    """Check both terms, fly with both, and compare what they gave."""
+    """Check both terms, fly with both, and compare their totals."""
     terms = {"smooth": (smoothness, -0.1), "smooth_of_all": (smoothness_of_all, -0.1)}
     bulletuav.check_task("crossing", reward=terms)
     aviary = bulletuav.Aviary("crossing", 2, dynamics="point_mass", reward=terms)

@@ -1,6 +1,6 @@
-"""A sensor of one's own: distances to four radio anchors, with noise, and sometimes none at all.
+"""A custom sensor: distances to four radio anchors, with noise and dropouts.
 
-A policy works out where it is from these distances alone, and flies to its goal.
+A policy estimates its position from these distances alone, and flies to its goal.
 
 Run it:
 
@@ -19,15 +19,15 @@ from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
 ANCHORS = 30.0 * np.array([[1, 1, 0], [-1, 1, 0.7], [-1, -1, 0], [1, -1, 0.7]])
-"""(4, 3) m; all in one plane would not tell heights"""
+"""(4, 3) m; not in one plane, so that heights are observable"""
 
 
 class Uwb(Sensor):
-    """Distances to all anchors. Where a measurement fails, the last one stays.
+    """Distances to all anchors; when a measurement fails, the last one is repeated.
 
     Attributes:
         noise: (W, N) standard deviation of each distance, m.
-        dropout: (W, N) probability that a drone's measurement fails.
+        dropout: (W, N) probability that the measurement of a drone fails.
     """
 
     name = "uwb"
@@ -39,7 +39,7 @@ class Uwb(Sensor):
     _last: np.ndarray | float = 0.0
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Measure. The first measurement of an episode always comes."""
+        """Return the distances; the first measurement of an episode never fails."""
         normal, luck = moment.draw(width=len(ANCHORS))
         offset = moment.after.position[:, :, None] - ANCHORS
         distance = np.linalg.norm(offset, axis=-1) + self.noise[..., None] * normal
@@ -49,17 +49,17 @@ class Uwb(Sensor):
 
 
 class Homing(Policy):
-    """Fly to the goal from where the distances say that one is."""
+    """Fly to the goal from the position that the distances imply."""
 
     name = "homing"
     actions = ("velocity",)
     reads_swarm = False
 
     def reset(self, mask: np.ndarray) -> None:
-        """Do nothing: nothing is remembered."""
+        """Do nothing: the policy has no memory."""
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Ask for the velocity that leads to the goal within two seconds, less what one has."""
+        """Return velocities that reach the goal in two seconds, damped by the present velocity."""
         seen = self.aviary.observer.split(observations)
         velocity = seen["velocity"].astype(float)
         towards = self.aviary.scene.goal - position_from(seen["uwb"].astype(float))
@@ -67,7 +67,7 @@ class Homing(Policy):
 
 
 def position_from(distance: np.ndarray) -> np.ndarray:
-    """Work out positions (..., 3), m, from distances to all anchors (..., 4), m.
+    """Return positions (..., 3), m, from distances to all anchors (..., 4), m.
 
     The square of each distance, less the mean of these squares, is linear in the position.
     """
@@ -78,7 +78,7 @@ def position_from(distance: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Check the sensor, then fly with it better and worse."""
+    """Check the sensor, then fly with different noise and dropout."""
     bulletuav.check_sensor(Uwb())
     options: dict[str, Any] = {
         "sensors": (Uwb(),),

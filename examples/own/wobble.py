@@ -1,4 +1,4 @@
-"""A metric of one's own: how much drones wobble.
+"""A custom metric: mean angular speed of the drones.
 
 Run it:
 
@@ -14,15 +14,15 @@ from bulletuav.envs.step import Step
 
 
 class wobble:  # noqa: N801  # its name on the command line
-    """Mean turning rate of the drones over the episode, rad/s."""
+    """Mean angular speed of the drones over the episode, rad/s."""
 
     def __init__(self, aviary: Aviary) -> None:
-        """Begin the episodes of all worlds."""
+        """Start the episodes of all worlds."""
         self.total = np.zeros(aviary.num_worlds)
         self.count = np.zeros(aviary.num_worlds)
 
     def __call__(self, step: Step, aviary: Aviary) -> np.ndarray:
-        """Take a decision; give the mean so far for each world, (W,)."""
+        """Update with one step; return the mean so far for each world, (W,)."""
         flown = aviary.alive | step.terminated | step.truncated
         rate = np.linalg.norm(aviary.swarm.rates, axis=-1)
         self.total += np.sum(rate, axis=1, where=flown)
@@ -31,7 +31,7 @@ class wobble:  # noqa: N801  # its name on the command line
 
 
 def main() -> None:
-    """Compare two difficulties; `evaluate` checks what the metric gives."""
+    """Compare two difficulties; `evaluate` checks the results of the metric."""
     for difficulty in ("easy", "hard"):
         result = bulletuav.evaluate(
             "hover", "straight", 10, metrics=(wobble,), action="velocity", difficulty=difficulty

@@ -1,16 +1,16 @@
-"""Train drones with QMIX, VDN, MAPPO or MADDPG of EPyMARL or pymarlzooplus, as these programs are.
+"""Train drones with QMIX, VDN, MAPPO or MADDPG of the unmodified EPyMARL or pymarlzooplus.
 
-The program is a folder with a checkout of EPyMARL, or the word `pymarlzooplus`, which pip installs.
-The algorithm is the name of a file beside this one. What follows goes to the program, such as
-`with t_max=100000 env_args.num_drones=3`. The files `bulletuav.yaml` (the task) and `qmix.yaml`,
-`vdn.yaml`, `mappo.yaml` and `maddpg.yaml` are meant to be copied and changed.
+The first argument is a checkout of EPyMARL, or the word `pymarlzooplus` for the package that pip
+installs. The algorithm is the name of a YAML file next to this script. Further arguments are passed
+to the program, such as `with t_max=100000 env_args.num_drones=3`. The files `bulletuav.yaml` (the
+task) and `qmix.yaml`, `vdn.yaml`, `mappo.yaml` and `maddpg.yaml` are templates to copy and change.
 
 Run it:
 
     python examples/pymarl/train.py path/to/epymarl qmix
     python examples/pymarl/train.py pymarlzooplus mappo with t_max=20000
 
-Results are in the folder `results` of the EPyMARL checkout, or beside this file.
+Results are in the folder `results` of the EPyMARL checkout, or next to this script.
 """
 
 import importlib.util
@@ -25,10 +25,10 @@ HERE = Path(__file__).parent.resolve()
 
 
 def run_epymarl(checkout: Path, arguments: list[str]) -> None:
-    """Run EPyMARL's main program."""
+    """Run the main program of EPyMARL."""
     source = checkout / "src"
     sys.path.insert(0, str(source))
-    # Another environment that EPyMARL imports in any case, and that no package index has.
+    # EPyMARL always imports this environment, which is in no package index
     if importlib.util.find_spec("smaclite") is None:
         sys.modules["smaclite"] = types.ModuleType("smaclite")
     from envs import REGISTRY
@@ -48,7 +48,7 @@ def run_pymarlzooplus(arguments: list[str]) -> None:
 
 
 def main() -> None:
-    """Give the program the files beside this one; it takes full paths without their endings."""
+    """Pass the files next to this script to the program, as full paths without extension."""
     if len(sys.argv) < 3:
         sys.exit(__doc__)
     program, algorithm, *rest = sys.argv[1:]
@@ -59,6 +59,6 @@ def main() -> None:
         run_epymarl(Path(program), [*files, *rest])
 
 
-# Programs start their parallel environments in processes that import this file.
+# The programs start environments in processes that import this file
 if __name__ == "__main__":
     main()

@@ -6,7 +6,7 @@ from safetensors.numpy import save_file
 
 from bulletuav.adapters import c_source
 from bulletuav.adapters.c_source import run_c, write_c
-from bulletuav.adapters.deployed import AFFINE, LIMITED, Deployed, deployed
+from bulletuav.adapters.deployed import AFFINE_ACTIONS, LIMITED_ACTIONS, Deployed, deployed
 from bulletuav.cli import main
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.policies.layers import Choose, Dense
@@ -26,7 +26,10 @@ SWARM = {
     "without motion": {"observation": ("goal", "obstacles"), "num_obstacles": 2},
 }
 CASES = {
-    **{action: ("ppo", {"action": action}) for action in (*AFFINE, *LIMITED, "rotor")},
+    **{
+        action: ("ppo", {"action": action})
+        for action in (*AFFINE_ACTIONS, *LIMITED_ACTIONS, "rotor")
+    },
     "squashed": ("sac", {}),
     "choices": ("dqn", {"action": "discrete_27"}),
     "normalised": ("ppo", {"normalise": True}),
@@ -84,7 +87,7 @@ def agree(policy, run, precision):
 
 
 @pytest.mark.parametrize("precision", ["float", "double"])
-@pytest.mark.skipif(c_source.compiler() is None, reason="needs a C compiler")
+@pytest.mark.skipif(c_source.find_compiler() is None, reason="needs a C compiler")
 def test_c_does_what_the_policy_does(policy, precision, tmp_path):
     source, header = write_c(policy, tmp_path / "pilot.c", precision)
     agree(policy, lambda *given: run_c(source, *given), precision)
@@ -116,7 +119,7 @@ def test_what_has_no_form_is_refused(tmp_path):
     (tmp_path / "run.yaml").write_text(config.text())
     weights = (shipped("crossing") / "policy.safetensors").read_bytes()
     (tmp_path / "policy.safetensors").write_bytes(weights)
-    with pytest.raises(ValueError, match="action 'velocity_increment' has no form"):
+    with pytest.raises(ValueError, match="action 'velocity_increment' cannot be exported"):
         deployed(tmp_path)
     (tmp_path / "run.yaml").write_text(
         RunConfig("crossing", options={"observation": "goal"}).text()
@@ -128,7 +131,7 @@ def test_what_has_no_form_is_refused(tmp_path):
         _asdict = dict
 
     one = Deployed("x", (), (), (Unknown(),), lambda rows: rows)
-    with pytest.raises(ValueError, match="a layer Unknown has no form in C"):
+    with pytest.raises(ValueError, match="a layer Unknown cannot be written in C"):
         write_c(one, tmp_path / "policy.c")
     with pytest.raises(ValueError, match="a name of letters"):
         write_c(one, tmp_path / "my-policy.c")
@@ -140,7 +143,7 @@ def test_labels_cannot_end_the_comment_of_a_header(tmp_path):
     one = Deployed("x", (label,), (label,), layers, lambda rows: 0 * rows)
     source, header = write_c(one, tmp_path / "policy.c", "double")
     assert header.read_text().count("*/") == 1
-    if c_source.compiler() is not None:
+    if c_source.find_compiler() is not None:
         np.testing.assert_array_equal(run_c(source, np.ones((1, 1)), one, "double"), [[0.0]])
 
 
@@ -154,4 +157,4 @@ def test_the_command_tells_how_well_they_agree(tmp_path, capsys):
     assert "precision" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["export", str(tmp_path), "--to", "mcap", "--precision", "float"])
-    assert "--precision is of policies" in capsys.readouterr().err
+    assert "--precision is for policies" in capsys.readouterr().err

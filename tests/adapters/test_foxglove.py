@@ -200,7 +200,7 @@ def read_and_leave(client, stamps, count):
 
 def test_closing_sends_viewers_all_that_is_queued(monkeypatch):
     """Foxglove's library itself drops it."""
-    monkeypatch.setattr(foxglove, "LINGER", PATIENCE)
+    monkeypatch.setattr(foxglove, "CLOSE_TIMEOUT", PATIENCE)
     server, stamps = foxglove.FoxgloveServer("127.0.0.1", 0), []
     client = Client(server.address)
     client.subscribe("/time")
@@ -217,7 +217,7 @@ def test_closing_sends_viewers_all_that_is_queued(monkeypatch):
 
 
 def test_a_viewer_that_stays_holds_up_the_end_for_a_time_alone(monkeypatch):
-    monkeypatch.setattr(foxglove, "LINGER", 0.1)
+    monkeypatch.setattr(foxglove, "CLOSE_TIMEOUT", 0.1)
     server = foxglove.FoxgloveServer("127.0.0.1", 0)
     client = Client(server.address)
     client.subscribe("/time")
@@ -236,7 +236,7 @@ def test_flying_for_foxglove_waits_for_a_viewer(turns, tmp_path, monkeypatch, ca
         until(lambda: self.is_watched)
         came.append(read_and_leave(client, stamps, 6))
 
-    monkeypatch.setattr(foxglove, "LINGER", PATIENCE)
+    monkeypatch.setattr(foxglove, "CLOSE_TIMEOUT", PATIENCE)
     monkeypatch.setattr("bulletuav.adapters.foxglove.FoxgloveServer.wait", come)
     page = Path(__file__).parents[2] / "docs" / "export.md"
     (line,) = re.findall(r"bulletuav (fly .*--foxglove.*)", page.read_text())

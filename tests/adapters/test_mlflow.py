@@ -93,7 +93,7 @@ def test_a_training_that_fails_is_told_as_such(client, tmp_path):
 
 def test_several_seeds_are_several_runs(client, tmp_path, monkeypatch):
     """Here one after the other, in the process of the test."""
-    monkeypatch.setattr(campaign, "processes", no_processes)
+    monkeypatch.setattr(campaign, "training_processes", no_processes)
     sets = [f"--set={name}={value}" for name, value in (("horizon", 12), ("num_drones", 2))]
     usual = ["--steps", "64", "--worlds", "2", "--evaluations", "1", "--episodes", "1"]
     usual += ["--model", "n_steps=16", "--model", "batch_size=32", "--seeds", "0,1", "--mlflow"]
@@ -115,5 +115,5 @@ def test_a_place_that_is_none_is_told_before_anything_is_trained(tmp_path, monke
 def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mlflow", None)
     monkeypatch.delitem(sys.modules, "bulletuav.adapters.mlflow")
-    with pytest.raises(ImportError, match="telling MLflow of a training needs the extra 'mlflow'"):
+    with pytest.raises(ImportError, match="logging a training to MLflow needs the extra 'mlflow'"):
         train(CONFIG, tmp_path / "run", mlflow=True)

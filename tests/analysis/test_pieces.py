@@ -49,7 +49,7 @@ def test_an_evaluation_of_pieces_has_the_bytes_of_one_process(tmp_path, capsys):
         capsys.readouterr()
         main([*command, "--out", str(tmp_path / "apart"), "--piece", piece])
         told = capsys.readouterr().out
-        assert f"flew piece {piece[0]} of 3" in told
+        assert f"finished piece {piece[0]} of 3" in told
         assert f"bulletuav merge {tmp_path / 'apart'}" in told.replace("\n", "")
         assert not (tmp_path / "apart" / "summary.json").exists()
         if piece == "1/3":

@@ -84,7 +84,7 @@ def test_what_an_import_mended_is_told(tmp_path, capsys):
     assert told["notes"][0]["where"] == "feature 1 (from 0)"
     assert told["splits"] == []
     printed = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "what was done to read town.geojson" in printed
+    assert "changes on import of town.geojson" in printed
     assert "feature 1 (from 0)" in printed
     with pytest.raises(ValueError, match=r"feature 1 \(from 0\): it is a Point"):
         run(*words, "--strict", "--out", str(tmp_path / "out"))

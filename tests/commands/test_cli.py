@@ -13,7 +13,7 @@ import pytest
 import bulletuav
 from bulletuav.analysis.benchmark import FLOORS
 from bulletuav.cli import COMMANDS, main
-from bulletuav.commands.progress import USUAL_FUNCTIONS, show_progress
+from bulletuav.commands.progress import EXPECTED_FUNCTIONS, show_progress
 from bulletuav.compiled import dispatcher
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine import engine
@@ -123,7 +123,7 @@ def test_no_animation_of_an_earlier_flight_is_left(tmp_path):
 def test_the_benchmark_prints_the_stages_of_a_task(capsys):
     main(["benchmark", "--stages", "hover"])
     out = capsys.readouterr().out
-    assert "hover, 1 drone, bullet: microseconds of each stage" in out
+    assert "hover, 1 drone, bullet: microseconds per decision" in out
     assert all(re.search(rf"{stage.name} .*\d\.\d", out) for stage in decision_stages())
 
 
@@ -265,7 +265,7 @@ def test_an_interrupted_evaluation_tells_what_is_kept(tmp_path, capsys, monkeypa
     with pytest.raises(SystemExit) as end:
         main(["evaluate", "converge", "--out", str(tmp_path)])
     assert end.value.code == 130
-    assert "the same command goes on" in " ".join(capsys.readouterr().err.split())
+    assert "the same command resumes" in " ".join(capsys.readouterr().err.split())
 
 
 def test_comparing_writes_a_leaderboard(tmp_path, capsys):
@@ -381,9 +381,9 @@ def test_help(arguments, capsys):
         (["fly", "crossing", "--drone", "8"], "unknown argument --drone: did you mean --drones"),
         (
             ["fly", "crossing", "--quick"],
-            "unknown argument --quick: options without an argument of their own go by --set",
+            "unknown argument --quick: environment options that are not listed",
         ),
-        (["doctor", "--quick"], "unknown argument --quick: there is none of that name"),
+        (["doctor", "--quick"], "unknown argument --quick: there is no such option"),
         (["fly", "crossing", "--drones", "many"], "invalid int value: 'many'"),
         (["fly", "crossing", "--drones", "0"], "num_drones is 0"),
         (["fly", "crossing", "--policy", "strait"], "did you mean 'straight'"),
@@ -417,7 +417,7 @@ def test_help(arguments, capsys):
             "no model nowhere.zip",
         ),
         (["compare", "--policies", "straight"], "required: --tasks"),
-        (["compare", "--policies", ",", "--tasks", "converge"], "',' names nothing"),
+        (["compare", "--policies", ",", "--tasks", "converge"], "',' has no name"),
         (["evaluate", "converge", "--set", "radius={[]:1}"], "radius is '{[]:1}'"),
         (["compare", "--policies", "strait", "--tasks", "converge"], "did you mean 'straight'"),
         (
@@ -444,7 +444,7 @@ def test_help(arguments, capsys):
         (["flyy"], "unknown command 'flyy': did you mean 'fly'"),
         (["tran"], "unknown command 'tran': did you mean 'train'"),
         (["--versio"], "unknown argument --versio: did you mean --version?"),
-        (["fly", "crossing", "more"], "unknown argument more: there is no place for it"),
+        (["fly", "crossing", "more"], "unexpected argument more: the command takes no further"),
         # Whatever else is wrong with the words
         (["fly", "--polcy", "orca"], "unknown argument --polcy: did you mean --policy?"),
         (["compare", "--task", "hover"], "unknown argument --task: did you mean --tasks?"),
@@ -648,7 +648,7 @@ def test_about_as_many_functions_are_compiled_as_are_announced(dynamics, tmp_pat
         check=True,
     )
     compiled = len(list(tmp_path.rglob("*.nbc")))
-    assert compiled == pytest.approx(USUAL_FUNCTIONS, rel=0.2)
+    assert compiled == pytest.approx(EXPECTED_FUNCTIONS, rel=0.2)
 
 
 def test_how_far_it_is_is_a_bar_on_a_terminal():
@@ -673,7 +673,7 @@ def test_how_far_it_is_is_a_bar_on_a_terminal():
     os.close(theirs)
     said = os.read(mine, 65536).decode()
     assert "compiling" in said
-    assert f"1 of about {USUAL_FUNCTIONS} functions" in said
+    assert f"1 of about {EXPECTED_FUNCTIONS} functions" in said
     last = said.rpartition("flying")[2]
     assert "3 of 3 episodes" in last
     assert "compiling" not in last

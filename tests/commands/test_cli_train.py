@@ -87,14 +87,14 @@ def test_an_interrupt_tells_how_to_go_on(tmp_path, capsys, monkeypatch):
     with pytest.raises(SystemExit) as end:
         main(["train", "obstacles", *TINY, "--out", "run"])
     assert end.value.code == 130
-    assert "the same command goes on from the last checkpoint in run" in capsys.readouterr().err
+    assert "the same command resumes from the last checkpoint in run" in capsys.readouterr().err
 
 
 class OneProcess(Campaign):
     """Which starts faster."""
 
-    def train(self, workers=1, progress=lambda steps: None, told=lambda text: None):
-        return [(config, trainer.train(config, self.place(config))) for config in self.configs]
+    def train(self, workers=1, progress=lambda steps: None, note=lambda text: None):
+        return [(config, trainer.train(config, self.run_folder(config))) for config in self.configs]
 
 
 def test_several_seeds_make_one_table_and_one_picture(tmp_path, capsys, monkeypatch):

@@ -25,8 +25,8 @@ IN_CALLBACK = """
 import ctypes, os, signal, sys, time
 from bulletuav import interrupts
 
-signal.signal(signal.SIGINT, interrupts.end)
-interrupts.atexit.register(interrupts._leave)
+signal.signal(signal.SIGINT, interrupts.exit_on_interrupt)
+interrupts.atexit.register(interrupts._exit_after_interrupt)
 
 @ctypes.CFUNCTYPE(None)
 def callback():
@@ -34,7 +34,7 @@ def callback():
     time.sleep(0)
 
 try:
-    with interrupts.raising():
+    with interrupts.raise_interrupts():
         callback()
         time.sleep(60)
         print("not interrupted")
@@ -129,7 +129,7 @@ def test_in_a_callback_of_c_code_it_comes_again():
 
 
 def test_children_start_without_it():
-    with interrupts.kept_from_children():
+    with interrupts.block_interrupts():
         child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     os.kill(child.pid, signal.SIGINT)
     child.communicate(b"\n", timeout=120)

@@ -154,8 +154,8 @@ def test_what_is_printed_and_stored_names_the_conditions(
     """Task, difficulty, dynamics, episodes and seeds, in output, tables and pictures."""
     if command == "tune":
         pytest.importorskip("optuna", reason="needs the extra tune")
-    monkeypatch.setattr(studies, "processes", no_processes)
-    monkeypatch.setattr(campaign, "processes", no_processes)
+    monkeypatch.setattr(studies, "training_processes", no_processes)
+    monkeypatch.setattr(campaign, "training_processes", no_processes)
     monkeypatch.setenv("COLUMNS", "300")
     words, seeds = CASES[command]
     out = tmp_path / "out"

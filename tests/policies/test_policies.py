@@ -226,7 +226,7 @@ def test_a_model_for_other_spaces_is_refused(models):
         with pytest.raises(ValueError, match=said):
             find_policy(f"ppo:{models / 'ppo.zip'}", trust=True)(aviary)
         aviary.close()
-    with pytest.raises(ValueError, match="is no model of sac"):
+    with pytest.raises(ValueError, match="is not a model of sac"):
         find_policy(f"sac:{models / 'ppo'}", trust=True)(bulletuav.Aviary("converge", **CALM))
     with pytest.raises(FileNotFoundError, match="no model nowhere.zip"):
         find_policy("ppo:nowhere.zip")

@@ -77,7 +77,7 @@ def test_every_algorithms_actor_is_flown_as_it_is_learned(case, tmp_path):
     model = make_model(config, env)
     if isinstance(model.action_space, Box):
         model.action_space.low[0], model.action_space.high[0] = -0.3, 0.7  # not symmetric
-    checkpoint.save(model, tmp_path)
+    checkpoint.save_checkpoint(model, tmp_path)
     aviary = bulletuav.Aviary("converge", 1, **options)
     policy, rng = Trained(aviary, config, tmp_path / "policy.safetensors"), np.random.default_rng(0)
     aviary.reset(seeds=0)

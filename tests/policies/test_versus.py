@@ -103,7 +103,7 @@ def write_run(folder, action):
     config = RunConfig("pursuit_evasion", "dqn", options=options, worlds=1)
     env = DroneVecEnv("pursuit_evasion", 1, **options)
     folder.mkdir()
-    checkpoint.save(make_model(config, env), folder)
+    checkpoint.save_checkpoint(make_model(config, env), folder)
     env.close()
     (folder / "run.yaml").write_text(config.text())
     return folder

@@ -149,7 +149,7 @@ def test_bad_input_gets_one_line(run, flight, tmp_path, capsys, monkeypatch):
         ([*film, "--camera", "orbti"], "unknown camera 'orbti': did you mean 'orbit'?"),
         ([*film, "--drone", "3"], "drone is 3"),
         ([*film[:-1], "film.avi"], "film.avi: its name has to end in .html or .mp4"),
-        ([*film[:2], "--camera", "orbit"], "--camera and --drone are for films"),
+        ([*film[:2], "--camera", "orbit"], "--camera and --drone are for videos"),
         (["replay", str(damaged), "--out", "film.mp4"], "trajectory.npz is damaged or was changed"),
         (film, "[video]"),
     ):

@@ -52,7 +52,7 @@ def test_tasks_of_another_package_are_found(install):
 @pytest.mark.parametrize("place", ["other_package:Nothing", "no_package:Task"])
 def test_an_entry_point_to_nothing_is_left_out_with_a_warning(install, place):
     install(broken=place, higher="other_package:Higher")
-    with pytest.warns(UserWarning, match="entry point 'broken' of bulletuav.task is left out"):
+    with pytest.warns(UserWarning, match="entry point 'broken' of bulletuav.task is ignored"):
         found = bulletuav.list_tasks()
     assert "higher" in found
     assert "crossing" in found

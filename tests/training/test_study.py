@@ -47,13 +47,13 @@ def trained(monkeypatch):
         return [{"return": -9.0, "length": 1.0}, {"return": result, "length": float(epochs)}]
 
     monkeypatch.setattr(trainer, "train", train)
-    monkeypatch.setattr(studies, "processes", no_processes)
+    monkeypatch.setattr(studies, "training_processes", no_processes)
     return configs
 
 
 def test_the_best_trial_is_found_and_failures_are_told(trained, tmp_path):
     notes = []
-    trials = run_study(STUDY, tmp_path, told=notes.append)
+    trials = run_study(STUDY, tmp_path, note=notes.append)
     assert [trial.number for trial in trials] == list(range(8))
     failed = [trial for trial in trials if trial.values["model.n_epochs"] == 10]
     assert failed == [trial for trial in trials if trial.error]

@@ -28,9 +28,14 @@ from bulletuav.policies.run import RunConfig
 from bulletuav.report.charts import plot_curves
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
-from bulletuav.training.campaign import Campaign, learning_table, processes, wall_time
+from bulletuav.training.campaign import (
+    Campaign,
+    describe_wall_time,
+    learning_table,
+    training_processes,
+)
 from bulletuav.training.models import make_model
-from bulletuav.training.store import WALL, Store, opened
+from bulletuav.training.store import WALL_COLUMNS, Store, open_store
 from bulletuav.training.trainer import train
 
 OPTIONS = {
@@ -92,7 +97,7 @@ CASES = {algo: {"algo": algo} for algo in MODELS} | {
 
 
 def comparable(rows):
-    wall = ("seconds", *WALL)
+    wall = ("seconds", *WALL_COLUMNS)
     return [{name: value for name, value in row.items() if name not in wall} for row in rows]
 
 
@@ -174,9 +179,9 @@ def test_the_curve_begins_before_learning_and_ends_with_the_last_step(run):
     assert all(math.isnan(rows[0][name]) for name in rows[0] if name.startswith("train/"))
     assert rows[0]["simulation"] + rows[0]["update"] < rows[0]["evaluation"]
     for row in rows[1:]:
-        assert min(row[name] for name in WALL) > 0
-        assert row["seconds"] == pytest.approx(sum(row[name] for name in WALL))
-    assert wall_time(rows).count("%") == 3
+        assert min(row[name] for name in WALL_COLUMNS) > 0
+        assert row["seconds"] == pytest.approx(sum(row[name] for name in WALL_COLUMNS))
+    assert describe_wall_time(rows).count("%") == 3
     assert rows[-1]["decisions"] == 256
     assert -200 < rows[1]["train/return"] < 200
     assert rows[1]["train/decisions"] == 12
@@ -204,14 +209,14 @@ def test_each_update_is_told_to_tensorboard_and_a_table(run):
 
 
 def test_long_runs_tell_of_a_thousand_updates(tmp_path, monkeypatch):
-    monkeypatch.setattr("bulletuav.training.trainer.MOST_UPDATES", 2)
+    monkeypatch.setattr("bulletuav.training.trainer.MAX_UPDATES", 2)
     train(config(), tmp_path)
     assert (tmp_path / "updates.csv").read_text().count("\n") == 3  # at 128 and 256 of 200 steps
 
 
 def test_training_says_how_it_goes(tmp_path):
     said = []
-    train(config(), tmp_path, told=said.append)
+    train(config(), tmp_path, note=said.append)
     assert re.fullmatch(
         r"training return -?[\d.]+, training success \d\.\d\d at easy, [\d,]+ steps/s", said[-1]
     )
@@ -223,7 +228,8 @@ def test_a_run_of_an_older_version_is_still_read(run, tmp_path):
     path = tmp_path / "run" / "state.json"
     state = json.loads(path.read_text())
     state["rows"] = [
-        {name: value for name, value in row.items() if name not in WALL} for row in state["rows"]
+        {name: value for name, value in row.items() if name not in WALL_COLUMNS}
+        for row in state["rows"]
     ]
     path.write_text(json.dumps(state))
     rows = train(config(), tmp_path / "run")
@@ -247,7 +253,7 @@ def test_signals_cost_no_more_than_the_chapter_that_they_cut(tmp_path):
         process.send_signal(number)
         _, said = process.communicate(timeout=PATIENCE)
         assert process.returncode == code, said
-        assert ("the same command goes on" in said) == (number == 2)
+        assert ("the same command resumes" in said) == (number == 2)
         reached = count_rows(folder)
         assert reached < 60
     train(learner, folder)
@@ -276,7 +282,7 @@ def test_the_folder_of_another_run_is_refused(run):
 
 
 def test_a_folder_that_another_process_trains_in_is_refused(tmp_path):
-    with opened(tmp_path, config()), pytest.raises(ValueError, match="by another process"):
+    with open_store(tmp_path, config()), pytest.raises(ValueError, match="by another process"):
         train(config(), tmp_path)
 
 
@@ -302,7 +308,7 @@ def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
     process.wait()
 
     def is_free():
-        with contextlib.suppress(ValueError), opened(store, config(steps=10**7)):
+        with contextlib.suppress(ValueError), open_store(store, config(steps=10**7)):
             return True
 
     until(is_free)
@@ -489,7 +495,7 @@ def test_a_campaign_trains_in_processes_as_one_would(run, tmp_path):
 def test_a_process_that_dies_in_training_is_told_with_what_to_do():
     """Of `train` and `tune` with workers; each run continues from its checkpoint."""
     said = "a worker process has died: .* continues from its last checkpoint"
-    with pytest.raises(RuntimeError, match=said), processes(1) as pool:
+    with pytest.raises(RuntimeError, match=said), training_processes(1) as pool:
         pool.submit(os._exit, 1).result()
 
 

@@ -16,7 +16,7 @@ from bulletuav.city.model import City
 from bulletuav.city.statistics import KINDS, MOST, Statistics, parameters
 from bulletuav.city.streets import Streets
 from bulletuav.engine.tiles import TILE_PITCH
-from bulletuav.errors import as_sequence, choose, finite, shown
+from bulletuav.errors import as_sequence, find_choice, finite, shown
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.base import Task
@@ -100,11 +100,11 @@ def make_cities(config: CityOptions) -> tuple[City, ...]:
         return (kind,)
     ending = Path(kind).suffix.lower() if isinstance(kind, str | Path) else ""
     if isinstance(kind, Path) or ending in READERS:
-        read = choose(f"kind of file for city {str(kind)!r},", ending, READERS)
+        read = find_choice(f"kind of file for city {str(kind)!r},", ending, READERS)
         return (read(Path(kind)),)
     # Cities made at random, of a known kind or of given statistics.
     if isinstance(kind, str):
-        choose("kind of city", kind, {**KINDS, OPEN: None})
+        find_choice("kind of city", kind, {**KINDS, OPEN: None})
     else:
         kind = _given_statistics(kind)
     if config.irregularity > 1:

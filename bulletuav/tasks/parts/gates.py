@@ -12,7 +12,7 @@ import numpy as np
 
 from bulletuav.compiled.functions import cos, sin, tan
 from bulletuav.compiled.kernel import kernel
-from bulletuav.errors import choose, finite, points_of
+from bulletuav.errors import find_choice, finite, points_of
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, from_euler
 
@@ -50,7 +50,7 @@ class Gate:
     size: float = 2.0
 
     def __post_init__(self) -> None:
-        choose("shape of a gate", self.shape, SIDES)
+        find_choice("shape of a gate", self.shape, SIDES)
         (place,) = points_of("position of a gate", self.position)
         object.__setattr__(self, "position", tuple(place.tolist()))
         finite("yaw of a gate", self.yaw)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.compiled.functions import atan2, cos, hypot, sin
-from bulletuav.errors import nearest, require_file, shown, unknown
+from bulletuav.errors import require_file, shown, suggest_names, unknown
 from bulletuav.parsing import read_toml
 from bulletuav.tasks.parts.gates import Gate, gate_axes
 from bulletuav.vehicle.airframes import URDF_FOLDER
@@ -134,7 +134,7 @@ def _gate_of(path: Path, k: int, table: object, usual: RandomTrack) -> Gate:
         raise ValueError(f"{who} is {shown(table)}: a table [[gates]] is needed")
     for name in table:
         if name not in FIELDS:
-            raise ValueError(f"{who} has {shown(name)}: {nearest(name, FIELDS)}")
+            raise ValueError(f"{who} has {shown(name)}: {suggest_names(name, FIELDS)}")
     if "position" not in table:
         raise ValueError(f"{who} has no position: position = [x, y, z] is needed, m")
     given: Mapping[str, Any] = {"shape": usual.shape_of(k), "size": usual.size, **table}
