@@ -22,10 +22,7 @@ _PACKAGE = Path(__file__).parent.parent
 
 
 def about_flights(
-    flights: Flights[Any],
-    pilot: PolicySpec,
-    call: str | None,
-    measures: Sequence[MetricSpec] = (),
+    flights: Flights[Any], pilot: PolicySpec, call: str | None, measures: Sequence[MetricSpec] = ()
 ) -> dict[str, Any]:
     """Tell what is flown, as a JSON file can hold it.
 
@@ -80,10 +77,7 @@ def _own_sources() -> str:
 
 
 def _fingerprint(
-    flights: Flights[Any],
-    spec: EnvSpec,
-    models: Sequence[Path],
-    measures: Sequence[MetricSpec],
+    flights: Flights[Any], spec: EnvSpec, models: Sequence[Path], measures: Sequence[MetricSpec]
 ) -> str:
     """Hash what decides the results and has no value to compare.
 

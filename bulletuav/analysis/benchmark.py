@@ -64,11 +64,7 @@ def measure(
     return results
 
 
-def _measure_size(
-    num_drones: int,
-    seconds: float,
-    progress: Callable[[], None],
-) -> list[Result]:
+def _measure_size(num_drones: int, seconds: float, progress: Callable[[], None]) -> list[Result]:
     """Measure all cases of one size, interleaved over the rounds."""
     cases: dict[str, Callable[[], object]] = {}
     resets: dict[str, Callable[[], object]] = {}
@@ -98,12 +94,7 @@ def _measure_size(
     return results
 
 
-def hovering(
-    num_worlds: int,
-    num_drones: int,
-    dynamics: str,
-    **options: Any,
-) -> Aviary:
+def hovering(num_worlds: int, num_drones: int, dynamics: str, **options: Any) -> Aviary:
     """Make started worlds of drones that hover 2 m apart and 1 m up, with all forces.
 
     Args:

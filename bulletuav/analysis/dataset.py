@@ -157,12 +157,7 @@ def _write(transitions: Transitions, folder: Path) -> None:
     write_table(columns, ends, _path(folder, range(first, first + len(ends))))
 
 
-def _finish(
-    folder: Path,
-    tables: list[Path],
-    about: dict[str, Any],
-    spec: EnvSpec,
-) -> list[Path]:
+def _finish(folder: Path, tables: list[Path], about: dict[str, Any], spec: EnvSpec) -> list[Path]:
     """Write datasets of Minari, one for each drone, and what tells of all."""
     ends = {end["episode"]: end for path in tables for end in read_about(path)}
     spaces = (spec.observer.space(), widest_action_space(spec.action))
@@ -180,11 +175,7 @@ def _finish(
     return [*written, path]
 
 
-def _flights(
-    tables: list[Path],
-    drone: int,
-    ends: dict[int, Any],
-) -> Iterator[Flight]:
+def _flights(tables: list[Path], drone: int, ends: dict[int, Any]) -> Iterator[Flight]:
     """Read what one drone did, episode by episode."""
     for path in tables:
         rows = read_table(path)

@@ -74,12 +74,7 @@ class Flights(ABC, Generic[Result]):
         """Return the results of all batches."""
         return list(self.fly(batches))
 
-    def start(
-        self,
-        aviary: Aviary,
-        policy: Policy,
-        batch: range,
-    ) -> tuple[Observation, np.ndarray]:
+    def start(self, aviary: Aviary, policy: Policy, batch: range) -> tuple[Observation, np.ndarray]:
         """Start a batch.
 
         Returns:
@@ -93,12 +88,7 @@ class Flights(ABC, Generic[Result]):
         return observations, worlds
 
     @abstractmethod
-    def _flown(
-        self,
-        aviary: Aviary,
-        policy: Policy,
-        batch: range,
-    ) -> Result:
+    def _flown(self, aviary: Aviary, policy: Policy, batch: range) -> Result:
         """Fly one batch."""
 
 
@@ -112,12 +102,7 @@ class Run(Flights[list[Row]]):
 
     metrics: tuple[MetricSpec, ...] = ()
 
-    def _flown(
-        self,
-        aviary: Aviary,
-        policy: Policy,
-        batch: range,
-    ) -> list[Row]:
+    def _flown(self, aviary: Aviary, policy: Policy, batch: range) -> list[Row]:
         """Measure the episodes of a batch."""
         observations, worlds = self.start(aviary, policy, batch)
         meter = Meter(aviary, self.metrics)
@@ -136,10 +121,7 @@ class Run(Flights[list[Row]]):
 
 
 def fly_batches(
-    run: Flights[Result],
-    batches: list[range],
-    workers: int,
-    ray: str | None = None,
+    run: Flights[Result], batches: list[range], workers: int, ray: str | None = None
 ) -> Iterator[Result]:
     """Yield the results of all batches as they come.
 
@@ -264,11 +246,7 @@ class _Crew:
         self.start(batches)
 
 
-def _work(
-    pipe: Connection,
-    run: Flights[Any],
-    batches: list[range],
-) -> None:
+def _work(pipe: Connection, run: Flights[Any], batches: list[range]) -> None:
     """Fly batches in a process of its own; send their results, None at the end, or the error."""
     # An interrupt is for the process that asks.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -136,11 +136,7 @@ def incentives(
         )
 
 
-def _gap(
-    one: Evaluation,
-    other: Evaluation,
-    metric: str,
-) -> Estimate:
+def _gap(one: Evaluation, other: Evaluation, metric: str) -> Estimate:
     """Estimate by how much returns differ, episode by episode."""
     pairs = zip(one.rows, other.rows, strict=True)
     return mean_estimate([mine[metric] - yours[metric] for mine, yours in pairs])

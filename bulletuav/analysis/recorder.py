@@ -61,12 +61,7 @@ class Recorder:
         self._log = SceneLog(aviary)
         self._in_first = np.arange(aviary.num_worlds) == 0
 
-    def note(
-        self,
-        action: np.ndarray,
-        reward: np.ndarray,
-        info: Mapping[str, Any],
-    ) -> None:
+    def note(self, action: np.ndarray, reward: np.ndarray, info: Mapping[str, Any]) -> None:
         """Keep one decision, right after it was flown.
 
         Args:

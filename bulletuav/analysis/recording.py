@@ -77,10 +77,7 @@ HEADER = (
 
 
 def fly_episode(
-    aviary: Aviary,
-    policy: Policy,
-    seed: int,
-    progress: Callable[[], None] = lambda: None,
+    aviary: Aviary, policy: Policy, seed: int, progress: Callable[[], None] = lambda: None
 ) -> Recording:
     """Fly and record one episode in world 0.
 
@@ -107,13 +104,7 @@ def fly_episode(
     return recorder.recording()
 
 
-def save(
-    recording: Recording,
-    aviary: Aviary,
-    policy: str,
-    seed: int,
-    folder: Path,
-) -> list[Path]:
+def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
     """Write a recording.
 
     Args:
@@ -155,11 +146,7 @@ def save(
     return [arrays, table, run]
 
 
-def _call(
-    aviary: Aviary,
-    policy: str,
-    seed: int,
-) -> str | None:
+def _call(aviary: Aviary, policy: str, seed: int) -> str | None:
     """Tell what was flown such that it can be flown again; see `call_text`."""
     (task, *_), options = aviary.made_from
     given = {name: value for name, value in options.items() if name not in UNTOLD}

@@ -120,11 +120,7 @@ def _damaged(path: Path) -> Iterator[None]:
         ) from None
 
 
-def require_same(
-    known: dict[str, Any],
-    about: dict[str, Any],
-    folder: Path,
-) -> None:
+def require_same(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
     """Raise ValueError unless both tell of the same run, maybe of more or fewer episodes."""
     known, about = (
         {**one["options"], **one, "options": 0, "episodes": 0, "call": 0} for one in (known, about)

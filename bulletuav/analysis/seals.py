@@ -83,11 +83,7 @@ def call_text(call: Mapping[str, Any]) -> str | None:
         return None
 
 
-def read_call(
-    text: Any,
-    trust: bool,
-    path: str | Path = "the file",
-) -> dict[str, Any]:
+def read_call(text: Any, trust: bool, path: str | Path = "the file") -> dict[str, Any]:
     """Read what `call_text` wrote.
 
     Args:

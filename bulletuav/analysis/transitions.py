@@ -49,12 +49,7 @@ class Transitions(NamedTuple):
 class Collection(Flights[Transitions]):
     """The episodes of a dataset; see `Flights`."""
 
-    def _flown(
-        self,
-        aviary: Aviary,
-        policy: Policy,
-        batch: range,
-    ) -> Transitions:
+    def _flown(self, aviary: Aviary, policy: Policy, batch: range) -> Transitions:
         """Note every decision of a batch."""
         observations, worlds = self.start(aviary, policy, batch)
         seen = [_vector(observations)]

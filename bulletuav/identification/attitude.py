@@ -4,11 +4,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 
-def frame_of(
-    seconds: float,
-    dt: float,
-    degree: int = 3,
-) -> int:
+def frame_of(seconds: float, dt: float, degree: int = 3) -> int:
     """Return the odd number of samples that spans a time, enough for a polynomial of a degree."""
     return max(degree + 1 + degree % 2, 2 * round(0.5 * seconds / dt) + 1)
 
@@ -34,12 +30,7 @@ def rates_of(time: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     )
 
 
-def smooth(
-    values: np.ndarray,
-    seconds: float,
-    dt: float,
-    degree: int = 3,
-) -> np.ndarray:
+def smooth(values: np.ndarray, seconds: float, dt: float, degree: int = 3) -> np.ndarray:
     """Smooth columns by local polynomials (A. Savitzky, M. Golay, 1964).
 
     Args:
@@ -52,12 +43,7 @@ def smooth(
     return smoothed
 
 
-def slope(
-    values: np.ndarray,
-    seconds: float,
-    dt: float,
-    degree: int = 3,
-) -> np.ndarray:
+def slope(values: np.ndarray, seconds: float, dt: float, degree: int = 3) -> np.ndarray:
     """Return the derivatives of columns by local polynomials; see `smooth`."""
     found: np.ndarray = savgol_filter(
         values, frame_of(seconds, dt, degree), degree, deriv=1, delta=dt, axis=0

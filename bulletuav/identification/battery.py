@@ -81,9 +81,7 @@ def voltages(
 
 
 def fit_battery(
-    logs: Sequence[Log],
-    airframe: Airframe,
-    required: bool = False,
+    logs: Sequence[Log], airframe: Airframe, required: bool = False
 ) -> BatteryFit | None:
     """Fit a battery's resistance and capacity to the logs that have voltage and current.
 
@@ -144,11 +142,7 @@ def fit_battery(
     )
 
 
-def _ends(
-    own: float,
-    number: float,
-    reach: float,
-) -> tuple[float, float, float]:
+def _ends(own: float, number: float, reach: float) -> tuple[float, float, float]:
     """Return a value and the ends of its interval, from the logarithm of its ratio to its start."""
     values = own * np.exp([number, number - reach, number + reach])
     middle, low, high = (float(f"{value:.{DIGITS}g}") for value in values)

@@ -263,11 +263,7 @@ def _require_commands(log: Log, airframe: Airframe) -> None:
     )
 
 
-def _require_pwm(
-    log: Log,
-    airframe: Airframe,
-    usual: float,
-) -> None:
+def _require_pwm(log: Log, airframe: Airframe, usual: float) -> None:
     """Refuse motor commands that are not those of the airframe's map."""
     if airframe.pwm is None:
         raise refusal(

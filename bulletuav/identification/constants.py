@@ -140,11 +140,7 @@ NOT_USUAL = ("inertia_z", "battery_voltage")
 voltage's constant scales thrust."""
 
 
-def choose_constants(
-    names: Sequence[str],
-    has_other: bool,
-    has_pwm: bool,
-) -> list[Constant]:
+def choose_constants(names: Sequence[str], has_other: bool, has_pwm: bool) -> list[Constant]:
     """Choose the constants to fit.
 
     Args:

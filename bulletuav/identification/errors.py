@@ -45,11 +45,7 @@ class Errors:
     turned: np.ndarray
 
 
-def with_constants(
-    airframe: Airframe,
-    constants: list[Constant],
-    numbers: np.ndarray,
-) -> Airframe:
+def with_constants(airframe: Airframe, constants: list[Constant], numbers: np.ndarray) -> Airframe:
     """Return an airframe with other constants, given by the numbers that are fitted."""
     for constant, number in zip(constants, numbers, strict=True):
         airframe = constant.put(airframe, constant.decode(float(number)))
@@ -91,11 +87,7 @@ class _Drive:
     twist: tuple[float, float, float]
 
 
-def _driven(
-    flight: Flight,
-    airframe: Airframe,
-    offsets: np.ndarray,
-) -> _Drive:
+def _driven(flight: Flight, airframe: Airframe, offsets: np.ndarray) -> _Drive:
     """Let the rotors of an airframe follow the commands of a log."""
     command = flight.commands(airframe, DELAY * offsets[0])
     other = len(flight.track.other) > 0
@@ -110,11 +102,7 @@ def _driven(
     return _Drive(command, speed, parameters, airframe.hover_speed(), offsets, twist)
 
 
-def _predict(
-    flight: Flight,
-    legs: Legs,
-    drive: _Drive,
-) -> np.ndarray:
+def _predict(flight: Flight, legs: Legs, drive: _Drive) -> np.ndarray:
     """Return the states (L, picks, 13) that legs lead to."""
     states = np.empty((len(legs.start), legs.picks, STATE))
     roll_out(
@@ -139,12 +127,7 @@ def tilt_of(offsets: np.ndarray) -> tuple[float, float, float, float]:
     return exponential((TILT * offsets[1], TILT * offsets[2], 0.0))
 
 
-def compare(
-    flight: Flight,
-    legs: Legs,
-    states: np.ndarray,
-    offsets: np.ndarray,
-) -> np.ndarray:
+def compare(flight: Flight, legs: Legs, states: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Return by how much predicted states differ from the measured ones.
 
     Returns:
@@ -182,10 +165,7 @@ def conjugate(q: np.ndarray) -> np.ndarray:
 
 
 def errors_of(
-    flight: Flight,
-    windows: np.ndarray,
-    airframe: Airframe,
-    offsets: np.ndarray,
+    flight: Flight, windows: np.ndarray, airframe: Airframe, offsets: np.ndarray
 ) -> Errors:
     """Predict windows of a flight, and compare with what was measured.
 

@@ -68,12 +68,7 @@ class Fitting:
     """Fits of the same parts, one after the other."""
 
     def __init__(
-        self,
-        parts: list[Part],
-        drone: Airframe,
-        free: np.ndarray,
-        asked: bool,
-        progress: Progress,
+        self, parts: list[Part], drone: Airframe, free: np.ndarray, asked: bool, progress: Progress
     ) -> None:
         self.parts = parts
         self.drone = drone
@@ -94,11 +89,7 @@ class Fitting:
         return problem.found(numbers)
 
     def _solve(
-        self,
-        constants: list[Constant],
-        done: float,
-        rounds: int,
-        start: np.ndarray | None = None,
+        self, constants: list[Constant], done: float, rounds: int, start: np.ndarray | None = None
     ) -> tuple[Problem, np.ndarray]:
         """Fit some constants in rounds, from where another fit ended or from the airframe's."""
         expected = rounds * 6 * (2 + len(constants) + int(self.free.sum()))
@@ -210,11 +201,7 @@ def opposite(count: int) -> float:
     return -math.tanh(float(norm.ppf(1 - ALARM / trials)) / math.sqrt(count - 3))
 
 
-def own_numbers(
-    parts: Sequence[Part],
-    drone: Airframe,
-    free: np.ndarray,
-) -> np.ndarray:
+def own_numbers(parts: Sequence[Part], drone: Airframe, free: np.ndarray) -> np.ndarray:
     """Fit the logs' own numbers alone, with the constants of an airframe; (L, 7)."""
     problem = Problem(parts, drone, [], free, silent)
     numbers = aligned(problem, problem.begin())

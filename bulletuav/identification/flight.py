@@ -84,11 +84,7 @@ class Flight:
 
 
 @kernel
-def _speed_shares(
-    volts: np.ndarray,
-    nominal: float,
-    share: np.ndarray,
-) -> None:
+def _speed_shares(volts: np.ndarray, nominal: float, share: np.ndarray) -> None:
     """Fill in the share of a commanded speed that motors reach at voltages (n,)."""
     for k in range(volts.size):
         share[k] = speed_share(volts[k], nominal)
@@ -112,11 +108,7 @@ def logged_speeds(log: Log, airframe: Airframe) -> np.ndarray:
     return turning
 
 
-def prepare(
-    log: Log,
-    airframe: Airframe,
-    window: float,
-) -> Flight:
+def prepare(log: Log, airframe: Airframe, window: float) -> Flight:
     """Bring a log onto one clock, and cut it into windows.
 
     Args:
@@ -158,21 +150,12 @@ def prepare(
     return Flight(log, dt, track, delay, bias, starts, steps)
 
 
-def _at(
-    grid: np.ndarray,
-    log: Log,
-    names: tuple[str, ...],
-) -> np.ndarray:
+def _at(grid: np.ndarray, log: Log, names: tuple[str, ...]) -> np.ndarray:
     """Return columns at even times, (n, len(names))."""
     return np.stack([np.interp(grid, log.time, log.columns[name]) for name in names], axis=1)
 
 
-def _clock(
-    grid: np.ndarray,
-    log: Log,
-    turning: np.ndarray,
-    dt: float,
-) -> tuple[float, np.ndarray]:
+def _clock(grid: np.ndarray, log: Log, turning: np.ndarray, dt: float) -> tuple[float, np.ndarray]:
     """Return by how much the gyroscope lags behind the attitude, s, and its bias (3,)."""
     inner = slice(frame_of(FARTHEST_CLOCK * 2, dt), -frame_of(FARTHEST_CLOCK * 2, dt))
 
@@ -202,11 +185,7 @@ def _clock(
 
 
 def _windows(
-    log: Log,
-    airframe: Airframe,
-    grid: np.ndarray,
-    position: np.ndarray,
-    steps: int,
+    log: Log, airframe: Airframe, grid: np.ndarray, position: np.ndarray, steps: int
 ) -> np.ndarray:
     """Return where windows of flight start, (K,)."""
     speeds = logged_speeds(log, airframe)

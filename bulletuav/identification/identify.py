@@ -211,11 +211,7 @@ def _predictions(
 
 
 def _predict(
-    part: Part,
-    before: Airframe,
-    after: Airframe,
-    own_before: np.ndarray,
-    own: np.ndarray,
+    part: Part, before: Airframe, after: Airframe, own_before: np.ndarray, own: np.ndarray
 ) -> Prediction:
     """Predict one part with both airframes."""
     return Prediction(
@@ -254,10 +250,7 @@ def _possible(airframe: Airframe, constants: Sequence[Constant]) -> tuple[Airfra
 
 
 def _estimates(
-    constants: list[Constant],
-    found: Fit,
-    before: Airframe,
-    after: Airframe,
+    constants: list[Constant], found: Fit, before: Airframe, after: Airframe
 ) -> list[Estimate]:
     """Put together what was before and after."""
     ends = {}

@@ -159,11 +159,7 @@ def _parse_source(pair: str, text: str) -> Source:
     return Source(found["column"].strip(), sign * number, offset)
 
 
-def read_log(
-    path: str | Path,
-    sources: Mapping[str, Source],
-    num_rotors: int,
-) -> Log:
+def read_log(path: str | Path, sources: Mapping[str, Source], num_rotors: int) -> Log:
     """Read a log.
 
     Args:
@@ -259,10 +255,7 @@ def _require_header(path: Path, header: list[str]) -> None:
 
 
 def _wanted(
-    path: Path,
-    header: list[str],
-    sources: Mapping[str, Source],
-    num_rotors: int,
+    path: Path, header: list[str], sources: Mapping[str, Source], num_rotors: int
 ) -> dict[str, Source]:
     """Choose the columns to read, and refuse logs that lack some."""
     known = {name: Source(name) for name in NAMES if name in header} | dict(sources)

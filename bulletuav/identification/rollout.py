@@ -51,12 +51,7 @@ class Legs(NamedTuple):
 
 
 @kernel
-def follow(
-    command: np.ndarray,
-    row: np.record,
-    dt: float,
-    speed: np.ndarray,
-) -> None:
+def follow(command: np.ndarray, row: np.record, dt: float, speed: np.ndarray) -> None:
     """Let rotors follow their commands over a whole log.
 
     Args:
@@ -74,11 +69,7 @@ def follow(
 
 
 @func
-def _turned(
-    quaternion: np.ndarray,
-    k: int,
-    tilt: Quat4Like,
-) -> Quat4:
+def _turned(quaternion: np.ndarray, k: int, tilt: Quat4Like) -> Quat4:
     """Return the measured attitude k, put right by the tilt of what was measured."""
     measured = quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3]
     return product(measured, tilt)

@@ -109,11 +109,7 @@ def _set_numbers(root: ElementTree.Element, airframe: Airframe) -> None:
         _set(own, "battery", **numbers, voltage=pack.voltage)
 
 
-def _set(
-    parent: ElementTree.Element,
-    tag: str,
-    **numbers: float,
-) -> None:
+def _set(parent: ElementTree.Element, tag: str, **numbers: float) -> None:
     """Set attributes of an element, which is made where it lacks; equal ones keep their text."""
     element = parent.find(tag)
     if element is None:

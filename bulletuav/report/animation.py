@@ -48,13 +48,7 @@ class Animation:
         figure: The figure that all pictures are drawn in.
     """
 
-    def __init__(
-        self,
-        recording: Recording,
-        d_safe: float,
-        drone_size: float,
-        title: str,
-    ) -> None:
+    def __init__(self, recording: Recording, d_safe: float, drone_size: float, title: str) -> None:
         """Set the scene.
 
         Args:
@@ -216,12 +210,7 @@ class _View:
     """
 
     def __init__(
-        self,
-        axes: Axes,
-        recording: Recording,
-        along: tuple[int, int],
-        drawn: float,
-        d_safe: float,
+        self, axes: Axes, recording: Recording, along: tuple[int, int], drawn: float, d_safe: float
     ) -> None:
         self._axes, self._recording, self._along, self._d_safe = axes, recording, along, d_safe
         drones = recording.position.shape[1]

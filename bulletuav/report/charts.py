@@ -146,11 +146,7 @@ def plot_curves(runs: Sequence[Learned], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _curves(
-    axes: Axes,
-    curves: Mapping[int, list[Row]],
-    metric: str,
-) -> None:
+def _curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:
     """Draw a metric over the steps for each seed, with mean and range where steps are the same."""
     lines = []
     for (seed, rows), colour in zip(curves.items(), itertools.cycle(COLOURS), strict=False):
@@ -180,10 +176,7 @@ def _case(result: Evaluation) -> str:
 
 
 def _bars(
-    axes: Axes,
-    names: Sequence[str],
-    rows: Sequence[Sequence[Estimate]],
-    labels: Sequence[str],
+    axes: Axes, names: Sequence[str], rows: Sequence[Sequence[Estimate]], labels: Sequence[str]
 ) -> None:
     """Draw bars with intervals: a row of estimates for each label, a group for each name."""
     width = 0.8 / len(rows)

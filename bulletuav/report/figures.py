@@ -61,11 +61,7 @@ def drone_colours(count: int) -> np.ndarray:
     return np.asarray(matplotlib.colormaps["turbo"](shades))
 
 
-def bar_lines(
-    recording: Recording,
-    row: int,
-    axes: Sequence[int] = ABOVE,
-) -> list[np.ndarray]:
+def bar_lines(recording: Recording, row: int, axes: Sequence[int] = ABOVE) -> list[np.ndarray]:
     """List the bars among obstacles as lines (2, 2), at a row of the states, seen along an axis."""
     axis = recording.obstacle_axis
     is_bar = axis.any(axis=1)

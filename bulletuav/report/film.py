@@ -199,12 +199,7 @@ class Film:
         pen.text((10, 8), f"{self._title}   t = {time:.1f} s", INK)
         return np.asarray(image)
 
-    def _number(
-        self,
-        pen: ImageDraw.ImageDraw,
-        lens: Lens,
-        position: np.ndarray,
-    ) -> None:
+    def _number(self, pen: ImageDraw.ImageDraw, lens: Lens, position: np.ndarray) -> None:
         """Write the numbers of drones beside them."""
         for drone, (place, is_before) in enumerate(zip(*lens.project(position), strict=True)):
             if is_before and len(position) <= MOST_NUMBERS:
@@ -228,10 +223,7 @@ class Film:
         self._engine.set_obstacles(places, turns, np.array([True]))
 
     def _look(
-        self,
-        time: float,
-        position: np.ndarray,
-        behind: float,
+        self, time: float, position: np.ndarray, behind: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Tell what the camera looks at, and where it is from there."""
         if self._camera == "follow":

@@ -35,11 +35,7 @@ class CurveLike(Protocol):
         """What was predicted with the airframe that was fitted, (L, picks)."""
 
 
-def plot_identification(
-    curves: Sequence[CurveLike],
-    title: str,
-    path: Path,
-) -> None:
+def plot_identification(curves: Sequence[CurveLike], title: str, path: Path) -> None:
     """Plot predictions against a flight as a PNG file.
 
     Args:

@@ -73,11 +73,7 @@ def markdown(results: Sequence[Evaluation], against: str | None = None) -> str:
 
 
 def _group(
-    task: str,
-    difficulty: str,
-    drones: int,
-    results: Sequence[Evaluation],
-    against: str | None,
+    task: str, difficulty: str, drones: int, results: Sequence[Evaluation], against: str | None
 ) -> str:
     """Write the table of one case, and that of the differences."""
     dynamics = ", ".join(dict.fromkeys(map(_dynamics, results)))
@@ -104,9 +100,7 @@ def _group(
 
 
 def _table(
-    title: str,
-    results: Sequence[Evaluation],
-    estimates: Sequence[Mapping[str, Estimate]],
+    title: str, results: Sequence[Evaluation], estimates: Sequence[Mapping[str, Estimate]]
 ) -> str:
     """Write a table, a row for each result; dynamics have a column where there are several."""
     shown = [
@@ -192,11 +186,7 @@ def write_csv(results: Sequence[Evaluation], path: Path) -> None:
             )
 
 
-def write_json(
-    results: Sequence[Evaluation],
-    against: str | None,
-    path: Path,
-) -> None:
+def write_json(results: Sequence[Evaluation], against: str | None, path: Path) -> None:
     """Write what is needed to fly a leaderboard again, sealed.
 
     Args:

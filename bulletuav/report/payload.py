@@ -30,12 +30,7 @@ class Payload:
         self._parts: list[bytes] = []
         self._size = 0
 
-    def add(
-        self,
-        name: str,
-        values: np.ndarray,
-        kind: str,
-    ) -> None:
+    def add(self, name: str, values: np.ndarray, kind: str) -> None:
         """Add an array as it is.
 
         Args:

@@ -39,11 +39,7 @@ TOGETHER = "0.2"
 
 
 def plot_tracks(
-    recording: Recording,
-    d_safe: float,
-    title: str,
-    path: Path,
-    shows: Mapping[str, str] = SHOWS,
+    recording: Recording, d_safe: float, title: str, path: Path, shows: Mapping[str, str] = SHOWS
 ) -> None:
     """Plot tracks from above, and altitudes and what infos tell over time, as a PNG file.
 
@@ -122,12 +118,7 @@ def _draw_overview(axes: Axes, recording: Recording) -> None:
     film.close()
 
 
-def _draw_track(
-    axes: Axes,
-    recording: Recording,
-    drone: int,
-    colour: np.ndarray,
-) -> None:
+def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray) -> None:
     """Draw the track of a drone from above, with its start, its end and its goal, if any."""
     end = int(recording.alive[:-1, drone].sum()) + 1
     track = recording.position[:end, drone]
@@ -150,11 +141,7 @@ def _draw_track(
 
 
 def _draw_history(
-    axes: Axes,
-    time: np.ndarray,
-    told: np.ndarray,
-    flown: np.ndarray,
-    colours: np.ndarray,
+    axes: Axes, time: np.ndarray, told: np.ndarray, flown: np.ndarray, colours: np.ndarray
 ) -> None:
     """Draw a number of each drone over time, or one line where it is the same for all.
 
@@ -175,11 +162,7 @@ def _draw_history(
         axes.plot(time[:end], row[:end], color=colour, lw=1.2)
 
 
-def _mark_separations(
-    axes: Axes,
-    separation: np.ndarray,
-    d_safe: float,
-) -> None:
+def _mark_separations(axes: Axes, separation: np.ndarray, d_safe: float) -> None:
     """Mark d_safe among separations (T, N), and leave out those that are far above it."""
     axes.axhline(d_safe, color="crimson", ls="--", lw=1, label=f"d_safe {d_safe:g} m")
     axes.set(ylim=(0, max(5 * d_safe, 2 * float(separation.min()))))

@@ -101,12 +101,7 @@ def replay_run(run: Path, path: Path | None = None) -> Path:
     return target
 
 
-def write_replay(
-    recording: Recording,
-    title: str,
-    path: Path,
-    source: str = "",
-) -> None:
+def write_replay(recording: Recording, title: str, path: Path, source: str = "") -> None:
     """Write a page that replays an episode: one file that needs no other and no network.
 
     Args:
@@ -191,11 +186,7 @@ def rows_payload(recording: Recording) -> str:
     return payload.text({"rows": len(recording.time)})
 
 
-def _add_rows(
-    payload: Payload,
-    recording: Recording,
-    about: dict[str, Any],
-) -> list[Any]:
+def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> list[Any]:
     """Add what changes over time, and return the plots of it."""
     payload.add("time", recording.time, "f4")
     # A drone flies from the start on without a gap.

@@ -14,11 +14,7 @@ SEPARATION = 1
 """Place of the plot of separations, which has a line at d_safe"""
 
 
-def add_charts(
-    payload: Payload,
-    recording: Recording,
-    about: dict[str, Any],
-) -> list[Any]:
+def add_charts(payload: Payload, recording: Recording, about: dict[str, Any]) -> list[Any]:
     """Add what is plotted to a payload.
 
     Args:

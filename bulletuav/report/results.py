@@ -35,11 +35,7 @@ def write_evaluation(result: Evaluation, folder: Path) -> list[Path]:
     return [folder / RUN, folder / EPISODES, result.save(folder), picture]
 
 
-def write_comparison(
-    results: Sequence[Evaluation],
-    against: str | None,
-    out: Path,
-) -> list[Path]:
+def write_comparison(results: Sequence[Evaluation], against: str | None, out: Path) -> list[Path]:
     """Write the same leaderboard as markdown, csv and picture, and what verifies it.
 
     Args:
@@ -59,11 +55,7 @@ def write_comparison(
     return files
 
 
-def note_cases(
-    folders: Sequence[Path],
-    against: str | None,
-    out: Path,
-) -> None:
+def note_cases(folders: Sequence[Path], against: str | None, out: Path) -> None:
     """Tell what the pieces of a comparison are of, for `merge`.
 
     Args:

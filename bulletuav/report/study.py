@@ -55,11 +55,7 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else json.dumps(value)
 
 
-def plot_study(
-    study: Study,
-    trials: Sequence[Trial],
-    path: Path,
-) -> None:
+def plot_study(study: Study, trials: Sequence[Trial], path: Path) -> None:
     """Plot a study as a PNG file: its metric over the trials, and over each setting that varies.
 
     Args:
@@ -93,12 +89,7 @@ def plot_study(
     save_figure(figure, path)
 
 
-def _scatter(
-    axes: Axes,
-    study: Study,
-    name: str,
-    done: Sequence[Trial],
-) -> None:
+def _scatter(axes: Axes, study: Study, name: str, done: Sequence[Trial]) -> None:
     """Draw the metric over one setting; later trials are darker, the best one is ringed."""
     searched = study.space[name]
     values = [trial.values[name] for trial in done]

@@ -52,11 +52,7 @@ NEEDED: Mapping[str, Mapping[str, type]] = {
 
 
 @contextlib.contextmanager
-def _show_nothing(
-    activity: str,
-    total: int,
-    unit: str,
-) -> Iterator[Report]:
+def _show_nothing(activity: str, total: int, unit: str) -> Iterator[Report]:
     """Keep silent."""
     yield lambda done: None
 

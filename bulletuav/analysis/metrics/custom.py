@@ -148,12 +148,7 @@ class CustomMetric:
                 "a class needs a method __call__(step, aviary)"
             )
 
-    def record(
-        self,
-        step: Step,
-        aviary: Aviary,
-        flying: np.ndarray,
-    ) -> None:
+    def record(self, step: Step, aviary: Aviary, flying: np.ndarray) -> None:
         """Take one decision.
 
         Args:

@@ -26,10 +26,7 @@ def jain(values: np.ndarray) -> float:
 
 @allocating
 def soonest_conflict(
-    position: np.ndarray,
-    velocity: np.ndarray,
-    alive: np.ndarray,
-    d_safe: float,
+    position: np.ndarray, velocity: np.ndarray, alive: np.ndarray, d_safe: float
 ) -> np.ndarray:
     """Compute the shortest time to a conflict of two drones that fly straight on.
 

@@ -103,11 +103,7 @@ class Meter:
         self._before = after
 
     def _record_conflicts(
-        self,
-        info: Mapping[str, np.ndarray],
-        before: Swarm,
-        after: Swarm,
-        flown: np.ndarray,
+        self, info: Mapping[str, np.ndarray], before: Swarm, after: Swarm, flown: np.ndarray
     ) -> None:
         """Count conflicts and near misses; each is told by both of its drones."""
         self._conflicts += (info["conflicts"] * flown).sum(axis=1) / 2
@@ -124,24 +120,14 @@ class Meter:
         soonest = soonest_conflict(after.position, after.velocity, flown, self._d_safe)
         self._time_to_conflict = np.minimum(self._time_to_conflict, soonest)
 
-    def _record_way(
-        self,
-        before: Swarm,
-        after: Swarm,
-        flown: np.ndarray,
-    ) -> None:
+    def _record_way(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:
         """Add the metres flown, and those that the goal moved."""
         goal = self._aviary.scene.goal
         self._flown += flown * distances(before.position, after.position)
         self._ideal += flown * distances(self._goal, goal)
         self._goal = goal.copy()
 
-    def _record_effort(
-        self,
-        before: Swarm,
-        after: Swarm,
-        flown: np.ndarray,
-    ) -> None:
+    def _record_effort(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:
         """Add jerk, by second differences of the velocity, and the rotors' work.
 
         The work is that against the rotors' torque, by the trapezium rule.
