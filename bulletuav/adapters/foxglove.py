@@ -88,7 +88,7 @@ class FoxgloveServer:
         """Wait until some viewer subscribes to a topic, and tell whether one did in time."""
         return self._came.wait(seconds)
 
-    def begin_anew(self) -> None:
+    def restart_viewers(self) -> None:
         """Let viewers forget the flight before."""
         self._server.clear_session()
 

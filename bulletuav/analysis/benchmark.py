@@ -17,21 +17,21 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.swarm import Swarm
 
-SIZES = (1, 10, 100, 1000)
+SWARM_SIZES = (1, 10, 100, 1000)
 """Swarms that are measured"""
 ROUNDS = 3
 """How often each case is measured"""
 SUBSTEPS = 24
 """Substeps of a decision: physics at 240 Hz, decisions at 10 Hz"""
-FLOORS = ("bare step", "engine calls")
+ENGINE_CASES = ("bare step", "engine calls")
 """Cases without any arithmetic of ours"""
 
 
-class Result(NamedTuple):
+class BenchmarkResult(NamedTuple):
     """Speed of one case.
 
     Attributes:
-        name: Name of the dynamics, or one of `FLOORS`.
+        name: Name of the dynamics, or one of `ENGINE_CASES`.
         num_drones: Size of the swarm, in one world.
         rate: Drone-substeps per CPU-second, median of the rounds.
         reset_ms: Time of a reset, ms; NaN for floors.
@@ -43,11 +43,11 @@ class Result(NamedTuple):
     reset_ms: float
 
 
-def measure(
-    sizes: tuple[int, ...] = SIZES,
+def measure_speed(
+    sizes: tuple[int, ...] = SWARM_SIZES,
     seconds: float = 0.3,
     progress: Callable[[], None] = lambda: None,
-) -> list[Result]:
+) -> list[BenchmarkResult]:
     """Measure all cases of all sizes.
 
     Args:
@@ -64,16 +64,18 @@ def measure(
     return results
 
 
-def _measure_size(num_drones: int, seconds: float, progress: Callable[[], None]) -> list[Result]:
+def _measure_size(
+    num_drones: int, seconds: float, progress: Callable[[], None]
+) -> list[BenchmarkResult]:
     """Measure all cases of one size, interleaved over the rounds."""
     cases: dict[str, Callable[[], object]] = {}
     resets: dict[str, Callable[[], object]] = {}
     # A case is a function of one decision; resets are measured of dynamics alone.
-    aviaries = {name: hovering(1, num_drones, name) for name in DYNAMICS}
+    aviaries = {name: make_hovering_aviary(1, num_drones, name) for name in DYNAMICS}
     for name, aviary in aviaries.items():
         cases[name] = partial(aviary.step, np.zeros((1, num_drones, 3)))
         resets[name] = partial(aviary.reset, seeds=0)
-    engine, of_engine = floors(1, num_drones)
+    engine, of_engine = make_engine_cases(1, num_drones)
     cases |= of_engine
     rates: dict[str, list[float]] = {name: [] for name in cases}
     # Cases alternate, so that what slows the machine down meets all of them.
@@ -87,14 +89,14 @@ def _measure_size(num_drones: int, seconds: float, progress: Callable[[], None])
     for name in cases:
         reset = 1e3 / _per_second(resets[name], seconds / 3) if name in resets else float("nan")
         rate = statistics.median(rates[name])
-        results.append(Result(name=name, num_drones=num_drones, rate=rate, reset_ms=reset))
+        results.append(BenchmarkResult(name=name, num_drones=num_drones, rate=rate, reset_ms=reset))
     engine.close()
     for aviary in aviaries.values():
         aviary.close()
     return results
 
 
-def hovering(num_worlds: int, num_drones: int, dynamics: str, **options: Any) -> Aviary:
+def make_hovering_aviary(num_worlds: int, num_drones: int, dynamics: str, **options: Any) -> Aviary:
     """Make started worlds of drones that hover 2 m apart and 1 m up, with all forces.
 
     Args:
@@ -124,7 +126,9 @@ def hovering(num_worlds: int, num_drones: int, dynamics: str, **options: Any) ->
     return aviary
 
 
-def floors(num_worlds: int, num_drones: int) -> tuple[Engine, dict[str, Callable[[], None]]]:
+def make_engine_cases(
+    num_worlds: int, num_drones: int
+) -> tuple[Engine, dict[str, Callable[[], None]]]:
     """Make the cases without any arithmetic of ours, one decision each.
 
     Args:
@@ -142,9 +146,9 @@ def floors(num_worlds: int, num_drones: int) -> tuple[Engine, dict[str, Callable
     shape = swarm.velocity.shape
     swarm.velocity[:] = np.random.default_rng(0).normal(0, 0.01, shape)
     swarm.rates[:] = swarm.velocity
-    everyone = np.ones((num_worlds, num_drones), dtype=bool)
-    engine.set_states(swarm, everyone)
-    nothing = np.zeros((num_worlds, num_drones, 3))
+    all_drones = np.ones((num_worlds, num_drones), dtype=bool)
+    engine.set_states(swarm, all_drones)
+    zeros = np.zeros((num_worlds, num_drones, 3))
 
     def bare() -> None:
         for _ in range(SUBSTEPS):
@@ -152,11 +156,11 @@ def floors(num_worlds: int, num_drones: int) -> tuple[Engine, dict[str, Callable
 
     def calls() -> None:
         for _ in range(SUBSTEPS):
-            engine.apply_wrenches(nothing, nothing, everyone)
+            engine.apply_wrenches(zeros, zeros, all_drones)
             engine.step()
-            engine.read_states(swarm, everyone)
+            engine.read_states(swarm, all_drones)
 
-    return engine, dict(zip(FLOORS, (bare, calls), strict=True))
+    return engine, dict(zip(ENGINE_CASES, (bare, calls), strict=True))
 
 
 def _per_second(case: Callable[[], object], seconds: float) -> float:

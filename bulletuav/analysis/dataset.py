@@ -10,12 +10,12 @@ from gymnasium.spaces import Box
 
 from bulletuav.adapters.minari import Flight, write_minari
 from bulletuav.adapters.parquet import read_about, read_table, write_table
-from bulletuav.analysis.about import about_flights
+from bulletuav.analysis.description import describe_flights
 from bulletuav.analysis.episodes import fly_batches
-from bulletuav.analysis.pieces import Piece, as_piece
-from bulletuav.analysis.results_folder import RUN, require_same
-from bulletuav.analysis.seals import call_text, hash_files, sealed
-from bulletuav.analysis.transitions import DATASET, Collection, Transitions
+from bulletuav.analysis.pieces import WorkPiece, parse_piece
+from bulletuav.analysis.results_folder import RUN, check_same_run
+from bulletuav.analysis.seals import add_seal, format_call, hash_files
+from bulletuav.analysis.transitions import DATASET, DatasetJob, Transitions
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.errors import as_int, reason_of
@@ -28,7 +28,7 @@ TABLES = "parquet"
 """Folder of its tables, one for each batch of episodes"""
 MINARI = "minari"
 """Folder that MINARI_DATASETS_PATH names to read it with Minari"""
-MOST_EPISODES = 1_000_000
+MAX_EPISODES = 1_000_000
 
 
 def collect(
@@ -41,7 +41,7 @@ def collect(
     out: str | Path,
     progress: Callable[[int], None] = lambda episodes: None,
     trust: bool = False,
-    piece: Piece | str | None = None,
+    piece: WorkPiece | str | None = None,
     ray: str | None = None,
     **options: Any,
 ) -> list[Path]:
@@ -77,16 +77,16 @@ def collect(
     chosen = find_task(task).baseline if policy is None else policy
     pilot = find_policy(chosen, task, trust)
     options = pilot.complete(task, options)
-    flights = Collection(
+    flights = DatasetJob(
         task=task,
         policy=chosen,
         seed=as_int("seed", seed, 0),
-        episodes=as_int("episodes", episodes, 1, MOST_EPISODES),
+        episodes=as_int("episodes", episodes, 1, MAX_EPISODES),
         options=options,
         trust=trust,
     )
     # Bad arguments are told before anything is written
-    part = None if piece is None else as_piece(piece)
+    part = None if piece is None else parse_piece(piece)
     as_int("workers", workers, 1)
     spec = EnvSpec(task, 1, options)
     if not isinstance(spec.observer.space(), Box) or len(spec.observer.space().shape or ()) != 1:
@@ -94,8 +94,8 @@ def collect(
             "a dataset holds vectors of numbers: choose observation_format='vector' and no pictures"
         )
     # The folder remembers the call, and refuses to go on with another one
-    call = call_text({"task": task, "policy": chosen, "seed": seed, "options": options})
-    about = about_flights(flights, pilot, call)
+    call = format_call({"task": task, "policy": chosen, "seed": seed, "options": options})
+    about = describe_flights(flights, pilot, call)
     folder = _open(Path(out), about)
     # Only batches without a file are flown: an interrupted call goes on
     batches = flights.batches()
@@ -112,7 +112,7 @@ def collect(
 
 def missing_batches(out: Path, episodes: int) -> list[range]:
     """List the batches of a dataset whose tables are not there."""
-    batches = Collection("", "", 0, episodes, {}).batches()
+    batches = DatasetJob("", "", 0, episodes, {}).batches()
     return [batch for batch in batches if not _path(out, batch).exists()]
 
 
@@ -128,7 +128,7 @@ def _open(folder: Path, about: dict[str, Any]) -> Path:
             raise ValueError(
                 f"{run} is damaged ({reason_of(error)}): choose another folder"
             ) from None
-        require_same(known, about, folder)
+        check_same_run(known, about, folder)
     replace_file(run, json.dumps(about, indent=2) + "\n")
     return folder
 
@@ -170,7 +170,7 @@ def _finish(folder: Path, tables: list[Path], about: dict[str, Any], spec: EnvSp
         written.append(write_minari(flights, spaces, told, name, folder / MINARI))
     files = hash_files(folder, [f"{TABLES}/{path.name}" for path in tables])
     path = folder / DATASET
-    whole = sealed({**about, "ends": list(ends.values()), "files": files})
+    whole = add_seal({**about, "ends": list(ends.values()), "files": files})
     replace_file(path, json.dumps(whole, indent=2) + "\n")
     return [*written, path]
 

@@ -28,11 +28,11 @@ MAX_DEATHS = 3
 """Processes that may die in the same batch before the evaluation ends"""
 Row = dict[str, float]
 """Metrics of an episode by name, with "episode" and "seed" """
-Result = TypeVar("Result")
+BatchResult = TypeVar("BatchResult")
 
 
 @dataclass(frozen=True)
-class Flights(ABC, Generic[Result]):
+class EpisodeJob(ABC, Generic[BatchResult]):
     """Everything that a process needs to fly episodes, and what it makes of a batch of them.
 
     Attributes:
@@ -58,7 +58,7 @@ class Flights(ABC, Generic[Result]):
             for first in range(0, self.episodes, BATCH)
         ]
 
-    def fly(self, batches: Sequence[range]) -> Iterator[Result]:
+    def fly(self, batches: Sequence[range]) -> Iterator[BatchResult]:
         """Yield the result of each batch in turn."""
         if not batches:
             return
@@ -66,11 +66,11 @@ class Flights(ABC, Generic[Result]):
         try:
             policy = find_policy(self.policy, self.task, self.trust)(aviary)
             for batch in batches:
-                yield self._flown(aviary, policy, batch)
+                yield self._fly_batch(aviary, policy, batch)
         finally:
             aviary.close()
 
-    def fly_all(self, batches: Sequence[range]) -> list[Result]:
+    def fly_all(self, batches: Sequence[range]) -> list[BatchResult]:
         """Return the results of all batches."""
         return list(self.fly(batches))
 
@@ -88,13 +88,13 @@ class Flights(ABC, Generic[Result]):
         return observations, worlds
 
     @abstractmethod
-    def _flown(self, aviary: Aviary, policy: Policy, batch: range) -> Result:
+    def _fly_batch(self, aviary: Aviary, policy: Policy, batch: range) -> BatchResult:
         """Fly one batch."""
 
 
 @dataclass(frozen=True)
-class Run(Flights[list[Row]]):
-    """The episodes of an evaluation; see `Flights`.
+class EvaluationJob(EpisodeJob[list[Row]]):
+    """The episodes of an evaluation; see `EpisodeJob`.
 
     Attributes:
         metrics: What is measured beside the standard metrics.
@@ -102,7 +102,7 @@ class Run(Flights[list[Row]]):
 
     metrics: tuple[MetricSpec, ...] = ()
 
-    def _flown(self, aviary: Aviary, policy: Policy, batch: range) -> list[Row]:
+    def _fly_batch(self, aviary: Aviary, policy: Policy, batch: range) -> list[Row]:
         """Measure the episodes of a batch."""
         observations, worlds = self.start(aviary, policy, batch)
         meter = Meter(aviary, self.metrics)
@@ -121,8 +121,8 @@ class Run(Flights[list[Row]]):
 
 
 def fly_batches(
-    run: Flights[Result], batches: list[range], workers: int, ray: str | None = None
-) -> Iterator[Result]:
+    run: EpisodeJob[BatchResult], batches: list[range], workers: int, ray: str | None = None
+) -> Iterator[BatchResult]:
     """Yield the results of all batches as they come.
 
     Args:
@@ -144,15 +144,15 @@ def fly_batches(
     if workers <= 1:
         yield from run.fly(batches)
         return
-    crew = _Crew(run)
+    pool = _WorkerPool(run)
     try:
         # Each process takes every `workers`-th batch
         for k in range(workers):
-            crew.start(batches[k::workers])
-        yield from crew.results()
+            pool.start(batches[k::workers])
+        yield from pool.results()
     # Also when the caller stops in between.
     finally:
-        crew.end()
+        pool.end()
 
 
 class _Worker(NamedTuple):
@@ -162,10 +162,10 @@ class _Worker(NamedTuple):
     batches: list[range]
 
 
-class _Crew:
+class _WorkerPool:
     """Processes that fly batches; one that dies is replaced, and flies again what is missing."""
 
-    def __init__(self, run: Flights[Any]) -> None:
+    def __init__(self, run: EpisodeJob[Any]) -> None:
         self._run = run
         self._workers: dict[Connection, _Worker] = {}
         self._deaths: Counter[range] = Counter()
@@ -174,7 +174,7 @@ class _Crew:
         """Start a process that flies batches, and sends results through a pipe of its own."""
         mine, theirs = multiprocessing.Pipe()
         process = multiprocessing.Process(
-            target=_work, args=(theirs, self._run, list(batches)), daemon=True
+            target=_run_worker, args=(theirs, self._run, list(batches)), daemon=True
         )
         self._workers[mine] = _Worker(process, list(batches))
         with kept_from_children():
@@ -195,14 +195,14 @@ class _Crew:
                 try:
                     answer = pipe.recv()
                 except (EOFError, OSError):
-                    process = self._leave(pipe)
+                    process = self._stop_worker(pipe)
                     if batches:
                         self._replace(process, batches)
                     continue
                 if isinstance(answer, Exception):
                     raise answer
                 if answer is None:
-                    self._leave(pipe)
+                    self._stop_worker(pipe)
                 else:
                     del batches[0]
                     yield answer
@@ -210,9 +210,9 @@ class _Crew:
     def end(self) -> None:
         """Kill the processes that are left."""
         for pipe in list(self._workers):
-            self._leave(pipe)
+            self._stop_worker(pipe)
 
-    def _leave(self, pipe: Connection) -> multiprocessing.Process:
+    def _stop_worker(self, pipe: Connection) -> multiprocessing.Process:
         """Wait until a process has ended, and close its pipe."""
         process = self._workers.pop(pipe).process
         pipe.close()
@@ -246,7 +246,7 @@ class _Crew:
         self.start(batches)
 
 
-def _work(pipe: Connection, run: Flights[Any], batches: list[range]) -> None:
+def _run_worker(pipe: Connection, run: EpisodeJob[Any], batches: list[range]) -> None:
     """Fly batches in a process of its own; send their results, None at the end, or the error."""
     # An interrupt is for the process that asks.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.analysis.about import about_flights
 from bulletuav.analysis.conditions import Conditions
-from bulletuav.analysis.episodes import BATCH, Row, Run, fly_batches
+from bulletuav.analysis.description import describe_flights
+from bulletuav.analysis.episodes import BATCH, EvaluationJob, Row, fly_batches
 from bulletuav.analysis.metrics import (
     METRICS,
     ROW_LABELS,
@@ -22,14 +22,14 @@ from bulletuav.analysis.metrics import (
     estimate,
     find_metrics,
 )
-from bulletuav.analysis.pieces import Piece, as_piece
+from bulletuav.analysis.pieces import WorkPiece, parse_piece
 from bulletuav.analysis.results_folder import (
     COLUMNS,
     EPISODES,
     RUN,
     ResultsFolder,
 )
-from bulletuav.analysis.seals import call_text, hash_files, hash_rows, sealed
+from bulletuav.analysis.seals import add_seal, format_call, hash_files, hash_rows
 from bulletuav.errors import as_int, shown
 from bulletuav.files import replace_file
 from bulletuav.policies import PolicySource, find_policy
@@ -45,8 +45,8 @@ __all__ = [
     "evaluate",
 ]
 
-MOST_EPISODES = 1_000_000
-INFO_ABOUT = "info of the task at the end, mean of the drones"
+MAX_EPISODES = 1_000_000
+INFO_DESCRIPTION = "info of the task at the end, mean of the drones"
 """What a number is that a task tells by itself"""
 
 
@@ -111,7 +111,7 @@ class Evaluation:
         path = folder / "summary.json"
         files = hash_files(folder, (RUN, EPISODES))
         told = {**self.about, "estimates": self.figures(), "hash": self.hash, "files": files}
-        replace_file(path, json.dumps(sealed(told), indent=2) + "\n")
+        replace_file(path, json.dumps(add_seal(told), indent=2) + "\n")
         return path
 
 
@@ -129,7 +129,7 @@ def evaluate(
     progress: Callable[[int], None] | None = None,
     trust: bool = False,
     metrics: Sequence[MetricSource] = (),
-    piece: Piece | str | None = None,
+    piece: WorkPiece | str | None = None,
     ray: str | None = None,
     **options: Any,
 ) -> Evaluation:
@@ -173,7 +173,7 @@ def evaluate(
         raise ValueError(
             f"out is {shown(out)}: the path of a folder, or None to keep nothing, is needed"
         )
-    part = None if piece is None else as_piece(piece)
+    part = None if piece is None else parse_piece(piece)
     if part is not None and out is None:
         raise ValueError(f"piece is {shown(piece)} without out: give the folder that all write to")
     if ray is not None and (not isinstance(ray, str) or not ray):
@@ -189,11 +189,11 @@ def evaluate(
     chosen = find_task(task).baseline if policy is None else policy
     pilot = find_policy(chosen, task, trust)
     options = pilot.complete(task, options)
-    run = Run(
+    run = EvaluationJob(
         task=task,
         policy=chosen,
         seed=as_int("seed", seed, 0),
-        episodes=as_int("episodes", episodes, 1, MOST_EPISODES),
+        episodes=as_int("episodes", episodes, 1, MAX_EPISODES),
         options=options,
         trust=trust,
         metrics=find_metrics(metrics),
@@ -205,10 +205,10 @@ def evaluate(
         )
     # The text by which `merge` asks for the same again
     flown = {"task": task, "policy": chosen, "seed": seed, "metrics": list(metrics)}
-    call = call_text({**flown, "options": options})
+    call = format_call({**flown, "options": options})
     return _evaluate(
         run,
-        about_flights(run, pilot, call, run.metrics),
+        describe_flights(run, pilot, call, run.metrics),
         None if out is None else Path(out),
         part,
         progress,
@@ -217,10 +217,10 @@ def evaluate(
 
 
 def _evaluate(
-    run: Run,
+    run: EvaluationJob,
     about: dict[str, Any],
     out: Path | None,
-    piece: Piece | None,
+    piece: WorkPiece | None,
     progress: Callable[[int], None],
     fly: Callable[[list[range]], Iterator[list[Row]]],
 ) -> Evaluation:
@@ -239,21 +239,21 @@ def _evaluate(
         flight += sum(row["length"] for row in rows)
         progress(len(rows))
     rows = [folder.rows[episode] for batch in batches for episode in batch]
-    meanings = _meanings(run.metrics, rows)
+    descriptions = _describe_metrics(run.metrics, rows)
     return Evaluation(
         about=about,
         # Infos that a task told in some episodes alone are NaN in the others.
-        rows=[row | {name: np.nan for name in meanings if name not in row} for row in rows],
+        rows=[row | {name: np.nan for name in descriptions if name not in row} for row in rows],
         seconds=time.perf_counter() - begin,
         flight=flight,
-        metrics=meanings,
+        metrics=descriptions,
     )
 
 
-def _meanings(metrics: tuple[MetricSpec, ...], rows: list[Row]) -> dict[str, str]:
+def _describe_metrics(metrics: tuple[MetricSpec, ...], rows: list[Row]) -> dict[str, str]:
     """Tell what each number of the rows is, but for "episode" and "seed"."""
-    meanings = METRICS | {metric.name: metric.about for metric in metrics}
+    descriptions = METRICS | {metric.name: metric.about for metric in metrics}
     for row in rows:
-        infos = [name for name in row if name not in meanings and name not in ROW_LABELS]
-        meanings |= dict.fromkeys(infos, INFO_ABOUT)
-    return meanings
+        infos = [name for name in row if name not in descriptions and name not in ROW_LABELS]
+        descriptions |= dict.fromkeys(infos, INFO_DESCRIPTION)
+    return descriptions

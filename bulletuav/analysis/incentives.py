@@ -16,11 +16,11 @@ from bulletuav.policies import PolicySource
 from bulletuav.policies.versus import VERSUS
 from bulletuav.tasks import TaskSource, find_task
 
-SHIRKERS = ("stay", "climb", "dive", "leave", "crash", "circle", "straight", "clump")
+DEGENERATE_POLICIES = ("stay", "climb", "dive", "leave", "crash", "circle", "straight", "clump")
 """Policies that no task should pay; see `bulletuav.policies.scripted`"""
-STANDING = "stay"
+HOVERING_POLICY = "stay"
 """The one from which leads are measured"""
-LEAST_LEAD = 0.1
+MIN_LEAD_FRACTION = 0.1
 """Share of its lead over standing still by which the baseline is to out-earn each of them"""
 
 
@@ -43,11 +43,11 @@ class Incentive(NamedTuple):
     task: str
     difficulty: str
     baseline: str
-    shirker: str
-    earned: Estimate
+    degenerate_policy: str
+    baseline_return: Estimate
     success: Estimate
-    gained: Estimate
-    gap: Estimate
+    degenerate_return: Estimate
+    return_difference: Estimate
     lead: float
     conditions: Conditions
 
@@ -57,20 +57,20 @@ class Incentive(NamedTuple):
 
         That is of the lower end of the 95 % interval of the gap.
         """
-        return self.lead > 0 and self.gap.low > LEAST_LEAD * self.lead
+        return self.lead > 0 and self.return_difference.low > MIN_LEAD_FRACTION * self.lead
 
 
-def shirkers(task: TaskSource, baseline: PolicySource) -> list[str]:
+def list_degenerate_policies(task: TaskSource, baseline: PolicySource) -> list[str]:
     """List the policies to compare a task's baseline with."""
     with_targets = not find_task(task).has_goals
-    first, *opponents = _sides(baseline)
+    first, *opponents = _split_teams(baseline)
     left_out = {first} if with_targets else {first, "clump"}
     # In a game, whose goals are opponents, who flies straight at its goal does what is wanted.
     left_out |= {"straight"} if opponents else set()
-    return [name for name in SHIRKERS if name not in left_out]
+    return [name for name in DEGENERATE_POLICIES if name not in left_out]
 
 
-def _sides(policy: PolicySource) -> list[PolicySource]:
+def _split_teams(policy: PolicySource) -> list[PolicySource]:
     """List what flies each team, the first one first; a policy of all drones alone."""
     return [*policy.split(VERSUS)] if isinstance(policy, str) else [policy]
 
@@ -105,9 +105,11 @@ def incentives(
     """
     # Against opponents only the first team's part counts
     chosen = find_task(task).baseline if policy is None else policy
-    opponents = _sides(chosen)[1:]
+    opponents = _split_teams(chosen)[1:]
     metrics = (FIRST_RETURN, FIRST_SUCCESS) if opponents else ()
-    gained, success = (one.name for one in metrics) if opponents else ("return", "drone_success")
+    degenerate_return, success = (
+        (one.name for one in metrics) if opponents else ("return", "drone_success")
+    )
 
     def fly(name: PolicySource) -> Evaluation:
         given = (task, name, episodes, seed, workers, None, progress, trust, metrics)
@@ -118,25 +120,25 @@ def incentives(
         return fly(VERSUS.join([name, *map(str, opponents)]))
 
     # Who stands still is the measure of what flying earns
-    base, standing = fly(chosen), shirk(STANDING)
-    lead = _gap(base, standing, gained).mean
-    for name in shirkers(task, chosen):
-        other = standing if name == STANDING else shirk(name)
+    base, standing = fly(chosen), shirk(HOVERING_POLICY)
+    lead = _estimate_difference(base, standing, degenerate_return).mean
+    for name in list_degenerate_policies(task, chosen):
+        other = standing if name == HOVERING_POLICY else shirk(name)
         yield Incentive(
             task=base.about["task"],
             difficulty=base.about["options"]["difficulty"],
             baseline=base.about["policy"],
-            shirker=name,
-            earned=base.estimates()[gained],
+            degenerate_policy=name,
+            baseline_return=base.estimates()[degenerate_return],
             success=base.estimates()[success],
-            gained=other.estimates()[gained],
-            gap=_gap(base, other, gained),
+            degenerate_return=other.estimates()[degenerate_return],
+            return_difference=_estimate_difference(base, other, degenerate_return),
             lead=lead,
             conditions=base.conditions,
         )
 
 
-def _gap(one: Evaluation, other: Evaluation, metric: str) -> Estimate:
+def _estimate_difference(one: Evaluation, other: Evaluation, metric: str) -> Estimate:
     """Estimate by how much returns differ, episode by episode."""
     pairs = zip(one.rows, other.rows, strict=True)
     return mean_estimate([mine[metric] - yours[metric] for mine, yours in pairs])

@@ -11,7 +11,7 @@ STANDARD_INFOS = INFOS_OF_EVERY_TASK | {"messages"}
 """Infos that every task has, or that come with randomization"""
 
 
-def own_infos(info: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def select_task_infos(info: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Pick the infos that are the task's own.
 
     Args:

@@ -14,7 +14,7 @@ FORM = re.compile(r"([0-9]+)/([0-9]+)")
 FOLDER = re.compile(r"([0-9]+)-of-([0-9]+)")
 
 
-class Piece(NamedTuple):
+class WorkPiece(NamedTuple):
     """One of several pieces of the same work, such as one job of a Slurm array.
 
     Attributes:
@@ -40,16 +40,16 @@ class Piece(NamedTuple):
         return out / PIECES / f"{self.number}-of-{self.of}"
 
 
-def as_piece(source: "Piece | str") -> Piece:
+def parse_piece(source: "WorkPiece | str") -> WorkPiece:
     """Read a piece, such as "2/8".
 
     Raises:
         ValueError: It is none.
     """
-    if isinstance(source, Piece):
+    if isinstance(source, WorkPiece):
         return source
     found = FORM.fullmatch(source) if isinstance(source, str) else None
-    piece = Piece(*map(int, found.groups())) if found else Piece(0, 0)
+    piece = WorkPiece(*map(int, found.groups())) if found else WorkPiece(0, 0)
     if not 1 <= piece.number <= piece.of:
         raise ValueError(
             f"piece is {shown(source)}: K/N is needed, the K-th of N pieces, such as '2/8'"
@@ -57,10 +57,10 @@ def as_piece(source: "Piece | str") -> Piece:
     return piece
 
 
-def piece_folders(out: Path) -> dict[Piece, Path]:
+def piece_folders(out: Path) -> dict[WorkPiece, Path]:
     """Find the pieces of an evaluation that were begun, and their folders, in their order."""
     found = {}
     for path in sorted((out / PIECES).glob("*-of-*")):
         if match := FOLDER.fullmatch(path.name):
-            found[Piece(*map(int, match.groups()))] = path
+            found[WorkPiece(*map(int, match.groups()))] = path
     return dict(sorted(found.items()))

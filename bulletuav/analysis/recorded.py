@@ -119,7 +119,7 @@ class Recording:
         }
         return {**self.arrays(), **named}
 
-    def told(self, name: str) -> np.ndarray:
+    def get_info(self, name: str) -> np.ndarray:
         """Look up what infos told of each decision, (T, N, ...), by the name that they use.
 
         Raises:
@@ -127,8 +127,8 @@ class Recording:
         """
         if name in self.info:
             return self.info[name]
-        if name not in TOLD:
-            raise unknown("info of the recording", name, [*TOLD, *self.info])
+        if name not in INFO_ARRAYS:
+            raise unknown("info of the recording", name, [*INFO_ARRAYS, *self.info])
         array: np.ndarray = getattr(self, name)
         return array
 
@@ -139,7 +139,7 @@ ARRAYS = tuple(
     if one.name not in ("info", "reading", "scene", "version")
 )
 """Names of the arrays that every recording has"""
-TOLD = ("success", "separation", "conflicts", "collision")
+INFO_ARRAYS = ("success", "separation", "conflicts", "collision")
 """Those of them that infos tell"""
 
 
@@ -190,7 +190,7 @@ def outcomes(recording: Recording) -> list[Outcome]:
     return rows
 
 
-def summary(recording: Recording, names: Iterable[str]) -> list[dict[str, float]]:
+def summarize_infos(recording: Recording, names: Iterable[str]) -> list[dict[str, float]]:
     """Sum up infos over the decisions that each drone flew.
 
     Args:
@@ -204,20 +204,23 @@ def summary(recording: Recording, names: Iterable[str]) -> list[dict[str, float]
     Raises:
         ValueError: Infos told nothing of a name.
     """
-    told = {name: recording.told(name) for name in names}
+    told = {name: recording.get_info(name) for name in names}
     flown = recording.alive[:-1].sum(axis=0).tolist()
     return [
-        {name: OVER_TIME.get(name, _last)(row[:end, i]).item() for name, row in told.items()}
+        {
+            name: INFO_REDUCTIONS.get(name, _last_value)(row[:end, i]).item()
+            for name, row in told.items()
+        }
         for i, end in enumerate(flown)
     ]
 
 
-def _last(row: np.ndarray) -> Any:
+def _last_value(row: np.ndarray) -> Any:
     """Return the last of the numbers (T,)."""
     return row[-1]
 
 
-OVER_TIME: Mapping[str, Callable[[np.ndarray], Any]] = MappingProxyType(
+INFO_REDUCTIONS: Mapping[str, Callable[[np.ndarray], Any]] = MappingProxyType(
     {"separation": np.min, "conflicts": np.sum, "collision": np.sum}
 )
 """How infos are summed up of which not the last one counts"""

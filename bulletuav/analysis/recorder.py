@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.analysis.recorded import TOLD, Recording
+from bulletuav.analysis.recorded import INFO_ARRAYS, Recording
 from bulletuav.analysis.scene import SceneLog
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import to_world
@@ -61,7 +61,7 @@ class Recorder:
         self._log = SceneLog(aviary)
         self._in_first = np.arange(aviary.num_worlds) == 0
 
-    def note(self, action: np.ndarray, reward: np.ndarray, info: Mapping[str, Any]) -> None:
+    def record(self, action: np.ndarray, reward: np.ndarray, info: Mapping[str, Any]) -> None:
         """Keep one decision, right after it was flown.
 
         Args:
@@ -72,14 +72,14 @@ class Recorder:
         contacts = self._aviary.contacts.of_worlds(self._in_first)
         self._decisions.append(_Decision(action, reward, info, contacts))
         self._states.append(_state(self._aviary))
-        self._log.note()
+        self._log.record()
 
-    def forget(self) -> None:
+    def discard_history(self) -> None:
         """Drop all but the last state: what is noted next goes on from there."""
         self._first += len(self._decisions)
         self._decisions.clear()
         del self._states[:-1]
-        self._log.forget()
+        self._log.discard_history()
 
     def recording(self) -> Recording:
         """Make a recording of what was kept, which is at least one decision."""
@@ -117,7 +117,7 @@ class Recorder:
             building=aviary.solids().bounds,
             target=np.array([state.target for state in states]),
             seen=np.array([state.seen for state in states]),
-            info={name: column(name) for name in kept if name not in TOLD},
+            info={name: column(name) for name in kept if name not in INFO_ARRAYS},
             reading=self._log.readings(),
             scene=self._log.scene(),
         )

@@ -21,7 +21,7 @@ from bulletuav.analysis.recorded import (
 from bulletuav.analysis.recorder import Recorder
 from bulletuav.analysis.results_folder import RUN
 from bulletuav.analysis.scene import PARTS
-from bulletuav.analysis.seals import call_text, hash_files, sealed
+from bulletuav.analysis.seals import add_seal, format_call, hash_files
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.described import described
 from bulletuav.errors import reason_of, require_file, shown
@@ -63,7 +63,7 @@ SHAPES = {
     "scene/hull_size": "S",
 }
 """Shapes of arrays: R rows, T decisions, N drones, and other sizes that agree by their letters"""
-UNTOLD = ("num_worlds", "render_mode", "render_size", "render_address")
+UNRECORDED_OPTIONS = ("num_worlds", "render_mode", "render_size", "render_address")
 """Options that a recorded call leaves out: they change nothing of the flight"""
 REMEDY = "fly the episode again with this bulletuav"
 HEADER = (
@@ -99,7 +99,7 @@ def fly_episode(
             actions = policy.act(observations, aviary.swarm)
         step = aviary.step(actions)
         observations = step.observations
-        recorder.note(actions, step.rewards, step.info)
+        recorder.record(actions, step.rewards, step.info)
         progress()
     return recorder.recording()
 
@@ -142,16 +142,16 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
         "files": hash_files(folder, (ARRAYS_FILE, TABLE_FILE)),
     }
     # Sealed, so that an edit by hand is found
-    replace_file(run, json.dumps(sealed(about), indent=2) + "\n")
+    replace_file(run, json.dumps(add_seal(about), indent=2) + "\n")
     return [arrays, table, run]
 
 
 def _call(aviary: Aviary, policy: str, seed: int) -> str | None:
-    """Tell what was flown such that it can be flown again; see `call_text`."""
+    """Tell what was flown such that it can be flown again; see `format_call`."""
     (task, *_), options = aviary.made_from
-    given = {name: value for name, value in options.items() if name not in UNTOLD}
+    given = {name: value for name, value in options.items() if name not in UNRECORDED_OPTIONS}
     flown = {"task": task, "policy": policy, "seed": seed, "num_worlds": aviary.num_worlds}
-    return call_text({**flown, "options": given})
+    return format_call({**flown, "options": given})
 
 
 def _write_arrays(recording: Recording, path: Path) -> None:
@@ -221,7 +221,7 @@ def load(path: str | Path) -> Recording:
         for prefix in (INFO, READING, SCENE)
     )
     if version == 2:
-        _complete(arrays, infos)
+        _upgrade_version_2(arrays, infos)
     own = {name: arrays[name] for name in ARRAYS}
     return Recording(**own, info=infos, reading=readings, scene=scene, version=version)
 
@@ -267,7 +267,7 @@ def _check_shapes(arrays: dict[str, np.ndarray], path: Path) -> None:
             raise ValueError(f"{path}: {name!r} of the recording is not finite; {REMEDY}")
 
 
-def _complete(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarray]) -> None:
+def _upgrade_version_2(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarray]) -> None:
     """Bring a recording of version 2 to what one of version 3 says of goals."""
     if arrays["target"].shape[1]:
         arrays["goal"] = arrays["goal"][:, :0]  # where drones started

@@ -63,7 +63,7 @@ class ResultsFolder:
             known = read_json(folder / RUN)
             # What is compared next has to be there.
             {**known, **known["options"]}
-        require_same(known, about, folder)
+        check_same_run(known, about, folder)
         self.rows |= read_rows(folder)
 
     def add(self, rows: list[Row]) -> None:
@@ -120,7 +120,7 @@ def _damaged(path: Path) -> Iterator[None]:
         ) from None
 
 
-def require_same(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
+def check_same_run(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
     """Raise ValueError unless both tell of the same run, maybe of more or fewer episodes."""
     known, about = (
         {**one["options"], **one, "options": 0, "episodes": 0, "call": 0} for one in (known, about)

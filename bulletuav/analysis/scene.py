@@ -59,9 +59,9 @@ class SceneLog:
         self._turns: list[np.ndarray] = []
         self._links: list[np.ndarray] = []
         self._readings: dict[str, list[np.ndarray]] = {}
-        self.note()
+        self.record()
 
-    def note(self) -> None:
+    def record(self) -> None:
         """Keep one row."""
         aviary = self._aviary
         self._rotor_speed.append(aviary.swarm.rotor_speed[0].copy())
@@ -71,7 +71,7 @@ class SceneLog:
             if name in self._labels:
                 self._readings.setdefault(name, []).append(values[0].copy())
 
-    def forget(self) -> None:
+    def discard_history(self) -> None:
         """Drop all rows but the last."""
         for kept in (self._rotor_speed, self._turns, self._links, *self._readings.values()):
             del kept[:-1]

@@ -14,11 +14,11 @@ from bulletuav.errors import shown
 
 SEAL = "seal"
 """Entry of a sealed file that hashes all the others"""
-CODE = re.compile(r"[A-Za-z_][\w.]*:\w")
+CODE_NAME = re.compile(r"[A-Za-z_][\w.]*:\w")
 """Beginning of a name that leads to code or to a pickled model, such as `mine:Policy`"""
 ARGUMENTS = {"task", "policy", "seed", "metrics", "num_worlds", "options"}
 """Names that calls in files have"""
-OTHERS = ARGUMENTS - {"num_worlds"} | {
+RESERVED_ARGUMENTS = ARGUMENTS - {"num_worlds"} | {
     "episodes",
     "workers",
     "trust",
@@ -59,18 +59,18 @@ def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
     return {name: hash_bytes([(folder / name).read_bytes()]) for name in there}
 
 
-def sealed(told: Mapping[str, Any]) -> dict[str, Any]:
+def add_seal(told: Mapping[str, Any]) -> dict[str, Any]:
     """Add a seal to what a JSON file is to tell."""
-    return {**told, SEAL: seal_of(told)}
+    return {**told, SEAL: compute_seal(told)}
 
 
-def seal_of(told: Mapping[str, Any]) -> str:
+def compute_seal(told: Mapping[str, Any]) -> str:
     """Hash all entries but the seal, as JSON writes them."""
     rest = {name: value for name, value in told.items() if name != SEAL}
     return hash_bytes([json.dumps(rest, sort_keys=True).encode()])
 
 
-def call_text(call: Mapping[str, Any]) -> str | None:
+def format_call(call: Mapping[str, Any]) -> str | None:
     """Write the arguments of a call as a Python literal.
 
     Returns:
@@ -83,8 +83,8 @@ def call_text(call: Mapping[str, Any]) -> str | None:
         return None
 
 
-def read_call(text: Any, trust: bool, path: str | Path = "the file") -> dict[str, Any]:
-    """Read what `call_text` wrote.
+def parse_call(text: Any, trust: bool, path: str | Path = "the file") -> dict[str, Any]:
+    """Read what `format_call` wrote.
 
     Args:
         text: The text, from a file.
@@ -108,14 +108,14 @@ def read_call(text: Any, trust: bool, path: str | Path = "the file") -> dict[str
     if (
         not isinstance(options, dict)
         or not all(isinstance(name, str) for name in options)
-        or set(options) & OTHERS
+        or set(options) & RESERVED_ARGUMENTS
         or not set(call) <= ARGUMENTS
         or "task" not in call
     ):
         raise ValueError(f"{path} has no call that could be flown again: {shown(text)}")
     # Names may lead to modules or pickled models, which run code when loaded
-    for name in _texts(call):
-        if not trust and CODE.match(name):
+    for name in _iterate_strings(call):
+        if not trust and CODE_NAME.match(name):
             raise ValueError(
                 f"{path} names {shown(name)}, which is code or a model that can run code: "
                 f"say --trust if you know its maker"
@@ -124,13 +124,13 @@ def read_call(text: Any, trust: bool, path: str | Path = "the file") -> dict[str
     return found
 
 
-def _texts(value: Any) -> Iterable[str]:
+def _iterate_strings(value: Any) -> Iterable[str]:
     """Yield all texts within a literal."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):
         for name, one in value.items():
-            yield from (*_texts(name), *_texts(one))
+            yield from (*_iterate_strings(name), *_iterate_strings(one))
     elif isinstance(value, list | tuple | set):
         for one in value:
-            yield from _texts(one)
+            yield from _iterate_strings(one)

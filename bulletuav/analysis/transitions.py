@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.analysis.episodes import Flights
+from bulletuav.analysis.episodes import EpisodeJob
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import shown
 from bulletuav.policies.base import Policy
@@ -46,10 +46,10 @@ class Transitions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Collection(Flights[Transitions]):
-    """The episodes of a dataset; see `Flights`."""
+class DatasetJob(EpisodeJob[Transitions]):
+    """The episodes of a dataset; see `EpisodeJob`."""
 
-    def _flown(self, aviary: Aviary, policy: Policy, batch: range) -> Transitions:
+    def _fly_batch(self, aviary: Aviary, policy: Policy, batch: range) -> Transitions:
         """Note every decision of a batch."""
         observations, worlds = self.start(aviary, policy, batch)
         seen = [_vector(observations)]

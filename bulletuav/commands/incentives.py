@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from bulletuav.analysis.incentives import Incentive, incentives, shirkers
+from bulletuav.analysis.incentives import Incentive, incentives, list_degenerate_policies
 from bulletuav.commands.arguments import (
     add_episodes,
     add_options,
@@ -70,7 +70,8 @@ def run(arguments: argparse.Namespace) -> None:
         for difficulty in _difficulties(task, arguments.difficulties)
     ]
     flights = sum(
-        1 + len(shirkers(task, arguments.policy or find_task(task).baseline)) for task, _ in cases
+        1 + len(list_degenerate_policies(task, arguments.policy or find_task(task).baseline))
+        for task, _ in cases
     )
     found: list[Incentive] = []
     with show_episodes(arguments.episodes * flights) as advance:
@@ -90,7 +91,7 @@ def run(arguments: argparse.Namespace) -> None:
     worst: dict[tuple[str, str], Incentive] = {}
     for one in found:
         case = (one.task, one.difficulty)
-        if case not in worst or one.gap.low < worst[case].gap.low:
+        if case not in worst or one.return_difference.low < worst[case].return_difference.low:
             worst[case] = one
     files = [out / "incentives.md", out / "all.md"]
     table = markdown(list(worst.values()))
@@ -117,16 +118,16 @@ def markdown(found: list[Incentive]) -> str:
     ]
     for one in found:
         # What a shirker loses, as a share of what flying earns at all
-        share = one.gap.low / one.lead if one.lead > 0 else float("nan")
+        share = one.return_difference.low / one.lead if one.lead > 0 else float("nan")
         row = (
             one.task,
             one.difficulty,
             one.conditions.dynamics,
             one.baseline,
-            f"{one.earned.mean:.4g} [{one.earned.low:.4g}, {one.earned.high:.4g}]",
+            f"{one.baseline_return.mean:.4g} [{one.baseline_return.low:.4g}, {one.baseline_return.high:.4g}]",
             f"{one.success.mean:.2f}",
-            one.shirker,
-            f"{one.gained.mean:.4g}",
+            one.degenerate_policy,
+            f"{one.degenerate_return.mean:.4g}",
             f"{share:.2f}",
             "yes" if one.holds else "no",
         )

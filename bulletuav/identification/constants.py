@@ -10,7 +10,7 @@ from bulletuav.errors import nearest
 from bulletuav.vehicle.airframe import Airframe
 
 Get = Callable[[Airframe], float]
-Put = Callable[[Airframe, float], Airframe]
+Replace = Callable[[Airframe, float], Airframe]
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Constant:
     group: str
     unit: str
     get: Get
-    put: Put
+    replace: Replace
     start: float
     scale: float
     resolution: float
@@ -50,61 +50,61 @@ class Constant:
         return number * self.scale if self.scale else math.exp(number)
 
 
-def _field(name: str) -> tuple[Get, Put]:
+def _field(name: str) -> tuple[Get, Replace]:
     """Make functions that read and replace a field."""
 
     def get(airframe: Airframe) -> float:
         value: float = getattr(airframe, name)
         return value
 
-    def put(airframe: Airframe, value: float) -> Airframe:
+    def replace(airframe: Airframe, value: float) -> Airframe:
         changed: dict[str, Any] = {name: value}
         return dataclasses.replace(airframe, **changed)
 
-    return get, put
+    return get, replace
 
 
-def _entry(name: str, axis: int) -> tuple[Get, Put]:
+def _entry(name: str, axis: int) -> tuple[Get, Replace]:
     """Make functions that read and replace an entry of a field of several numbers."""
 
     def get(airframe: Airframe) -> float:
         value: float = getattr(airframe, name)[axis]
         return value
 
-    def put(airframe: Airframe, value: float) -> Airframe:
+    def replace(airframe: Airframe, value: float) -> Airframe:
         values = list(getattr(airframe, name))
         values[axis] = value
         changed: dict[str, Any] = {name: tuple(values)}
         return dataclasses.replace(airframe, **changed)
 
-    return get, put
+    return get, replace
 
 
-def _lag() -> tuple[Get, Put]:
+def _lag() -> tuple[Get, Replace]:
     """Make functions for the lag of rotors that speed up; slowing down keeps its ratio to it."""
 
     def get(airframe: Airframe) -> float:
         return airframe.lag_up
 
-    def put(airframe: Airframe, value: float) -> Airframe:
+    def replace(airframe: Airframe, value: float) -> Airframe:
         ratio = airframe.lag_down / airframe.lag_up if airframe.lag_up > 0 else 1.0
         return dataclasses.replace(airframe, lag_up=value, lag_down=ratio * value)
 
-    return get, put
+    return get, replace
 
 
-def _nominal() -> tuple[Get, Put]:
+def _nominal() -> tuple[Get, Replace]:
     """Make functions for the voltage at which motors reach the speed that is commanded."""
 
     def get(airframe: Airframe) -> float:
         return airframe.pack.voltage if airframe.pack else 0.0
 
-    def put(airframe: Airframe, value: float) -> Airframe:
+    def replace(airframe: Airframe, value: float) -> Airframe:
         if airframe.pack is None:
             raise ValueError(f"voltage cannot be fitted: {airframe.name} has no <battery>")
         return dataclasses.replace(airframe, pack=dataclasses.replace(airframe.pack, voltage=value))
 
-    return get, put
+    return get, replace
 
 
 CONSTANTS = (
@@ -135,7 +135,7 @@ GROUND = "ground_effect"
 """Group of the ground effect, which needs flights near the ground"""
 BATTERY = "battery"
 """Name in --fit of the battery's resistance and capacity, which are fitted by themselves"""
-NOT_USUAL = ("inertia_z", "battery_voltage")
+NOT_FITTED_BY_DEFAULT = ("inertia_z", "battery_voltage")
 """Left out unless asked for. Yaw tells but the quotient of torque ratio and inertia_z, and the
 voltage's constant scales thrust."""
 
@@ -155,7 +155,8 @@ def choose_constants(names: Sequence[str], has_other: bool, has_pwm: bool) -> li
         return [
             constant
             for constant in CONSTANTS
-            if constant.name not in NOT_USUAL and (constant.group != "wake" or has_other)
+            if constant.name not in NOT_FITTED_BY_DEFAULT
+            and (constant.group != "wake" or has_other)
         ]
     chosen = []
     for name in names:

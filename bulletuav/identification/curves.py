@@ -4,20 +4,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.identification.errors import legs_of
+from bulletuav.identification.errors import make_legs
 from bulletuav.identification.identify import Prediction
 
-LONGEST = 12.0
+MAX_PLOT_DURATION = 12.0
 """Duration that is shown, s"""
-SHOWN = (
-    ("velocity east, m/s", "moved", 3),
-    ("velocity north, m/s", "moved", 4),
-    ("velocity up, m/s", "moved", 5),
-    ("p, rad/s", "turned", 3),
-    ("q, rad/s", "turned", 4),
-    ("r, rad/s", "turned", 5),
+PLOTTED_QUANTITIES = (
+    ("velocity east, m/s", "translation", 3),
+    ("velocity north, m/s", "translation", 4),
+    ("velocity up, m/s", "translation", 5),
+    ("p, rad/s", "rotation", 3),
+    ("q, rad/s", "rotation", 4),
+    ("r, rad/s", "rotation", 5),
 )
-"""Label of a quantity, and where its error stands in `Errors`"""
+"""Label of a quantity, and where its error stands in `PredictionErrors`"""
 
 
 class Curve(NamedTuple):
@@ -38,7 +38,7 @@ class Curve(NamedTuple):
     after: np.ndarray
 
 
-def curves(prediction: Prediction) -> list[Curve]:
+def make_curves(prediction: Prediction) -> list[Curve]:
     """Return what to plot of one log.
 
     Args:
@@ -46,18 +46,18 @@ def curves(prediction: Prediction) -> list[Curve]:
     """
     flight = prediction.part.flight
     windows = prediction.part.windows
-    guided, free = legs_of(flight, windows)
+    guided, free = make_legs(flight, windows)
     found = []
-    for label, field, column in SHOWN:
-        legs = guided if field == "moved" else free
-        at = legs.start[:, None] + legs.every * np.arange(1, legs.picks + 1)
-        values = flight.track.velocity if field == "moved" else flight.track.rates
+    for label, field, column in PLOTTED_QUANTITIES:
+        legs = guided if field == "translation" else free
+        at = legs.start[:, None] + legs.stride * np.arange(1, legs.num_states + 1)
+        values = flight.track.velocity if field == "translation" else flight.track.rates
         measured = values[at, column - 3]
         errors = [
             getattr(one, field)[..., column].reshape(at.shape)
             for one in (prediction.before, prediction.after)
         ]
-        first = at[:, 0] * flight.dt < at[0, 0] * flight.dt + LONGEST
+        first = at[:, 0] * flight.dt < at[0, 0] * flight.dt + MAX_PLOT_DURATION
         time = flight.dt * at
         shown = (time, measured, measured + errors[0], measured + errors[1])
         found.append(Curve(label, *(part[first] for part in shown)))

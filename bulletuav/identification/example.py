@@ -14,13 +14,13 @@ from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 HZ = 100
 """Rows of a log, and decisions, per second"""
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw", "p", "q", "r", "w1", "w2", "w3", "w4")
-PLACE, ANGLE, GYRO = 3e-4, np.deg2rad(0.2), 0.02
+POSITION_NOISE, ATTITUDE_NOISE, GYRO_NOISE = 3e-4, np.deg2rad(0.2), 0.02
 """Noise of a motion capture system, m and rad, and of a gyroscope, rad/s"""
 Path3 = Callable[[float], np.ndarray]
 """Function of the time (s) that returns a position (3,), m"""
 
 
-def fly(
+def fly_example(
     airframe: Airframe,
     seconds: float,
     seed: int,
@@ -50,11 +50,11 @@ def fly(
         total: np.ndarray = np.sin(2 * np.pi * kind[0] * time + kind[1]).sum(axis=1)
         return total
 
-    def slowly(time: float) -> np.ndarray:
+    def default_path(time: float) -> np.ndarray:
         place: np.ndarray = np.array([0, 0, 1]) + np.array([0.33, 0.33, 0.2]) * sines(slow, time)
         return place
 
-    path = path or slowly
+    path = path or default_path
     hover = airframe.hover_speed()
     places = [path(0.0)] + ([] if other is None else [other(0.0)])
     space = Airspace(
@@ -73,7 +73,7 @@ def fly(
         time = k / HZ
         state = [array[0].copy() for array in space.swarm[:4]]
         excitation = np.array([6, 6, 3]) * sines(fast, time)
-        command = controlled(airframe, mixer, state, path(time), excitation)
+        command = compute_rotor_speeds(airframe, mixer, state, path(time), excitation)
         place = [] if other is None else space.swarm.position[1]
         rows.append([time, *state[0], *state[1], *state[3], *command, *place])
         queue.append(command)
@@ -84,7 +84,7 @@ def fly(
     return np.array(rows)
 
 
-def controlled(
+def compute_rotor_speeds(
     airframe: Airframe,
     mixer: np.ndarray,
     state: Sequence[np.ndarray],
@@ -104,36 +104,36 @@ def controlled(
         Rotor speeds (4,), rad/s.
     """
     position, quaternion, velocity, rates = state
-    asked = np.clip(3.0 * (goal - position) - 2.5 * velocity, -4, 4)
-    asked += np.array([0, 0, STANDARD_GRAVITY])
+    acceleration = np.clip(3.0 * (goal - position) - 2.5 * velocity, -4, 4)
+    acceleration += np.array([0, 0, STANDARD_GRAVITY])
     body = np.array(axes(tuple(quaternion)))
-    lean = body @ asked / np.linalg.norm(asked)
+    direction = body @ acceleration / np.linalg.norm(acceleration)
     yaw = np.arctan2(body[0, 1], body[0, 0])
-    turn = np.array([-lean[1], lean[0], -0.3 * np.sin(yaw)])
+    turn = np.array([-direction[1], direction[0], -0.3 * np.sin(yaw)])
     angular = np.array([40, 40, 16]) * turn - np.array([9, 9, 6]) * rates + excitation
-    thrust = airframe.mass * max(asked @ body[2], 3.0)
+    thrust = airframe.mass * max(acceleration @ body[2], 3.0)
     force = mixer @ np.array([thrust, *(np.array(airframe.inertia) * angular)])
-    most = airframe.thrust_coefficient * airframe.max_rotor_speed**2
-    speeds: np.ndarray = np.sqrt(np.clip(force, 0.0, most) / airframe.thrust_coefficient)
+    max_force = airframe.thrust_coefficient * airframe.max_rotor_speed**2
+    speeds: np.ndarray = np.sqrt(np.clip(force, 0.0, max_force) / airframe.thrust_coefficient)
     return speeds
 
 
-def noisy(rows: np.ndarray, seed: int) -> np.ndarray:
+def add_sensor_noise(rows: np.ndarray, seed: int) -> np.ndarray:
     """Add the noise of sensors to the rows of a log."""
     rng = np.random.default_rng(seed)
     rows = rows.copy()
-    rows[:, 1:4] += PLACE * rng.standard_normal((len(rows), 3))
+    rows[:, 1:4] += POSITION_NOISE * rng.standard_normal((len(rows), 3))
     x, y, z, w = rows[:, 4:8].T
-    a, b, c = 0.5 * ANGLE * rng.standard_normal((3, len(rows)))
+    a, b, c = 0.5 * ATTITUDE_NOISE * rng.standard_normal((3, len(rows)))
     # The product with (a, b, c, 1), a small turn
     turned = (w * a + x + y * c - z * b, w * b + y + z * a - x * c)
     rows[:, 4:8] = np.stack([*turned, w * c + z + x * b - y * a, w - x * a - y * b - z * c], axis=1)
     rows[:, 4:8] /= np.linalg.norm(rows[:, 4:8], axis=1)[:, None]
-    rows[:, 8:11] += GYRO * rng.standard_normal((len(rows), 3))
+    rows[:, 8:11] += GYRO_NOISE * rng.standard_normal((len(rows), 3))
     return rows
 
 
-def write(path: Path | str, rows: np.ndarray, names: Sequence[str] = COLUMNS) -> Path:
+def write_example_log(path: Path | str, rows: np.ndarray, names: Sequence[str] = COLUMNS) -> Path:
     """Write rows as a log.
 
     Args:

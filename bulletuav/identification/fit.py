@@ -14,29 +14,35 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bulletuav.identification.constants import Constant
-from bulletuav.identification.errors import NUM_OFFSETS, SPREAD, Errors, errors_of, with_constants
-from bulletuav.identification.flight import Flight
-from bulletuav.identification.intervals import UNSURE, Information, quantile
+from bulletuav.identification.errors import (
+    LOG_PARAMETER_STD,
+    NUM_LOG_PARAMETERS,
+    PredictionErrors,
+    compute_errors,
+    with_constants,
+)
+from bulletuav.identification.flight import LoggedFlight
+from bulletuav.identification.intervals import MAX_HALF_WIDTH, Information, quantile
 from bulletuav.identification.weights import Weights, whiten
 from bulletuav.vehicle.airframe import Airframe
 
-MILD = 2.0
+SOFT_L1_SCALE = 2.0
 """Error in standard deviations from which on errors count less"""
-WEAK = 1.0
+PRIOR_STD = 1.0
 """Standard deviation with which constants stay at the airframe's own, in their logarithm"""
-STEP = 1e-4
+DIFFERENCE_STEP = 1e-4
 """Step of numbers for derivatives"""
-MOST_STEPS = 25
+MAX_ITERATIONS = 25
 """Most iterations of a fit"""
-UNSURE_STEP = 0.2
+MAX_HALF_WIDTH_SIGNED = 0.2
 """The same for constants of either sign, in their scale"""
-FARTHEST = 3.0
+MAX_CHANGE = 3.0
 """Bound of the logarithms of constants, about the start"""
 Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
-class Part:
+class FlightPart:
     """Windows of a flight that are fitted, or kept.
 
     Attributes:
@@ -44,7 +50,7 @@ class Part:
         windows: (K,) indices of its windows, in order.
     """
 
-    flight: Flight
+    flight: LoggedFlight
     windows: np.ndarray
 
 
@@ -64,19 +70,19 @@ class Fit:
 
     airframe: Airframe
     constants: list[Constant]
-    numbers: np.ndarray
+    theta: np.ndarray
     deviation: np.ndarray
     quantile: float
-    offsets: np.ndarray
-    offset_deviation: np.ndarray
+    log_parameters: np.ndarray
+    log_parameter_deviation: np.ndarray
 
 
-class Problem:
+class FitProblem:
     """A least-squares problem: constants of an airframe over parts of flights."""
 
     def __init__(
         self,
-        parts: Sequence[Part],
+        parts: Sequence[FlightPart],
         airframe: Airframe,
         constants: list[Constant],
         free: np.ndarray,
@@ -100,138 +106,140 @@ class Problem:
         self.weights: Weights | None = None
         self.evaluations = 0
 
-    def begin(self) -> np.ndarray:
+    def initial_theta(self) -> np.ndarray:
         """Return the numbers at the airframe's own constants, and no offsets."""
         return np.concatenate([self.start, np.zeros(len(self.parts) * len(self.free))])
 
-    def own(self, numbers: np.ndarray) -> np.ndarray:
+    def log_part(self, theta: np.ndarray) -> np.ndarray:
         """Return the logs' own numbers of all numbers, as a view (L, free)."""
-        return numbers[len(self.constants) :].reshape(len(self.parts), -1)
+        return theta[len(self.constants) :].reshape(len(self.parts), -1)
 
-    def split(self, numbers: np.ndarray) -> tuple[Airframe, np.ndarray]:
+    def unpack(self, theta: np.ndarray) -> tuple[Airframe, np.ndarray]:
         """Return the airframe and the offsets (L, 7) of all numbers that are fitted."""
-        offsets = np.zeros((len(self.parts), NUM_OFFSETS))
-        offsets[:, self.free] = self.own(numbers)
+        log_parameters = np.zeros((len(self.parts), NUM_LOG_PARAMETERS))
+        log_parameters[:, self.free] = self.log_part(theta)
         count = len(self.constants)
-        return with_constants(self.airframe, self.constants, numbers[:count]), offsets
+        return with_constants(self.airframe, self.constants, theta[:count]), log_parameters
 
-    def errors(self, numbers: np.ndarray) -> list[Errors]:
+    def errors(self, theta: np.ndarray) -> list[PredictionErrors]:
         """Return the errors in all parts."""
-        airframe, offsets = self.split(numbers)
+        airframe, log_parameters = self.unpack(theta)
         self.evaluations += 1
         self.progress(self.evaluations)
         return [
-            errors_of(part.flight, part.windows, airframe, own)
-            for part, own in zip(self.parts, offsets, strict=True)
+            compute_errors(part.flight, part.windows, airframe, own)
+            for part, own in zip(self.parts, log_parameters, strict=True)
         ]
 
-    def whitened(self, numbers: np.ndarray) -> list[np.ndarray]:
+    def whitened(self, theta: np.ndarray) -> list[np.ndarray]:
         """Return the whitened errors of all parts, (K, E) each."""
         assert self.weights is not None
-        return [whiten(errors, self.weights) for errors in self.errors(numbers)]
+        return [whiten(errors, self.weights) for errors in self.errors(theta)]
 
-    def priors(self, numbers: np.ndarray) -> np.ndarray:
+    def priors(self, theta: np.ndarray) -> np.ndarray:
         """Return how far numbers are from where they usually are, in standard deviations."""
         count = len(self.constants)
-        own = self.own(numbers).ravel() / SPREAD
-        return np.concatenate([(numbers[:count] - self.start) / WEAK, own])
+        own = self.log_part(theta).ravel() / LOG_PARAMETER_STD
+        return np.concatenate([(theta[:count] - self.start) / PRIOR_STD, own])
 
-    def residuals(self, numbers: np.ndarray) -> np.ndarray:
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
         """Return all whitened errors, then the priors."""
-        found = [part.ravel() for part in self.whitened(numbers)]
-        return np.concatenate([*found, self.priors(numbers)])
+        found = [part.ravel() for part in self.whitened(theta)]
+        return np.concatenate([*found, self.priors(theta)])
 
-    def slopes(self, numbers: np.ndarray) -> list[np.ndarray]:
+    def slopes(self, theta: np.ndarray) -> list[np.ndarray]:
         """Return the derivatives of whitened errors, (K, E, P) of each part, by all numbers."""
         count = len(self.constants)
         own = len(self.free)
-        base = self.whitened(numbers)
-        slopes = [np.zeros((*part.shape, len(numbers))) for part in base]
+        base = self.whitened(theta)
+        slopes = [np.zeros((*part.shape, len(theta))) for part in base]
         for k in range(count + own):
-            moved = numbers.copy()
+            moved = theta.copy()
             if k < count:
-                moved[k] += STEP
+                moved[k] += DIFFERENCE_STEP
             else:
                 # One kind of the logs' own numbers at once: each matters to its log alone
-                self.own(moved)[:, k - count] += STEP
+                self.log_part(moved)[:, k - count] += DIFFERENCE_STEP
             for i, part in enumerate(self.whitened(moved)):
                 column = k if k < count else count + i * own + k - count
-                slopes[i][..., column] = (part - base[i]) / STEP
+                slopes[i][..., column] = (part - base[i]) / DIFFERENCE_STEP
         return slopes
 
-    def jacobian(self, numbers: np.ndarray) -> np.ndarray:
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
         """Return the derivatives of `residuals`."""
-        found = [part.reshape(-1, len(numbers)) for part in self.slopes(numbers)]
-        return np.concatenate([*found, np.diag(1 / self._scale(len(numbers)))])
+        found = [part.reshape(-1, len(theta)) for part in self.slopes(theta)]
+        return np.concatenate([*found, np.diag(1 / self._scale(len(theta)))])
 
     def _scale(self, size: int) -> np.ndarray:
         """Return the standard deviations of the priors."""
-        return np.where(np.arange(size) < len(self.constants), WEAK, SPREAD)
+        return np.where(np.arange(size) < len(self.constants), PRIOR_STD, LOG_PARAMETER_STD)
 
-    def solve(self, numbers: np.ndarray) -> np.ndarray:
+    def solve(self, theta: np.ndarray) -> np.ndarray:
         """Return the numbers of the least squares from a start on."""
-        reach = np.full(len(numbers), np.inf)
-        reach[: len(self.constants)] = FARTHEST
-        middle = np.concatenate([self.start, np.zeros(len(numbers) - len(self.start))])
+        half_width = np.full(len(theta), np.inf)
+        half_width[: len(self.constants)] = MAX_CHANGE
+        middle = np.concatenate([self.start, np.zeros(len(theta) - len(self.start))])
         solution = least_squares(
             self.residuals,
-            np.clip(numbers, middle - 0.99 * reach, middle + 0.99 * reach),
+            np.clip(theta, middle - 0.99 * half_width, middle + 0.99 * half_width),
             jac=self.jacobian,
-            bounds=(middle - reach, middle + reach),
+            bounds=(middle - half_width, middle + half_width),
             loss="soft_l1",
-            f_scale=MILD,
+            f_scale=SOFT_L1_SCALE,
             x_scale="jac",
             ftol=1e-6,
             xtol=1e-6,
-            max_nfev=MOST_STEPS,
+            max_nfev=MAX_ITERATIONS,
         )
         found: np.ndarray = solution.x
         return found
 
-    def information(self, numbers: np.ndarray) -> "Information":
+    def information(self, theta: np.ndarray) -> "Information":
         """Return what the windows tell about the numbers."""
-        scale = self._scale(len(numbers))
+        scale = self._scale(len(theta))
         curves = []
         scores = []
-        for errors, slopes in zip(self.whitened(numbers), self.slopes(numbers), strict=True):
-            stretch = 1.0 + (errors / MILD) ** 2
+        for errors, slopes in zip(self.whitened(theta), self.slopes(theta), strict=True):
+            stretch = 1.0 + (errors / SOFT_L1_SCALE) ** 2
             weighted = np.swapaxes(stretch[..., None] ** -1.5 * slopes, 1, 2)
             curves.append(weighted @ slopes)
             scores.append(np.einsum("ke,kep->kp", stretch**-0.5 * errors, slopes))
         # Priors: the logs' own numbers scatter; a constant that nothing tells is as unsure as that
-        drawn = self.priors(numbers) / scale
-        drawn[: len(self.constants)] = 1 / WEAK
+        drawn = self.priors(theta) / scale
+        drawn[: len(self.constants)] = 1 / PRIOR_STD
         return Information(curves, scores, 1 / scale**2, drawn**2)
 
-    def told(self, numbers: np.ndarray) -> np.ndarray:
+    def find_identified(self, theta: np.ndarray) -> np.ndarray:
         """Tell which constants the windows tell, (C,) bool: the least sure one goes first."""
-        known = self.information(numbers)
-        limit = np.array([UNSURE_STEP if one.scale else UNSURE for one in self.constants])
-        keep = np.ones(len(numbers), bool)
+        known = self.information(theta)
+        limit = np.array(
+            [MAX_HALF_WIDTH_SIGNED if one.scale else MAX_HALF_WIDTH for one in self.constants]
+        )
+        keep = np.ones(len(theta), bool)
         while True:
             rest = np.flatnonzero(keep)
             size = int((rest < len(limit)).sum())
             if not size:
                 return keep[: len(limit)]
             deviation = np.sqrt(np.diag(known.covariance(rest)))[:size]
-            reach = quantile(sum(map(len, known.scores)), size + len(self.free))
-            excess = reach * deviation / limit[rest[:size]]
+            half_width = quantile(sum(map(len, known.scores)), size + len(self.free))
+            excess = half_width * deviation / limit[rest[:size]]
             if excess.max() < 1:
                 return keep[: len(limit)]
             keep[rest[int(np.argmax(excess))]] = False
 
-    def found(self, numbers: np.ndarray) -> Fit:
+    def make_fit(self, theta: np.ndarray) -> Fit:
         """Return what the numbers mean, with their deviations."""
-        known = self.information(numbers)
-        deviation = np.sqrt(np.diag(known.covariance(np.arange(len(numbers)))))
-        airframe, offsets = self.split(numbers)
+        known = self.information(theta)
+        deviation = np.sqrt(np.diag(known.covariance(np.arange(len(theta)))))
+        airframe, log_parameters = self.unpack(theta)
         count = len(self.constants)
         return Fit(
             airframe=airframe,
             constants=self.constants,
-            numbers=numbers[:count],
+            theta=theta[:count],
             deviation=np.hypot(deviation[:count], [one.resolution for one in self.constants]),
             quantile=quantile(sum(map(len, known.scores)), count + len(self.free)),
-            offsets=offsets,
-            offset_deviation=self.own(deviation),
+            log_parameters=log_parameters,
+            log_parameter_deviation=self.log_part(deviation),
         )

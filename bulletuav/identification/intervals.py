@@ -7,7 +7,7 @@ from scipy.stats import t as student
 
 LEVEL = 0.95
 """Level of intervals"""
-UNSURE = 0.69
+MAX_HALF_WIDTH = 0.69
 """Half of the length of a logarithm's interval from which on a log does not tell a constant: its
 ends are a factor of 4 apart"""
 

@@ -62,13 +62,15 @@ FACTORS = {
     "us": 1e-6,
 }
 """Units that can be named in place of a factor"""
-MOST_HINT = 600
+MAX_HINT_LENGTH = 600
 """Most characters of the columns that a message offers for one that is missing"""
-SOURCE = re.compile(r"(?P<column>[^*]+?)(\*(?P<factor>[^*+]+?))?(?P<offset>[+-]\d[\d.e-]*)?")
+SOURCE_PATTERN = re.compile(
+    r"(?P<column>[^*]+?)(\*(?P<factor>[^*+]+?))?(?P<offset>[+-]\d[\d.e-]*)?"
+)
 
 
 @dataclass(frozen=True)
-class Source:
+class ColumnSource:
     """Where the values of a column come from: factor * column + offset.
 
     Attributes:
@@ -114,7 +116,7 @@ class Log:
         return next(kind for kind in COMMANDS if f"{kind}1" in self)
 
 
-def parse_map(pairs: Iterable[str]) -> dict[str, Source]:
+def parse_map(pairs: Iterable[str]) -> dict[str, ColumnSource]:
     """Parse texts such as "z=altitude*mm-0.03", which tell where a column comes from.
 
     Args:
@@ -127,7 +129,7 @@ def parse_map(pairs: Iterable[str]) -> dict[str, Source]:
     Raises:
         ValueError: A name is unknown or comes twice, or a text has another form.
     """
-    sources: dict[str, Source] = {}
+    sources: dict[str, ColumnSource] = {}
     for pair in pairs:
         name, equals, text = (part.strip() for part in pair.partition("="))
         if not equals or not text:
@@ -140,9 +142,9 @@ def parse_map(pairs: Iterable[str]) -> dict[str, Source]:
     return sources
 
 
-def _parse_source(pair: str, text: str) -> Source:
+def _parse_source(pair: str, text: str) -> ColumnSource:
     """Parse what stands behind the equals sign."""
-    found = SOURCE.fullmatch(text)
+    found = SOURCE_PATTERN.fullmatch(text)
     if found is None:
         raise ValueError(f"--map {pair}: NAME=COLUMN[*FACTOR][+OFFSET] is needed")
     factor = (found["factor"] or "1").strip()
@@ -156,10 +158,10 @@ def _parse_source(pair: str, text: str) -> Source:
             f"--map {pair}: the factor is {factor!r}: a number, or one of {', '.join(FACTORS)}, "
             f"is needed"
         ) from None
-    return Source(found["column"].strip(), sign * number, offset)
+    return ColumnSource(found["column"].strip(), sign * number, offset)
 
 
-def read_log(path: str | Path, sources: Mapping[str, Source], num_rotors: int) -> Log:
+def read_log(path: str | Path, sources: Mapping[str, ColumnSource], num_rotors: int) -> Log:
     """Read a log.
 
     Args:
@@ -168,7 +170,7 @@ def read_log(path: str | Path, sources: Mapping[str, Source], num_rotors: int) -
         num_rotors: Rotors R of the airframe: so many commands are needed.
 
     Returns:
-        The log; missing values of up to `checks.LONGEST_HOLE` are filled in.
+        The log; missing values of up to `checks.MAX_GAP` are filled in.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -179,8 +181,8 @@ def read_log(path: str | Path, sources: Mapping[str, Source], num_rotors: int) -
         with found.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
             header = [name.strip() for name in next(reader, [])]
-            _require_header(found, header)
-            wanted = _wanted(found, header, sources, num_rotors)
+            _check_header(found, header)
+            wanted = _select_columns(found, header, sources, num_rotors)
             places = {source.column: header.index(source.column) for source in wanted.values()}
             table = _read_table(found, reader, len(header), places)
     except UnicodeDecodeError:
@@ -234,7 +236,7 @@ def _read_table(
     return {name: table[:, k] for k, name in enumerate(places)}
 
 
-def _require_header(path: Path, header: list[str]) -> None:
+def _check_header(path: Path, header: list[str]) -> None:
     """Refuse files whose first line does not name the columns."""
     if not header:
         raise ValueError(f"{path} is empty")
@@ -254,11 +256,11 @@ def _require_header(path: Path, header: list[str]) -> None:
         raise ValueError(f"{path}: the column {twice[0]!r} is there twice: rename one of them")
 
 
-def _wanted(
-    path: Path, header: list[str], sources: Mapping[str, Source], num_rotors: int
-) -> dict[str, Source]:
+def _select_columns(
+    path: Path, header: list[str], sources: Mapping[str, ColumnSource], num_rotors: int
+) -> dict[str, ColumnSource]:
     """Choose the columns to read, and refuse logs that lack some."""
-    known = {name: Source(name) for name in NAMES if name in header} | dict(sources)
+    known = {name: ColumnSource(name) for name in NAMES if name in header} | dict(sources)
     for name, source in known.items():
         if source.column not in header:
             raise ValueError(
@@ -307,4 +309,4 @@ def _hint(name: str, header: list[str]) -> str:
     like = [column for column in header if column.lower().endswith(known)]
     if like:
         return f"perhaps {' or '.join(map(repr, like[:3]))}"
-    return nearest(name, header)[:MOST_HINT]
+    return nearest(name, header)[:MAX_HINT_LENGTH]

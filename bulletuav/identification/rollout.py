@@ -12,7 +12,7 @@ from bulletuav.vehicle.rotors import lag_decay, lagged
 from bulletuav.vehicle.swarm import Swarm, get, put
 from bulletuav.vehicle.wakes import Wakes, sum_wakes
 
-STATE = 13
+STATE_SIZE = 13
 """Numbers of a state: position, quaternion, velocity, rates."""
 
 
@@ -45,13 +45,13 @@ class Legs(NamedTuple):
     """
 
     start: np.ndarray
-    picks: int
-    every: int
+    num_states: int
+    stride: int
     guided: bool
 
 
 @kernel
-def follow(command: np.ndarray, row: np.record, dt: float, speed: np.ndarray) -> None:
+def simulate_rotors(command: np.ndarray, row: np.record, dt: float, speed: np.ndarray) -> None:
     """Let rotors follow their commands over a whole log.
 
     Args:
@@ -69,7 +69,7 @@ def follow(command: np.ndarray, row: np.record, dt: float, speed: np.ndarray) ->
 
 
 @func
-def _turned(quaternion: np.ndarray, k: int, tilt: Quat4Like) -> Quat4:
+def _measured_attitude(quaternion: np.ndarray, k: int, tilt: Quat4Like) -> Quat4:
     """Return the measured attitude k, put right by the tilt of what was measured."""
     measured = quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3]
     return product(measured, tilt)
@@ -82,7 +82,7 @@ def roll_out(
     command: np.ndarray,
     speed: np.ndarray,
     tilt: Quat4Like,
-    twist: Vec3,
+    torque_bias: Vec3,
     parameters: np.ndarray,
     thrust_speed: float,
     gravity: float,
@@ -96,7 +96,7 @@ def roll_out(
         legs: Which parts.
         track: What was measured.
         command: (n, R) rotor speeds that are commanded from each sample on, rad/s.
-        speed: (n, R) rotor speeds at each sample, see `follow`.
+        speed: (n, R) rotor speeds at each sample, see `simulate_rotors`.
         tilt: Quaternion from the drone's body to the body whose attitude was measured.
         twist: Torque that acts throughout, body axes, N m.
         parameters: (1, N) rows of `PARAMETERS` of the drone, and of the other where there is one.
@@ -124,7 +124,7 @@ def roll_out(
         np.ones((1, num_drones)),
     )
     for k in range(3):
-        air.torque[0, 0, k] = twist[k]
+        air.torque[0, 0, k] = torque_bias[k]
     for i in range(num_drones):
         swarm.quaternion[0, i, 3] = 1.0
     alive = np.ones((1, num_drones), dtype=np.bool_)
@@ -137,14 +137,14 @@ def roll_out(
         first = legs.start[leg]
         begin = (
             point(track.position, first),
-            _turned(track.quaternion, first, tilt),
+            _measured_attitude(track.quaternion, first, tilt),
             point(track.velocity, first),
             point(track.rates, first),
         )
         put(swarm, 0, 0, begin)
         for r in range(num_rotors):
             swarm.rotor_speed[0, 0, r] = speed[first, r]
-        for step in range(legs.picks * legs.every):
+        for step in range(legs.num_states * legs.stride):
             now = first + step
             if num_drones > 1:
                 for k in range(3):
@@ -156,11 +156,11 @@ def roll_out(
             around = surroundings(air, 0, 0, wakes.felt[0])
             state = rk4(get(swarm, 0, 0), speeds, rotors, dt, around, row)
             if legs.guided:
-                measured = _turned(track.quaternion, now + 1, tilt)
+                measured = _measured_attitude(track.quaternion, now + 1, tilt)
                 state = (state[0], measured, state[2], point(track.rates, now + 1))
             put(swarm, 0, 0, state)
-            if (step + 1) % legs.every == 0:
-                pick = step // legs.every
+            if (step + 1) % legs.stride == 0:
+                pick = step // legs.stride
                 for k in range(3):
                     states[leg, pick, k] = state[0][k]
                     states[leg, pick, 7 + k] = state[2][k]

@@ -17,7 +17,7 @@ from bulletuav.files import whole_file
 from bulletuav.report.figures import (
     ABOVE,
     BARS,
-    MOST_NUMBERS,
+    MAX_NUMBERED_DRONES,
     SEEN,
     SOUTH,
     UNSEEN,
@@ -30,11 +30,11 @@ from bulletuav.report.figures import (
 )
 from bulletuav.report.video import FPS, save_video
 
-MOST_FRAMES = 150
+MAX_FRAMES = 150
 """Pictures of an animation, of which longer episodes leave some out"""
-TRAIL = 30
+TRAIL_DECISIONS = 30
 """Decisions that a trail reaches back"""
-GONE = 0.25
+FINISHED_OPACITY = 0.25
 """Opacity of drones that have finished"""
 
 
@@ -61,7 +61,7 @@ class Animation:
         self._title = printable(title)
         self._d_safe = d_safe
         # The last row is always shown, also where rows are left out.
-        self._frames = list(range(0, len(recording.time), -(-len(recording.time) // MOST_FRAMES)))
+        self._frames = list(range(0, len(recording.time), -(-len(recording.time) // MAX_FRAMES)))
         if self._frames[-1] != len(recording.time) - 1:
             self._frames.append(len(recording.time) - 1)
         drones = recording.position.shape[1]
@@ -225,7 +225,7 @@ class _View:
             axes.add_collection(lines)
         self._rings = self._circles(np.full(drones, d_safe), facecolors="none", linewidths=1.2)
         self._discs = self._circles(np.full(drones, drawn), linewidths=0.5)
-        numbers = range(drones if drones <= MOST_NUMBERS else 0)
+        numbers = range(drones if drones <= MAX_NUMBERED_DRONES else 0)
         self._numbers = [
             axes.text(0, 0, f"  {drone}", fontsize=8, va="bottom") for drone in numbers
         ]
@@ -253,8 +253,8 @@ class _View:
         alive = recording.alive[row]
         faces = colours.copy()
         # Drones that have finished are pale, and have no ring.
-        faces[~alive, 3] = GONE
-        edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, GONE))
+        faces[~alive, 3] = FINISHED_OPACITY
+        edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, FINISHED_OPACITY))
         # Row k of separations belongs to the decision that ends in row k + 1 of states.
         near = recording.separation[max(0, row - 1)] < self._d_safe
         rings = np.where(near[:, None], (0.86, 0.08, 0.24, 1.0), (0.5, 0.5, 0.5, 1.0))
@@ -262,7 +262,7 @@ class _View:
         # Artists are moved, not made anew
         self._discs.set(offsets=position, facecolors=faces, edgecolors=edges)
         self._rings.set(offsets=position, edgecolors=rings)
-        trail = recording.position[max(0, row - TRAIL) : row + 1][..., along]
+        trail = recording.position[max(0, row - TRAIL_DECISIONS) : row + 1][..., along]
         self._trails.set(segments=list(trail.swapaxes(0, 1)), color=faces)
         for text, place in zip(self._numbers, position, strict=False):
             text.set_position(place)

@@ -28,7 +28,7 @@ RATES = ("success", "drone_success", "conflict", "collision")
 """Shares in the picture of one evaluation"""
 COMPARED = ("success", "conflict", "collision", "served", "completed")
 """Metrics in the picture of several"""
-NOTHING = Estimate(np.nan, np.nan, np.nan, 0)
+NO_ESTIMATE = Estimate(np.nan, np.nan, np.nan, 0)
 BINS = 40
 """Bars of a histogram"""
 
@@ -47,7 +47,7 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
     rates, apart, time, way = np.ravel(figure.subplots(2, 2))
     # Shares of all drones, each with its interval
     estimates = result.estimates()
-    _bars(
+    _draw_bars(
         rates,
         names=RATES,
         rows=[[estimates[metric] for metric in RATES]],
@@ -64,7 +64,7 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
             "path efficiency of the drones that succeeded",
         ),
     ):
-        _histogram(axes, np.array([row[metric] for row in result.rows]))
+        _draw_histogram(axes, np.array([row[metric] for row in result.rows]))
         axes.set(xlabel=label, ylabel="episodes")
     # Below this line episodes had a conflict
     about = result.about
@@ -77,7 +77,7 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
     save_figure(figure, path)
 
 
-def _histogram(axes: Axes, values: np.ndarray) -> None:
+def _draw_histogram(axes: Axes, values: np.ndarray) -> None:
     """Draw how the values that are finite spread."""
     values = values[np.isfinite(values)]
     if len(values):
@@ -99,9 +99,11 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
         path: The file.
     """
     # Cases and policies in the order in which they come first.
-    cases = list(dict.fromkeys(_case(result) for result in results))
+    cases = list(dict.fromkeys(_case_label(result) for result in results))
     policies = list(dict.fromkeys(result.about["policy"] for result in results))
-    found = {(_case(result), result.about["policy"]): result.estimates() for result in results}
+    found = {
+        (_case_label(result), result.about["policy"]): result.estimates() for result in results
+    }
     metrics = [
         metric
         for metric in COMPARED
@@ -111,10 +113,10 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
     figure = blank_figure(width, 2.7 * len(metrics))
     for axes, metric in zip(figure.subplots(len(metrics), 1, sharex=True), metrics, strict=True):
         rows = [
-            [found.get((case, policy), {}).get(metric, NOTHING) for case in cases]
+            [found.get((case, policy), {}).get(metric, NO_ESTIMATE) for case in cases]
             for policy in policies
         ]
-        _bars(axes, names=cases, rows=rows, labels=policies)
+        _draw_bars(axes, names=cases, rows=rows, labels=policies)
         axes.set(ylabel=metric, ylim=(0, 1.05))
     columns = min(len(policies), int(width / 1.5))
     figure.axes[0].legend(loc="lower left", ncols=columns, bbox_to_anchor=(0, 1))
@@ -138,7 +140,7 @@ def plot_curves(runs: Sequence[Learned], path: Path) -> None:
         serves = not any(np.isnan(rows[-1]["completed"]) for rows in curves.values())
         metrics = ("return", "completed" if serves else "success", "conflict")
         for axes, metric in zip(row, metrics, strict=True):
-            _curves(axes, curves, metric)
+            _draw_curves(axes, curves, metric)
             bounds = None if metric == "return" else (-0.05, 1.05)
             axes.set(xlabel="steps", ylabel=metric, ylim=bounds)
         row[0].set_title("; ".join(map(str, dict.fromkeys(conditions))), loc="left", fontsize=9)
@@ -146,7 +148,7 @@ def plot_curves(runs: Sequence[Learned], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:
+def _draw_curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:
     """Draw a metric over the steps for each seed, with mean and range where steps are the same."""
     lines = []
     for (seed, rows), colour in zip(curves.items(), itertools.cycle(COLOURS), strict=False):
@@ -161,7 +163,7 @@ def _curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:
         axes.plot(steps, np.mean(lines, axis=0), color="black", lw=2, label="mean")
 
 
-def _case(result: Evaluation) -> str:
+def _case_label(result: Evaluation) -> str:
     """Label what was flown, in lines."""
     options = result.about["options"]
     return "\n".join(
@@ -175,7 +177,7 @@ def _case(result: Evaluation) -> str:
     )
 
 
-def _bars(
+def _draw_bars(
     axes: Axes, names: Sequence[str], rows: Sequence[Sequence[Estimate]], labels: Sequence[str]
 ) -> None:
     """Draw bars with intervals: a row of estimates for each label, a group for each name."""

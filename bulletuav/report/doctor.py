@@ -16,7 +16,7 @@ from bulletuav.version import __version__
 PACKAGES = ("pybullet", "numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")
 REQUIREMENT = re.compile(r"([\w.-]+)(?:\[([\w.-]+)\])?.*extra == ['\"]([\w.-]+)['\"]")
 """A line of the metadata: a package, an extra of it, and the extra of ours that needs it"""
-SLOW = "not active, bullet flies several times slower"
+SLOW_ENGINE = "not active, bullet flies several times slower"
 
 
 class Finding(NamedTuple):
@@ -56,12 +56,12 @@ def examine() -> list[Finding]:
 def _extension() -> Finding:
     """Tell whether the engine really takes the C extension, not only whether it is there."""
     if EXTENSION.library is None:
-        return Finding("C extension", SLOW, EXTENSION.missing)
+        return Finding("C extension", SLOW_ENGINE, EXTENSION.missing)
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240)
     active = engine.port is not None
     engine.close()
     if not active:
-        return Finding("C extension", SLOW, "the installed pybullet refuses it")
+        return Finding("C extension", SLOW_ENGINE, "the installed pybullet refuses it")
     return Finding("C extension", "active")
 
 

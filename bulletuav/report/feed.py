@@ -33,9 +33,9 @@ MAX_REQUEST = 2**14
 """Longest request, bytes"""
 SEND_BUFFER = 2**16
 """Bytes for a viewer that the system keeps, so that unread ones are noticed soon"""
-SILENCE = 5.0
+KEEPALIVE_INTERVAL = 5.0
 """s without an event after which a viewer is written to, to find out whether it is still there"""
-SINGLE = ("Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest")
+UNIQUE_HEADERS = ("Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest")
 """Headers that are checked: one that is there twice could mean another thing to a proxy"""
 HOST = re.compile(r"(\[[^\[\]@]*\]|[^:\[\]@]*)(:\d*)?", re.ASCII)
 """Form of the header `Host`: name and port"""
@@ -156,7 +156,7 @@ class Feed:
 
         self._do(send)
 
-    def begin_anew(self) -> None:
+    def restart_viewers(self) -> None:
         """Let all viewers begin with the start again."""
         for viewer in list(self._viewers):
             viewer.has_begun = False
@@ -222,7 +222,7 @@ class Feed:
             raise ConnectionError("a browser has gone") from error
         except (asyncio.LimitOverrunError, ValueError, http.client.HTTPException) as error:
             raise RequestError(HTTPStatus.BAD_REQUEST, "this is no request of HTTP") from error
-        if repeated := [name for name in SINGLE if len(headers.get_all(name, [])) > 1]:
+        if repeated := [name for name in UNIQUE_HEADERS if len(headers.get_all(name, [])) > 1]:
             raise RequestError(HTTPStatus.BAD_REQUEST, f"the header {repeated[0]} is there twice")
         LOG.debug('%s "%s %s %s"', stream.peer, method, path, version)
         if not version.startswith("HTTP/1."):
@@ -239,7 +239,7 @@ class Feed:
         """
         path, headers = request
         host = headers.get("Host", "")
-        if not self.knows(host):
+        if not self.accepts_host(host):
             self._streams.log.log_connection(stream.peer, "refused: it asked for another host")
             raise RequestError(
                 HTTPStatus.FORBIDDEN, f"unknown host: open http://{self.address}/ instead"
@@ -251,7 +251,7 @@ class Feed:
             raise RequestError(HTTPStatus.NOT_FOUND, "there is no such page")
         return path
 
-    def knows(self, host: str) -> bool:
+    def accepts_host(self, host: str) -> bool:
         """Return True if a page may ask for a host, as in the header "Host".
 
         Pages elsewhere could read along by a name that they make point here. So names have to be
@@ -281,7 +281,7 @@ class Feed:
             while True:
                 try:
                     # Pages send nothing more: this ends when they leave
-                    async with asyncio.timeout(SILENCE):
+                    async with asyncio.timeout(KEEPALIVE_INTERVAL):
                         await stream.reader.read(1)
                     return
                 except TimeoutError:

@@ -15,11 +15,11 @@ from bulletuav.analysis.recording import Recording
 from bulletuav.errors import printable
 from bulletuav.files import whole_file
 
-MOST_NUMBERS = 24
+MAX_NUMBERED_DRONES = 24
 """Drones are numbered up to this many"""
 ABOVE, SOUTH = (0, 1), (0, 2)
 """Axes that views from above and from the south show"""
-LEVEL = 0.5
+MIN_HEIGHT_RANGE = 0.5
 """Difference of heights up to which a flight counts as level, m"""
 SEEN = "#228833"
 """Colour of targets in sight"""
@@ -73,7 +73,7 @@ def has_depth(recording: Recording) -> bool:
     """Tell whether a view from above leaves something out: heights that differ, or bodies."""
     if len(recording.building) or recording.obstacle.shape[1]:
         return True
-    return float(np.ptp(recording.position[..., 2])) > LEVEL
+    return float(np.ptp(recording.position[..., 2])) > MIN_HEIGHT_RANGE
 
 
 def draw_skyline(axes: Axes, recording: Recording) -> None:

@@ -18,8 +18,8 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
 from bulletuav.geometry.solids import Solids
 from bulletuav.parsing import parse_json
-from bulletuav.report.figures import MOST_NUMBERS, drone_colours
-from bulletuav.report.replay import DAMAGE, continuous, damaged_scene
+from bulletuav.report.figures import MAX_NUMBERED_DRONES, drone_colours
+from bulletuav.report.replay import SCENE_ERRORS, scene_error, unwrap_quaternions
 from bulletuav.report.video import FPS, save_video
 from bulletuav.vehicle.airframes import load_airframe
 
@@ -32,18 +32,18 @@ SOUTH_WEST = np.radians(234.0)
 """Direction in which the camera stands at first, from the east, rad"""
 TURN = np.radians(9.0)
 """How fast the camera of "orbit" turns, rad/s"""
-NEAR = 5.0
+FOLLOW_DISTANCE = 5.0
 """Distance of the camera of "follow", in wing spans of its drone"""
-LAG = 1.0
+FOLLOW_LAG = 1.0
 """Time within which that camera comes behind its drone, s"""
-TRAIL = 5.0
+TRAIL_TIME = 5.0
 """Time that trails reach back, s"""
-SMALLEST = 14
+MIN_DRONE_PIXELS = 14
 """Pixels across, to which drones that all are looked at from afar are enlarged"""
-SIDES = 12
+CYLINDER_SIDES = 12
 """Sides of cylinders"""
-INK = (40, 40, 40)
-STAND_IN = "cf2x"
+TEXT_COLOUR = (40, 40, 40)
+PLACEHOLDER_AIRFRAME = "cf2x"
 """Airframe of the one drone that the engine wants; it waits where no picture shows it"""
 
 
@@ -79,20 +79,20 @@ class Film:
         self._drone = as_int("drone", drone, 0, count - 1)
         self._recording, self._title, self._camera = recording, title, camera
         self._size = size
-        self._turns = continuous(recording.quaternion)
+        self._turns = unwrap_quaternions(recording.quaternion)
         self._colours = [
             tuple(round(255 * part) for part in colour[:3])
             for colour in drone_colours(count).tolist()
         ]
         # Cameras are laid out from the whole flight, so that they move evenly
-        self._whole = self._fit_whole()
-        self._behind = self._headings()
+        self._overview = self._fit_overview()
+        self._camera_azimuth = self._follow_azimuths()
         # Files of others may have any scene
         try:
             self._about = parse_json(str(recording.scene["about"]), "its description")
             self._make_bodies()
-        except DAMAGE as error:
-            raise damaged_scene(error, source) from None
+        except SCENE_ERRORS as error:
+            raise scene_error(error, source) from None
         self._renderer = Renderer(self._engine, size)
 
     def _make_bodies(self) -> None:
@@ -121,7 +121,7 @@ class Film:
         boxes = recording.building[: len(recording.building) - len(sizes)]
         city = [Solids(boxes, tuple(hulls))] if len(recording.building) else []
         # The engine flies nobody here: it only takes pictures
-        self._engine = Engine([load_airframe(STAND_IN)], 1, 1.0, bodies, city)
+        self._engine = Engine([load_airframe(PLACEHOLDER_AIRFRAME)], 1, 1.0, bodies, city)
         if city:
             self._engine.set_layouts(np.array([0]), np.array([True]))
 
@@ -129,9 +129,11 @@ class Film:
         """Tell how many times as large as it is a drone is drawn."""
         if self._camera == "follow":
             return 1.0
-        return max(1.0, SMALLEST * pixel_size(self._whole[1], self._size[1]) / (2 * radius))
+        return max(
+            1.0, MIN_DRONE_PIXELS * pixel_size(self._overview[1], self._size[1]) / (2 * radius)
+        )
 
-    def _fit_whole(self) -> tuple[np.ndarray, float]:
+    def _fit_overview(self) -> tuple[np.ndarray, float]:
         """Find the middle of all that moves, and how far from it all is seen from any side."""
         recording = self._recording
         parts = (recording.position, recording.goal, recording.target)
@@ -147,11 +149,11 @@ class Film:
         level = np.cos(height)
         return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(height)])
 
-    def _headings(self) -> np.ndarray:
+    def _follow_azimuths(self) -> np.ndarray:
         """Find the direction (R,) behind the followed drone, rad, without sudden turns."""
         recording = self._recording
         times = recording.time
-        keep = np.exp(-(times[1] - times[0]) / LAG)
+        keep = np.exp(-(times[1] - times[0]) / FOLLOW_LAG)
         way = recording.velocity[:, self._drone, :2]
         smooth = np.zeros_like(way)
         smooth[0] = way[0]
@@ -165,7 +167,7 @@ class Film:
         behind: np.ndarray = np.unwrap(kept)
         return behind
 
-    def picture(self, time: float, reach: float = TRAIL) -> np.ndarray:
+    def picture(self, time: float, reach: float = TRAIL_TIME) -> np.ndarray:
         """Take a picture.
 
         Args:
@@ -187,25 +189,25 @@ class Film:
 
         # Move the bodies there, and take the picture
         position = between(recording.position)
-        self._put(position, between(self._turns), between)
+        self._place_bodies(position, between(self._turns), between)
         flies = recording.alive[row]
-        target, away = self._look(time, position, float(between(self._behind)))
+        target, away = self._camera_position(time, position, float(between(self._camera_azimuth)))
         image, lens, depth = self._renderer.shot(0, target, away, position[flies])
         # Draw over it what has no body: trails, marks, numbers
         pen = ImageDraw.Draw(image)
         self._draw_trails(pen, lens, depth, row, position, reach)
-        draw(self._marks(row, position, flies, between), lens, pen)
-        self._number(pen, lens, position)
-        pen.text((10, 8), f"{self._title}   t = {time:.1f} s", INK)
+        draw(self._make_marks(row, position, flies, between), lens, pen)
+        self._draw_numbers(pen, lens, position)
+        pen.text((10, 8), f"{self._title}   t = {time:.1f} s", TEXT_COLOUR)
         return np.asarray(image)
 
-    def _number(self, pen: ImageDraw.ImageDraw, lens: Lens, position: np.ndarray) -> None:
+    def _draw_numbers(self, pen: ImageDraw.ImageDraw, lens: Lens, position: np.ndarray) -> None:
         """Write the numbers of drones beside them."""
         for drone, (place, is_before) in enumerate(zip(*lens.project(position), strict=True)):
-            if is_before and len(position) <= MOST_NUMBERS:
-                pen.text((place[0] + 9, place[1] - 17), str(drone), INK)
+            if is_before and len(position) <= MAX_NUMBERED_DRONES:
+                pen.text((place[0] + 9, place[1] - 17), str(drone), TEXT_COLOUR)
 
-    def _put(
+    def _place_bodies(
         self,
         position: np.ndarray,
         quaternion: np.ndarray,
@@ -217,20 +219,20 @@ class Film:
         turns = (turn * self._own_turn).as_quat()
         recording = self._recording
         obstacle = between(recording.obstacle)
-        own = between(continuous(recording.scene["obstacle_quaternion"]))
+        own = between(unwrap_quaternions(recording.scene["obstacle_quaternion"]))
         places = np.concatenate([obstacle, places])[None]
         turns = np.concatenate([own, turns])[None]
         self._engine.set_obstacles(places, turns, np.array([True]))
 
-    def _look(
+    def _camera_position(
         self, time: float, position: np.ndarray, behind: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Tell what the camera looks at, and where it is from there."""
         if self._camera == "follow":
             kind = self._about["airframe_of"][self._drone]
             span = 2 * self._about["airframes"][kind]["radius"]
-            return position[self._drone], NEAR * span * self._direction(behind)
-        target, distance = self._whole
+            return position[self._drone], FOLLOW_DISTANCE * span * self._direction(behind)
+        target, distance = self._overview
         turned = TURN * time if self._camera == "orbit" else 0.0
         return target, distance * self._direction(SOUTH_WEST + turned)
 
@@ -257,7 +259,7 @@ class Film:
                 for line in lens.lines(pieces[chosen, drone]):
                     pen.line(tuple(line), ink, width)
 
-    def _marks(
+    def _make_marks(
         self,
         row: int,
         position: np.ndarray,
@@ -275,8 +277,8 @@ class Film:
             marks = marks._replace(goal=goal, course=course)
         target = between(recording.target)
         links = recording.scene["link"]
-        _, who, whom = links[links[:, 0] == row].T
-        link = np.stack([position[who], target[whom]], axis=1)
+        _, drone_index, target_index = links[links[:, 0] == row].T
+        link = np.stack([position[drone_index], target[target_index]], axis=1)
         return marks._replace(target=target, seen=recording.seen[row], link=link)
 
     def save(self, path: Path, progress: Callable[[], None] = lambda: None) -> None:
@@ -325,7 +327,7 @@ def _obstacle(shape: dict[str, Any], scale: float = 1.0) -> Obstacle:
     corners = (scale * np.array(shape["corners"])).tolist()
     if shape["kind"] == CYLINDER:
         # Of few sides: films have many of them.
-        turn = 2 * np.pi * np.arange(SIDES) / SIDES
+        turn = 2 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
         rim = [(x * np.cos(one), x * np.sin(one)) for one in turn]
         corners = [(*point, height) for height in (-z, z) for point in rim]
     return Obstacle("hull", (), colour, tuple(map(tuple, corners)))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.analysis.metrics import Estimate, mean_estimate
-from bulletuav.analysis.seals import sealed
+from bulletuav.analysis.seals import add_seal
 from bulletuav.files import replace_file, whole_file
 
 LEADERBOARD = "leaderboard.json"
@@ -45,7 +45,7 @@ CASE = ("task", "difficulty", "drones", "dynamics", "policy", "reads_swarm", "ha
 """Columns of the csv file that tell one evaluation from others"""
 
 
-def markdown(results: Sequence[Evaluation], against: str | None = None) -> str:
+def format_leaderboard(results: Sequence[Evaluation], against: str | None = None) -> str:
     """Write a table for each task, difficulty and size of the swarm.
 
     Cells are means with 95 % intervals, and the first digits of the hash of all episodes; * marks
@@ -68,11 +68,11 @@ def markdown(results: Sequence[Evaluation], against: str | None = None) -> str:
             options["num_drones"],
         )
         groups.setdefault(case, []).append(result)
-    parts = [_group(*case, group, against) for case, group in groups.items()]
+    parts = [_format_group(*case, group, against) for case, group in groups.items()]
     return "\n".join(parts) + "\n" + FOOTNOTE
 
 
-def _group(
+def _format_group(
     task: str, difficulty: str, drones: int, results: Sequence[Evaluation], against: str | None
 ) -> str:
     """Write the table of one case, and that of the differences."""
@@ -191,12 +191,12 @@ def write_json(results: Sequence[Evaluation], against: str | None, path: Path) -
 
     Args:
         results: The evaluations.
-        against: As of `markdown`.
+        against: As of `format_leaderboard`.
         path: The file.
 
     Raises:
         OSError: It cannot be written.
     """
     cases = [{**result.about, "hash": result.hash} for result in results]
-    told = sealed({"against": against, "cases": cases})
+    told = add_seal({"against": against, "cases": cases})
     replace_file(path, json.dumps(told, indent=2) + "\n")

@@ -16,10 +16,10 @@ from bulletuav.envs.infos import later
 from bulletuav.envs.pacer import Pacer
 from bulletuav.envs.viewer import parse_address
 from bulletuav.report.feed import Feed, event
-from bulletuav.report.replay import page, rows_payload, whole_payload
+from bulletuav.report.replay import make_payload, make_rows_payload, render_page
 
 TITLE = "bulletuav: live"
-MOST_LINES = 200_000
+MAX_TRAIL_SEGMENTS = 200_000
 """Pieces of trails that viewers keep; after as many they begin anew"""
 
 
@@ -33,7 +33,7 @@ class Server(Protocol):
     def wait(self, seconds: float | None = None) -> bool:
         """Wait until somebody watches, and tell whether somebody did in time."""
 
-    def begin_anew(self) -> None:
+    def restart_viewers(self) -> None:
         """Let viewers forget the flight before."""
 
     def close(self) -> None:
@@ -74,7 +74,7 @@ class LiveView(ABC):
 
     def _start(self) -> None:
         """Let viewers begin anew with the present state, if there are any."""
-        self._server.begin_anew()
+        self._server.restart_viewers()
         self._rows = 0
         self._recorder = Recorder(self._aviary) if self._server.is_watched else None
 
@@ -83,7 +83,7 @@ class LiveView(ABC):
         if not self._server.is_watched:
             self._recorder = self._pacer = None
             return
-        if self._recorder is None or self._rows * self._aviary.num_drones > MOST_LINES:
+        if self._recorder is None or self._rows * self._aviary.num_drones > MAX_TRAIL_SEGMENTS:
             self._start()
         else:
             self._send(self._decision(self._recorder))
@@ -94,9 +94,9 @@ class LiveView(ABC):
     def _decision(self, recorder: Recorder) -> Recording:
         """Record the decision that was flown."""
         aviary = self._aviary
-        recorder.note(aviary.given.copy(), aviary.rewards.copy(), later(aviary.telling()))
+        recorder.record(aviary.given.copy(), aviary.rewards.copy(), later(aviary.telling()))
         recording = recorder.recording()
-        recorder.forget()
+        recorder.discard_history()
         self._rows += 1
         return recording
 
@@ -123,7 +123,7 @@ class PageView(LiveView):
         Raises:
             OSError: The port is in use, or there is no such address.
         """
-        make_page = functools.cache(functools.partial(page, TITLE))
+        make_page = functools.cache(functools.partial(render_page, TITLE))
         self.feed = Feed(*parse_address(aviary.options.render_address), make_page)
         self.invitation = f"open http://{self.feed.address}/ in a browser"
         super().__init__(aviary, self.feed)
@@ -133,8 +133,8 @@ class PageView(LiveView):
         aviary = self._aviary
         drones = f"{aviary.num_drones} {'drones' if aviary.num_drones > 1 else 'drone'}"
         title = f"{aviary.task.name}: {drones}, live"
-        news = event("rows", rows_payload(recording))
-        self.feed.send(news, lambda: event("start", whole_payload(recording, title)))
+        news = event("rows", make_rows_payload(recording))
+        self.feed.send(news, lambda: event("start", make_payload(recording, title)))
 
 
 class FoxgloveView(LiveView):

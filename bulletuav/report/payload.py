@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-LEVELS = 65534
+QUANTIZATION_STEPS = 65534
 """Steps between the least and the greatest value of a series"""
 NO_VALUE = 65535
 """Code of what is no finite number"""
-LARGEST = 1e30
+MAX_VALUE = 1e30
 """Numbers farther from 0 count as infinite, as single precision ends at 3e38"""
 TYPES = {"f4": "<f4", "u4": "<u4", "u2": "<u2", "u1": "|u1"}
 """Types of numbers in the block, with NumPy's names of them"""
@@ -55,12 +55,12 @@ class Payload:
         """
         rows = len(values)
         table = np.asarray(values, dtype=float).reshape(rows, -1).T
-        known = np.isfinite(table) & (np.abs(table) < LARGEST)
+        known = np.isfinite(table) & (np.abs(table) < MAX_VALUE)
         low = np.where(known, table, np.inf).min(axis=1, initial=np.inf)
         high = np.where(known, table, -np.inf).max(axis=1, initial=-np.inf)
         some = low <= high
         low, high = np.where(some, low, 0.0), np.where(some, high, 0.0)
-        step = (high - low) / LEVELS
+        step = (high - low) / QUANTIZATION_STEPS
         share = np.where(known, table - low[:, None], 0.0) / np.where(step > 0, step, 1.0)[:, None]
         codes = np.where(known, np.rint(share), NO_VALUE).astype("<u2")
         change = np.diff(codes, axis=1, prepend=np.zeros((len(codes), 1), "<u2"))

@@ -12,7 +12,7 @@ from bulletuav.analysis.recording import Recording
 from bulletuav.report.animation import Animation
 from bulletuav.report.figures import (
     BARS,
-    MOST_NUMBERS,
+    MAX_NUMBERED_DRONES,
     SEEN,
     UNSEEN,
     bar_lines,
@@ -28,13 +28,13 @@ from bulletuav.tasks.base import SHOWS
 __all__ = ["Animation", "blank_figure", "plot_tracks", "save_figure"]
 
 ALTITUDE = "altitude (m)"
-SAME = 1e-9
+MIN_VARIATION = 1e-9
 """Span up to which numbers count as the same"""
 OVERVIEW = (840, 640)
 """Size of the picture in three dimensions, pixels"""
-MOST_ROWS = 3
+MAX_PANEL_ROWS = 3
 """Panels that stand one above another"""
-TOGETHER = "0.2"
+SHARED_COLOUR = "0.2"
 """Colour of what is the same for all drones"""
 
 
@@ -60,9 +60,9 @@ def plot_tracks(
     """
     # Panels of what changes over time, in columns on the right
     heights = {ALTITUDE: recording.position[..., 2]}
-    told = heights | {name: np.asarray(recording.told(name)) for name in shows}
-    panels = {name: values for name, values in told.items() if _has_history(values)}
-    columns = -(-len(panels) // MOST_ROWS)
+    histories = heights | {name: np.asarray(recording.get_info(name)) for name in shows}
+    panels = {name: values for name, values in histories.items() if _has_history(values)}
+    columns = -(-len(panels) // MAX_PANEL_ROWS)
     rows = -(-len(panels) // max(1, columns))
     # The picture from above, and one in three dimensions where heights matter
     views = 2 if has_depth(recording) and recording.scene else 1
@@ -103,10 +103,10 @@ def plot_tracks(
     save_figure(figure, path)
 
 
-def _has_history(told: np.ndarray) -> bool:
+def _has_history(values: np.ndarray) -> bool:
     """Tell whether numbers say something over time: no flags or counts, none that never change."""
-    known = told[np.isfinite(told)] if told.dtype.kind == "f" else told[:0]
-    return bool(known.size) and float(np.ptp(known)) > SAME
+    known = values[np.isfinite(values)] if values.dtype.kind == "f" else values[:0]
+    return bool(known.size) and float(np.ptp(known)) > MIN_VARIATION
 
 
 def _draw_overview(axes: Axes, recording: Recording) -> None:
@@ -124,13 +124,13 @@ def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray
     track = recording.position[:end, drone]
     axes.plot(track[:, 0], track[:, 1], color=colour, lw=1.2)
     # One drone's marks stand for all in the legend.
-    told = ("start", "end", "goal") if drone == 0 else (None, None, None)
-    axes.plot(*track[0, :2], "o", color=colour, ms=5, label=told[0])
-    axes.plot(*track[-1, :2], "s", color=colour, ms=6, mec="black", mew=0.6, label=told[1])
+    labels = ("start", "end", "goal") if drone == 0 else (None, None, None)
+    axes.plot(*track[0, :2], "o", color=colour, ms=5, label=labels[0])
+    axes.plot(*track[-1, :2], "s", color=colour, ms=6, mec="black", mew=0.6, label=labels[1])
     if recording.goal.shape[1]:
         goal = recording.goal[end - 1, drone, :2]
-        axes.plot(*goal, "x", color=colour, ms=8, mew=2, label=told[2])
-    if recording.position.shape[1] <= MOST_NUMBERS:
+        axes.plot(*goal, "x", color=colour, ms=8, mew=2, label=labels[2])
+    if recording.position.shape[1] <= MAX_NUMBERED_DRONES:
         axes.annotate(
             str(drone),
             (track[0, 0], track[0, 1]),
@@ -141,7 +141,7 @@ def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray
 
 
 def _draw_history(
-    axes: Axes, time: np.ndarray, told: np.ndarray, flown: np.ndarray, colours: np.ndarray
+    axes: Axes, time: np.ndarray, values: np.ndarray, flown: np.ndarray, colours: np.ndarray
 ) -> None:
     """Draw a number of each drone over time, or one line where it is the same for all.
 
@@ -149,15 +149,15 @@ def _draw_history(
         axes: The panel.
         time: (T,) s.
         told: (T, N), while drones fly.
-        flown: (decisions, N) bool, drones that flew them; `told` may have the start before.
+        flown: (decisions, N) bool, drones that flew them; `values` may have the start before.
         colours: (N, 4) of the drones.
     """
-    known = np.where(np.isfinite(told), told, np.nan)
-    if len(colours) > 1 and (told == told[:, :1]).all():
-        axes.plot(time, known[:, 0], color=TOGETHER, lw=1.6, label="all drones together")
+    known = np.where(np.isfinite(values), values, np.nan)
+    if len(colours) > 1 and (values == values[:, :1]).all():
+        axes.plot(time, known[:, 0], color=SHARED_COLOUR, lw=1.6, label="all drones together")
         axes.legend(loc="best", fontsize=8)
         return
-    ends = flown.sum(axis=0) + len(told) - len(flown)
+    ends = flown.sum(axis=0) + len(values) - len(flown)
     for row, end, colour in zip(known.T, ends, colours, strict=True):
         axes.plot(time[:end], row[:end], color=colour, lw=1.2)
 

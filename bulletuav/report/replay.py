@@ -25,15 +25,15 @@ from bulletuav.geometry.solids import Solids
 from bulletuav.parsing import parse_json
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.payload import Payload
-from bulletuav.report.replay_charts import add_charts, later
+from bulletuav.report.replay_charts import add_charts, prepend_missing_row
 from bulletuav.report.verification import read_sealed
 
 REPLAY = "replay.html"
 """Name of the page beside a recording"""
 WEB = Path(__file__).parent / "web"
-DAMAGE = (KeyError, TypeError, IndexError, AttributeError, ValueError)
+SCENE_ERRORS = (KeyError, TypeError, IndexError, AttributeError, ValueError)
 """Errors of scenes that are damaged"""
-BESIDE = re.compile(r'(from\s*)"\./')
+RELATIVE_IMPORT = re.compile(r'(from\s*)"\./')
 """How the scripts name others: in the page they have no folder"""
 
 
@@ -115,19 +115,19 @@ def write_replay(recording: Recording, title: str, path: Path, source: str = "")
         OSError: The file cannot be written.
     """
     try:
-        text = whole_payload(recording, title)
-    except DAMAGE as error:
-        raise damaged_scene(error, source) from None
-    replace_file(path, page(title, text))
+        text = make_payload(recording, title)
+    except SCENE_ERRORS as error:
+        raise scene_error(error, source) from None
+    replace_file(path, render_page(title, text))
 
 
-def damaged_scene(error: Exception, source: str = "") -> ValueError:
+def scene_error(error: Exception, source: str = "") -> ValueError:
     """Make the error for a scene that cannot be read, for the caller to raise."""
     told = f"{source}: " if source else ""
     return ValueError(f"the scene of the recording is damaged ({told}{reason_of(error)}): {REMEDY}")
 
 
-def page(title: str, payload: str = "") -> str:
+def render_page(title: str, payload: str = "") -> str:
     """Make the page.
 
     Args:
@@ -137,7 +137,7 @@ def page(title: str, payload: str = "") -> str:
     # All scripts go into the page, which then needs no other file
     scripts = {}
     for script in sorted(WEB.glob("*.js")):
-        code = BESIDE.sub(r'\1"', script.read_text(encoding="utf-8"))
+        code = RELATIVE_IMPORT.sub(r'\1"', script.read_text(encoding="utf-8"))
         data = base64.b64encode(code.encode()).decode()
         scripts[script.name] = f"data:text/javascript;base64,{data}"
     # A page with numbers in it connects to nothing
@@ -153,7 +153,7 @@ def page(title: str, payload: str = "") -> str:
     return re.sub(r"<!--put (\w+)-->", lambda found: parts[found[1]], template)
 
 
-def whole_payload(recording: Recording, title: str) -> str:
+def make_payload(recording: Recording, title: str) -> str:
     """Write all that a page shows."""
     about = parse_json(str(recording.scene["about"]), "its description")
     # Numbers go into series, each of which the page finds by its name
@@ -179,7 +179,7 @@ def whole_payload(recording: Recording, title: str) -> str:
     return payload.text(told)
 
 
-def rows_payload(recording: Recording) -> str:
+def make_rows_payload(recording: Recording) -> str:
     """Write the rows of a recording alone, for a page that knows the rest."""
     payload = Payload()
     _add_rows(payload, recording, parse_json(str(recording.scene["about"]), "its description"))
@@ -192,13 +192,13 @@ def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> 
     # A drone flies from the start on without a gap.
     payload.add("end", recording.alive[:-1].sum(axis=0), "u4")
     payload.add_series("position", recording.position)
-    payload.add_series("quaternion", continuous(recording.quaternion))
+    payload.add_series("quaternion", unwrap_quaternions(recording.quaternion))
     payload.add_series("rotors", recording.scene["rotor_speed"].mean(axis=-1))
     payload.add_series("goal", recording.goal)
     payload.add_series("obstacle", recording.obstacle)
-    turns = continuous(recording.scene["obstacle_quaternion"])
+    turns = unwrap_quaternions(recording.scene["obstacle_quaternion"])
     payload.add_series("obstacle_quaternion", turns)
-    payload.add("conflict", later(recording.separation) < about["d_safe"], "u1")
+    payload.add("conflict", prepend_missing_row(recording.separation) < about["d_safe"], "u1")
     payload.add("contact_row", recording.contact_step + 1, "u4")
     payload.add("contact_point", recording.contact_point, "f4")
     _add_users(payload, recording)
@@ -245,7 +245,7 @@ def _hull_triangles(corners: list[Any]) -> list[list[int]]:
     return found
 
 
-def continuous(quaternion: np.ndarray) -> np.ndarray:
+def unwrap_quaternions(quaternion: np.ndarray) -> np.ndarray:
     """Choose the signs of quaternions (R, ..., 4) such that each is near the one before."""
     dot = (quaternion[1:] * quaternion[:-1]).sum(axis=-1, keepdims=True)
     flips = np.cumprod(np.where(dot < 0, -1.0, 1.0), axis=0)

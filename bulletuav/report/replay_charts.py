@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.analysis.recorded import READING, Recording
 from bulletuav.report.payload import Payload
 
-MOST_LINES = 64
+MAX_LINES = 64
 """Numbers of one info or reading up to which they are plotted"""
 SEPARATION = 1
 """Place of the plot of separations, which has a line at d_safe"""
@@ -30,7 +30,7 @@ def add_charts(payload: Payload, recording: Recording, about: dict[str, Any]) ->
     # Altitude is a part of the positions, which the page has already
     charts = [_chart("Flight", "altitude", "m", [""], "position", 3, [2])]
     # What was decided: rewards and infos, a series each
-    for group, title, unit, values in _decided(recording, about):
+    for group, title, unit, values in _decision_series(recording, about):
         rows = values.reshape(*values.shape[:2], -1)
         width = rows.shape[2]
         series = f"chart {len(charts)}"
@@ -42,7 +42,7 @@ def add_charts(payload: Payload, recording: Recording, about: dict[str, Any]) ->
         charts.append(_chart("Flight", "rotors, mean", "rad/s", [""], "rotors", 1, [0]))
     # Readings that are pictures or flags, or too many lines, are left out
     for name, labels in about["readings"].items():
-        if recording.reading[name].dtype.kind == "b" or len(labels) > MOST_LINES:
+        if recording.reading[name].dtype.kind == "b" or len(labels) > MAX_LINES:
             continue
         # One plot a unit, as axes have only one
         for unit in dict.fromkeys(unit for _, unit in labels):
@@ -72,25 +72,30 @@ def _chart(
     return {"group": group, "title": title, "unit": unit, "lines": lines}
 
 
-def _decided(
+def _decision_series(
     recording: Recording, about: dict[str, Any]
 ) -> Iterator[tuple[str, str, str, np.ndarray]]:
     """Yield group, title, unit and numbers (T+1, N, ...) of what decisions tell."""
-    yield "Flight", "separation", "m", later(recording.separation)
+    yield "Flight", "separation", "m", prepend_missing_row(recording.separation)
     yield "Flight", "speed", "m/s", np.linalg.norm(recording.velocity, axis=-1)
-    yield "Reward", "reward", "", later(recording.reward)
+    yield "Reward", "reward", "", prepend_missing_row(recording.reward)
     for name, values in recording.info.items():
-        if values.dtype.kind not in "biuf" or not 0 < np.prod(values.shape[2:]) <= MOST_LINES:
+        if values.dtype.kind not in "biuf" or not 0 < np.prod(values.shape[2:]) <= MAX_LINES:
             continue
         if name in about["shows"]:  # the label tells the unit
-            yield "Flight", about["shows"][name], "", later(values)
+            yield "Flight", about["shows"][name], "", prepend_missing_row(values)
         elif name.startswith("reward/"):
-            yield "Reward", name.removeprefix("reward/").replace("_", " "), "", later(values)
+            yield (
+                "Reward",
+                name.removeprefix("reward/").replace("_", " "),
+                "",
+                prepend_missing_row(values),
+            )
         else:
             unit = about["units"].get(f"info/{name}", "")
-            yield "Infos", name.replace("_", " "), unit, later(values)
+            yield "Infos", name.replace("_", " "), unit, prepend_missing_row(values)
 
 
-def later(values: np.ndarray) -> np.ndarray:
+def prepend_missing_row(values: np.ndarray) -> np.ndarray:
     """Put a row without values before those of decisions, as states begin with the start."""
     return np.concatenate([np.full_like(values[:1], np.nan, dtype=float), values])

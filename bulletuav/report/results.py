@@ -9,12 +9,12 @@ from bulletuav.analysis.episodes import BATCH
 from bulletuav.analysis.evaluation import EPISODES, RUN, Evaluation, evaluate
 from bulletuav.analysis.pieces import PIECES, piece_folders
 from bulletuav.analysis.results_folder import read_rows
-from bulletuav.analysis.seals import read_call
+from bulletuav.analysis.seals import parse_call
 from bulletuav.errors import as_int, naming, read_file, reason_of, shown
 from bulletuav.files import replace_file
 from bulletuav.parsing import read_json
 from bulletuav.report.charts import plot_evaluation, plot_leaderboard
-from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv, write_json
+from bulletuav.report.leaderboard import LEADERBOARD, format_leaderboard, write_csv, write_json
 
 CASES = "cases.json"
 """File that tells the evaluations of a comparison whose pieces are flown"""
@@ -40,7 +40,7 @@ def write_comparison(results: Sequence[Evaluation], against: str | None, out: Pa
 
     Args:
         results: Its evaluations.
-        against: As of `leaderboard.markdown`.
+        against: As of `leaderboard.format_leaderboard`.
         out: Folder of the files.
 
     Returns:
@@ -48,19 +48,19 @@ def write_comparison(results: Sequence[Evaluation], against: str | None, out: Pa
     """
     names = ("leaderboard.md", "leaderboard.csv", "leaderboard.png", LEADERBOARD)
     files = [out / name for name in names]
-    replace_file(files[0], markdown(results, against))
+    replace_file(files[0], format_leaderboard(results, against))
     write_csv(results, files[1])
     plot_leaderboard(results, files[2])
     write_json(results, against, files[3])
     return files
 
 
-def note_cases(folders: Sequence[Path], against: str | None, out: Path) -> None:
+def write_cases(folders: Sequence[Path], against: str | None, out: Path) -> None:
     """Tell what the pieces of a comparison are of, for `merge`.
 
     Args:
         folders: Those of its evaluations, in their order, below `out`.
-        against: As of `leaderboard.markdown`.
+        against: As of `leaderboard.format_leaderboard`.
         out: Folder of the comparison.
 
     Raises:
@@ -134,7 +134,7 @@ def _merged(out: Path, trust: bool) -> Evaluation:
             f"that were interrupted, {BATCH} episodes at a time are kept"
         )
     # Nothing is flown again: episodes that are there are only read
-    call = read_call(about["call"], trust, out)
+    call = parse_call(about["call"], trust, out)
     options = call.pop("options")
     with naming(out / RUN):
         return evaluate(**call, episodes=about["episodes"], trust=trust, out=out, **options)
@@ -150,7 +150,7 @@ def _merged_dataset(out: Path, trust: bool) -> list[Path]:
             f"{out} lacks {len(missing)} tables, the first is that of episode {missing[0].start}: "
             f"fly the pieces that are missing"
         )
-    call = read_call(about["call"], trust, out)
+    call = parse_call(about["call"], trust, out)
     options = call.pop("options")
     with naming(out / RUN):
         return collect(**call, episodes=about["episodes"], trust=trust, out=out, **options)

@@ -14,18 +14,18 @@ from bulletuav.analysis.evaluation import RUN, Evaluation, evaluate
 from bulletuav.analysis.recording import ARRAYS_FILE, fly_episode, load
 from bulletuav.analysis.seals import (
     SEAL,
+    compute_seal,
     hash_arrays,
     hash_bytes,
     hash_files,
-    read_call,
-    seal_of,
+    parse_call,
 )
 from bulletuav.analysis.transitions import DATASET
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import naming, read_file, shown
 from bulletuav.parsing import read_json
 from bulletuav.policies import find_policy
-from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv
+from bulletuav.report.leaderboard import LEADERBOARD, format_leaderboard, write_csv
 
 SUMMARY = "summary.json"
 """File that tells how an evaluation went"""
@@ -33,9 +33,9 @@ ROW = "row.json"
 """File of a row of the leaderboard of algorithms: a policy, and how its evaluation went"""
 ROW_POLICY = "{row}"
 """What stands for the row's folder in the call, where the policy was trained and is in it"""
-Report = Callable[[float], None]
+ReportProgress = Callable[[float], None]
 """Function that takes how much is done so far"""
-Show = Callable[[str, int, str], AbstractContextManager[Report]]
+ShowProgress = Callable[[str, int, str], AbstractContextManager[ReportProgress]]
 """What shows progress: of an activity, up to a total, in a unit"""
 
 
@@ -52,7 +52,7 @@ NEEDED: Mapping[str, Mapping[str, type]] = {
 
 
 @contextlib.contextmanager
-def _show_nothing(activity: str, total: int, unit: str) -> Iterator[Report]:
+def _show_nothing(activity: str, total: int, unit: str) -> Iterator[ReportProgress]:
     """Keep silent."""
     yield lambda done: None
 
@@ -67,13 +67,13 @@ class Check(NamedTuple):
     """
 
     what: str
-    told: str
+    expected: str
     found: str
 
     @property
     def same(self) -> bool:
         """Whether both agree."""
-        return self.told == self.found
+        return self.expected == self.found
 
 
 class Verifier(NamedTuple):
@@ -87,7 +87,7 @@ class Verifier(NamedTuple):
 
     workers: int = 1
     trust: bool = False
-    show: Show = _show_nothing
+    show: ShowProgress = _show_nothing
 
     def verify(self, path: Path) -> list[Check]:
         """Compare what files tell with themselves, and with new flights.
@@ -131,7 +131,7 @@ class Verifier(NamedTuple):
     def _recording(self, folder: Path, about: dict[str, Any]) -> list[Check]:
         """Fly again what `bulletuav fly` wrote."""
         recording = load(folder)
-        call = read_call(about["call"], self.trust, folder / RUN)
+        call = parse_call(about["call"], self.trust, folder / RUN)
         if lacking := {"policy", "seed", "num_worlds"} - set(call):
             raise ValueError(f"{folder / RUN} is damaged: its call lacks {min(lacking)}")
         aviary = Aviary(call["task"], call["num_worlds"], **call["options"])
@@ -145,12 +145,12 @@ class Verifier(NamedTuple):
     def _evaluation(self, folder: Path, about: dict[str, Any]) -> list[Check]:
         """Fly again what `bulletuav evaluate` wrote, or the policy that is in the folder."""
         (result,) = self._fly([about], folder)
-        told, found = (
+        expected, found = (
             hash_bytes([json.dumps(one, sort_keys=True).encode()])
             for one in (about["estimates"], result.figures())
         )
         flight = Check("episodes", about["hash"], result.hash)
-        return [flight, Check("estimates", told, found)]
+        return [flight, Check("estimates", expected, found)]
 
     def _leaderboard(self, folder: Path, about: dict[str, Any]) -> list[Check]:
         """Fly each row again that `bulletuav compare` wrote, and compare the tables from that."""
@@ -163,17 +163,17 @@ class Verifier(NamedTuple):
             table = Path(place) / "leaderboard.csv"
             write_csv(results, table)
             texts = {"leaderboard.csv": table.read_text(encoding="utf-8")}
-        texts["leaderboard.md"] = markdown(results, about["against"])
+        texts["leaderboard.md"] = format_leaderboard(results, about["against"])
         for name, text in texts.items():
-            told = hash_bytes([read_file(folder / name).encode()])
-            checks.append(Check(name, told, hash_bytes([text.encode()])))
+            expected = hash_bytes([read_file(folder / name).encode()])
+            checks.append(Check(name, expected, hash_bytes([text.encode()])))
         return checks
 
     def _dataset(self, folder: Path, about: dict[str, Any]) -> list[Check]:
         """Collect again what `bulletuav dataset` wrote: rows of tables, and states at the end."""
         from bulletuav.analysis.dataset import collect  # which needs an extra
 
-        call = read_call(about["call"], self.trust, folder / DATASET)
+        call = parse_call(about["call"], self.trust, folder / DATASET)
         options = call.pop("options")
         with (
             self._advance(about["episodes"]) as advance,
@@ -194,7 +194,7 @@ class Verifier(NamedTuple):
 
     def _fly(self, cases: list[dict[str, Any]], folder: Path) -> list[Evaluation]:
         """Evaluate again what was evaluated."""
-        calls = [read_call(case["call"], self.trust, folder) for case in cases]
+        calls = [parse_call(case["call"], self.trust, folder) for case in cases]
         for call in calls:
             if isinstance(call.get("policy"), str):
                 call["policy"] = call["policy"].replace(ROW_POLICY, str(folder))
@@ -224,10 +224,12 @@ def _table_checks(folder: Path, again: Path) -> Iterator[Check]:
     """Compare a table of a dataset with the one that was collected again."""
     from bulletuav.adapters.parquet import read_about, read_table  # which needs an extra
 
-    told = folder / again.parent.name / again.name
-    ends = [hash_bytes([json.dumps(read_about(path)).encode()]) for path in (told, again)]
+    original = folder / again.parent.name / again.name
+    ends = [hash_bytes([json.dumps(read_about(path)).encode()]) for path in (original, again)]
     yield Check(f"{again.stem}: states", *ends)
-    yield Check(f"{again.stem}: rows", *(hash_arrays(read_table(path)) for path in (told, again)))
+    yield Check(
+        f"{again.stem}: rows", *(hash_arrays(read_table(path)) for path in (original, again))
+    )
 
 
 def _require(path: Path, about: dict[str, Any], needed: Mapping[str, type]) -> None:
@@ -250,16 +252,16 @@ def read_sealed(path: Path) -> tuple[dict[str, Any], list[Check]]:
     Raises:
         ValueError: It is no JSON, or has no seal.
     """
-    told = read_json(path)
-    if not isinstance(told, dict) or not isinstance(told.get(SEAL), str):
+    content = read_json(path)
+    if not isinstance(content, dict) or not isinstance(content.get(SEAL), str):
         raise ValueError(
             f"{path} has no seal: it is damaged, or from an earlier bulletuav; fly it again"
         )
-    checks = [Check(path.name, told[SEAL], seal_of(told))]
+    checks = [Check(path.name, content[SEAL], compute_seal(content))]
     if checks[0].same:
-        files = told.get("files", {})
+        files = content.get("files", {})
         if not isinstance(files, dict):
             raise ValueError(f"{path} is damaged: its files are {shown(files)}; fly it again")
         found = hash_files(path.parent, files)
         checks += [Check(name, one, found.get(name, "missing")) for name, one in files.items()]
-    return told, checks
+    return content, checks

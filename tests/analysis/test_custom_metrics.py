@@ -12,7 +12,7 @@ import pytest
 import bulletuav
 from bulletuav import registry
 from bulletuav.analysis.evaluation import evaluate
-from bulletuav.analysis.infos import own_infos
+from bulletuav.analysis.infos import select_task_infos
 from bulletuav.analysis.metrics import METRICS, StandardMetric, find_metric
 from bulletuav.cli import main
 from bulletuav.policies import find_policy
@@ -302,7 +302,7 @@ def test_standard_infos_are_no_tasks_own():
     ):
         aviary = bulletuav.Aviary(task, num_drones=2, dynamics="point_mass", **options)
         aviary.reset(seeds=0)
-        assert set(own_infos(aviary.first_info())) == own - {"place", "of_world"}
+        assert set(select_task_infos(aviary.first_info())) == own - {"place", "of_world"}
         step = aviary.step(np.zeros((1, *aviary.action.low.shape)))
-        assert set(own_infos(step.info)) == own
+        assert set(select_task_infos(step.info)) == own
         aviary.close()

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bulletuav
-from bulletuav.analysis.pieces import Piece, as_piece
+from bulletuav.analysis.pieces import WorkPiece, parse_piece
 from bulletuav.cli import main
 from bulletuav.report.results import merge
 
@@ -29,7 +29,7 @@ def files(folder):
 
 @given(st.integers(1, 40), st.integers(1, 12), st.integers(0, 30))
 def test_pieces_take_everything_once_and_equally_much(count, of, first):
-    shares = [Piece(k, of, first).share(range(count)) for k in range(1, of + 1)]
+    shares = [WorkPiece(k, of, first).share(range(count)) for k in range(1, of + 1)]
     assert sorted(one for share in shares for one in share) == list(range(count))
     sizes = [len(share) for share in shares]
     assert max(sizes) - min(sizes) <= 1
@@ -38,8 +38,8 @@ def test_pieces_take_everything_once_and_equally_much(count, of, first):
 @pytest.mark.parametrize("text", ["0/3", "4/3", "3", "a/b", "1/0", "-1/2", "", 5, None])
 def test_what_is_no_piece_is_refused(text):
     with pytest.raises(ValueError, match="K/N is needed"):
-        as_piece(text)
-    assert as_piece("2/3") == as_piece(Piece(2, 3)) == (2, 3, 0)
+        parse_piece(text)
+    assert parse_piece("2/3") == parse_piece(WorkPiece(2, 3)) == (2, 3, 0)
 
 
 def test_an_evaluation_of_pieces_has_the_bytes_of_one_process(tmp_path, capsys):

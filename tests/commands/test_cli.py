@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.analysis.benchmark import FLOORS
+from bulletuav.analysis.benchmark import ENGINE_CASES
 from bulletuav.cli import COMMANDS, main
 from bulletuav.commands.progress import USUAL_FUNCTIONS, show_progress
 from bulletuav.compiled import dispatcher
@@ -130,7 +130,7 @@ def test_the_benchmark_prints_the_stages_of_a_task(capsys):
 def test_the_benchmark_prints_every_dynamics_and_the_floor(capsys):
     main(["benchmark", "--drones", "1", "3", "--seconds", "0.01"])
     said = capsys.readouterr().out
-    for word in (*DYNAMICS, *FLOORS, "N = 1", "N = 3"):
+    for word in (*DYNAMICS, *ENGINE_CASES, "N = 1", "N = 3"):
         assert word in said
 
 

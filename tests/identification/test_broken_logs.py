@@ -6,9 +6,9 @@ import pytest
 
 from bulletuav import load_airframe
 from bulletuav.cli import main
-from bulletuav.identification.checks import checked
-from bulletuav.identification.flight import prepare
-from bulletuav.identification.logs import Source, parse_map, read_log
+from bulletuav.identification.checks import check_log
+from bulletuav.identification.flight import prepare_log
+from bulletuav.identification.logs import ColumnSource, parse_map, read_log
 
 DRONE = load_airframe("cf2x")
 SECONDS = 12
@@ -32,8 +32,8 @@ def check(tmp_path):
     """Writes rows, reads and checks them."""
 
     def run(rows, names=flown.COLUMNS, maps=()):
-        path = flown.write(tmp_path / "log.csv", rows, names)
-        return checked(read_log(path, parse_map(maps), 4), DRONE)
+        path = flown.write_example_log(tmp_path / "log.csv", rows, names)
+        return check_log(read_log(path, parse_map(maps), 4), DRONE)
 
     return run
 
@@ -177,16 +177,16 @@ def test_files_that_are_no_logs(tmp_path):
 
 def test_a_drone_that_stands_does_not_fly(check):
     with pytest.raises(ValueError, match=r"no flight of 0\.5 s: .*z goes from 0\.0099"):
-        prepare(check(changed("z", 0.01 + 1e-4 * np.sin(circle()[:, 0]))), DRONE, 0.5)
+        prepare_log(check(changed("z", 0.01 + 1e-4 * np.sin(circle()[:, 0]))), DRONE, 0.5)
 
 
 def test_maps():
     assert parse_map(["z=alt*mm-0.03", "q=gyro y*-deg", "x=px"]) == {
-        "z": Source("alt", 1e-3, -0.03),
-        "q": Source("gyro y", -np.pi / 180, 0.0),
-        "x": Source("px"),
+        "z": ColumnSource("alt", 1e-3, -0.03),
+        "q": ColumnSource("gyro y", -np.pi / 180, 0.0),
+        "x": ColumnSource("px"),
     }
-    assert parse_map(["vbat=v*2+1e-1"]) == {"vbat": Source("v", 2.0, 0.1)}
+    assert parse_map(["vbat=v*2+1e-1"]) == {"vbat": ColumnSource("v", 2.0, 0.1)}
     for text, message in (
         ("z", "NAME=COLUMN"),
         ("z=", "NAME=COLUMN"),
@@ -213,7 +213,7 @@ def test_maps():
 )
 def test_the_command_refuses(words, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    flown.write("log.csv", circle())
+    flown.write_example_log("log.csv", circle())
     with pytest.raises(SystemExit) as error:
         main(["identify", "log.csv", *words, "--airframe", "cf2x"])
     assert error.value.code == 2
@@ -251,7 +251,9 @@ def test_files_that_are_no_such_csv_are_refused(text, message, tmp_path):
 def test_quotes_comments_and_empty_cells_are_read(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(f'"t",{HEADER[2:]},\n"1",{ROW[2:]},,\n# said\n\n2,,{ROW[4:]},\n')
-    log = read_log(path, {"z": Source("y", 1e-3), "x": Source("x"), "y": Source("y")}, 4)
+    log = read_log(
+        path, {"z": ColumnSource("y", 1e-3), "x": ColumnSource("x"), "y": ColumnSource("y")}, 4
+    )
     assert log.time.tolist() == [1, 2]
     np.testing.assert_equal(log.columns["x"], [1, np.nan])
     assert log.columns["z"].tolist() == [1e-3, 1e-3]

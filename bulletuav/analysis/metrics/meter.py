@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bulletuav.analysis.infos import is_scalar, own_infos
+from bulletuav.analysis.infos import is_scalar, select_task_infos
 from bulletuav.analysis.metrics.custom import (
     ROW_LABELS,
     CustomMetric,
@@ -42,9 +42,9 @@ class Meter:
         self._return = np.zeros(shape)
         # Metres of each drone: flown, to its goal at first (with what the goal moved), and left.
         self._goal = aviary.scene.goal.copy()
-        self._ideal = distances(aviary.swarm.position, self._goal)
-        self._flown = np.zeros(shape)
-        self._left = np.zeros(shape)
+        self._initial_distance = distances(aviary.swarm.position, self._goal)
+        self._path_length = np.zeros(shape)
+        self._goal_distance = np.zeros(shape)
         # Effort: the state before the decision, and how the velocity changed in the one before it.
         self._before = aviary.swarm.copy()
         self._change = np.full((*shape, 3), np.nan)
@@ -85,10 +85,10 @@ class Meter:
         self._collided |= info["collision"] & flown
         self._succeeded = np.where(flown, info["success"], self._succeeded)
         if self._aviary.task.has_goals:
-            self._left = np.where(flown, info["goal_distance"], self._left)
+            self._goal_distance = np.where(flown, info["goal_distance"], self._goal_distance)
         self._return += np.where(flown, step.rewards, 0.0)
         self._record_conflicts(info, before, after, flown)
-        self._record_way(before, after, flown)
+        self._record_path_length(before, after, flown)
         self._record_effort(before, after, flown)
         # Time of drones and of worlds.
         self._decisions += flown
@@ -120,11 +120,11 @@ class Meter:
         soonest = soonest_conflict(after.position, after.velocity, flown, self._d_safe)
         self._time_to_conflict = np.minimum(self._time_to_conflict, soonest)
 
-    def _record_way(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:
+    def _record_path_length(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:
         """Add the metres flown, and those that the goal moved."""
         goal = self._aviary.scene.goal
-        self._flown += flown * distances(before.position, after.position)
-        self._ideal += flown * distances(self._goal, goal)
+        self._path_length += flown * distances(before.position, after.position)
+        self._initial_distance += flown * distances(self._goal, goal)
         self._goal = goal.copy()
 
     def _record_effort(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:
@@ -157,7 +157,7 @@ class Meter:
             *ROW_LABELS,
             *(metric.name for metric in self._custom),
         }
-        for name, values in own_infos(info).items():
+        for name, values in select_task_infos(info).items():
             if name not in taken and is_scalar(values, self._succeeded.shape):
                 known = self._infos.get(name, np.nan)
                 self._infos[name] = np.where(flying, values.mean(axis=1), known)
@@ -192,9 +192,9 @@ class Meter:
         length = self._steps[w] * self._period
         arrived = self._succeeded[w]
         # Metres made good are those that the drone is nearer to its goal, as the goal moved.
-        made_good = np.maximum(self._ideal[w] - self._left[w], 0.0)
-        share_of_way = made_good / np.maximum(self._flown[w], 1e-9)
-        efficiency = np.minimum(share_of_way, 1.0)[arrived]
+        made_good = np.maximum(self._initial_distance[w] - self._goal_distance[w], 0.0)
+        progress_per_metre = made_good / np.maximum(self._path_length[w], 1e-9)
+        efficiency = np.minimum(progress_per_metre, 1.0)[arrived]
         has_rotors = aviary.setpoint_level == SetpointLevel.ROTOR
         return {
             "collision": self._collided[w].any(),
@@ -207,7 +207,7 @@ class Meter:
             "min_separation": self._separation[w],
             "min_time_to_conflict": self._time_to_conflict[w],
             "length": length,
-            "goal_distance": self._left[w].mean(),
+            "goal_distance": self._goal_distance[w].mean(),
             "path_efficiency": efficiency.mean() if len(efficiency) else np.nan,
             "jerk": self._jerk[w].sum() / max(self._jerks[w].sum(), 1.0),
             "energy": self._energy[w].mean() if has_rotors else np.nan,

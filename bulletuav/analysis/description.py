@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numba
 
-from bulletuav.analysis.episodes import BATCH, Flights
+from bulletuav.analysis.episodes import BATCH, EpisodeJob
 from bulletuav.analysis.metrics import MetricSpec
 from bulletuav.envs.described import described, parts_of, text_of
 from bulletuav.envs.env_spec import EnvSpec
@@ -21,8 +21,11 @@ from bulletuav.version import __version__
 _PACKAGE = Path(__file__).parent.parent
 
 
-def about_flights(
-    flights: Flights[Any], pilot: PolicySpec, call: str | None, measures: Sequence[MetricSpec] = ()
+def describe_flights(
+    flights: EpisodeJob[Any],
+    pilot: PolicySpec,
+    call: str | None,
+    measures: Sequence[MetricSpec] = (),
 ) -> dict[str, Any]:
     """Tell what is flown, as a JSON file can hold it.
 
@@ -71,20 +74,20 @@ def hash_sources(package: Path = _PACKAGE) -> str:
 
 
 @functools.cache
-def _own_sources() -> str:
+def _hash_own_sources() -> str:
     """Hash this package once: what is edited later is not what this process runs."""
     return hash_sources()
 
 
 def _fingerprint(
-    flights: Flights[Any], spec: EnvSpec, models: Sequence[Path], measures: Sequence[MetricSpec]
+    flights: EpisodeJob[Any], spec: EnvSpec, models: Sequence[Path], measures: Sequence[MetricSpec]
 ) -> str:
     """Hash what decides the results and has no value to compare.
 
     That is the code, the airframes, the cities, and files of models.
     """
     # Code of the package, and of what comes from outside of it.
-    digest = hashlib.sha256(_own_sources().encode())
+    digest = hashlib.sha256(_hash_own_sources().encode())
     policy = flights.policy
     policies = policy.sides.values() if isinstance(policy, Versus) else (policy,)
     # Names and paths are compared by themselves
