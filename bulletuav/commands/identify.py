@@ -15,7 +15,7 @@ from bulletuav.identification.example import add_sensor_noise, fly_example, writ
 from bulletuav.identification.identify import WINDOW, Identification, identify
 from bulletuav.identification.intervals import LEVEL
 from bulletuav.identification.logs import FACTORS
-from bulletuav.identification.write import KINDS, MEASURES, rms, summarize, write_report, write_urdf
+from bulletuav.identification.write import KINDS, MEASURES, compute_rms, summarize, write_report, write_urdf
 from bulletuav.report.identification import plot_identification
 from bulletuav.vehicle.airframes import available_airframes, load_airframe
 
@@ -152,7 +152,7 @@ def _errors(result: Identification) -> Table:
     table.add_column("error")
     for kind in KINDS:
         table.add_column(kind, justify="right")
-    values = [rms(result.kept, kind) for kind in KINDS]
+    values = [compute_rms(result.kept, kind) for kind in KINDS]
     for (name, *_), *row in zip(MEASURES, *values, strict=True):
         table.add_row(name, *(f"{value:.4g}" for value in row))
     return table

@@ -1,4 +1,4 @@
-"""Resistance and capacity of a battery, from its voltage and current in flight."""
+"""Identification of a battery's resistance and capacity from voltage and current in flight."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -14,25 +14,25 @@ from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.battery import WATT_HOUR, loaded_voltage, resting_voltage
 
 PERIOD = 0.1
-"""Time between voltages that are compared, s"""
+"""Interval between the voltages that are compared, s"""
 BLOCK = 20
-"""Voltages whose errors are summed to a score: 2 s"""
+"""Number of voltages in a block, whose scores are summed for the covariance: 2 s"""
 DIGITS = 5
-"""Significant digits of constants that were fitted"""
+"""Significant digits of fitted constants"""
 MIN_RESISTANCE = 1e-3
-"""Resistance at which a fit starts where a battery has none, ohm"""
+"""Initial resistance of the fit for a battery that has none, ohm"""
 
 
 @dataclasses.dataclass(frozen=True)
 class BatteryFit:
-    """What voltages and currents tell.
+    """Fitted resistance and capacity of a battery.
 
     Attributes:
-        resistance: Inner resistance, ohm, with the ends of its interval.
-        capacity: Energy of a full battery, W h, with the ends of its interval.
-        told: Whether the logs tell the resistance, and the capacity.
-        error: RMS of the voltage's error, V: in what was fitted, and in what was kept.
-        start: (L,) charge at the start of each log, from 0 to 1.
+        resistance: Internal resistance, ohm: estimate, lower and upper end of its interval.
+        capacity: Energy of the full battery, W h: estimate, lower and upper end of its interval.
+        is_identified: Whether the logs determine the resistance, and the capacity.
+        error: RMS error of the voltage, V, over the fitted blocks and over the held-out blocks.
+        start: State of charge at the start of each log, (L,), from 0 to 1.
     """
 
     resistance: tuple[float, float, float]
@@ -42,7 +42,7 @@ class BatteryFit:
     start: np.ndarray
 
     def apply_to(self, airframe: Airframe) -> Airframe:
-        """Return an airframe with these constants, where the logs tell them."""
+        """Return the airframe with the fitted constants that the logs determine."""
         assert airframe.pack is not None
         pack = airframe.pack
         if self.is_identified[0]:
@@ -62,16 +62,16 @@ def predict_voltages(
     resistance: float,
     volts: np.ndarray,
 ) -> None:
-    """Predict the voltage of a battery whose power is known.
+    """Predict the voltage of a battery from the power that is drawn.
 
     Args:
-        power: (n,) power that is taken, W.
-        dt: Time between samples, s.
-        cells: Cells in series.
-        start: Charge at the start, from 0 to 1.
+        power: Power drawn from the battery, (n,), W.
+        dt: Sample interval, s.
+        cells: Number of cells in series.
+        start: Initial state of charge, from 0 to 1.
         energy: Energy of the full battery, J.
-        resistance: Inner resistance, ohm.
-        volts: (n,) voltages; filled.
+        resistance: Internal resistance, ohm.
+        volts: Output: voltages, (n,), V.
     """
     charge = start
     for k in range(power.size):
@@ -83,20 +83,21 @@ def predict_voltages(
 def fit_battery(
     logs: Sequence[Log], airframe: Airframe, required: bool = False
 ) -> BatteryFit | None:
-    """Fit a battery's resistance and capacity to the logs that have voltage and current.
+    """Fit a battery's resistance and capacity to the logs that contain voltage and current.
 
-    Every other block of 2 s of each log is fitted, and the rest kept back.
+    Every second block of 2 s of each log is fitted, and the other blocks are held out.
 
     Args:
-        logs: The logs.
-        airframe: Its battery is where the fit starts.
-        required: Whether it is an error that no log has both.
+        logs: The flight logs.
+        airframe: The airframe, whose battery is the initial guess.
+        required: Whether to raise an error if the battery cannot be fitted.
 
     Returns:
-        What was found; None if no log has both.
+        The fitted constants, or None if no log contains voltage and current, or the airframe has no
+        battery.
 
     Raises:
-        ValueError: It is required, and not possible.
+        ValueError: If `required` is True and the battery cannot be fitted.
     """
     having = [log for log in logs if "vbat" in log and "current" in log]
     if not having or airframe.pack is None:
@@ -119,7 +120,7 @@ def fit_battery(
         return np.concatenate(found)
 
     def residuals(theta: np.ndarray) -> np.ndarray:
-        # A weak rule holds what nothing tells
+        # The weak prior on the constants keeps unobservable ones near their initial values
         return np.concatenate([errors(theta)[fitted] / 0.01, theta[:2]])
 
     start = np.concatenate([np.zeros(2), np.full(len(runs), 0.9)])
@@ -148,14 +149,14 @@ def fit_battery(
 def _confidence_interval(
     own: float, number: float, half_width: float
 ) -> tuple[float, float, float]:
-    """Return a value and the ends of its interval, from the logarithm of its ratio to its start."""
+    """Convert the logarithm of a ratio and its half width to a value and its interval's ends."""
     values = own * np.exp([number, number - half_width, number + half_width])
     middle, low, high = (float(f"{value:.{DIGITS}g}") for value in values)
     return middle, low, high
 
 
 def _resample(log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Return voltage (V) and power (W) at even times."""
+    """Resample a log to equally spaced voltages (V) and powers (W)."""
     time = log.time
     grid = np.arange(time[0], time[-1], PERIOD)
     volts = np.interp(grid, time, log.columns["vbat"])
@@ -164,7 +165,7 @@ def _resample(log: Log) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _standard_deviations(residuals: object, theta: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return robust standard deviations of the numbers, and the quantile for intervals."""
+    """Return robust standard deviations of the parameters, and the quantile for intervals."""
     assert callable(residuals)
     base = residuals(theta)
     step = 1e-5

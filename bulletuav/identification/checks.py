@@ -1,4 +1,4 @@
-"""What is wrong with a log: units and axes; each error names column, value and remedy."""
+"""Validation of flight logs. Each error names the column, its value and a remedy."""
 
 import math
 from collections.abc import Sequence
@@ -29,25 +29,25 @@ from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.rotors import RPM
 
 MAX_SPEED = 60.0
-"""Greatest plausible speed, m/s"""
+"""Maximum plausible speed, m/s"""
 MAX_TILT = math.radians(60)
-"""Greatest plausible tilt in half of a flight, rad"""
+"""Maximum plausible median tilt, rad"""
 THRUST_BOUNDS = (0.4, 2.5)
-"""Plausible thrust in half of a flight, in weights"""
+"""Plausible range of the median thrust, in weights"""
 
 
 def check_log(log: Log, airframe: Airframe) -> Log:
-    """Check a log, fill its small holes, and complete its attitude.
+    """Validate a log, fill its short gaps, and convert its attitude to unit quaternions.
 
     Args:
-        log: As it was read.
-        airframe: The drone that flew.
+        log: The log as read from the file.
+        airframe: The airframe that was flown.
 
     Returns:
-        The log without holes, with unit quaternions.
+        The log without missing values, with unit quaternions.
 
     Raises:
-        ValueError: It is broken, or its units cannot be those of `logs`.
+        ValueError: If the log is damaged, or its values are implausible in the units of `logs`.
     """
     check_times(log)
     log = fill_gaps(log)
@@ -72,7 +72,7 @@ def check_log(log: Log, airframe: Airframe) -> Log:
 
 
 def _check_radians(log: Log) -> None:
-    """Refuse angles that go beyond a turn: degrees."""
+    """Raise ValueError for Euler angles beyond a full turn, which are in degrees."""
     for name in EULER:
         largest = np.abs(log.columns[name]).max()
         if largest > 2 * math.pi:
@@ -82,7 +82,7 @@ def _check_radians(log: Log) -> None:
 
 
 def _unit_quaternions(log: Log) -> np.ndarray:
-    """Return unit quaternions (n, 4) without changes of sign."""
+    """Return normalized quaternions (n, 4) without sign changes."""
     quaternion = log.stack(QUATERNION)
     norm = np.linalg.norm(quaternion, axis=1)
     median = float(np.median(norm))
@@ -101,7 +101,7 @@ def _unit_quaternions(log: Log) -> np.ndarray:
 
 
 def _check_metres(log: Log) -> None:
-    """Refuse positions that move too fast for metres."""
+    """Raise ValueError for positions that move too fast to be in metres."""
     time = log.time
     ahead = np.minimum(np.searchsorted(time, time + 0.2), len(time) - 1)
     for name in (*POSITION, *(OTHER if OTHER[0] in log else ())):
@@ -119,7 +119,7 @@ def _check_metres(log: Log) -> None:
 
 
 def _check_upright(log: Log) -> None:
-    """Refuse attitudes that are upside down, or on their side, for half of the flight."""
+    """Raise ValueError if the median tilt is implausible."""
     x, y, _, _ = log.stack(QUATERNION).T
     tilt = float(np.median(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1))))
     if tilt > MAX_TILT:
@@ -132,7 +132,7 @@ def _check_upright(log: Log) -> None:
 
 
 def _check_rates(log: Log) -> None:
-    """Refuse rates that do not follow the attitude: units, signs, axes."""
+    """Raise ValueError if the body rates contradict the attitude in unit, sign or axis."""
     if RATES[0] not in log:
         return
     time = log.time
@@ -146,8 +146,9 @@ def _check_rates(log: Log) -> None:
         if slope < 0:
             raise log_error(
                 log,
-                f"{name} turns against the attitude (slope {slope:.3g}): body axes are x forward, "
-                f"y left, z up; --map {name}={name}*-1, or the attitude is world to body",
+                f"{name} has the opposite sign of the attitude's rate (slope {slope:.3g}): body "
+                f"axes are x forward, y left, z up; --map {name}={name}*-1, or the attitude is "
+                f"world to body",
             )
         if 20 < slope < 170:
             raise log_error(
@@ -174,7 +175,7 @@ def _check_rates(log: Log) -> None:
 
 
 def _clip_outliers(values: np.ndarray) -> np.ndarray:
-    """Return values about their median, those beyond 95 % of the others cut off."""
+    """Return deviations from the median, clipped at the 95 % quantile of their magnitude."""
     off = values - np.median(values)
     largest = np.quantile(np.abs(off), 0.95)
     clipped: np.ndarray = np.clip(off, -largest, largest)
@@ -182,7 +183,7 @@ def _clip_outliers(values: np.ndarray) -> np.ndarray:
 
 
 def _regress(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return how many times x is in y, and their greatest correlation at any small delay."""
+    """Return the slope of y over x, and their strongest correlation at any small delay."""
     x = _clip_outliers(x)
     y = _clip_outliers(y)
     size = len(x)
@@ -194,12 +195,12 @@ def _regress(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     own, other = math.sqrt(float(x @ x)), math.sqrt(float(y @ y))
     if own * other == 0:
         return 0.0, 0.0
-    # The quotient of their sizes: noise in either does not draw it to 0
+    # The ratio of the norms is not biased towards 0 by noise in x, as least squares would be
     return math.copysign(other / own, best), best / (own * other)
 
 
 def _check_velocity(log: Log) -> None:
-    """Refuse velocities that are not those of the positions."""
+    """Raise ValueError if velocities contradict the positions."""
     if VELOCITY[0] not in log:
         return
     for place, name in zip(POSITION, VELOCITY, strict=True):
@@ -214,20 +215,20 @@ def _check_velocity(log: Log) -> None:
 
 
 def _running_mean(values: np.ndarray) -> np.ndarray:
-    """Return a running mean over nine samples."""
+    """Return the running mean over nine samples."""
     return np.convolve(values, np.ones(9) / 9, mode="same")
 
 
 def _check_force(log: Log) -> None:
-    """Refuse accelerations in other units than m/s^2."""
+    """Raise ValueError if the specific force is implausible in m/s^2."""
     if FORCE[0] not in log:
         return
     median = float(np.median(np.linalg.norm(log.stack(FORCE), axis=1)))
     if 0.5 < median < 2:
         raise log_error(
             log,
-            f"ax, ay, az are {median:.3g} long for half of the log: m/s^2 are needed, and a drone "
-            f"that hovers measures 9.8; --map ax=ax*g, and so on",
+            f"ax, ay, az are {median:.3g} long for half of the log: m/s^2 are needed; a hovering "
+            f"drone measures 9.8; --map ax=ax*g, and so on",
         )
     if not 0.4 < median / STANDARD_GRAVITY < 2.5:
         raise log_error(
@@ -236,7 +237,7 @@ def _check_force(log: Log) -> None:
 
 
 def _check_commands(log: Log, airframe: Airframe) -> None:
-    """Refuse commands that cannot carry the drone."""
+    """Raise ValueError if the commands cannot carry the airframe."""
     kind = log.kind
     commands = log.stack([f"{kind}{r + 1}" for r in range(len(airframe.rotors))])
     flying = commands.min(axis=1) > 0
@@ -251,7 +252,7 @@ def _check_commands(log: Log, airframe: Airframe) -> None:
     weights = (median * scale / hover) ** 2
     if THRUST_BOUNDS[0] < weights < THRUST_BOUNDS[1]:
         return
-    remedy = f"is the airframe {airframe.name} that which flew?"
+    remedy = f"check that {airframe.name} is the airframe that flew"
     for other, factor in (("rpm", RPM), ("w", 1.0)):
         fits = THRUST_BOUNDS[0] < (median * factor / hover) ** 2 < THRUST_BOUNDS[1]
         if other != kind and fits:
@@ -266,12 +267,12 @@ def _check_commands(log: Log, airframe: Airframe) -> None:
 
 
 def _check_pwm(log: Log, airframe: Airframe, median: float) -> None:
-    """Refuse motor commands that are not those of the airframe's map."""
+    """Raise ValueError if motor commands are outside the range of the airframe's PWM map."""
     if airframe.pwm is None:
         raise log_error(
             log,
-            f"it has pwm1, and {airframe.name} has no <pwm> in its URDF: log rotor speeds as w1 "
-            f"or rpm1, or add the map",
+            f"the log has pwm1, but {airframe.name} has no <pwm> in its URDF: log rotor speeds "
+            f"as w1 or rpm1, or add the map",
         )
     if not 0.5 * airframe.pwm.minimum < median <= airframe.pwm.maximum:
         raise log_error(
@@ -282,7 +283,7 @@ def _check_pwm(log: Log, airframe: Airframe, median: float) -> None:
 
 
 def check_distinct_logs(paths: Sequence[Path]) -> None:
-    """Refuse logs that are given twice."""
+    """Raise ValueError if a log is given twice."""
     twice = [path for path in paths if paths.count(path) > 1]
     if twice:
         raise ValueError(f"the log {twice[0]} is given twice")

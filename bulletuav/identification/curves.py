@@ -1,4 +1,4 @@
-"""What was measured and what was predicted, side by side over time."""
+"""Measured and predicted time series of a log, for plots."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from bulletuav.identification.errors import make_legs
 from bulletuav.identification.identify import Prediction
 
 MAX_PLOT_DURATION = 12.0
-"""Duration that is shown, s"""
+"""Maximum duration of a plot, s"""
 PLOTTED_QUANTITIES = (
     ("velocity east, m/s", "translation", 3),
     ("velocity north, m/s", "translation", 4),
@@ -17,18 +17,18 @@ PLOTTED_QUANTITIES = (
     ("q, rad/s", "rotation", 4),
     ("r, rad/s", "rotation", 5),
 )
-"""Label of a quantity, and where its error stands in `PredictionErrors`"""
+"""Label of each quantity, the field of `PredictionErrors` and the column with its error"""
 
 
 class Curve(NamedTuple):
-    """One quantity in the legs of a log.
+    """One quantity over the legs of a log: measured, and predicted before and after the fit.
 
     Attributes:
-        label: What it is, with its unit.
-        time: (L, picks) times, s.
-        measured: (L, picks) what was measured.
-        before: (L, picks) what was predicted with the airframe as it was.
-        after: (L, picks) the same with the airframe as it is now.
+        label: Name of the quantity with its unit.
+        time: Times, (L, num_states), s.
+        measured: Measured values, (L, num_states).
+        before: Predictions of the initial airframe, (L, num_states).
+        after: Predictions of the fitted airframe, (L, num_states).
     """
 
     label: str
@@ -39,10 +39,14 @@ class Curve(NamedTuple):
 
 
 def make_curves(prediction: Prediction) -> list[Curve]:
-    """Return what to plot of one log.
+    """Return the time series to plot for one log.
 
     Args:
-        prediction: Predictions in its windows; the first of them are shown.
+        prediction: Predictions in the log's windows, of which the first `MAX_PLOT_DURATION` are
+            used.
+
+    Returns:
+        A curve for each of `PLOTTED_QUANTITIES`.
     """
     flight = prediction.part.flight
     windows = prediction.part.windows

@@ -1,4 +1,4 @@
-"""How far predicted flights are from those that were measured."""
+"""Errors of predicted flights against the measured ones."""
 
 from dataclasses import dataclass
 
@@ -13,32 +13,35 @@ from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.wakes import Wakes
 
 STATES_PER_LEG = 5
-"""States of a leg that are compared with the log"""
+"""Number of predicted states of a leg that are compared with the log"""
 FREE_LEGS_PER_WINDOW = 2
-"""Legs without guidance in a window: attitudes diverge sooner than positions"""
+"""Number of legs without guidance in a window: attitudes diverge sooner than positions"""
 TORQUE_BIAS_UNIT = 0.01
-"""Unit of the torque bias, in weights times arm"""
+"""Unit of the torque bias, in weight times arm length"""
 TILT_UNIT = 0.01
 """Unit of the tilt, rad"""
 DELAY_UNIT = 0.01
-"""Unit of delays, s"""
+"""Unit of the command delay, s"""
 GAIN_UNIT = 0.01
-"""Unit of the thrust's gain"""
+"""Unit of the thrust gain"""
 LOG_PARAMETERS = ("delay", "tilt_x", "tilt_y", "twist_x", "twist_y", "twist_z", "gain")
-"""What is fitted for each log by itself: its clock, how the body whose attitude was measured is
-tilted, torques of an uneven drone, and how strong its motors are on that day"""
+"""Nuisance parameters that are fitted for each log: the delay of commands, the tilt of the measured
+body against the drone's body, the torque bias of an asymmetric drone, and the thrust gain
+"""
 LOG_PARAMETER_STD = 5.0
-"""How large they usually are, in their units"""
+"""Prior standard deviation of the per-log parameters, in their units"""
 NUM_LOG_PARAMETERS = len(LOG_PARAMETERS)
 
 
 @dataclass(frozen=True)
 class PredictionErrors:
-    """Errors of predictions in windows of one log.
+    """Errors of predictions in K windows of one log.
 
     Attributes:
-        translation: (K, PICKS, 6) of position (m) and velocity (m/s), attitude as measured.
-        rotation: (K, TURNS * PICKS, 6) of attitude (rad, body axes) and rates (rad/s).
+        translation: Errors of position (m) and velocity (m/s), (K, STATES_PER_LEG, 6), predicted
+            with the measured attitude.
+        rotation: Errors of attitude (rad, body axes) and body rates (rad/s),
+            (K, FREE_LEGS_PER_WINDOW * STATES_PER_LEG, 6).
     """
 
     translation: np.ndarray
@@ -46,18 +49,21 @@ class PredictionErrors:
 
 
 def with_constants(airframe: Airframe, constants: list[Constant], theta: np.ndarray) -> Airframe:
-    """Return an airframe with other constants, given by the numbers that are fitted."""
+    """Return a copy of the airframe with the constants that a parameter vector encodes."""
     for constant, number in zip(constants, theta, strict=True):
         airframe = constant.replace(airframe, constant.decode(float(number)))
     return airframe
 
 
 def make_legs(flight: LoggedFlight, windows: np.ndarray) -> tuple[Legs, Legs]:
-    """Return the legs with guidance and those without of some windows.
+    """Return the guided legs and the free legs of some windows.
 
     Args:
         flight: The flight.
-        windows: (K,) indices of windows, of `flight.windows`.
+        windows: Indices into `flight.windows`, (K,).
+
+    Returns:
+        One guided leg and `FREE_LEGS_PER_WINDOW` free legs per window.
     """
     start = flight.windows[windows]
     stride = max(flight.steps // STATES_PER_LEG, 1)
@@ -70,15 +76,15 @@ def make_legs(flight: LoggedFlight, windows: np.ndarray) -> tuple[Legs, Legs]:
 
 @dataclass(frozen=True)
 class _RotorInputs:
-    """What flies the legs of a log.
+    """Inputs of the rollouts of one log.
 
     Attributes:
-        command: (n, R) rotor speeds that are commanded, rad/s.
-        speed: (n, R) rotor speeds, rad/s.
-        parameters: (1, N) rows of `PARAMETERS`.
-        hover_speed: Rotor speed of another drone, rad/s.
-        offsets: (7,) the log's own numbers.
-        twist: Torque of an uneven drone, N m.
+        command: Commanded rotor speeds, (n, R), rad/s.
+        speed: Rotor speeds, (n, R), rad/s.
+        parameters: Rows of `PARAMETERS`, (1, N).
+        hover_speed: Rotor speed of the other drone, rad/s.
+        log_parameters: Per-log parameters, (7,), see `LOG_PARAMETERS`.
+        torque_bias: Torque of an asymmetric drone, body axes, N m.
     """
 
     command: np.ndarray
@@ -92,7 +98,7 @@ class _RotorInputs:
 def _make_inputs(
     flight: LoggedFlight, airframe: Airframe, log_parameters: np.ndarray
 ) -> _RotorInputs:
-    """Let the rotors of an airframe follow the commands of a log."""
+    """Simulate the rotors of an airframe under the commands of a log."""
     command = flight.commands(airframe, DELAY_UNIT * log_parameters[0])
     other = len(flight.track.other) > 0
     parameters = parameter_rows([airframe] * (1 + other))[None]
@@ -109,7 +115,7 @@ def _make_inputs(
 
 
 def _predict(flight: LoggedFlight, legs: Legs, inputs: _RotorInputs) -> np.ndarray:
-    """Return the states (L, picks, 13) that legs lead to."""
+    """Return the predicted states (L, num_states, 13) of the legs."""
     states = np.empty((len(legs.start), legs.num_states, STATE_SIZE))
     roll_out(
         legs,
@@ -129,24 +135,31 @@ def _predict(flight: LoggedFlight, legs: Legs, inputs: _RotorInputs) -> np.ndarr
 
 
 def tilt_quaternion(log_parameters: np.ndarray) -> tuple[float, float, float, float]:
-    """Return the quaternion from the drone's body to the one whose attitude was measured."""
+    """Return the quaternion from the drone's body to the body whose attitude was measured."""
     return exponential((TILT_UNIT * log_parameters[1], TILT_UNIT * log_parameters[2], 0.0))
 
 
 def compute_differences(
     flight: LoggedFlight, legs: Legs, states: np.ndarray, log_parameters: np.ndarray
 ) -> np.ndarray:
-    """Return by how much predicted states differ from the measured ones.
+    """Return predicted states minus measured states.
+
+    Args:
+        flight: The flight.
+        legs: The L legs that were predicted.
+        states: Predicted states, (L, num_states, 13).
+        log_parameters: Per-log parameters, (7,).
 
     Returns:
-        (L, picks, 12) differences of position, velocity, attitude (rotation vector in body axes),
-        and rates.
+        Differences of position, velocity, attitude (rotation vector in body axes) and body rates,
+        (L, num_states, 12).
     """
     at = legs.start[:, None] + legs.stride * np.arange(1, legs.num_states + 1)
     track = flight.track
     measured = multiply_quaternions(track.quaternion[at], np.array(tilt_quaternion(log_parameters)))
     off = multiply_quaternions(conjugate(measured), states[..., 3:7])
-    # Twice the vector part: the rotation vector of small turns, of the shorter way
+    # Twice the vector part is the rotation vector of a small rotation; the sign selects the
+    # shorter rotation
     turn = 2 * off[..., :3] * np.where(off[..., 3:] < 0, -1.0, 1.0)
     return np.concatenate(
         [
@@ -160,14 +173,14 @@ def compute_differences(
 
 
 def multiply_quaternions(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the products p q of quaternions (..., 4)."""
+    """Return the Hamilton products p q of quaternions (..., 4)."""
     vector = p[..., 3:] * q[..., :3] + q[..., 3:] * p[..., :3] + np.cross(p[..., :3], q[..., :3])
     scalar = p[..., 3:] * q[..., 3:] - np.sum(p[..., :3] * q[..., :3], axis=-1, keepdims=True)
     return np.concatenate([vector, scalar], axis=-1)
 
 
 def conjugate(q: np.ndarray) -> np.ndarray:
-    """Return the inverse of unit quaternions (..., 4)."""
+    """Return the inverses of unit quaternions (..., 4)."""
     inverse: np.ndarray = q * np.array([-1.0, -1.0, -1.0, 1.0])
     return inverse
 
@@ -175,13 +188,16 @@ def conjugate(q: np.ndarray) -> np.ndarray:
 def compute_errors(
     flight: LoggedFlight, windows: np.ndarray, airframe: Airframe, log_parameters: np.ndarray
 ) -> PredictionErrors:
-    """Predict windows of a flight, and compare with what was measured.
+    """Predict windows of a flight and compare the predictions with the measurements.
 
     Args:
         flight: The flight.
-        windows: (K,) indices of its windows.
-        airframe: The airframe.
-        offsets: (7,) the log's own numbers.
+        windows: Indices of its windows, (K,).
+        airframe: The airframe to simulate.
+        log_parameters: Per-log parameters, (7,).
+
+    Returns:
+        The errors.
     """
     guided, free = make_legs(flight, windows)
     inputs = _make_inputs(flight, airframe, log_parameters)
@@ -193,7 +209,7 @@ def compute_errors(
 
 
 def compute_naive_errors(flight: LoggedFlight, windows: np.ndarray) -> PredictionErrors:
-    """Return the errors of predicting that velocity and rates stay what they are."""
+    """Return the errors of a naive prediction with constant velocity and body rates."""
     guided, free = make_legs(flight, windows)
     found = []
     for legs in (guided, free):

@@ -1,4 +1,4 @@
-"""What is fitted and what is kept back, and fits one after the other."""
+"""Split into fitted and held-out windows, and the sequence of fits."""
 
 import math
 from collections.abc import Sequence
@@ -21,33 +21,33 @@ from bulletuav.identification.weights import compute_weights
 from bulletuav.vehicle.airframe import Airframe
 
 BLOCK = 4
-"""Windows of one log that are fitted or kept together, by turns"""
+"""Number of consecutive windows of a single log that are fitted or held out together"""
 MIN_WINDOWS = 12
-"""Fewest windows to fit"""
+"""Minimum number of windows of a fit"""
 ROUNDS = 3
-"""Fits, each with the errors of the one before as its weights"""
+"""Number of fits, each of which reweights the errors by the residuals of the previous one"""
 DELAYS = np.arange(-0.1, 0.2001, 0.01)
-"""Delays of commands that are tried first, behind the gyroscope's clock, s"""
+"""Delays of the commands against the gyroscope's clock that the initial search tries, s"""
 FALSE_ALARM_RATE = 0.01
-"""Chance that a log whose turns have nothing to do with its commands is refused"""
+"""Probability that a log whose motion is unrelated to its commands is rejected"""
 
 
 def ignore_progress(_: float) -> None:
-    """Show no progress."""
+    """Ignore the progress (the default callback)."""
 
 
 def split_flights(flights: Sequence[LoggedFlight]) -> tuple[list[FlightPart], list[FlightPart]]:
-    """Choose what is fitted and what is kept back.
+    """Split flights into fitted and held-out parts.
 
     Args:
         flights: The flights, in order.
 
     Returns:
-        Of several flights every other one, the first to be fitted. Of one flight every other block
-        of `BLOCK` windows.
+        The fitted and the held-out parts. Several flights alternate, and the first one is fitted.
+        Of a single flight, blocks of `BLOCK` windows alternate.
 
     Raises:
-        ValueError: There are too few windows.
+        ValueError: If there are fewer than `MIN_WINDOWS` windows to fit.
     """
     if len(flights) > 1:
         parts = [FlightPart(flight, np.arange(len(flight.windows))) for flight in flights]
@@ -64,14 +64,14 @@ def split_flights(flights: Sequence[LoggedFlight]) -> tuple[list[FlightPart], li
 
 
 def split_blocks(flight: LoggedFlight) -> tuple[FlightPart, FlightPart]:
-    """Return every other block of a flight's windows, and the others."""
+    """Split a flight's windows into even and odd blocks of `BLOCK` windows."""
     index = np.arange(len(flight.windows))
     first = index // BLOCK % 2 == 0
     return FlightPart(flight, index[first]), FlightPart(flight, index[~first])
 
 
 class StepwiseFit:
-    """Fits of the same parts, one after the other."""
+    """Fit that removes the constants that the logs do not determine, and fits the others again."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class StepwiseFit:
         self.progress = progress
 
     def run(self, constants: list[Constant]) -> Fit:
-        """Fit, leave out what the logs do not tell, and fit the rest."""
+        """Fit the constants; unless they were requested, remove the unidentified ones and refit."""
         problem, theta = self._solve(constants, 0.1, ROUNDS)
         while not self.is_explicit:
             keep = problem.find_identified(theta)
@@ -102,7 +102,7 @@ class StepwiseFit:
     def _solve(
         self, constants: list[Constant], done: float, rounds: int, start: np.ndarray | None = None
     ) -> tuple[FitProblem, np.ndarray]:
-        """Fit some constants in rounds, from where another fit ended or from the airframe's."""
+        """Fit the constants in several rounds, from `start` or from the airframe's own values."""
         expected = rounds * 6 * (2 + len(constants) + int(self.free.sum()))
 
         def advance(evaluations: float) -> None:
@@ -121,11 +121,14 @@ class StepwiseFit:
 
 
 def align_commands(problem: FitProblem, theta: np.ndarray) -> np.ndarray:
-    """Return numbers with the delay of commands, of each log, that predicts best.
+    """Return the parameter vector with the command delay of each log that predicts best.
 
     Args:
-        problem: The problem; its weights are made anew.
-        numbers: Where to start.
+        problem: The problem, whose weights are recomputed.
+        theta: Initial parameter vector.
+
+    Returns:
+        The parameter vector with the new delays.
     """
     problem.weights = compute_weights(problem.errors(theta))
     clocks = np.array([part.flight.gyro_delay for part in problem.parts])
@@ -143,18 +146,18 @@ def align_commands(problem: FitProblem, theta: np.ndarray) -> np.ndarray:
 
 
 def check_rotor_order(problem: FitProblem, theta: np.ndarray) -> None:
-    """Refuse logs whose drone turns against what its commands ask for.
+    """Raise ValueError if a drone rotates opposite to its commands.
 
-    With rotors out of order commands and turns correlate as they do in order, with the other sign.
-    But the delay that predicts best is then one at which they hardly correlate. So all delays are
-    tried, and the strongest correlation tells.
+    With permuted rotors, commands and angular accelerations correlate as strongly as in the right
+    order, but with the opposite sign. The delay that predicts best would then be one at which they
+    hardly correlate. So all delays are evaluated, and the strongest correlation decides.
 
     Args:
         problem: The problem.
-        numbers: Where the fit starts.
+        theta: Initial parameter vector of the fit.
 
     Raises:
-        ValueError: Turns are opposite; the rotors have another order.
+        ValueError: If the correlation is significantly negative: the rotors are in another order.
     """
     clocks = np.array([part.flight.gyro_delay for part in problem.parts])
     found = []
@@ -184,13 +187,16 @@ def check_rotor_order(problem: FitProblem, theta: np.ndarray) -> None:
 
 
 def compute_correlations(part: FlightPart, errors: PredictionErrors) -> np.ndarray:
-    """Return the correlation (3,) of rates' changes with those that commands ask for.
+    """Compute the correlation of measured with commanded rate changes for each body axis.
 
-    They are those to the first state of each leg, before feedback turns the drone back.
+    The changes are those up to the first state of each leg, before feedback turns the drone back.
 
     Args:
-        part: Windows.
-        errors: Errors of predictions in them.
+        part: The windows.
+        errors: Errors of predictions in these windows.
+
+    Returns:
+        Correlations, (3,).
     """
     naive = compute_naive_errors(part.flight, part.windows).rotation
     first = slice(0, None, STATES_PER_LEG)
@@ -200,13 +206,16 @@ def compute_correlations(part: FlightPart, errors: PredictionErrors) -> np.ndarr
 
 
 def correlation_threshold(count: int) -> float:
-    """Return the correlation from which on turns are opposite to what commands ask for.
+    """Return the correlation below which rotations count as opposite to the commands.
 
-    That of unrelated numbers is below it in a share `FALSE_ALARM_RATE` of all logs, by Fisher's transformation
-    (R. Fisher, Metron 1, 1921), for three axes and all delays that are tried.
+    The correlation of unrelated samples falls below this value in a fraction `FALSE_ALARM_RATE` of
+    all logs, by Fisher's transformation, for three axes and all delays that are tried.
 
     Args:
-        count: Turns that are compared.
+        count: Number of samples.
+
+    References:
+        R. Fisher, On the "probable error" of a coefficient of correlation, Metron 1, 1921.
     """
     trials = 3 * len(DELAYS)
     return -math.tanh(float(norm.ppf(1 - FALSE_ALARM_RATE / trials)) / math.sqrt(count - 3))
@@ -215,7 +224,7 @@ def correlation_threshold(count: int) -> float:
 def fit_log_parameters(
     parts: Sequence[FlightPart], drone: Airframe, free: np.ndarray
 ) -> np.ndarray:
-    """Fit the logs' own numbers alone, with the constants of an airframe; (L, 7)."""
+    """Fit the per-log parameters (L, 7) only, with fixed constants of an airframe."""
     problem = FitProblem(parts, drone, [], free, ignore_progress)
     theta = align_commands(problem, problem.initial_theta())
     for _ in range(ROUNDS - 1):

@@ -1,4 +1,4 @@
-"""One log made ready: on one clock, at even times, smoothed, cut into windows."""
+"""Preparation of a log: one clock, equally spaced and smoothed samples, windows of flight."""
 
 import math
 from dataclasses import dataclass
@@ -19,35 +19,35 @@ from bulletuav.vehicle.battery import speed_share
 from bulletuav.vehicle.rotors import RPM
 
 MIN_SAMPLE_INTERVAL = 0.005
-"""Least time between samples, s: faster logs are thinned"""
+"""Minimum sample interval, s; faster logs are resampled to it"""
 POSITION_SPAN, ATTITUDE_SPAN, GYRO_SPAN = 0.21, 0.09, 0.09
-"""Time over which positions, attitudes and rates are smoothed, s"""
+"""Durations of the smoothing windows of positions, attitudes and rates, s"""
 DEGREES = (5, 5, 4)
-"""Degrees of their polynomials"""
+"""Degrees of their smoothing polynomials"""
 MAX_GYRO_DELAY = 0.25
-"""Greatest delay between gyroscope and attitude that is looked for, s"""
+"""Maximum delay between gyroscope and attitude that the search considers, s"""
 MIN_IMPROVEMENT = 0.1
-"""Share by which another clock must lessen the squares of the gyroscope's errors"""
+"""Fraction by which another delay must reduce the squared gyroscope errors to be accepted"""
 MIN_THRUST = 0.3
-"""Thrust in weights below which a drone does not fly"""
+"""Thrust, in weights, below which a drone counts as not flying"""
 CLEARANCE = 0.008
-"""Height above standing at which a drone flies, m"""
+"""Height above the standing height at which a drone counts as flying, m"""
 WARM_UP = 0.4
-"""Time at both ends of a log that no window uses, s"""
+"""Time at both ends of a log that is not used for windows, s"""
 
 
 @dataclass(frozen=True)
 class LoggedFlight:
-    """A log on the clock of its attitude.
+    """A log resampled on the clock of its attitude, with the windows of flight.
 
     Attributes:
         log: The log.
-        dt: Time between samples, s.
-        track: What was measured, smoothed.
-        gyro_delay: By how much the gyroscope lags behind the attitude, s; 0 without one.
-        gyro_bias: (3,) what the gyroscope measures at rest, rad/s; taken off.
-        windows: (K,) index of the sample at which each window starts.
-        steps: Samples in a window.
+        dt: Sample interval, s.
+        track: The smoothed measurements.
+        gyro_delay: Delay of the gyroscope behind the attitude, s; 0 without a gyroscope.
+        gyro_bias: Bias of the gyroscope, (3,), rad/s, which is subtracted from `track.rates`.
+        windows: Index of the first sample of each window, (K,).
+        steps: Number of samples in a window.
     """
 
     log: Log
@@ -60,23 +60,23 @@ class LoggedFlight:
 
     @property
     def grid(self) -> np.ndarray:
-        """Times of the samples (n,), s."""
+        """Times of the samples, (n,), s."""
         times: np.ndarray = self.log.time[0] + self.dt * np.arange(len(self.track.position))
         return times
 
     def commands(self, airframe: Airframe, delay: float) -> np.ndarray:
-        """Return the rotor speeds that are commanded, averaged from each sample to the next.
+        """Return the commanded rotor speeds, averaged over each sample interval.
 
         Args:
-            airframe: Its PWM map and battery count for motor commands.
-            delay: How late commands arrive, s.
+            airframe: The airframe, whose PWM map and battery convert motor commands.
+            delay: Delay of the commands, s.
 
         Returns:
-            (n, R), rad/s.
+            Rotor speeds, (n, R), rad/s.
         """
         time = self.log.time
         speeds = logged_speeds(self.log, airframe)
-        # A command holds until the next: its integral is a broken line.
+        # Commands are piecewise constant (zero-order hold), so their integral is piecewise linear.
         held = np.diff(time)[:, None] * speeds[:-1]
         total = np.concatenate([np.zeros((1, speeds.shape[1])), np.cumsum(held, axis=0)])
         edges = np.append(self.grid, self.grid[-1] + self.dt) - delay
@@ -90,20 +90,20 @@ class LoggedFlight:
 
 @kernel
 def _speed_fractions(volts: np.ndarray, nominal: float, fraction: np.ndarray) -> None:
-    """Fill in the share of a commanded speed that motors reach at voltages (n,)."""
+    """Compute the fractions of the commanded speed that motors reach at voltages (n,)."""
     for k in range(volts.size):
         fraction[k] = speed_share(volts[k], nominal)
 
 
 def logged_speeds(log: Log, airframe: Airframe) -> np.ndarray:
-    """Return the rotor speeds that a log's commands mean, (n, R), rad/s."""
+    """Convert the logged commands to rotor speeds, (n, R), rad/s."""
     kind = log.kind
     commands = log.stack([f"{kind}{r + 1}" for r in range(len(airframe.rotors))])
     if kind == "w":
         return commands
     if kind == "rpm":
         return commands * RPM
-    assert airframe.pwm is not None  # `checks` saw to it
+    assert airframe.pwm is not None  # guaranteed by `checks`
     speeds = RPM * (airframe.pwm.slope * commands + airframe.pwm.intercept)
     if "vbat" in log and airframe.pack is not None:
         fraction = np.empty(len(commands))
@@ -114,15 +114,19 @@ def logged_speeds(log: Log, airframe: Airframe) -> np.ndarray:
 
 
 def prepare_log(log: Log, airframe: Airframe, window: float) -> LoggedFlight:
-    """Bring a log onto one clock, and cut it into windows.
+    """Resample and smooth a log on one clock, and find its windows of flight.
 
     Args:
-        log: A log that `checks.check_log` has passed.
-        airframe: The drone that flew.
+        log: A log that has passed `checks.check_log`.
+        airframe: The airframe that was flown.
         window: Duration of a window, s.
 
+    Returns:
+        The flight.
+
     Raises:
-        ValueError: The drone does not fly in it.
+        ValueError: If the log contains no flight of one window, or the delay of the gyroscope is
+            `MAX_GYRO_DELAY` or more.
     """
     time = log.time
     dt = max(float(np.median(np.diff(time))), MIN_SAMPLE_INTERVAL)
@@ -152,27 +156,27 @@ def prepare_log(log: Log, airframe: Airframe, window: float) -> LoggedFlight:
     if not len(starts):
         stands = airframe.standing_height + CLEARANCE
         raise ValueError(
-            f"{log.path}: there is no flight of {window:g} s: commands must carry at least "
+            f"{log.path}: there is no flight of {window:g} s: the thrust must be at least "
             f"{MIN_THRUST:g} weights, and z must be above {stands:.3g} m, where {airframe.name} "
-            f"stands; its z goes from {position[:, 2].min():.3g} to {position[:, 2].max():.3g} m"
+            f"stands; z goes from {position[:, 2].min():.3g} to {position[:, 2].max():.3g} m"
         )
     return LoggedFlight(log, dt, track, delay, bias, starts, steps)
 
 
 def _resample_columns(grid: np.ndarray, log: Log, names: tuple[str, ...]) -> np.ndarray:
-    """Return columns at even times, (n, len(names))."""
+    """Interpolate columns at the times of a grid, (n, len(names))."""
     return np.stack([np.interp(grid, log.time, log.columns[name]) for name in names], axis=1)
 
 
 def _estimate_gyro_delay(
     grid: np.ndarray, log: Log, turning: np.ndarray, dt: float
 ) -> tuple[float, np.ndarray]:
-    """Return by how much the gyroscope lags behind the attitude, s, and its bias (3,)."""
+    """Estimate the delay of the gyroscope behind the attitude, s, and its bias, (3,), rad/s."""
     inner = slice(savgol_window(MAX_GYRO_DELAY * 2, dt), -savgol_window(MAX_GYRO_DELAY * 2, dt))
 
     def compare(delay: float) -> tuple[float, np.ndarray]:
         gyro = np.stack([np.interp(grid + delay, log.time, log.columns[name]) for name in RATES], 1)
-        # As smooth as the rates that it is compared with
+        # The same smoothing as that of the rates from the attitude
         error = (savgol_smooth(gyro, 0.07, dt) - turning)[inner]
         bias = np.median(error, axis=0)
         return float(np.mean(np.minimum(np.abs(error - bias), 1.0) ** 2)), bias
@@ -186,9 +190,9 @@ def _estimate_gyro_delay(
     if best in (0, len(delays) - 1):
         raise ValueError(
             f"{log.path}: the gyroscope's clock is {MAX_GYRO_DELAY:g} s or more off that of the "
-            f"attitude: shift p, q, r by what you know of it"
+            f"attitude: shift p, q, r by the known delay first"
         )
-    # The vertex of the parabola through the best and its neighbours
+    # Vertex of the parabola through the best delay and its neighbours
     before, at, after = costs[best - 1 : best + 2]
     bend = before - 2 * at + after
     delay = float(delays[best] + dt * (0.5 * (before - after) / bend if bend > 0 else 0.0))
@@ -198,7 +202,7 @@ def _estimate_gyro_delay(
 def _find_windows(
     log: Log, airframe: Airframe, grid: np.ndarray, position: np.ndarray, steps: int
 ) -> np.ndarray:
-    """Return where windows of flight start, (K,)."""
+    """Find the first samples of the windows of flight, (K,)."""
     speeds = logged_speeds(log, airframe)
     thrust = airframe.thrust_coefficient * np.interp(grid, log.time, (speeds**2).sum(axis=1))
     flies = thrust > MIN_THRUST * airframe.mass * STANDARD_GRAVITY
@@ -209,7 +213,7 @@ def _find_windows(
     starts = []
     k = edge
     while k + steps < len(grid):
-        # Also a while before, so that the rotors' speeds are known
+        # The drone must fly some time before the window, so that its rotor speeds are known
         if flies[k - edge // 2 : k + steps + 1].all():
             starts.append(k)
             k += steps

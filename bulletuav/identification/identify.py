@@ -1,4 +1,4 @@
-"""Fits constants of an airframe to flight logs, and tells how well it then predicts flights."""
+"""Identification of airframe constants from flight logs, with held-out prediction errors."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -31,26 +31,26 @@ from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import HEAVIEST, load_airframe
 
 WINDOW = 0.5
-"""Usual duration of a window, s"""
+"""Default duration of a window, s"""
 LOW_HEIGHT_FRACTION = 0.63
-"""Share of its reach below which windows tell of the ground effect: there it is 5 % of itself"""
+"""Fraction of the reach below which the ground effect exceeds 5 % and can be fitted"""
 MIN_LOW_WINDOWS = 20
-"""Fewest such windows: a few take-offs tell more of the touch of the ground than of its effect"""
+"""Minimum number of windows in ground effect: fewer show take-offs, not the effect"""
 DIGITS = 5
-"""Significant digits of constants that were fitted"""
+"""Significant digits of fitted constants"""
 
 
 @dataclasses.dataclass(frozen=True)
 class ConstantEstimate:
-    """A constant before and after.
+    """A constant before and after the fit.
 
     Attributes:
-        constant: What it is.
+        constant: The constant.
         before: The airframe's own value.
-        after: The fitted value; the airframe's own where logs do not tell it.
+        after: The fitted value, or the airframe's own value if the constant is not identified.
         low: Lower end of the interval.
         high: Upper end of the interval.
-        told: Whether the logs tell it. Where not, it stays what it was.
+        is_identified: Whether the logs determine the constant. If not, it keeps its value.
     """
 
     constant: Constant
@@ -63,15 +63,15 @@ class ConstantEstimate:
 
 @dataclasses.dataclass(frozen=True)
 class Prediction:
-    """Windows of one log, and the errors of predictions in them.
+    """Windows of one log, and the errors of predictions in these windows.
 
     Attributes:
         part: The windows.
-        naive: Errors if velocity and rates stay what they are.
-        before: Errors with the airframe as it was.
-        after: Errors with the airframe as it is now.
-        offsets: (7,) the log's own numbers, with the airframe as it is now.
-        offsets_before: (7,) the same with the airframe as it was.
+        naive: Errors of a prediction with constant velocity and rates.
+        before: Errors with the initial airframe.
+        after: Errors with the fitted airframe.
+        log_parameters: Per-log parameters, (7,), with the fitted airframe.
+        log_parameters_before: Per-log parameters, (7,), with the initial airframe.
     """
 
     part: FlightPart
@@ -83,7 +83,7 @@ class Prediction:
 
     @property
     def delay(self) -> float:
-        """How late commands arrive, s."""
+        """Delay of the commands, s."""
         return float(DELAY_UNIT * self.log_parameters[0])
 
 
@@ -92,15 +92,15 @@ class Identification:
     """Result of `identify`.
 
     Attributes:
-        before: The airframe as it was.
-        airframe: The airframe with what was fitted.
+        before: The initial airframe.
+        airframe: The fitted airframe.
         estimates: The constants.
-        fitted: Predictions in what was fitted.
-        kept: Predictions in what was kept back.
-        battery: Constants of the battery, where they were fitted.
-        whole_logs: Whether whole logs were kept back; else blocks of the one log.
+        fitted: Predictions in the fitted windows.
+        kept: Predictions in the held-out windows.
+        battery: Fitted constants of the battery, or None if they were not fitted.
+        whole_logs: Whether whole logs were held out; otherwise blocks of the single log.
         window: Duration of a window, s.
-        note: What else was changed; empty for nothing.
+        note: Description of further changes; empty if there are none.
     """
 
     before: Airframe
@@ -126,24 +126,24 @@ def identify(
 ) -> Identification:
     """Fit constants of an airframe to flight logs.
 
-    Of one log, every other block of windows is fitted; of several, every other log. The rest is
-    kept back, and tells how good the predictions are.
+    With one log, every second block of windows is fitted; with several, every second log. The rest
+    is held out to evaluate the predictions.
 
     Args:
         logs: CSV files, see `bulletuav.identification.logs`.
-        airframe: The drone that flew: a name, the path of a URDF, or the airframe.
-        fit: Names of constants or groups; none for all that the logs tell.
-        columns: Texts NAME=COLUMN[*FACTOR][+OFFSET] for columns of other names and units.
-        mass: Mass that flew, kg; the airframe's own when left out. Forces scale with it.
-        window: Duration of the flights that are predicted, s.
-        progress: Called with the share that is done.
+        airframe: The airframe that was flown: a name, the path of a URDF, or the airframe.
+        fit: Names of constants or groups; empty for all that the logs determine.
+        columns: Mappings NAME=COLUMN[*FACTOR][+OFFSET] for columns with other names or units.
+        mass: Mass in flight, kg; the airframe's own by default. Forces scale with it.
+        window: Duration of the predicted flights, s.
+        progress: Callback that receives the completed fraction.
 
     Returns:
-        The airframe with what was fitted, and how well it predicts.
+        The fitted airframe, and its prediction errors.
 
     Raises:
-        FileNotFoundError: There is no such log.
-        ValueError: A log is broken or tells nothing, or a name is unknown.
+        FileNotFoundError: If a log does not exist.
+        ValueError: If a log is damaged or not informative, or a name is unknown.
     """
     drone = load_airframe(airframe)
     if mass is not None:
@@ -187,7 +187,7 @@ def identify(
 
 
 def count_low_windows(parts: Sequence[FlightPart], airframe: Airframe) -> int:
-    """Count the windows near the ground, where its effect is felt."""
+    """Count the windows in which the ground effect is noticeable."""
     count = 0
     for part in parts:
         height = part.flight.track.position[part.flight.windows[part.windows], 2]
@@ -204,10 +204,10 @@ def _predictions(
     whole_logs: bool,
     progress: Progress,
 ) -> tuple[list[Prediction], list[Prediction]]:
-    """Predict what was fitted and what was kept; every airframe gets numbers of each log's own.
+    """Predict the fitted and held-out windows with both airframes, each with per-log parameters.
 
-    In logs that were kept as a whole these are fitted to every other block, and the errors are
-    those in the others.
+    The per-log parameters of a held-out log are fitted to every second block, and its errors are
+    those in the other blocks.
     """
     own = [fit_log_parameters(parts, drone, free) for drone in (before, after)]
     progress(0.95)
@@ -227,7 +227,6 @@ def _predictions(
 def _predict(
     part: FlightPart, before: Airframe, after: Airframe, own_before: np.ndarray, own: np.ndarray
 ) -> Prediction:
-    """Predict one part with both airframes."""
     return Prediction(
         part=part,
         naive=compute_naive_errors(part.flight, part.windows),
@@ -239,25 +238,29 @@ def _predict(
 
 
 def _round_constants(airframe: Airframe, constants: Iterable[Constant]) -> Airframe:
-    """Round what was fitted to the digits that are written."""
+    """Round the fitted constants to `DIGITS` significant digits."""
     for constant in constants:
         airframe = constant.replace(airframe, float(f"{constant.get(airframe):.{DIGITS}g}"))
     return airframe
 
 
 def _limit_yaw_inertia(airframe: Airframe, constants: Sequence[Constant]) -> tuple[Airframe, str]:
-    """Make the inertia one that a body can have, and tell if it was changed."""
+    """Reduce inertia_z to a physically possible value.
+
+    Returns:
+        The airframe, and a note on the change, empty if there is none.
+    """
     x, y, z = airframe.inertia
     names = {constant.name for constant in constants}
     if z <= x + y or "inertia_z" in names:
         return airframe, ""
-    # Yaw tells but the quotient of torque ratio and inertia: both are taken down
+    # Yaw motion determines only the ratio of torque_ratio to inertia_z: both are reduced
     max_inertia_z = float(f"{0.99 * (x + y):.{DIGITS}g}")
     ratio = airframe.torque_ratio * max_inertia_z / z
     ratio = float(f"{ratio:.{DIGITS}g}")
     note = (
         f"inertia_z of {z:g} kg m^2 is more than inertia_x + inertia_y, which no body has: it and "
-        f"torque_ratio were taken down together, to {max_inertia_z:g} kg m^2 and {ratio:g} m."
+        f"torque_ratio were reduced together, to {max_inertia_z:g} kg m^2 and {ratio:g} m."
     )
     changed = dataclasses.replace(airframe, inertia=(x, y, max_inertia_z), torque_ratio=ratio)
     return changed, note
@@ -266,7 +269,7 @@ def _limit_yaw_inertia(airframe: Airframe, constants: Sequence[Constant]) -> tup
 def _make_estimates(
     constants: list[Constant], found: Fit, before: Airframe, after: Airframe
 ) -> list[ConstantEstimate]:
-    """Put together what was before and after."""
+    """Collect the values before and after the fit."""
     ends = {}
     for constant, number, deviation in zip(
         found.constants, found.theta, found.deviation, strict=True

@@ -1,4 +1,4 @@
-"""Holes in a log: rows, values and changes that are not there, and spikes."""
+"""Missing data in logs: gaps between rows, missing values, constant columns, and spikes."""
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -6,26 +6,26 @@ from scipy.ndimage import median_filter
 from bulletuav.identification.logs import OTHER, POSITION, QUATERNION, Log
 
 MAX_ROW_INTERVAL = 0.1
-"""Longest time between two rows, s"""
+"""Maximum time between two rows, s"""
 MAX_GAP = 0.1
-"""Longest time without a value in a column, s: shorter ones are filled in"""
+"""Maximum duration of missing values in a column, s; shorter gaps are interpolated"""
 MIN_SAMPLE_RATE = 40.0
-"""Fewest rows a second"""
+"""Minimum sample rate, Hz"""
 MIN_DURATION = 5.0
-"""Least duration of a log, s"""
+"""Minimum duration of a log, s"""
 MEDIAN_WINDOW = 9
-"""Samples whose median tells where a spike stands out"""
+"""Window length of the median filter that detects spikes, samples"""
 POSITION_SPIKE, ATTITUDE_SPIKE = 0.03, 0.1
-"""How far a spike stands out at least, m and rad"""
+"""Minimum deviation of a spike from the median, m and rad"""
 
 
 def log_error(log: Log, message: str) -> ValueError:
-    """Make the error for a log, for the caller to raise."""
+    """Return a ValueError whose message names the log."""
     return ValueError(f"{log.path}: {message}")
 
 
 def check_times(log: Log) -> None:
-    """Refuse times that do not go on evenly."""
+    """Raise ValueError if times are missing, do not increase, or are not in seconds."""
     time = log.time
     if len(time) < 2 or not np.isfinite(time).all():
         row = int(np.argmin(np.isfinite(time))) if len(time) else 0
@@ -59,22 +59,22 @@ def check_times(log: Log) -> None:
         )
     if time[-1] - time[0] < MIN_DURATION:
         raise log_error(
-            log, f"it lasts {time[-1] - time[0]:.2f} s: at least {MIN_DURATION:g} s are needed"
+            log, f"the log lasts {time[-1] - time[0]:.2f} s: at least {MIN_DURATION:g} s are needed"
         )
 
 
 def fill_gaps(log: Log) -> Log:
-    """Fill holes between neighbours, and refuse long ones."""
+    """Interpolate short gaps in each column; raise ValueError for long ones."""
     columns = {}
     filled = {}
     for name, values in log.columns.items():
         good = np.isfinite(values)
         if not good.any():
-            raise log_error(log, f"{name} has no numbers: map a column that has, or leave it out")
+            raise log_error(log, f"{name} has no numbers: map another column, or leave it out")
         columns[name] = values
         if good.all():
             continue
-        # Edges of runs of missing values
+        # First and last rows of each run of missing values
         edge = np.diff(np.concatenate([[0], ~good, [0]]).astype(int))
         begin, end = np.flatnonzero(edge > 0), np.flatnonzero(edge < 0) - 1
         time = log.time
@@ -94,7 +94,7 @@ def fill_gaps(log: Log) -> Log:
 
 
 def check_not_constant(log: Log) -> None:
-    """Refuse columns that stay the same all the time."""
+    """Raise ValueError for a measured column that never changes."""
     fixed = ("vbat", "current", *OTHER)
     for name, values in log.columns.items():
         if name not in fixed and np.ptp(values) == 0:
@@ -106,7 +106,7 @@ def check_not_constant(log: Log) -> None:
 
 
 def remove_spikes(log: Log) -> Log:
-    """Fill in positions and attitudes that jump away and back, as lost markers make them."""
+    """Interpolate positions and attitudes over spikes, such as those of lost markers."""
     columns = dict(log.columns)
     filled = dict(log.filled)
     for names, threshold in ((POSITION, POSITION_SPIKE), (QUATERNION, ATTITUDE_SPIKE / 2)):

@@ -1,4 +1,4 @@
-"""Whitening of errors: those of one axis count together as much as they tell."""
+"""Whitening of prediction errors, so that each error counts according to its information."""
 
 from collections.abc import Sequence
 
@@ -9,15 +9,18 @@ from bulletuav.identification.errors import PredictionErrors
 Weights = tuple[np.ndarray, np.ndarray]
 """Whitening matrices of positions and velocities, (3, 10, 10), and of attitudes and rates"""
 MIN_DIAGONAL_FRACTION = 0.05
-"""Least share of the diagonal in a covariance"""
+"""Minimum weight of the diagonal in the shrunk covariance"""
 
 
 def whiten(errors: PredictionErrors, weights: Weights) -> np.ndarray:
-    """Return errors with about unit covariance, (K, E).
+    """Return errors with approximately unit covariance.
 
     Args:
         errors: Errors of K windows.
         weights: Whitening matrices.
+
+    Returns:
+        Whitened errors, (K, E).
     """
     parts = []
     for values, weight in zip(_group_by_axis(errors), weights, strict=True):
@@ -26,7 +29,7 @@ def whiten(errors: PredictionErrors, weights: Weights) -> np.ndarray:
 
 
 def _group_by_axis(errors: PredictionErrors) -> tuple[np.ndarray, np.ndarray]:
-    """Return what is whitened together: all of an axis, (3, K, E)."""
+    """Group the errors that are whitened together, those of one axis, (3, K, E)."""
     found = []
     for values in (errors.translation, errors.rotation):
         size = len(values)
@@ -36,7 +39,7 @@ def _group_by_axis(errors: PredictionErrors) -> tuple[np.ndarray, np.ndarray]:
 
 
 def compute_weights(errors: Sequence[PredictionErrors]) -> Weights:
-    """Return whitening matrices for errors: their covariance, drawn to its diagonal."""
+    """Compute whitening matrices from the robust covariance of errors, shrunk to its diagonal."""
     found = []
     for values in zip(*map(_group_by_axis, errors), strict=True):
         joined = np.concatenate(values, axis=1)

@@ -1,4 +1,4 @@
-"""What an identification found, as files: a URDF, a table in JSON, a report."""
+"""Files of an identification: a URDF, a report in Markdown, and a table in JSON."""
 
 import json
 import shutil
@@ -28,33 +28,33 @@ MEASURES = (
     ("rates, roll and pitch, rad/s", "rotation", slice(3, 5), 1.0),
     ("rates, yaw, rad/s", "rotation", slice(5, 6), 1.0),
 )
-"""Name of an error, where it stands in `PredictionErrors`, and its factor"""
+"""Name of an error, its field and columns in `PredictionErrors`, and its factor"""
 
 
 def write_urdf(result: Identification, folder: Path) -> Path:
-    """Write the airframe that was found as a URDF file.
+    """Write the fitted airframe as a URDF file.
 
-    It is the file of the airframe with other numbers, and a comment on where they are from.
+    The file is a copy of the airframe's URDF with other numbers, and a comment on their origin.
 
     Args:
-        result: What was found.
-        folder: Where the file goes; meshes go beside it.
+        result: The identification.
+        folder: Folder of the file and of its meshes.
 
     Returns:
-        The file.
+        The path of the file.
     """
     source = result.before.urdf
     text = read_file(source)
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     root = ElementTree.fromstring(text, parser)
     _set_numbers(root, result.airframe)
-    # What stands before the robot, the file's own comments, is no part of the tree
+    # Comments before the root element are not part of the parsed tree
     head = text[: text.index(f"<{root.tag}")]
     path = folder / f"{result.before.name}.urdf"
     for mesh in root.iter("mesh"):
         name = mesh.get("filename", "")
         if name and (source.parent / name).is_file() and source.parent != folder:
-            # One from elsewhere goes into the folder, too: nothing outside of it is written
+            # A mesh outside of the URDF's folder is copied into `folder`, too
             inside = (folder / name).resolve().is_relative_to(folder.resolve())
             copy = folder / (name if inside else Path(name).name)
             mesh.set("filename", copy.relative_to(folder).as_posix())
@@ -66,7 +66,7 @@ def write_urdf(result: Identification, folder: Path) -> Path:
 
 
 def _describe_origin(result: Identification) -> str:
-    """Tell which numbers were fitted, and to what."""
+    """Describe which constants were fitted to which logs."""
     fitted = (
         ", ".join(one.constant.name for one in result.estimates if one.is_identified) or "nothing"
     )
@@ -79,12 +79,12 @@ def _describe_origin(result: Identification) -> str:
         )
     logs = ", ".join(item.part.flight.log.path.name for item in result.fitted)
     text = f"Fitted by bulletuav identify: {fitted}. Logs: {logs}. See report.md."
-    # Two hyphens would end the comment
+    # XML forbids two hyphens in a comment
     return text.replace("--", "-")
 
 
 def _set_numbers(root: ElementTree.Element, airframe: Airframe) -> None:
-    """Write an airframe's constants into its URDF; what a file left out is written too."""
+    """Write an airframe's constants into its URDF, including omitted ones."""
     x, y, z = airframe.inertia
     place = root.find("link/inertial")
     assert place is not None  # as the airframe was read from this file
@@ -112,7 +112,7 @@ def _set_numbers(root: ElementTree.Element, airframe: Airframe) -> None:
 
 
 def _set(parent: ElementTree.Element, tag: str, **numbers: float) -> None:
-    """Set attributes of an element, which is made where it lacks; equal ones keep their text."""
+    """Set attributes of an element, which is created if missing; equal values keep their text."""
     element = parent.find(tag)
     if element is None:
         element = ElementTree.SubElement(parent, tag)
@@ -122,8 +122,8 @@ def _set(parent: ElementTree.Element, tag: str, **numbers: float) -> None:
             element.set(name, repr(float(number)))
 
 
-def rms(predictions: Sequence[Prediction], kind: str) -> list[float]:
-    """Return the RMS of errors at the ends of legs, for each of `MEASURES`.
+def compute_rms(predictions: Sequence[Prediction], kind: str) -> list[float]:
+    """Return the RMS of the errors at the ends of legs, for each of `MEASURES`.
 
     Args:
         predictions: Predictions in several logs.
@@ -132,7 +132,7 @@ def rms(predictions: Sequence[Prediction], kind: str) -> list[float]:
     found = []
     for _, field, columns, factor in MEASURES:
         ends = [getattr(getattr(one, kind), field) for one in predictions]
-        # The last states of the two legs without guidance in a window, or of the one with it
+        # Final states of the guided leg of a window, or of its two free legs
         final = [values[:, [-1]] if field == "translation" else values[:, 4::5] for values in ends]
         joined = np.concatenate([values[..., columns].reshape(-1) for values in final])
         size = columns.stop - columns.start
@@ -141,7 +141,7 @@ def rms(predictions: Sequence[Prediction], kind: str) -> list[float]:
 
 
 def summarize(result: Identification) -> dict[str, Any]:
-    """Put what was found into a dict for JSON; what is not there is null."""
+    """Return the identification as a dict for JSON; missing values are None."""
     constants = {
         one.constant.name: {
             "unit": one.constant.unit,
@@ -168,7 +168,9 @@ def summarize(result: Identification) -> dict[str, Any]:
             }
     names = [name for name, *_ in MEASURES]
     errors = {
-        part: {kind: dict(zip(names, rms(predictions, kind), strict=True)) for kind in KINDS}
+        part: {
+            kind: dict(zip(names, compute_rms(predictions, kind), strict=True)) for kind in KINDS
+        }
         for part, predictions in (("fitted", result.fitted), ("kept", result.kept))
     }
     return {
@@ -183,7 +185,7 @@ def summarize(result: Identification) -> dict[str, Any]:
 
 
 def _describe_logs(use: str, predictions: Sequence[Prediction]) -> list[dict[str, Any]]:
-    """Describe the logs, and their own numbers."""
+    """Describe the logs and their per-log parameters."""
     found = []
     for one in predictions:
         flight = one.part.flight
@@ -206,7 +208,7 @@ def _describe_logs(use: str, predictions: Sequence[Prediction]) -> list[dict[str
 
 
 def format_report(result: Identification) -> str:
-    """Write the report: constants, errors of predictions, and logs."""
+    """Format the report in Markdown: constants, prediction errors, and logs."""
     table = summarize(result)
     window = result.window
     lines = [
@@ -219,9 +221,7 @@ def format_report(result: Identification) -> str:
         "|---|---|---|---|---|",
     ]
     for name, row in table["constants"].items():
-        interval = (
-            f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "logs do not tell it"
-        )
+        interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not identified"
         lines.append(
             f"| {name} | {row['unit']} | {row['before']:.5g} | {row['after']:.5g} | {interval} |"
         )
@@ -236,7 +236,7 @@ def format_report(result: Identification) -> str:
         "",
         f"RMS after {window:g} s of position and velocity, with the attitude as measured, and "
         f"after {window / 2:g} s of attitude and rates. Kept: {kept}. Naive: velocity and rates "
-        "stay what they are.",
+        "are constant.",
         "",
         "| | fitted: naive | before | after | kept: naive | before | after |",
         "|---|---|---|---|---|---|---|",
@@ -252,8 +252,8 @@ def format_report(result: Identification) -> str:
         "",
         "## Logs",
         "",
-        "Commands and gyroscope lag behind the attitude by these delays, which were taken off. "
-        "Tilt: of the body whose attitude was measured. Gain: thrust over that of all logs.",
+        "Delays of commands and gyroscope against the attitude, which were compensated. Tilt: of "
+        "the body whose attitude was measured. Gain: thrust relative to that of all logs.",
         "",
         "| log | use | windows | commands, ms | gyro, ms | tilt x, y, deg | gain | filled in |",
         "|---|---|---|---|---|---|---|---|",

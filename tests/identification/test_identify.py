@@ -12,7 +12,7 @@ from bulletuav import Airspace, load_airframe
 from bulletuav.cli import main
 from bulletuav.identification.fitting import BLOCK, correlation_threshold
 from bulletuav.identification.identify import identify
-from bulletuav.identification.write import rms, summarize, write_report, write_urdf
+from bulletuav.identification.write import compute_rms, summarize, write_report, write_urdf
 
 TRUE = load_airframe("cf2x")
 START = dataclasses.replace(
@@ -96,10 +96,10 @@ def test_the_delay_of_commands_is_found(result):
 
 
 def test_predictions_are_as_good_as_the_noise_lets_them(result):
-    kept = {kind: np.array(rms(result.kept, kind)) for kind in ("naive", "before", "after")}
+    kept = {kind: np.array(compute_rms(result.kept, kind)) for kind in ("naive", "before", "after")}
     assert (kept["after"] < 0.5 * kept["before"]).all()
     assert (kept["after"] < 0.2 * kept["naive"]).all()
-    fitted = np.array(rms(result.fitted, "after"))
+    fitted = np.array(compute_rms(result.fitted, "after"))
     np.testing.assert_allclose(kept["after"], fitted, rtol=0.35)
 
 
@@ -131,7 +131,7 @@ def test_the_kept_half_is_kept(result, narrow, flight, tmp_path):
         [flown.write_example_log(tmp_path / "other.csv", rows)], START, fit=["drag_xy"]
     )
     assert changed.estimates[0].after == narrow.estimates[0].after
-    worse = rms(changed.kept, "after")[0], rms(narrow.kept, "after")[0]
+    worse = compute_rms(changed.kept, "after")[0], compute_rms(narrow.kept, "after")[0]
     assert worse[0] > 1.1 * worse[1]
 
 

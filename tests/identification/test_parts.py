@@ -42,7 +42,7 @@ def test_every_constant_is_read_and_replaced():
         assert constant.decode(number) == pytest.approx(constant.get(drone))
         other = constant.replace(drone, 1.25 * constant.get(drone))
         assert constant.get(other) == pytest.approx(1.25 * constant.get(drone))
-        differing = [one.name for one in CONSTANTS if one.get(one.put(other, 1.0)) != 1.0]
+        differing = [one.name for one in CONSTANTS if one.get(one.replace(other, 1.0)) != 1.0]
         assert not differing
         rest = [one for one in CONSTANTS if one.get(other) != one.get(drone)]
         assert rest == [constant]
@@ -122,7 +122,7 @@ def test_a_battery_comes_back_within_its_intervals(tmp_path):
     assert found.start[0] == pytest.approx(0.95, abs=0.02)
     assert found.error[0] == pytest.approx(0.005, rel=0.2)
     assert found.error[1] == pytest.approx(0.005, rel=0.2)
-    changed = found.put(drone)
+    changed = found.apply_to(drone)
     assert (changed.pack.resistance, changed.pack.capacity) == (
         found.resistance[0],
         found.capacity[0],
