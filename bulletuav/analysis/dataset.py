@@ -1,4 +1,4 @@
-"""Datasets of flights, for learning from what others have flown: Parquet tables and Minari."""
+"""Datasets of flights for offline learning and imitation: Parquet tables and Minari datasets."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -25,9 +25,9 @@ from bulletuav.policies import PolicySource, find_policy
 from bulletuav.tasks import TaskSource, find_task
 
 TABLES = "parquet"
-"""Folder of its tables, one for each batch of episodes"""
+"""Folder of the Parquet tables, one for each batch of episodes"""
 MINARI = "minari"
-"""Folder that MINARI_DATASETS_PATH names to read it with Minari"""
+"""Folder of the Minari datasets, for MINARI_DATASETS_PATH"""
 MAX_EPISODES = 1_000_000
 
 
@@ -45,35 +45,35 @@ def collect(
     ray: str | None = None,
     **options: Any,
 ) -> list[Path]:
-    """Fly episodes and keep all that drones observed and did.
+    """Fly episodes and store all observations, actions and rewards of all drones.
 
-    The files are the same to the last byte, however the work is divided. A second call goes on
-    where the first one was interrupted.
+    The files are identical to the last byte for any number of workers and pieces. A second call
+    resumes an interrupted one.
 
     Args:
-        task: What is flown: a name or a class.
-        policy: Who flies, as of `evaluate`; the task's baseline when left out.
-        episodes: How many; episode e begins from `seed` + e.
+        task: Name or class of the task.
+        policy: Policy as for `evaluate`; by default the task's baseline.
+        episodes: Number of episodes; episode e has the seed `seed` + e.
         seed: Seed of the first episode.
-        workers: Processes, which change nothing but the time.
+        workers: Number of processes; it only affects the speed.
         out: Folder of the files.
-        progress: Told how many more episodes are done.
-        trust: Whether a model may be read that can run code meanwhile.
-        piece: Which part of the episodes to fly, such as "2/8"; `bulletuav merge` makes a dataset
-            of all.
-        ray: Address of a Ray cluster that flies them; needs the extra `ray`.
-        **options: Those of `parallel_env`.
+        progress: Callback that receives the number of newly finished episodes.
+        trust: Whether to load models that can run code on loading.
+        piece: Piece of the episodes to fly, such as "2/8"; `bulletuav merge` joins all pieces to a
+            dataset.
+        ray: Address of a Ray cluster that flies the episodes; needs the extra `ray`.
+        **options: Options of `parallel_env`.
 
     Returns:
-        Paths of the tables; where no piece was asked for those of datasets of Minari, too, and last
-        that of `dataset.json`.
+        Paths of the tables; without `piece` also those of the Minari datasets, and last that of
+        `dataset.json`.
 
     Raises:
-        ValueError: An argument is none that can be, drones observe pictures or dicts, or `out`
-            holds something else.
-        ImportError: The extra `dataset` is not installed.
+        ValueError: If an argument is invalid, observations are pictures or dicts, or `out` holds
+            another dataset.
+        ImportError: If the extra `dataset` is not installed.
     """
-    # What is flown, with the options that the policy asks for
+    # Complete the options with those that the policy requires
     chosen = find_task(task).baseline if policy is None else policy
     pilot = find_policy(chosen, task, trust)
     options = pilot.complete(task, options)
@@ -85,7 +85,7 @@ def collect(
         options=options,
         trust=trust,
     )
-    # Bad arguments are told before anything is written
+    # Validate all arguments before any file is written
     part = None if piece is None else parse_piece(piece)
     as_int("workers", workers, 1)
     spec = EnvSpec(task, 1, options)
@@ -93,31 +93,31 @@ def collect(
         raise ValueError(
             "a dataset holds vectors of numbers: choose observation_format='vector' and no pictures"
         )
-    # The folder remembers the call, and refuses to go on with another one
+    # The folder stores the call, so that another one cannot continue it
     call = format_call({"task": task, "policy": chosen, "seed": seed, "options": options})
     about = describe_flights(flights, pilot, call)
     folder = _open(Path(out), about)
-    # Only batches without a file are flown: an interrupted call goes on
+    # Fly only the batches without a file, to resume an interrupted call
     batches = flights.batches()
-    mine = batches if part is None else part.share(batches)
+    mine = batches if part is None else part.select(batches)
     missing = [batch for batch in mine if not _path(folder, batch).exists()]
     progress(sum(map(len, mine)) - sum(map(len, missing)))
     for transitions in fly_batches(flights, missing, workers, ray):
         _write(transitions, folder)
         progress(len(transitions.ends))
-    # A piece leaves the index to the call that finds all tables
+    # The index is written by the call that finds the tables of all pieces
     tables = [_path(folder, batch) for batch in mine]
     return tables if part is not None else [*tables, *_finish(folder, tables, about, spec)]
 
 
 def missing_batches(out: Path, episodes: int) -> list[range]:
-    """List the batches of a dataset whose tables are not there."""
+    """List the batches of a dataset whose tables do not exist."""
     batches = DatasetJob("", "", 0, episodes, {}).batches()
     return [batch for batch in batches if not _path(out, batch).exists()]
 
 
 def _open(folder: Path, about: dict[str, Any]) -> Path:
-    """Make the folder, or go on with one that is of the same flights."""
+    """Create the folder, or check that it holds the same flights."""
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
     run = folder / RUN
     if run.exists():
@@ -138,7 +138,6 @@ def _path(folder: Path, batch: range) -> Path:
 
 
 def _write(transitions: Transitions, folder: Path) -> None:
-    """Write the table of a batch."""
     count = len(transitions.episode)
     columns = {
         "episode": transitions.episode.astype(np.int32),
@@ -158,16 +157,16 @@ def _write(transitions: Transitions, folder: Path) -> None:
 
 
 def _finish(folder: Path, tables: list[Path], about: dict[str, Any], spec: EnvSpec) -> list[Path]:
-    """Write datasets of Minari, one for each drone, and what tells of all."""
+    """Write a Minari dataset for each drone, and the index `dataset.json`."""
     ends = {end["episode"]: end for path in tables for end in read_about(path)}
     spaces = (spec.observer.space(), widest_action_space(spec.action))
     policy = "".join(letter if letter.isalnum() else "_" for letter in about["policy"])
-    told = {"algorithm_name": about["policy"], "bulletuav": about["bulletuav"]}
+    metadata = {"algorithm_name": about["policy"], "bulletuav": about["bulletuav"]}
     written = []
     for drone in range(spec.options.num_drones):
         name = f"{about['task']}/{policy}/drone_{drone}-v0"
         flights = _flights(tables, drone, ends)
-        written.append(write_minari(flights, spaces, told, name, folder / MINARI))
+        written.append(write_minari(flights, spaces, metadata, name, folder / MINARI))
     files = hash_files(folder, [f"{TABLES}/{path.name}" for path in tables])
     path = folder / DATASET
     whole = add_seal({**about, "ends": list(ends.values()), "files": files})
@@ -176,19 +175,19 @@ def _finish(folder: Path, tables: list[Path], about: dict[str, Any], spec: EnvSp
 
 
 def _flights(tables: list[Path], drone: int, ends: dict[int, Any]) -> Iterator[Flight]:
-    """Read what one drone did, episode by episode."""
+    """Read the flights of one drone, episode by episode."""
     for path in tables:
         rows = read_table(path)
         finals = rows["final_observation"]
-        # Rows are sorted by episode and drone: a new flight begins where these change
+        # Rows are sorted by episode and drone: a flight starts where either changes
         begins = np.diff(rows["episode"], prepend=-1) | np.diff(rows["drone"], prepend=-1)
         first = np.flatnonzero(begins)
         bounds = np.append(first, len(rows["drone"])).tolist()
         for k, begin in enumerate(first.tolist()):
-            # Other drones' flights stand between
+            # Skip the flights of other drones
             if rows["drone"][begin] != drone:
                 continue
-            # The last observation stands in a list of its own, one a flight
+            # Final observations are stored separately, one per flight
             own = slice(begin, bounds[k + 1])
             end = ends[int(rows["episode"][begin])]
             yield Flight(

@@ -222,10 +222,13 @@ class NotCalled:
         (("jirk",), "did you mean 'jerk'"),
         (("nowhere:low",), "metric nowhere:low cannot be imported"),
         ((lambda step, aviary: 0,), "name of metric .*a word is needed"),
-        ((jerk,), "metric 'jerk' is measured already"),
+        ((jerk,), "metric 'jerk' is a standard metric already"),
         ((final_height, final_height), "metric 'final_height' is given twice"),
-        ((of_drones,), r"metric 'of_drones' gave an array \(10, 3\) of float64: an array \(10,\)"),
-        ((number,), r"metric 'number' gave 1.0: an array \(10,\) of numbers"),
+        (
+            (of_drones,),
+            r"metric 'of_drones' returned an array \(10, 3\) of float64: an array \(10,\)",
+        ),
+        ((number,), r"metric 'number' returned 1.0: an array \(10,\) of numbers"),
         ((NotCalled,), "metric 'NotCalled' makes .*__call__"),
     ],
 )

@@ -116,7 +116,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path):
     with pytest.raises(ValueError, match="its seed is 0, not 3"):
         evaluate("converge", "straight", 2, 3, out=tmp_path, **QUICK)
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="cannot be a folder"):
+    with pytest.raises(ValueError, match="cannot be written to"):
         evaluate("converge", "orca", 2, out=tmp_path / "file", **QUICK)
 
 

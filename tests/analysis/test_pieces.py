@@ -29,7 +29,7 @@ def files(folder):
 
 @given(st.integers(1, 40), st.integers(1, 12), st.integers(0, 30))
 def test_pieces_take_everything_once_and_equally_much(count, of, first):
-    shares = [WorkPiece(k, of, first).share(range(count)) for k in range(1, of + 1)]
+    shares = [WorkPiece(k, of, first).select(range(count)) for k in range(1, of + 1)]
     assert sorted(one for share in shares for one in share) == list(range(count))
     sizes = [len(share) for share in shares]
     assert max(sizes) - min(sizes) <= 1
@@ -113,7 +113,7 @@ def test_where_there_is_nothing_to_merge_it_says_so(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["merge", str(tmp_path)])
     assert "holds no pieces: fly them with --piece 1/N to N/N" in capsys.readouterr().err
-    with pytest.raises(ValueError, match="without out: give the folder that all write to"):
+    with pytest.raises(ValueError, match="without out: pass the folder that all pieces write to"):
         bulletuav.evaluate("crossing", episodes=10, piece="1/2", **CALM)
     with pytest.raises(SystemExit):
         main(["evaluate", "crossing", "--piece", "3/2"])

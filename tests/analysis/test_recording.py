@@ -292,11 +292,11 @@ def test_what_is_no_recording_is_refused(tmp_path):
     np.savez(path, position=np.array([None]))
     for content in (path.read_bytes(), b"", b"zzz", path.read_bytes()[:100]):
         path.write_bytes(content)
-        with pytest.raises(ValueError, match=f"{re.escape(str(path))} is no recording"):
+        with pytest.raises(ValueError, match=f"{re.escape(str(path))} is not a recording"):
             load(path)
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
-    with pytest.raises(ValueError, match="is no recording"):
+    with pytest.raises(ValueError, match="is not a recording"):
         load(path)
 
 

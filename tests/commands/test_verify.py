@@ -183,7 +183,7 @@ def test_calls_are_literals_and_name_no_code():
         "__import__('os')",
         "(" * 200,
     ):
-        with pytest.raises(ValueError, match="has no call"):
+        with pytest.raises(ValueError, match="has no valid call"):
             parse_call(text, trust=True)
     for named in ("mine:Policy", "ppo:model.zip"):
         text = format_call(
