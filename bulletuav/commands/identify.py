@@ -15,7 +15,14 @@ from bulletuav.identification.example import add_sensor_noise, fly_example, writ
 from bulletuav.identification.identify import WINDOW, Identification, identify
 from bulletuav.identification.intervals import LEVEL
 from bulletuav.identification.logs import FACTORS
-from bulletuav.identification.write import KINDS, MEASURES, compute_rms, summarize, write_report, write_urdf
+from bulletuav.identification.write import (
+    KINDS,
+    MEASURES,
+    compute_rms,
+    summarize,
+    write_report,
+    write_urdf,
+)
 from bulletuav.report.identification import plot_identification
 from bulletuav.vehicle.airframes import available_airframes, load_airframe
 

@@ -124,7 +124,7 @@ def test_code_in_files_of_pieces_is_not_trusted(tmp_path):
     bulletuav.evaluate("crossing", "stay", 10, piece="1/1", out=tmp_path, **CALM)
     run = tmp_path / "pieces" / "1-of-1" / "run.json"
     run.write_text(run.read_text().replace("'stay'", "'evil:Policy'"))
-    with pytest.raises(ValueError, match="say --trust"):
+    with pytest.raises(ValueError, match="pass --trust"):
         merge(tmp_path)
 
 

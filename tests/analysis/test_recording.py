@@ -311,7 +311,7 @@ def test_contacts_are_crosses_in_pictures(flown, tmp_path, monkeypatch):
     np.testing.assert_array_equal(touching["contact"].get_xydata(), recording.contact_point[:, :2])
     assert touching["contact"].get_marker() == "+"
     assert "contact" not in free
-    assert "conflict begins" in free
+    assert "start of conflict" in free
 
 
 def test_pictures_are_drawn(flown, tmp_path):
@@ -333,8 +333,8 @@ def test_pictures_are_drawn(flown, tmp_path):
     animation = Animation(recording, 5.0, 0.55, "title")
     caption = animation.figure.axes[-1].get_xlabel()
     assert "Crosses: goals" in caption
-    assert "real 0.55 m" in caption
-    assert "Rings: 5 m across" in caption
+    assert "true: 0.55 m" in caption
+    assert "Circles: diameter d_safe = 5 m" in caption
     frames = []
     animation.save(tmp_path / "flight.gif", lambda: frames.append(1))
     with Image.open(tmp_path / "flight.gif") as image:

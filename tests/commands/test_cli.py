@@ -558,7 +558,7 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     assert "[video]'" in "".join(capsys.readouterr().out.split())
     monkeypatch.setattr(engine, "EXTENSION", engine.EXTENSION._replace(path="/nowhere.so"))
     with pytest.warns(UserWarning, match="refused"):
-        assert "refuses it" in doctor._extension().remedy
+        assert "is not compatible" in doctor._extension().remedy
 
 
 def test_a_reader_that_has_seen_enough_is_no_error():

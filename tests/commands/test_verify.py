@@ -157,7 +157,7 @@ def test_flights_of_objects_are_not_flown_again(tmp_path):
 
 
 def test_what_cannot_be_verified_is_told(folders, tmp_path, capsys):
-    with pytest.raises(FileNotFoundError, match="give a file or a folder of results"):
+    with pytest.raises(FileNotFoundError, match="pass a file or a folder of results"):
         Verifier().verify(tmp_path / "gone")
     with pytest.raises(ValueError, match="holds no recording"):
         Verifier().verify(tmp_path)

@@ -269,7 +269,7 @@ def refused(words, capsys, *said):
 
 
 def test_bad_input_gets_one_line(run, copied, tmp_path, capsys):
-    refused(["replay", str(tmp_path / "gone")], capsys, "there is no", "gone: give the folder")
+    refused(["replay", str(tmp_path / "gone")], capsys, "there is no", "gone: pass the folder")
     (tmp_path / "empty").mkdir()
     empty = str(tmp_path / "empty")
     refused(["replay", empty], capsys, "holds no recording (trajectory.npz)", "`bulletuav fly`")
