@@ -119,12 +119,13 @@ def markdown(found: list[Incentive]) -> str:
     for one in found:
         # What a shirker loses, as a share of what flying earns at all
         share = one.return_difference.low / one.lead if one.lead > 0 else float("nan")
+        earned = one.baseline_return
         row = (
             one.task,
             one.difficulty,
             one.conditions.dynamics,
             one.baseline,
-            f"{one.baseline_return.mean:.4g} [{one.baseline_return.low:.4g}, {one.baseline_return.high:.4g}]",
+            f"{earned.mean:.4g} [{earned.low:.4g}, {earned.high:.4g}]",
             f"{one.success.mean:.2f}",
             one.degenerate_policy,
             f"{one.degenerate_return.mean:.4g}",
