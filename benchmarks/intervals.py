@@ -144,7 +144,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             for one in identify([path], start, fit=case.fit).estimates:
                 true = one.constant.get(TRUE)
                 rows.append((name, seed, one.constant.name, one.low, true, one.high))
-                if one.told:
+                if one.is_identified:
                     held[name, one.constant.name].append(one.low <= true <= one.high)
                     widths[name, one.constant.name].append((one.high - one.low) / true)
         of_case = {key: found for key, found in held.items() if key[0] == name}

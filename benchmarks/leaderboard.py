@@ -30,7 +30,7 @@ from safetensors.numpy import save_file
 from bulletuav.adapters.sb3 import single_thread
 from bulletuav.analysis.evaluation import Evaluation, evaluate
 from bulletuav.analysis.metrics import METRICS
-from bulletuav.analysis.seals import call_text, hash_files, sealed
+from bulletuav.analysis.seals import add_seal, format_call, hash_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.errors import unknown
@@ -137,10 +137,10 @@ def _text(
         **spent,
         "estimates": result.figures(),
         "hash": result.hash,
-        "call": call_text(asked),
+        "call": format_call(asked),
         "files": hash_files(kept, (CONFIG, POLICY, CURVE)),
     }
-    return json.dumps(sealed(told), indent=1) + "\n"
+    return json.dumps(add_seal(told), indent=1) + "\n"
 
 
 def _train(row: Row, folder: Path) -> None:

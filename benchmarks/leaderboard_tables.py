@@ -12,7 +12,7 @@ from leaderboard_rows import Row, read_told
 
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.metrics import Estimate
-from bulletuav.analysis.seals import read_call
+from bulletuav.analysis.seals import parse_call
 from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
 from bulletuav.report.charts import COLOURS
@@ -171,7 +171,7 @@ def _summary(entries: Mapping[str, Sequence[Entry]], scores: Mapping[str, str]) 
 
 def _conditions(about: Mapping[str, Any]) -> str:
     """Write the task, difficulty, dynamics, episodes and seeds of the evaluation of a row."""
-    call = read_call(about["call"], trust=False)
+    call = parse_call(about["call"], trust=False)
     options = resolve(find_task(call["task"]), call["options"]).options
     conditions = Conditions(
         task=call["task"],

@@ -270,10 +270,13 @@ def jerk(step, aviary):
     [
         (
             of_no_world,
-            r"metric 'of_no_world' gave 3.0: an array \(\d+,\) of numbers, one for each w",
+            r"metric 'of_no_world' returned 3.0: an array \(\d+,\) of numbers, one for each w",
         ),
-        (of_each_drone, r"metric 'of_each_drone' gave an array \(\d+, 3\) .*, one for each world"),
-        (jerk, "metric 'jerk' is measured already: choose another name"),
+        (
+            of_each_drone,
+            r"metric 'of_each_drone' returned an array \(\d+, 3\) .*, one for each world",
+        ),
+        (jerk, "metric 'jerk' is a standard metric already: choose another name"),
         (5, "unknown metric 5: choose from"),
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 
 import bulletuav
 from bulletuav.analysis.recording import fly_episode
-from bulletuav.analysis.transitions import Collection
+from bulletuav.analysis.transitions import DatasetJob
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics
@@ -183,7 +183,7 @@ def test_flights_of_a_policy_of_another_task_name_what_it_needs(policy, said, tm
     with pytest.raises(ValueError, match=told):
         bulletuav.evaluate("hover", policy, episodes=1, **FLY)
     with pytest.raises(ValueError, match=told):
-        list(Collection("hover", policy, 1, 0, FLY).fly([range(1)]))
+        list(DatasetJob("hover", policy, 1, 0, FLY).fly([range(1)]))
     aviary = bulletuav.Aviary("hover", 1, **FLY)
     with pytest.raises(ValueError, match=told):
         fly_episode(aviary, find_policy(policy)(aviary), 0)

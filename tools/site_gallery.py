@@ -26,7 +26,7 @@ def replay(task: str) -> str:
     from bulletuav.report import replay as replays
 
     recording, title = fly(task)
-    return replays.page(title, replays.whole_payload(recording, title))
+    return replays.render_page(title, replays.make_payload(recording, title))
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 from serve import grid, serve
 
 import bulletuav
-from bulletuav.analysis.benchmark import SUBSTEPS, floors, hovering
+from bulletuav.analysis.benchmark import SUBSTEPS, make_engine_cases, make_hovering_aviary
 from bulletuav.city.generator import generate
 from bulletuav.city.statistics import KINDS
 from bulletuav.compiled.deferred import compile_deferred
@@ -46,13 +46,13 @@ RAYS = 256 * 3 * 16  # of 256 worlds with 3 drones of 16 beams
 
 def flight(worlds: int, drones: int, dynamics: str, **options):
     """Take whole steps: controllers, all forces, engine, contacts, observation, reward."""
-    aviary = hovering(worlds, drones, dynamics, **options)
+    aviary = make_hovering_aviary(worlds, drones, dynamics, **options)
     return partial(aviary.step, np.zeros((worlds, drones, 3))), worlds * drones * SUBSTEPS
 
 
 def reset(drones: int):
     """Reset one world."""
-    return partial(hovering(1, drones, "bullet").reset, seeds=0), 1
+    return partial(make_hovering_aviary(1, drones, "bullet").reset, seeds=0), 1
 
 
 def crossing(drones: int):
@@ -142,7 +142,7 @@ def batched_crossing(worlds: int, drones: int):
 
 def floor(worlds: int, drones: int):
     """Take steps of the engine alone, in C, with a wrench and a state of every drone."""
-    engine, cases = floors(worlds, drones)
+    engine, cases = make_engine_cases(worlds, drones)
     if engine.port is None:
         raise RuntimeError("needs the C extension: see `bulletuav doctor`")
     return cases["engine calls"], worlds * drones * SUBSTEPS

@@ -91,7 +91,7 @@ class FoxgloveServer:
         """Wait until a viewer subscribes to a topic; return False after a timeout."""
         return self._subscribed.wait(seconds)
 
-    def begin_anew(self) -> None:
+    def restart_viewers(self) -> None:
         """Start a new session: viewers discard the previous flight."""
         self._server.clear_session()
 

@@ -1,1 +1,1 @@
-"""Evaluation, metrics, recordings and speed."""
+"""Evaluation and recording of episodes: metrics, datasets, and files of results."""

@@ -1,4 +1,4 @@
-"""Speed of every dynamics, beside the floor that the engine's calls set.
+"""Benchmark of the simulation speed of each dynamics, with the engine alone as baseline.
 
 The unit is drone-substeps per CPU-second.
 """
@@ -17,24 +17,24 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.swarm import Swarm
 
-SIZES = (1, 10, 100, 1000)
-"""Swarms that are measured"""
+SWARM_SIZES = (1, 10, 100, 1000)
+"""Numbers of drones that are measured"""
 ROUNDS = 3
-"""How often each case is measured"""
+"""Number of measurements of each case"""
 SUBSTEPS = 24
 """Substeps of a decision: physics at 240 Hz, decisions at 10 Hz"""
-FLOORS = ("bare step", "engine calls")
-"""Cases without any arithmetic of ours"""
+ENGINE_CASES = ("bare step", "engine calls")
+"""Baseline cases, which call only the physics engine"""
 
 
-class Result(NamedTuple):
+class BenchmarkResult(NamedTuple):
     """Speed of one case.
 
     Attributes:
-        name: Name of the dynamics, or one of `FLOORS`.
-        num_drones: Size of the swarm, in one world.
+        name: Name of the dynamics, or one of `ENGINE_CASES`.
+        num_drones: Number of drones, in one world.
         rate: Drone-substeps per CPU-second, median of the rounds.
-        reset_ms: Time of a reset, ms; NaN for floors.
+        reset_ms: Duration of a reset, ms; NaN for engine cases.
     """
 
     name: str
@@ -43,17 +43,17 @@ class Result(NamedTuple):
     reset_ms: float
 
 
-def measure(
-    sizes: tuple[int, ...] = SIZES,
+def measure_speed(
+    sizes: tuple[int, ...] = SWARM_SIZES,
     seconds: float = 0.3,
     progress: Callable[[], None] = lambda: None,
-) -> list[Result]:
-    """Measure all cases of all sizes.
+) -> list[BenchmarkResult]:
+    """Measure the speed of all cases for all swarm sizes.
 
     Args:
-        sizes: Sizes of the swarm.
+        sizes: Numbers of drones.
         seconds: CPU time of each measurement, s.
-        progress: Called after every measurement.
+        progress: Callback after every measurement.
 
     Returns:
         A result for each case and size.
@@ -65,22 +65,20 @@ def measure(
 
 
 def _measure_size(
-    num_drones: int,
-    seconds: float,
-    progress: Callable[[], None],
-) -> list[Result]:
+    num_drones: int, seconds: float, progress: Callable[[], None]
+) -> list[BenchmarkResult]:
     """Measure all cases of one size, interleaved over the rounds."""
     cases: dict[str, Callable[[], object]] = {}
     resets: dict[str, Callable[[], object]] = {}
-    # A case is a function of one decision; resets are measured of dynamics alone.
-    aviaries = {name: hovering(1, num_drones, name) for name in DYNAMICS}
+    # A case is a function that steps one decision. Engine cases have no reset.
+    aviaries = {name: make_hovering_aviary(1, num_drones, name) for name in DYNAMICS}
     for name, aviary in aviaries.items():
         cases[name] = partial(aviary.step, np.zeros((1, num_drones, 3)))
         resets[name] = partial(aviary.reset, seeds=0)
-    engine, of_engine = floors(1, num_drones)
+    engine, of_engine = make_engine_cases(1, num_drones)
     cases |= of_engine
     rates: dict[str, list[float]] = {name: [] for name in cases}
-    # Cases alternate, so that what slows the machine down meets all of them.
+    # Cases alternate, so that disturbances of the machine affect all of them.
     for _ in range(ROUNDS):
         for name, case in cases.items():
             if name in resets:
@@ -91,29 +89,24 @@ def _measure_size(
     for name in cases:
         reset = 1e3 / _per_second(resets[name], seconds / 3) if name in resets else float("nan")
         rate = statistics.median(rates[name])
-        results.append(Result(name=name, num_drones=num_drones, rate=rate, reset_ms=reset))
+        results.append(BenchmarkResult(name=name, num_drones=num_drones, rate=rate, reset_ms=reset))
     engine.close()
     for aviary in aviaries.values():
         aviary.close()
     return results
 
 
-def hovering(
-    num_worlds: int,
-    num_drones: int,
-    dynamics: str,
-    **options: Any,
-) -> Aviary:
-    """Make started worlds of drones that hover 2 m apart and 1 m up, with all forces.
+def make_hovering_aviary(num_worlds: int, num_drones: int, dynamics: str, **options: Any) -> Aviary:
+    """Create worlds of drones that hover 2 m apart at a height of 1 m, with all forces enabled.
 
     Args:
-        num_worlds: How many worlds.
-        num_drones: Drones in each.
+        num_worlds: Number of worlds.
+        num_drones: Number of drones in each world.
         dynamics: Name of the dynamics.
         **options: Further options of `Aviary`.
 
     Returns:
-        The worlds, after a first decision, of which each has `SUBSTEPS` substeps.
+        The environment, after a first decision of `SUBSTEPS` substeps, which compiles the kernels.
     """
     aviary = Aviary(
         "hover",
@@ -128,32 +121,34 @@ def hovering(
         **options,
     )
     aviary.reset(seeds=0)
-    # The first decision compiles.
+    # The first decision compiles the kernels.
     aviary.step(np.zeros((num_worlds, num_drones, 3)))
     return aviary
 
 
-def floors(num_worlds: int, num_drones: int) -> tuple[Engine, dict[str, Callable[[], None]]]:
-    """Make the cases without any arithmetic of ours, one decision each.
+def make_engine_cases(
+    num_worlds: int, num_drones: int
+) -> tuple[Engine, dict[str, Callable[[], None]]]:
+    """Create the baseline cases, which call only the physics engine, for one decision each.
 
     Args:
-        num_worlds: How many worlds.
-        num_drones: Drones in each.
+        num_worlds: Number of worlds.
+        num_drones: Number of drones in each world.
 
     Returns:
-        The engine, to be closed, and the cases by name: its step alone, and its step with a wrench
-        and a state of every drone.
+        The engine, which the caller must close, and the cases by name: engine steps alone, and
+        engine steps that also apply a wrench to each drone and read its state.
     """
     engine = Engine([load_airframe("cf2x")] * num_drones, num_worlds, 1 / 240)
     swarm = Swarm.zeros(num_worlds, num_drones, 4)
     swarm.position[:] = [(2.0 * (i % 32), 2.0 * (i // 32), 1.0) for i in range(num_drones)]
-    # The engine does less for bodies at rest.
+    # Moving bodies: the engine skips work for bodies at rest.
     shape = swarm.velocity.shape
     swarm.velocity[:] = np.random.default_rng(0).normal(0, 0.01, shape)
     swarm.rates[:] = swarm.velocity
-    everyone = np.ones((num_worlds, num_drones), dtype=bool)
-    engine.set_states(swarm, everyone)
-    nothing = np.zeros((num_worlds, num_drones, 3))
+    all_drones = np.ones((num_worlds, num_drones), dtype=bool)
+    engine.set_states(swarm, all_drones)
+    zeros = np.zeros((num_worlds, num_drones, 3))
 
     def bare() -> None:
         for _ in range(SUBSTEPS):
@@ -161,15 +156,15 @@ def floors(num_worlds: int, num_drones: int) -> tuple[Engine, dict[str, Callable
 
     def calls() -> None:
         for _ in range(SUBSTEPS):
-            engine.apply_wrenches(nothing, nothing, everyone)
+            engine.apply_wrenches(zeros, zeros, all_drones)
             engine.step()
-            engine.read_states(swarm, everyone)
+            engine.read_states(swarm, all_drones)
 
-    return engine, dict(zip(FLOORS, (bare, calls), strict=True))
+    return engine, dict(zip(ENGINE_CASES, (bare, calls), strict=True))
 
 
 def _per_second(case: Callable[[], object], seconds: float) -> float:
-    """Count calls per CPU-second."""
+    """Measure the calls of a function per CPU-second."""
     begin = time.process_time()
     calls = 0
     while (spent := time.process_time() - begin) < seconds:

@@ -1,15 +1,15 @@
-"""The conditions of a score: what has to be named with it, so that scores can be compared."""
+"""Conditions of a score, which are named with it so that scores can be compared."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 
 class Conditions(NamedTuple):
-    """What was flown for a score.
+    """Conditions under which a score was measured.
 
     Attributes:
         task: Name of the task.
-        difficulty: Its difficulty.
+        difficulty: Difficulty of the task.
         dynamics: Name of the dynamics.
         episodes: Number of episodes.
         seed: Seed of the first episode; episode e has the seed `seed` + e.
@@ -45,5 +45,5 @@ class Conditions(NamedTuple):
         return f"{self.episodes} episodes, seeds {self.seed} to {self.seed + self.episodes - 1}"
 
     def __str__(self) -> str:
-        """Write all conditions, such as for the caption of a table."""
+        """Format all conditions, for example for the caption of a table."""
         return f"{self.task}, difficulty {self.difficulty}, dynamics {self.dynamics}, {self.flown}"

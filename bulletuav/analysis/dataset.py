@@ -1,4 +1,4 @@
-"""Datasets of flights, for learning from what others have flown: Parquet tables and Minari."""
+"""Datasets of flights for offline learning and imitation: Parquet tables and Minari datasets."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -10,12 +10,12 @@ from gymnasium.spaces import Box
 
 from bulletuav.adapters.minari import MinariEpisode, write_minari
 from bulletuav.adapters.parquet import read_about, read_table, write_table
-from bulletuav.analysis.about import about_flights
+from bulletuav.analysis.description import describe_flights
 from bulletuav.analysis.episodes import fly_batches
-from bulletuav.analysis.pieces import Piece, as_piece
-from bulletuav.analysis.results_folder import RUN, require_same
-from bulletuav.analysis.seals import call_text, hash_files, sealed
-from bulletuav.analysis.transitions import DATASET, Collection, Transitions
+from bulletuav.analysis.pieces import WorkPiece, parse_piece
+from bulletuav.analysis.results_folder import RUN, check_same_run
+from bulletuav.analysis.seals import add_seal, format_call, hash_files
+from bulletuav.analysis.transitions import DATASET, DatasetJob, Transitions
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.errors import as_int, reason_of
@@ -25,10 +25,10 @@ from bulletuav.policies import PolicySource, find_policy
 from bulletuav.tasks import TaskSource, find_task
 
 TABLES = "parquet"
-"""Folder of its tables, one for each batch of episodes"""
+"""Folder of the Parquet tables, one for each batch of episodes"""
 MINARI = "minari"
-"""Folder that MINARI_DATASETS_PATH names to read it with Minari"""
-MOST_EPISODES = 1_000_000
+"""Folder of the Minari datasets, for MINARI_DATASETS_PATH"""
+MAX_EPISODES = 1_000_000
 
 
 def collect(
@@ -41,83 +41,83 @@ def collect(
     out: str | Path,
     progress: Callable[[int], None] = lambda episodes: None,
     trust: bool = False,
-    piece: Piece | str | None = None,
+    piece: WorkPiece | str | None = None,
     ray: str | None = None,
     **options: Any,
 ) -> list[Path]:
-    """Fly episodes and keep all that drones observed and did.
+    """Fly episodes and store all observations, actions and rewards of all drones.
 
-    The files are the same to the last byte, however the work is divided. A second call goes on
-    where the first one was interrupted.
+    The files are identical to the last byte for any number of workers and pieces. A second call
+    resumes an interrupted one.
 
     Args:
-        task: What is flown: a name or a class.
-        policy: Who flies, as of `evaluate`; the task's baseline when left out.
-        episodes: How many; episode e begins from `seed` + e.
+        task: Name or class of the task.
+        policy: Policy as for `evaluate`; by default the task's baseline.
+        episodes: Number of episodes; episode e has the seed `seed` + e.
         seed: Seed of the first episode.
-        workers: Processes, which change nothing but the time.
+        workers: Number of processes; it only affects the speed.
         out: Folder of the files.
-        progress: Told how many more episodes are done.
-        trust: Whether a model may be read that can run code meanwhile.
-        piece: Which part of the episodes to fly, such as "2/8"; `bulletuav merge` makes a dataset
-            of all.
-        ray: Address of a Ray cluster that flies them; needs the extra `ray`.
-        **options: Those of `parallel_env`.
+        progress: Callback that receives the number of newly finished episodes.
+        trust: Whether to load models that can run code on loading.
+        piece: Piece of the episodes to fly, such as "2/8"; `bulletuav merge` joins all pieces to a
+            dataset.
+        ray: Address of a Ray cluster that flies the episodes; needs the extra `ray`.
+        **options: Options of `parallel_env`.
 
     Returns:
-        Paths of the tables; where no piece was asked for those of datasets of Minari, too, and last
-        that of `dataset.json`.
+        Paths of the tables; without `piece` also those of the Minari datasets, and last that of
+        `dataset.json`.
 
     Raises:
-        ValueError: An argument is none that can be, drones observe pictures or dicts, or `out`
-            holds something else.
-        ImportError: The extra `dataset` is not installed.
+        ValueError: If an argument is invalid, observations are pictures or dicts, or `out` holds
+            another dataset.
+        ImportError: If the extra `dataset` is not installed.
     """
-    # What is flown, with the options that the policy asks for
+    # Complete the options with those that the policy requires
     chosen = find_task(task).baseline if policy is None else policy
     pilot = find_policy(chosen, task, trust)
     options = pilot.complete(task, options)
-    flights = Collection(
+    flights = DatasetJob(
         task=task,
         policy=chosen,
         seed=as_int("seed", seed, 0),
-        episodes=as_int("episodes", episodes, 1, MOST_EPISODES),
+        episodes=as_int("episodes", episodes, 1, MAX_EPISODES),
         options=options,
         trust=trust,
     )
-    # Bad arguments are told before anything is written
-    part = None if piece is None else as_piece(piece)
+    # Validate all arguments before any file is written
+    part = None if piece is None else parse_piece(piece)
     as_int("workers", workers, 1)
     spec = EnvSpec(task, 1, options)
     if not isinstance(spec.observer.space(), Box) or len(spec.observer.space().shape or ()) != 1:
         raise ValueError(
             "a dataset holds vectors of numbers: choose observation_format='vector' and no pictures"
         )
-    # The folder remembers the call, and refuses to go on with another one
-    call = call_text({"task": task, "policy": chosen, "seed": seed, "options": options})
-    about = about_flights(flights, pilot, call)
+    # The folder stores the call, so that another one cannot continue it
+    call = format_call({"task": task, "policy": chosen, "seed": seed, "options": options})
+    about = describe_flights(flights, pilot, call)
     folder = _open(Path(out), about)
-    # Only batches without a file are flown: an interrupted call goes on
+    # Fly only the batches without a file, to resume an interrupted call
     batches = flights.batches()
-    mine = batches if part is None else part.share(batches)
+    mine = batches if part is None else part.select(batches)
     missing = [batch for batch in mine if not _path(folder, batch).exists()]
     progress(sum(map(len, mine)) - sum(map(len, missing)))
     for transitions in fly_batches(flights, missing, workers, ray):
         _write(transitions, folder)
         progress(len(transitions.ends))
-    # A piece leaves the index to the call that finds all tables
+    # The index is written by the call that finds the tables of all pieces
     tables = [_path(folder, batch) for batch in mine]
     return tables if part is not None else [*tables, *_finish(folder, tables, about, spec)]
 
 
 def missing_batches(out: Path, episodes: int) -> list[range]:
-    """List the batches of a dataset whose tables are not there."""
-    batches = Collection("", "", 0, episodes, {}).batches()
+    """List the batches of a dataset whose tables do not exist."""
+    batches = DatasetJob("", "", 0, episodes, {}).batches()
     return [batch for batch in batches if not _path(out, batch).exists()]
 
 
 def _open(folder: Path, about: dict[str, Any]) -> Path:
-    """Make the folder, or go on with one that is of the same flights."""
+    """Create the folder, or check that it holds the same flights."""
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
     run = folder / RUN
     if run.exists():
@@ -128,7 +128,7 @@ def _open(folder: Path, about: dict[str, Any]) -> Path:
             raise ValueError(
                 f"{run} is damaged ({reason_of(error)}): choose another folder"
             ) from None
-        require_same(known, about, folder)
+        check_same_run(known, about, folder)
     replace_file(run, json.dumps(about, indent=2) + "\n")
     return folder
 
@@ -138,7 +138,6 @@ def _path(folder: Path, batch: range) -> Path:
 
 
 def _write(transitions: Transitions, folder: Path) -> None:
-    """Write the table of a batch."""
     count = len(transitions.episode)
     columns = {
         "episode": transitions.episode.astype(np.int32),
@@ -157,47 +156,38 @@ def _write(transitions: Transitions, folder: Path) -> None:
     write_table(columns, ends, _path(folder, range(first, first + len(ends))))
 
 
-def _finish(
-    folder: Path,
-    tables: list[Path],
-    about: dict[str, Any],
-    spec: EnvSpec,
-) -> list[Path]:
-    """Write datasets of Minari, one for each drone, and what tells of all."""
+def _finish(folder: Path, tables: list[Path], about: dict[str, Any], spec: EnvSpec) -> list[Path]:
+    """Write a Minari dataset for each drone, and the index `dataset.json`."""
     ends = {end["episode"]: end for path in tables for end in read_about(path)}
     spaces = (spec.observer.space(), widest_action_space(spec.action))
     policy = "".join(letter if letter.isalnum() else "_" for letter in about["policy"])
-    told = {"algorithm_name": about["policy"], "bulletuav": about["bulletuav"]}
+    metadata = {"algorithm_name": about["policy"], "bulletuav": about["bulletuav"]}
     written = []
     for drone in range(spec.options.num_drones):
         name = f"{about['task']}/{policy}/drone_{drone}-v0"
         flights = _flights(tables, drone, ends)
-        written.append(write_minari(flights, spaces, told, name, folder / MINARI))
+        written.append(write_minari(flights, spaces, metadata, name, folder / MINARI))
     files = hash_files(folder, [f"{TABLES}/{path.name}" for path in tables])
     path = folder / DATASET
-    whole = sealed({**about, "ends": list(ends.values()), "files": files})
+    whole = add_seal({**about, "ends": list(ends.values()), "files": files})
     replace_file(path, json.dumps(whole, indent=2) + "\n")
     return [*written, path]
 
 
-def _flights(
-    tables: list[Path],
-    drone: int,
-    ends: dict[int, Any],
-) -> Iterator[MinariEpisode]:
-    """Read what one drone did, episode by episode."""
+def _flights(tables: list[Path], drone: int, ends: dict[int, Any]) -> Iterator[MinariEpisode]:
+    """Read the flights of one drone, episode by episode."""
     for path in tables:
         rows = read_table(path)
         finals = rows["final_observation"]
-        # Rows are sorted by episode and drone: a new flight begins where these change
+        # Rows are sorted by episode and drone: a flight starts where either changes
         begins = np.diff(rows["episode"], prepend=-1) | np.diff(rows["drone"], prepend=-1)
         first = np.flatnonzero(begins)
         bounds = np.append(first, len(rows["drone"])).tolist()
         for k, begin in enumerate(first.tolist()):
-            # Other drones' flights stand between
+            # Skip the flights of other drones
             if rows["drone"][begin] != drone:
                 continue
-            # The last observation stands in a list of its own, one a flight
+            # Final observations are stored separately, one per flight
             own = slice(begin, bounds[k + 1])
             end = ends[int(rows["episode"][begin])]
             yield MinariEpisode(

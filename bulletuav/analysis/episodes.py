@@ -1,4 +1,4 @@
-"""Episodes of an evaluation: flown in batches, by one process or several, to the same numbers."""
+"""Episodes of an evaluation, flown in batches by one or several processes, reproducibly."""
 
 import multiprocessing
 import signal
@@ -23,25 +23,25 @@ from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
 BATCH = 10
-"""Episodes flown at once; part of what an evaluation is, whatever the number of processes"""
+"""Number of episodes flown together; fixed, so that results do not depend on the workers"""
 MAX_DEATHS = 3
-"""Processes that may die in the same batch before the evaluation ends"""
+"""Number of processes that may die in the same batch before the evaluation fails"""
 Row = dict[str, float]
 """Metrics of an episode by name, with "episode" and "seed" """
-Result = TypeVar("Result")
+BatchResult = TypeVar("BatchResult")
 
 
 @dataclass(frozen=True)
-class Flights(ABC, Generic[Result]):
-    """Everything that a process needs to fly episodes, and what it makes of a batch of them.
+class EpisodeJob(ABC, Generic[BatchResult]):
+    """Episodes to fly, as sent to each worker process; subclasses define the result of a batch.
 
     Attributes:
-        task: What is flown.
-        policy: Who flies.
+        task: Name or class of the task.
+        policy: The policy.
         seed: Seed of episode 0; episode e has `seed` + e.
-        episodes: How many there are.
+        episodes: Number of episodes.
         options: Options of the environment.
-        trust: Whether the policy's file may run code when it is read.
+        trust: Whether the policy's file may run code when it is loaded.
     """
 
     task: TaskSource
@@ -52,13 +52,13 @@ class Flights(ABC, Generic[Result]):
     trust: bool = False
 
     def batches(self) -> list[range]:
-        """List the episodes that fly together; episode e flies in world e mod `BATCH`."""
+        """List the episodes of each batch; episode e is flown in world e mod `BATCH`."""
         return [
             range(first, min(first + BATCH, self.episodes))
             for first in range(0, self.episodes, BATCH)
         ]
 
-    def fly(self, batches: Sequence[range]) -> Iterator[Result]:
+    def fly(self, batches: Sequence[range]) -> Iterator[BatchResult]:
         """Yield the result of each batch in turn."""
         if not batches:
             return
@@ -66,25 +66,20 @@ class Flights(ABC, Generic[Result]):
         try:
             policy = find_policy(self.policy, self.task, self.trust)(aviary)
             for batch in batches:
-                yield self._flown(aviary, policy, batch)
+                yield self._fly_batch(aviary, policy, batch)
         finally:
             aviary.close()
 
-    def fly_all(self, batches: Sequence[range]) -> list[Result]:
+    def fly_all(self, batches: Sequence[range]) -> list[BatchResult]:
         """Return the results of all batches."""
         return list(self.fly(batches))
 
-    def start(
-        self,
-        aviary: Aviary,
-        policy: Policy,
-        batch: range,
-    ) -> tuple[Observation, np.ndarray]:
-        """Start a batch.
+    def start(self, aviary: Aviary, policy: Policy, batch: range) -> tuple[Observation, np.ndarray]:
+        """Reset the worlds and the policy for a batch.
 
         Returns:
-            First observations, and the worlds that fly, (BATCH,) bool: the last batch may be
-            smaller than others.
+            First observations, and the mask of the worlds that fly, (BATCH,) bool: the last batch
+            may have fewer episodes than the others.
         """
         worlds = np.arange(BATCH) < len(batch)
         observations = aviary.reset(worlds, [self.seed + batch.start + k for k in range(BATCH)])
@@ -93,35 +88,25 @@ class Flights(ABC, Generic[Result]):
         return observations, worlds
 
     @abstractmethod
-    def _flown(
-        self,
-        aviary: Aviary,
-        policy: Policy,
-        batch: range,
-    ) -> Result:
-        """Fly one batch."""
+    def _fly_batch(self, aviary: Aviary, policy: Policy, batch: range) -> BatchResult:
+        """Fly one batch and return its result."""
 
 
 @dataclass(frozen=True)
-class Run(Flights[list[Row]]):
-    """The episodes of an evaluation; see `Flights`.
+class EvaluationJob(EpisodeJob[list[Row]]):
+    """The episodes of an evaluation; see `EpisodeJob`.
 
     Attributes:
-        metrics: What is measured beside the standard metrics.
+        metrics: Custom metrics in addition to the standard ones.
     """
 
     metrics: tuple[MetricSpec, ...] = ()
 
-    def _flown(
-        self,
-        aviary: Aviary,
-        policy: Policy,
-        batch: range,
-    ) -> list[Row]:
-        """Measure the episodes of a batch."""
+    def _fly_batch(self, aviary: Aviary, policy: Policy, batch: range) -> list[Row]:
+        """Fly one batch and return the metrics of its episodes."""
         observations, worlds = self.start(aviary, policy, batch)
         meter = Meter(aviary, self.metrics)
-        # Worlds whose episode has ended stand still until all have.
+        # Worlds whose episode has ended are idle until all have ended.
         while aviary.alive[worlds].any():
             flown = aviary.alive & worlds[:, None]
             with naming_task(policy, aviary):
@@ -136,22 +121,19 @@ class Run(Flights[list[Row]]):
 
 
 def fly_batches(
-    run: Flights[Result],
-    batches: list[range],
-    workers: int,
-    ray: str | None = None,
-) -> Iterator[Result]:
-    """Yield the results of all batches as they come.
+    run: EpisodeJob[BatchResult], batches: list[range], workers: int, ray: str | None = None
+) -> Iterator[BatchResult]:
+    """Yield the results of all batches as they finish.
 
     Args:
-        run: What is flown.
-        batches: Those of its batches that are to be flown.
-        workers: Processes that fly them, which change the order of the batches alone.
-        ray: Address of a Ray cluster that flies them instead.
+        run: The episodes.
+        batches: The batches to fly.
+        workers: Number of processes; it affects only the order of the results.
+        ray: Address of a Ray cluster that flies the batches instead.
 
     Raises:
-        RuntimeError: Several processes in turn have died in the same batch.
-        ConnectionError: No cluster answers.
+        RuntimeError: If several processes in turn have died in the same batch.
+        ConnectionError: If the cluster cannot be reached.
     """
     if ray is not None and batches:
         from bulletuav.adapters.ray import map_on_cluster  # which needs an extra
@@ -162,37 +144,37 @@ def fly_batches(
     if workers <= 1:
         yield from run.fly(batches)
         return
-    crew = _Crew(run)
+    pool = _WorkerPool(run)
     try:
         # Each process takes every `workers`-th batch
         for k in range(workers):
-            crew.start(batches[k::workers])
-        yield from crew.results()
-    # Also when the caller stops in between.
+            pool.start(batches[k::workers])
+        yield from pool.results()
+    # Also runs when the caller stops iterating.
     finally:
-        crew.end()
+        pool.end()
 
 
 class _Worker(NamedTuple):
-    """A process that flies batches, and those whose results are still to come, in their order."""
+    """A process that flies batches, and the batches whose results are pending, in order."""
 
     process: multiprocessing.Process
     batches: list[range]
 
 
-class _Crew:
-    """Processes that fly batches; one that dies is replaced, and flies again what is missing."""
+class _WorkerPool:
+    """Processes that fly batches; a process that dies is replaced, and its batches are repeated."""
 
-    def __init__(self, run: Flights[Any]) -> None:
+    def __init__(self, run: EpisodeJob[Any]) -> None:
         self._run = run
         self._workers: dict[Connection, _Worker] = {}
         self._deaths: Counter[range] = Counter()
 
     def start(self, batches: list[range]) -> None:
-        """Start a process that flies batches, and sends results through a pipe of its own."""
+        """Start a process that flies batches and sends results through its own pipe."""
         mine, theirs = multiprocessing.Pipe()
         process = multiprocessing.Process(
-            target=_work, args=(theirs, self._run, list(batches)), daemon=True
+            target=_run_worker, args=(theirs, self._run, list(batches)), daemon=True
         )
         self._workers[mine] = _Worker(process, list(batches))
         with block_interrupts():
@@ -200,77 +182,73 @@ class _Crew:
         theirs.close()
 
     def results(self) -> Iterator[Any]:
-        """Yield results of whichever process has some, until all are done.
+        """Yield the results of the processes as they arrive, until all are done.
 
         Raises:
-            RuntimeError: Processes die again and again in the same batch.
+            RuntimeError: If processes die repeatedly in the same batch.
         """
         while self._workers:
             for pipe in wait(list(self._workers)):
                 assert isinstance(pipe, Connection)
                 batches = self._workers[pipe].batches
-                # A pipe ends before its None where its process was killed.
+                # The pipe of a killed process ends without the final None.
                 try:
                     answer = pipe.recv()
                 except (EOFError, OSError):
-                    process = self._leave(pipe)
+                    process = self._stop_worker(pipe)
                     if batches:
                         self._replace(process, batches)
                     continue
                 if isinstance(answer, Exception):
                     raise answer
                 if answer is None:
-                    self._leave(pipe)
+                    self._stop_worker(pipe)
                 else:
                     del batches[0]
                     yield answer
 
     def end(self) -> None:
-        """Kill the processes that are left."""
+        """Kill the remaining processes."""
         for pipe in list(self._workers):
-            self._leave(pipe)
+            self._stop_worker(pipe)
 
-    def _leave(self, pipe: Connection) -> multiprocessing.Process:
-        """Wait until a process has ended, and close its pipe."""
+    def _stop_worker(self, pipe: Connection) -> multiprocessing.Process:
+        """Kill a process, wait for its end, and close its pipe."""
         process = self._workers.pop(pipe).process
         pipe.close()
-        # One that could not start has no number
+        # A process that could not start has no process id
         if process.pid is not None:
-            # A process that is stopped would not hear anything milder.
+            # A suspended process would not react to SIGTERM.
             process.kill()
             process.join()
         return process
 
     def _replace(self, dead: multiprocessing.Process, batches: list[range]) -> None:
-        """Start another process for what one that died has not flown."""
+        """Start another process for the pending batches of a process that died."""
         batch = batches[0]
         self._deaths[batch] += 1
         first, last = batch[0], batch[-1]
         seeds = f"seeds {self._run.seed + first} to {self._run.seed + last}"
-        said = f"episodes {first} to {last} ({seeds})"
+        text = f"episodes {first} to {last} ({seeds})"
         if self._deaths[batch] == MAX_DEATHS:
             raise RuntimeError(
-                f"{MAX_DEATHS} worker processes in turn have died in {said}: memory may have run "
+                f"{MAX_DEATHS} worker processes in turn have died in {text}: memory may have run "
                 f"out (take fewer workers), the task or the policy may end its process (fly these "
                 f"seeds with workers=1 to see it), or the script lacks "
                 f'`if __name__ == "__main__":`; batches that are kept in a folder are not flown '
                 f"again"
             )
         warnings.warn(
-            f"a worker process has died (exit code {dead.exitcode}): another flies {said} again",
+            f"a worker process has died (exit code {dead.exitcode}): another flies {text} again",
             RuntimeWarning,
             stacklevel=2,
         )
         self.start(batches)
 
 
-def _work(
-    pipe: Connection,
-    run: Flights[Any],
-    batches: list[range],
-) -> None:
-    """Fly batches in a process of its own; send their results, None at the end, or the error."""
-    # An interrupt is for the process that asks.
+def _run_worker(pipe: Connection, run: EpisodeJob[Any], batches: list[range]) -> None:
+    """Fly batches in a worker process; send their results and a final None, or the error."""
+    # The parent process handles interrupts.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         for result in run.fly(batches):

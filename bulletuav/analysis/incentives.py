@@ -1,8 +1,8 @@
-"""Whether a task pays for what it wants: its baseline against policies that shirk.
+"""Test of a task's reward: its baseline against degenerate policies, which should earn less.
 
-Of a game between teams the shirkers fly the first team, and the others fly as in the baseline: what
-the first team earns is compared. Averages over opponents would tell nothing, as gains of one are
-losses of the other.
+In a game between teams, the degenerate policies control the first team, and the other teams are
+controlled as in the baseline. Only the returns of the first team are compared: an average over both
+teams would be uninformative, as the gain of one team is the loss of the other.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,62 +16,63 @@ from bulletuav.policies import PolicySource
 from bulletuav.policies.versus import VERSUS
 from bulletuav.tasks import TaskSource, find_task
 
-SHIRKERS = ("stay", "climb", "dive", "leave", "crash", "circle", "straight", "clump")
-"""Policies that no task should pay; see `bulletuav.policies.scripted`"""
-STANDING = "stay"
-"""The one from which leads are measured"""
-LEAST_LEAD = 0.1
-"""Share of its lead over standing still by which the baseline is to out-earn each of them"""
+DEGENERATE_POLICIES = ("stay", "climb", "dive", "leave", "crash", "circle", "straight", "clump")
+"""Policies that no task should reward; see `bulletuav.policies.scripted`"""
+HOVERING_POLICY = "stay"
+"""Policy that stays in place, against which the lead of the baseline is measured"""
+MIN_LEAD_FRACTION = 0.1
+"""Minimum margin over each degenerate policy, as a fraction of the lead over staying in place"""
 
 
 class Incentive(NamedTuple):
-    """What a task pays its baseline and a policy that shirks, in the same episodes.
+    """Returns of a task's baseline and of a degenerate policy, in the same episodes.
 
     Attributes:
         task: Name of the task.
-        difficulty: Its difficulty.
+        difficulty: Difficulty of the task.
         baseline: Name of the baseline.
-        shirker: Name of the other policy.
-        earned: Return of the baseline, mean of the drones; of a game, of the first team's.
-        success: Share of these drones that succeed with the baseline.
-        gained: Return of the other.
-        gap: By how much the baseline earns more in the same episode.
-        lead: By how much it earns more than standing still, in the mean.
-        conditions: Dynamics, episodes and seeds of all these, with task and difficulty.
+        degenerate_policy: Name of the degenerate policy.
+        baseline_return: Return of the baseline, mean over drones; in a game, over the first team.
+        success: Fraction of these drones that succeed with the baseline.
+        degenerate_return: Return of the degenerate policy.
+        return_difference: Baseline's return minus the degenerate policy's, episode by episode.
+        lead: Baseline's mean return minus that of staying in place.
+        conditions: Task, difficulty, dynamics, episodes and seeds of these returns.
     """
 
     task: str
     difficulty: str
     baseline: str
-    shirker: str
-    earned: Estimate
+    degenerate_policy: str
+    baseline_return: Estimate
     success: Estimate
-    gained: Estimate
-    gap: Estimate
+    degenerate_return: Estimate
+    return_difference: Estimate
     lead: float
     conditions: Conditions
 
     @property
     def holds(self) -> bool:
-        """Whether the baseline out-earns the other by more than a tenth of its lead.
+        """Whether the baseline earns more by a margin of at least a tenth of its lead.
 
-        That is of the lower end of the 95 % interval of the gap.
+        The lower end of the 95 % interval of the difference must exceed the margin.
         """
-        return self.lead > 0 and self.gap.low > LEAST_LEAD * self.lead
+        return self.lead > 0 and self.return_difference.low > MIN_LEAD_FRACTION * self.lead
 
 
-def shirkers(task: TaskSource, baseline: PolicySource) -> list[str]:
-    """List the policies to compare a task's baseline with."""
+def list_degenerate_policies(task: TaskSource, baseline: PolicySource) -> list[str]:
+    """List the policies that a task's baseline is compared with."""
     with_targets = not find_task(task).has_goals
-    first, *opponents = _sides(baseline)
+    first, *opponents = _split_teams(baseline)
     left_out = {first} if with_targets else {first, "clump"}
-    # In a game, whose goals are opponents, who flies straight at its goal does what is wanted.
+    # In a game the goals are opponents, so that flying straight at the goal is the desired
+    # behaviour.
     left_out |= {"straight"} if opponents else set()
-    return [name for name in SHIRKERS if name not in left_out]
+    return [name for name in DEGENERATE_POLICIES if name not in left_out]
 
 
-def _sides(policy: PolicySource) -> list[PolicySource]:
-    """List what flies each team, the first one first; a policy of all drones alone."""
+def _split_teams(policy: PolicySource) -> list[PolicySource]:
+    """List the policies of the teams, the first team first; of other tasks, the only policy."""
     return [*policy.split(VERSUS)] if isinstance(policy, str) else [policy]
 
 
@@ -85,62 +86,60 @@ def incentives(
     trust: bool = False,
     **options: Any,
 ) -> Iterator[Incentive]:
-    """Compare a task's baseline with each policy that shirks, in the same episodes.
+    """Compare a task's baseline with each degenerate policy, in the same episodes.
 
     Args:
-        task: The task: a name or a class.
-        policy: The baseline; the task's own when left out.
-        episodes: How many each flies.
-        seed: Seed of the first.
-        workers: Processes, which change nothing but the time.
-        progress: Told how many more episodes are done.
-        trust: Whether a model may be read that can run code meanwhile.
-        **options: Those of `parallel_env`, such as `difficulty`.
+        task: Name or class of the task.
+        policy: The baseline; by default the task's own.
+        episodes: Number of episodes of each policy.
+        seed: Seed of the first episode.
+        workers: Number of processes; it only affects the speed.
+        progress: Callback that receives the number of newly finished episodes.
+        trust: Whether to load models that can run code on loading.
+        **options: Options of `parallel_env`, such as `difficulty`.
 
     Yields:
-        A comparison for each policy that shirks, standing still first.
+        A comparison for each degenerate policy, the one that stays in place first.
 
     Raises:
-        ValueError: An argument is none that can be.
+        ValueError: If an argument is invalid.
     """
-    # Against opponents only the first team's part counts
+    # In a game only the first team's metrics are compared
     chosen = find_task(task).baseline if policy is None else policy
-    opponents = _sides(chosen)[1:]
+    opponents = _split_teams(chosen)[1:]
     metrics = (FIRST_RETURN, FIRST_SUCCESS) if opponents else ()
-    gained, success = (one.name for one in metrics) if opponents else ("return", "drone_success")
+    degenerate_return, success = (
+        (one.name for one in metrics) if opponents else ("return", "drone_success")
+    )
 
     def fly(name: PolicySource) -> Evaluation:
         given = (task, name, episodes, seed, workers, None, progress, trust, metrics)
-        # All of them ask for velocities, whatever the task's usual action.
+        # All these policies output velocities, whatever the task's default action.
         return evaluate(*given, **{"action": "velocity", **options})
 
-    def shirk(name: str) -> Evaluation:
+    def fly_degenerate(name: str) -> Evaluation:
         return fly(VERSUS.join([name, *map(str, opponents)]))
 
-    # Who stands still is the measure of what flying earns
-    base, standing = fly(chosen), shirk(STANDING)
-    lead = _gap(base, standing, gained).mean
-    for name in shirkers(task, chosen):
-        other = standing if name == STANDING else shirk(name)
+    # The return of staying in place is the reference of the lead
+    base, standing = fly(chosen), fly_degenerate(HOVERING_POLICY)
+    lead = _estimate_difference(base, standing, degenerate_return).mean
+    for name in list_degenerate_policies(task, chosen):
+        other = standing if name == HOVERING_POLICY else fly_degenerate(name)
         yield Incentive(
             task=base.about["task"],
             difficulty=base.about["options"]["difficulty"],
             baseline=base.about["policy"],
-            shirker=name,
-            earned=base.estimates()[gained],
+            degenerate_policy=name,
+            baseline_return=base.estimates()[degenerate_return],
             success=base.estimates()[success],
-            gained=other.estimates()[gained],
-            gap=_gap(base, other, gained),
+            degenerate_return=other.estimates()[degenerate_return],
+            return_difference=_estimate_difference(base, other, degenerate_return),
             lead=lead,
             conditions=base.conditions,
         )
 
 
-def _gap(
-    one: Evaluation,
-    other: Evaluation,
-    metric: str,
-) -> Estimate:
-    """Estimate by how much returns differ, episode by episode."""
+def _estimate_difference(one: Evaluation, other: Evaluation, metric: str) -> Estimate:
+    """Estimate the mean difference of a metric, paired by episode."""
     pairs = zip(one.rows, other.rows, strict=True)
     return mean_estimate([mine[metric] - yours[metric] for mine, yours in pairs])

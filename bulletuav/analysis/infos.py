@@ -1,4 +1,4 @@
-"""Numbers that a task adds to the infos of a decision by itself."""
+"""Selection of the infos that a task adds to the standard ones."""
 
 from collections.abc import Mapping
 
@@ -8,17 +8,17 @@ from bulletuav.tasks.check import STANDARD_INFOS as INFOS_OF_EVERY_TASK
 from bulletuav.tasks.check import STANDARD_PREFIXES
 
 STANDARD_INFOS = INFOS_OF_EVERY_TASK | {"messages"}
-"""Infos that every task has, or that come with randomization"""
+"""Infos of every task, and those that come with randomization"""
 
 
-def own_infos(info: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Pick the infos that are the task's own.
+def select_task_infos(info: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Select the infos that are specific to the task.
 
     Args:
         info: Infos of a decision, (W, N, ...) by name.
 
     Returns:
-        Those whose names are not standard, in their order.
+        The infos whose names are not standard, in their order.
     """
     return {
         name: values
@@ -28,5 +28,5 @@ def own_infos(info: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def is_scalar(values: np.ndarray, shape: tuple[int, int]) -> bool:
-    """Tell whether an info holds one number for each drone of `shape` (worlds, drones)."""
+    """Return True if an info holds one number for each drone of `shape` (worlds, drones)."""
     return values.shape == shape and values.dtype.kind in "biuf"

@@ -1,4 +1,4 @@
-"""Pieces of long work: which batches of episodes fly where, and how what they gave is told."""
+"""Pieces of an evaluation or a dataset, which are flown separately, such as in a Slurm array."""
 
 import re
 from collections.abc import Sequence
@@ -9,26 +9,26 @@ from bulletuav.errors import shown
 
 Item = TypeVar("Item")
 PIECES = "pieces"
-"""Folder, in that of an evaluation, with a folder for each of its pieces"""
+"""Subfolder of an evaluation that holds a folder for each piece"""
 FORM = re.compile(r"([0-9]+)/([0-9]+)")
 FOLDER = re.compile(r"([0-9]+)-of-([0-9]+)")
 
 
-class Piece(NamedTuple):
+class WorkPiece(NamedTuple):
     """One of several pieces of the same work, such as one job of a Slurm array.
 
     Attributes:
-        number: From 1 to `of`.
-        of: How many pieces there are.
-        first: How many batches come before those of this evaluation, in work that has several.
+        number: Number of the piece, from 1 to `of`.
+        of: Number of pieces.
+        first: Number of batches of earlier evaluations in the same work, such as a comparison.
     """
 
     number: int
     of: int
     first: int = 0
 
-    def share(self, batches: Sequence[Item]) -> list[Item]:
-        """Take every `of`-th batch, so that pieces take equally long."""
+    def select(self, batches: Sequence[Item]) -> list[Item]:
+        """Select every `of`-th batch, so that all pieces take about the same time."""
         return [
             batch
             for k, batch in enumerate(batches)
@@ -36,20 +36,20 @@ class Piece(NamedTuple):
         ]
 
     def folder(self, out: Path) -> Path:
-        """Tell the folder of the piece within that of its evaluation."""
+        """Return the folder of the piece within that of its evaluation."""
         return out / PIECES / f"{self.number}-of-{self.of}"
 
 
-def as_piece(source: "Piece | str") -> Piece:
-    """Read a piece, such as "2/8".
+def parse_piece(source: "WorkPiece | str") -> WorkPiece:
+    """Parse a piece, such as "2/8".
 
     Raises:
-        ValueError: It is none.
+        ValueError: If the text has another form.
     """
-    if isinstance(source, Piece):
+    if isinstance(source, WorkPiece):
         return source
     found = FORM.fullmatch(source) if isinstance(source, str) else None
-    piece = Piece(*map(int, found.groups())) if found else Piece(0, 0)
+    piece = WorkPiece(*map(int, found.groups())) if found else WorkPiece(0, 0)
     if not 1 <= piece.number <= piece.of:
         raise ValueError(
             f"piece is {shown(source)}: K/N is needed, the K-th of N pieces, such as '2/8'"
@@ -57,10 +57,10 @@ def as_piece(source: "Piece | str") -> Piece:
     return piece
 
 
-def piece_folders(out: Path) -> dict[Piece, Path]:
-    """Find the pieces of an evaluation that were begun, and their folders, in their order."""
+def piece_folders(out: Path) -> dict[WorkPiece, Path]:
+    """Find the folders of an evaluation's pieces, in the order of the pieces."""
     found = {}
     for path in sorted((out / PIECES).glob("*-of-*")):
         if match := FOLDER.fullmatch(path.name):
-            found[Piece(*map(int, match.groups()))] = path
+            found[WorkPiece(*map(int, match.groups()))] = path
     return dict(sorted(found.items()))

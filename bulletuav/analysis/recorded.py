@@ -1,4 +1,4 @@
-"""What a recording of an episode holds, and how the episode went by it."""
+"""Contents of a recording of an episode, and its outcome."""
 
 import dataclasses
 import math
@@ -13,21 +13,21 @@ from bulletuav.analysis.seals import hash_arrays
 from bulletuav.errors import unknown
 
 INFO = "info/"
-"""Beginning of the names that infos have in files"""
+"""Prefix of the names of infos in files"""
 READING = "reading/"
-"""Beginning of the names that readings of sensors have in files"""
+"""Prefix of the names of sensor readings in files"""
 SCENE = "scene/"
-"""Beginning of the names that parts of the scene have in files"""
+"""Prefix of the names of the scene's parts in files"""
 VERSION = 5
-"""Version of the form of recordings"""
+"""Version of the recording format"""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One episode of one world: T decisions of N drones, and C contacts in the order of time.
+    """One episode of one world: T decisions of N drones, and C contacts in chronological order.
 
-    States have T + 1 rows, of which the first is the start. A drone that left keeps its last state.
-    Contacts are told as in `vehicle.swarm.Contacts`.
+    States have T + 1 rows, the first of which is the start. A drone that has finished keeps its
+    last state. Contacts are defined as in `vehicle.swarm.Contacts`.
 
     Attributes:
         time: Time since the start, (T+1,), s.
@@ -38,29 +38,31 @@ class Recording:
         alive: Drones in the airspace, (T+1, N) bool.
         action: Actions, (T, N, A).
         reward: Rewards, (T, N).
-        separation: Least separation within the decision, (T, N), m; inf when alone.
-        conflicts: Conflicts that began, (T, N).
-        collision: Drones whose collision shapes touched something, (T, N) bool.
+        separation: Minimum separation within the decision, (T, N), m; inf for a single drone.
+        conflicts: Number of conflicts that began, (T, N).
+        collision: Drones whose collision shapes were in contact, (T, N) bool.
         contact_step: Decision of each contact, (C,), from 0 to T - 1.
-        contact_drone: Drone that touched, (C,).
-        contact_other: Drone that it touched, (C,), or below zero what else.
+        contact_drone: Drone in contact, (C,).
+        contact_other: The other drone, (C,), or a negative code of another body.
         contact_impulse: Impulse along the normals, summed over the decision, (C,), N s.
-        contact_point: Where they touched first in the decision, (C, 3), m.
-        contact_normal: Unit vector in which the drone was pushed there, (C, 3).
-        contact_velocity: Of the drone's surface against the other's just before, (C, 3), m/s.
-        success: Drones that are where the task wants them, (T, N) bool.
-        goal: Goals, (T+1, N, 3), m; (T+1, 0, 3) of a task without goals.
-        obstacle: Middles of the K obstacles, (T+1, K, 3), m.
+        contact_point: First contact point of the decision, (C, 3), m.
+        contact_normal: Unit normal there, towards the drone, (C, 3).
+        contact_velocity: Velocity of the drone's surface relative to the other just before, (C, 3),
+            m/s.
+        success: Drones that meet the task's success criterion, (T, N) bool.
+        goal: Goals, (T+1, N, 3), m; (T+1, 0, 3) for a task without goals.
+        obstacle: Centres of the K obstacles, (T+1, K, 3), m.
         obstacle_radius: Radii of their bounding spheres, (K,), m.
-        obstacle_axis: From the middle of each that is a bar to its end, (K, 3), m; zeros of others.
+        obstacle_axis: Vector from the centre of each bar to its end, (K, 3), m; zeros for other
+            shapes.
         building: Lower and upper corners of the bounding boxes of buildings' pieces, (P, 2, 3), m.
-        target: Targets of the task that count, (T+1, U, 3), m.
-        seen: Targets that some drone sees, (T+1, U) bool.
-        info: What infos tell of each decision beside these arrays, (T, N, ...) by name. Weighted
-            reward terms are among them, such as "reward/progress".
-        reading: What sensors measured, (T+1, N, ...) by name, without pictures.
-        scene: What a replay shows beside all this, by name; see `analysis.scene`.
-        version: Version of the form that it was read from.
+        target: Active targets of the task, (T+1, U, 3), m.
+        seen: Targets in sight of any drone, (T+1, U) bool.
+        info: Further infos of each decision, (T, N, ...) by name, including the weighted reward
+            terms, such as "reward/progress".
+        reading: Sensor readings, (T+1, N, ...) by name, without pictures.
+        scene: Further data for replays, by name; see `analysis.scene`.
+        version: Version of the format that the recording was read from.
     """
 
     time: np.ndarray
@@ -99,36 +101,36 @@ class Recording:
         return {name: getattr(self, name) for name in ARRAYS}
 
     def hash(self, like: "Recording | None" = None) -> str:
-        """Hash everything, to the last bit; equal flights have equal hashes.
+        """Hash all arrays, to the last bit; equal flights have equal hashes.
 
         Args:
-            like: Of version 4: what it has no entries for is left out.
+            like: A recording of an earlier version: arrays that it does not have are ignored.
         """
-        told = self.everything()
+        arrays = self.everything()
         if like is not None and like.version < VERSION:
-            told = {name: told[name] for name in like.everything() if name in told}
-        return hash_arrays(told)
+            arrays = {name: arrays[name] for name in like.everything() if name in arrays}
+        return hash_arrays(arrays)
 
     def everything(self) -> dict[str, np.ndarray]:
-        """Return all arrays by the names that files give them."""
+        """Return all arrays by the names that are used in files."""
         more = {INFO: self.info, READING: self.reading, SCENE: self.scene}
         named = {
             f"{prefix}{name}": np.asarray(values)
-            for prefix, told in more.items()
-            for name, values in told.items()
+            for prefix, arrays in more.items()
+            for name, values in arrays.items()
         }
         return {**self.arrays(), **named}
 
-    def told(self, name: str) -> np.ndarray:
-        """Look up what infos told of each decision, (T, N, ...), by the name that they use.
+    def get_info(self, name: str) -> np.ndarray:
+        """Return an info of each decision, (T, N, ...), by its name in infos.
 
         Raises:
-            ValueError: They told nothing of that name; the nearest are offered.
+            ValueError: If there is no info of this name; the message suggests the nearest names.
         """
         if name in self.info:
             return self.info[name]
-        if name not in TOLD:
-            raise unknown("info of the recording", name, [*TOLD, *self.info])
+        if name not in INFO_ARRAYS:
+            raise unknown("info of the recording", name, [*INFO_ARRAYS, *self.info])
         array: np.ndarray = getattr(self, name)
         return array
 
@@ -139,19 +141,19 @@ ARRAYS = tuple(
     if one.name not in ("info", "reading", "scene", "version")
 )
 """Names of the arrays that every recording has"""
-TOLD = ("success", "separation", "conflicts", "collision")
-"""Those of them that infos tell"""
+INFO_ARRAYS = ("success", "separation", "conflicts", "collision")
+"""Names of those arrays that come from infos"""
 
 
 class Outcome(NamedTuple):
-    """How one drone's episode went.
+    """Outcome of one drone's episode.
 
     Attributes:
         drone: Number of the drone.
         reached: Success in the last decision that it flew.
-        min_separation: Least separation, m.
-        conflicts: Conflicts that began.
-        collisions: Decisions with a contact of its collision shape.
+        min_separation: Minimum separation, m.
+        conflicts: Number of conflicts that began.
+        collisions: Number of decisions with a contact of its collision shape.
         final_distance: Distance to the goal at its end, m; inf without goals.
         time: Time of its last decision, s.
     """
@@ -166,10 +168,10 @@ class Outcome(NamedTuple):
 
 
 def outcomes(recording: Recording) -> list[Outcome]:
-    """Sum up how the episode of each drone went, in their order."""
+    """Return the outcome of each drone, in order."""
     rows = []
     for drone in range(recording.position.shape[1]):
-        # A drone flies from the start on without a gap, so that counting tells its last decision.
+        # A drone is alive without interruption from the start: the count gives its last decision.
         last = int(recording.alive[:-1, drone].sum()) - 1
         flown = slice(0, last + 1)
         distance = math.inf
@@ -190,34 +192,36 @@ def outcomes(recording: Recording) -> list[Outcome]:
     return rows
 
 
-def summary(recording: Recording, names: Iterable[str]) -> list[dict[str, float]]:
-    """Sum up infos over the decisions that each drone flew.
+def summarize_infos(recording: Recording, names: Iterable[str]) -> list[dict[str, float]]:
+    """Reduce infos over the decisions that each drone flew.
 
     Args:
         recording: The episode.
-        names: Of infos of one number a drone.
+        names: Names of infos with one number per drone.
 
     Returns:
-        For each drone a bool, int or float by name: of separations the least, of conflicts and
-        collisions the sum, and else what infos told of its last decision.
+        For each drone a bool, int or float by name: the minimum of separations, the sum of
+        conflicts and collisions, and the last value of other infos.
 
     Raises:
-        ValueError: Infos told nothing of a name.
+        ValueError: If there is no info of a name.
     """
-    told = {name: recording.told(name) for name in names}
+    infos = {name: recording.get_info(name) for name in names}
     flown = recording.alive[:-1].sum(axis=0).tolist()
     return [
-        {name: OVER_TIME.get(name, _last)(row[:end, i]).item() for name, row in told.items()}
+        {
+            name: INFO_REDUCTIONS.get(name, _last_value)(row[:end, i]).item()
+            for name, row in infos.items()
+        }
         for i, end in enumerate(flown)
     ]
 
 
-def _last(row: np.ndarray) -> Any:
-    """Return the last of the numbers (T,)."""
+def _last_value(row: np.ndarray) -> Any:
     return row[-1]
 
 
-OVER_TIME: Mapping[str, Callable[[np.ndarray], Any]] = MappingProxyType(
+INFO_REDUCTIONS: Mapping[str, Callable[[np.ndarray], Any]] = MappingProxyType(
     {"separation": np.min, "conflicts": np.sum, "collision": np.sum}
 )
-"""How infos are summed up of which not the last one counts"""
+"""Reductions of infos over time; others are reduced to their last value"""

@@ -1,11 +1,11 @@
-"""Recorder of an episode while it flies: states, decisions, contacts, and the scene of world 0."""
+"""Recorder of world 0 during an episode: states, decisions, contacts and scene."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.analysis.recorded import TOLD, Recording
+from bulletuav.analysis.recorded import INFO_ARRAYS, Recording
 from bulletuav.analysis.scene import SceneLog
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import to_world
@@ -13,15 +13,15 @@ from bulletuav.vehicle.swarm import Contacts, Swarm
 
 
 class _State(NamedTuple):
-    """What there is in world 0 at one time.
+    """State of world 0 at one time.
 
     Attributes:
         swarm: State of all drones.
         alive: Drones in the airspace, (N,) bool.
-        goal: Goals, (N, 3), m, if there are any.
-        obstacle: Obstacles, (K, 3), m.
-        target: Targets that count, (U, 3), m.
-        seen: Those of them that some drone sees, (U,) bool.
+        goal: Goals, (N, 3), m; (0, 3) without goals.
+        obstacle: Centres of the obstacles, (K, 3), m.
+        target: Active targets, (U, 3), m.
+        seen: Active targets in sight of any drone, (U,) bool.
     """
 
     swarm: Swarm
@@ -33,7 +33,7 @@ class _State(NamedTuple):
 
 
 class _Decision(NamedTuple):
-    """What one decision of all worlds told.
+    """Data of one decision.
 
     Attributes:
         action: Actions, (W, N, A).
@@ -49,25 +49,20 @@ class _Decision(NamedTuple):
 
 
 class Recorder:
-    """Keeps an episode of world 0 of an aviary, decision by decision."""
+    """Records an episode of world 0 of an aviary, decision by decision."""
 
     def __init__(self, aviary: Aviary) -> None:
-        """Begin with the state that there is now, such as right after a reset."""
+        """Start with the present state, such as right after a reset."""
         self._aviary = aviary
         self._first = int(aviary.steps[0])
-        # States have one row more than decisions: the start.
+        # States have one more row than decisions: the start.
         self._states = [_state(aviary)]
         self._decisions: list[_Decision] = []
         self._log = SceneLog(aviary)
         self._in_first = np.arange(aviary.num_worlds) == 0
 
-    def note(
-        self,
-        action: np.ndarray,
-        reward: np.ndarray,
-        info: Mapping[str, Any],
-    ) -> None:
-        """Keep one decision, right after it was flown.
+    def record(self, action: np.ndarray, reward: np.ndarray, info: Mapping[str, Any]) -> None:
+        """Record one decision, right after it was flown.
 
         Args:
             action: Actions, (W, N, A).
@@ -77,23 +72,24 @@ class Recorder:
         contacts = self._aviary.contacts.of_worlds(self._in_first)
         self._decisions.append(_Decision(action, reward, info, contacts))
         self._states.append(_state(self._aviary))
-        self._log.note()
+        self._log.record()
 
-    def forget(self) -> None:
-        """Drop all but the last state: what is noted next goes on from there."""
+    def discard_history(self) -> None:
+        """Discard all states but the last, from which the recording continues."""
         self._first += len(self._decisions)
         self._decisions.clear()
         del self._states[:-1]
-        self._log.forget()
+        self._log.discard_history()
 
     def recording(self) -> Recording:
-        """Make a recording of what was kept, which is at least one decision."""
+        """Return a recording of the decisions, of which there must be at least one."""
         states, decisions, aviary = self._states, self._decisions, self._aviary
 
         def column(name: str) -> np.ndarray:
             return np.array([decision.info[name][0] for decision in decisions])
 
-        # Infos have to be there in every decision, for each world, and not to be Python's objects.
+        # Keep only infos that every decision has, with a row for each world, without Python
+        # objects.
         kept = [
             name
             for name, values in decisions[0].info.items()
@@ -122,14 +118,14 @@ class Recorder:
             building=aviary.solids().bounds,
             target=np.array([state.target for state in states]),
             seen=np.array([state.seen for state in states]),
-            info={name: column(name) for name in kept if name not in TOLD},
+            info={name: column(name) for name in kept if name not in INFO_ARRAYS},
             reading=self._log.readings(),
             scene=self._log.scene(),
         )
 
 
 def _state(aviary: Aviary) -> _State:
-    """Look at world 0."""
+    """Copy the state of world 0."""
     scene = aviary.scene
     active = aviary.task.active_targets(scene)[0]
     seen = np.any(aviary.sight[0], axis=0)
@@ -144,7 +140,7 @@ def _state(aviary: Aviary) -> _State:
 
 
 def _bar_axes(aviary: Aviary) -> np.ndarray:
-    """Tell how bars among the obstacles of world 0 lie, (K, 3) m; they do not turn in flight."""
+    """Return the half axes of the bars among world 0's obstacles, (K, 3) m; they are constant."""
     turn = aviary.scene.obstacle_quaternion[0].tolist()
     bodies = zip(aviary.task.obstacles(), turn, strict=True)
     axes = [to_world(tuple(one), body.long_axis) for body, one in bodies]
@@ -152,9 +148,9 @@ def _bar_axes(aviary: Aviary) -> np.ndarray:
 
 
 def _contact_columns(contacts: list[Contacts]) -> dict[str, Any]:
-    """Stack the contacts of each decision, by the names that they have in recordings."""
+    """Stack the contacts of all decisions, by their names in recordings."""
     step = np.repeat(np.arange(len(contacts)), [len(one.world) for one in contacts])
     columns = map(np.concatenate, zip(*contacts, strict=True))
-    told = dict(zip(Contacts._fields, columns, strict=True))
-    del told["world"], told["depth"]  # compiled contacts meet at their surfaces
-    return {"contact_step": step} | {f"contact_{name}": told[name] for name in told}
+    fields = dict(zip(Contacts._fields, columns, strict=True))
+    del fields["world"], fields["depth"]  # compiled contacts meet at their surfaces
+    return {"contact_step": step} | {f"contact_{name}": fields[name] for name in fields}

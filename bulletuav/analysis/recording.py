@@ -1,4 +1,4 @@
-"""Recording of an episode: fly it, keep everything, write it to files and read it again."""
+"""Flying, writing and reading of recordings of episodes."""
 
 import csv
 import json
@@ -21,7 +21,7 @@ from bulletuav.analysis.recorded import (
 from bulletuav.analysis.recorder import Recorder
 from bulletuav.analysis.results_folder import RUN
 from bulletuav.analysis.scene import PARTS
-from bulletuav.analysis.seals import call_text, hash_files, sealed
+from bulletuav.analysis.seals import add_seal, format_call, hash_files
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.described import described
 from bulletuav.errors import reason_of, require_file, shown
@@ -36,9 +36,9 @@ __all__ = ["Outcome", "Recording", "fly_episode", "load", "outcomes", "save"]
 ARRAYS_FILE = "trajectory.npz"
 TABLE_FILE = "trajectory.csv"
 READABLE = (2, 3, 4, 5)
-"""Versions that are read. 2 tells the task's own infos alone, and goals where there are none.
-
-2 and 3 do not tell which obstacles are bars, and 5 alone has readings and the scene.
+"""Versions that can be read. Version 2 has only the task's own infos, and goals even for tasks
+without goals. Versions 2 and 3 lack the axes of bars, and only version 5 has readings and the
+scene.
 """
 SHAPES = {
     "time": "R",
@@ -62,9 +62,9 @@ SHAPES = {
     "scene/hull": "H 3",
     "scene/hull_size": "S",
 }
-"""Shapes of arrays: R rows, T decisions, N drones, and other sizes that agree by their letters"""
-UNTOLD = ("num_worlds", "render_mode", "render_size", "render_address")
-"""Options that a recorded call leaves out: they change nothing of the flight"""
+"""Shapes of arrays: R rows, T decisions, N drones, and other sizes that must agree by letter"""
+UNRECORDED_OPTIONS = ("num_worlds", "render_mode", "render_size", "render_address")
+"""Options that do not affect the flight and are not part of a recorded call"""
 REMEDY = "fly the episode again with this bulletuav"
 HEADER = (
     *("time", "drone", "alive"),
@@ -77,21 +77,18 @@ HEADER = (
 
 
 def fly_episode(
-    aviary: Aviary,
-    policy: Policy,
-    seed: int,
-    progress: Callable[[], None] = lambda: None,
+    aviary: Aviary, policy: Policy, seed: int, progress: Callable[[], None] = lambda: None
 ) -> Recording:
     """Fly and record one episode in world 0.
 
     Args:
-        aviary: The worlds; all are reset.
-        policy: Who flies.
+        aviary: The worlds, all of which are reset.
+        policy: The policy.
         seed: Seed of world 0.
-        progress: Called after every decision.
+        progress: Callback after every decision.
 
     Returns:
-        The recording, up to the end of the last drone.
+        The recording, until the last drone has finished.
     """
     observations = aviary.reset(seeds=seed)
     with naming_task(policy, aviary):
@@ -102,39 +99,33 @@ def fly_episode(
             actions = policy.act(observations, aviary.swarm)
         step = aviary.step(actions)
         observations = step.observations
-        recorder.note(actions, step.rewards, step.info)
+        recorder.record(actions, step.rewards, step.info)
         progress()
     return recorder.recording()
 
 
-def save(
-    recording: Recording,
-    aviary: Aviary,
-    policy: str,
-    seed: int,
-    folder: Path,
-) -> list[Path]:
-    """Write a recording.
+def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
+    """Write a recording to files.
 
     Args:
         recording: The episode.
-        aviary: The worlds that it was flown in.
-        policy: Name of who flew.
+        aviary: The worlds in which it was flown.
+        policy: Name of the policy.
         seed: Seed of the episode.
-        folder: Where to; it exists.
+        folder: An existing folder.
 
     Returns:
-        The paths of `trajectory.npz` (all of the recording), `trajectory.csv` (a row for
-        each drone and time) and `run.json` (options, outcomes, and hashes for `bulletuav verify`).
+        The paths of `trajectory.npz` (the whole recording), `trajectory.csv` (a row for each drone
+        and time) and `run.json` (options, outcomes, and hashes for `bulletuav verify`).
 
     Raises:
-        OSError: A file cannot be written.
+        OSError: If a file cannot be written.
     """
-    # The numbers first: the description holds hashes of these files
+    # The arrays are written first: the description holds hashes of these files
     arrays, table, run = folder / ARRAYS_FILE, folder / TABLE_FILE, folder / RUN
     _write_arrays(recording, arrays)
     _write_table(recording, table)
-    # JSON knows no infinity: a distance to nobody becomes null
+    # JSON has no infinity: the separation of a single drone becomes null
     about = {
         "bulletuav": __version__,
         "task": aviary.task.name,
@@ -145,37 +136,32 @@ def save(
             {name: value if value != np.inf else None for name, value in row._asdict().items()}
             for row in outcomes(recording)
         ],
-        # With these, `bulletuav verify` flies the episode again and compares
+        # `bulletuav verify` repeats this call and compares the hashes
         "call": _call(aviary, policy, seed),
         "hash": recording.hash(),
         "files": hash_files(folder, (ARRAYS_FILE, TABLE_FILE)),
     }
-    # Sealed, so that an edit by hand is found
-    replace_file(run, json.dumps(sealed(about), indent=2) + "\n")
+    # The seal reveals manual edits
+    replace_file(run, json.dumps(add_seal(about), indent=2) + "\n")
     return [arrays, table, run]
 
 
-def _call(
-    aviary: Aviary,
-    policy: str,
-    seed: int,
-) -> str | None:
-    """Tell what was flown such that it can be flown again; see `call_text`."""
+def _call(aviary: Aviary, policy: str, seed: int) -> str | None:
+    """Format the call that repeats the flight; see `format_call`."""
     (task, *_), options = aviary.made_from
-    given = {name: value for name, value in options.items() if name not in UNTOLD}
+    given = {name: value for name, value in options.items() if name not in UNRECORDED_OPTIONS}
     flown = {"task": task, "policy": policy, "seed": seed, "num_worlds": aviary.num_worlds}
-    return call_text({**flown, "options": given})
+    return format_call({**flown, "options": given})
 
 
 def _write_arrays(recording: Recording, path: Path) -> None:
-    """Write all arrays, infos and the version."""
-    told: dict[str, Any] = recording.everything()
+    arrays: dict[str, Any] = recording.everything()
     with whole_file(path) as part:
-        np.savez_compressed(part, version=np.array(recording.version), **told)
+        np.savez_compressed(part, version=np.array(recording.version), **arrays)
 
 
 def _write_table(recording: Recording, path: Path) -> None:
-    """Write the states, a row for each drone and time."""
+    """Write the states as CSV, a row for each drone and time."""
     states = np.concatenate(
         [
             recording.position,
@@ -198,29 +184,29 @@ def load(path: str | Path) -> Recording:
     """Read a recording.
 
     Args:
-        path: Its `trajectory.npz`, or the folder of it.
+        path: Path of a `trajectory.npz`, or of its folder.
 
     Returns:
-        The recording as it was written. One of version 2 has fewer infos and no reward terms;
-        before version 5 there are no readings and no scene.
+        The recording as it was written. Version 2 has fewer infos and no reward terms; versions
+        before 5 have no readings and no scene.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is no recording, or one without a version or of an unknown one.
+        FileNotFoundError: If the file does not exist.
+        ValueError: If the file is not a recording, or its version is missing or not supported.
     """
     folder = isinstance(path, str | Path) and Path(path).is_dir()
     given = Path(path) / ARRAYS_FILE if folder else path
-    found = require_file("recording", given, "give the trajectory.npz of a flight, or its folder")
+    found = require_file("recording", given, "pass the trajectory.npz of a flight, or its folder")
     try:
-        # NumPy would leave a damaged file open.
+        # NumPy would leave a damaged file open if it were given a path.
         with found.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
             if other := [name for name in arrays if not isinstance(arrays[name], np.ndarray)]:
-                raise TypeError(f"{shown(other[0])} is no array")
-    # NumPy and zipfile raise errors of a dozen types about files that are damaged
+                raise TypeError(f"{shown(other[0])} is not an array")
+    # NumPy and zipfile raise a dozen types of errors for damaged files
     except Exception as error:
-        raise ValueError(f"{found} is no recording ({reason_of(error)}): {REMEDY}") from None
-    # The version is looked at before anything that may differ between versions.
+        raise ValueError(f"{found} is not a recording ({reason_of(error)}): {REMEDY}") from None
+    # Check the version before anything that may differ between versions.
     version = _known_version(arrays.pop("version", None), found)
     if version < 4 and "obstacle_radius" in arrays:
         arrays["obstacle_axis"] = np.zeros((*arrays["obstacle_radius"].shape, 3))
@@ -234,19 +220,19 @@ def load(path: str | Path) -> Recording:
         for prefix in (INFO, READING, SCENE)
     )
     if version == 2:
-        _complete(arrays, infos)
+        _upgrade_version_2(arrays, infos)
     own = {name: arrays[name] for name in ARRAYS}
     return Recording(**own, info=infos, reading=readings, scene=scene, version=version)
 
 
 def _check_shapes(arrays: dict[str, np.ndarray], path: Path) -> None:
-    """Raise ValueError for an array that is not made of numbers of its shape."""
+    """Raise ValueError for an array that is not numeric or has a wrong shape."""
     rows, drones = (*arrays["position"].shape, 0, 0)[:2]
     sizes = {"R": rows, "T": rows - 1, "N": drones}
     for name, array in arrays.items():
         shape = SHAPES.get(name, "")
         letters = shape.split()
-        # Infos and readings have any numbers of a drone
+        # Infos and readings may have any shape per drone
         if name.startswith((INFO, READING)):
             letters, shape = ["T" if name.startswith(INFO) else "R", "N"], "of each drone"
         elif not shape:
@@ -280,8 +266,8 @@ def _check_shapes(arrays: dict[str, np.ndarray], path: Path) -> None:
             raise ValueError(f"{path}: {name!r} of the recording is not finite; {REMEDY}")
 
 
-def _complete(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarray]) -> None:
-    """Bring a recording of version 2 to what one of version 3 says of goals."""
+def _upgrade_version_2(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarray]) -> None:
+    """Upgrade goals and goal distances of a recording of version 2 to version 3."""
     if arrays["target"].shape[1]:
         arrays["goal"] = arrays["goal"][:, :0]  # where drones started
     else:
@@ -289,7 +275,11 @@ def _complete(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarray]) -> No
 
 
 def _known_version(version: np.ndarray | None, path: Path) -> int:
-    """Return the version of a recording. Raises ValueError unless it is one that is read."""
+    """Return the version of a recording.
+
+    Raises:
+        ValueError: If the version is missing or not supported.
+    """
     if version is None:
         raise ValueError(
             f"{path} is a recording without a version, and version {VERSION} is needed: {REMEDY}"

@@ -1,4 +1,4 @@
-"""The folder of an evaluation, from which an interrupted one goes on."""
+"""Folder of an evaluation, which an interrupted evaluation resumes from."""
 
 import contextlib
 import csv
@@ -16,29 +16,29 @@ from bulletuav.files import replace_file
 from bulletuav.parsing import read_json
 
 RUN = "run.json"
-"""File that tells what was flown"""
+"""File with the description of the run"""
 EPISODES = "episodes.csv"
-"""File of the metrics of each episode"""
+"""File with the metrics of each episode"""
 COLUMNS = ("episode", "seed", *METRICS)
-"""First columns of that file; metrics of users and infos of the task follow"""
+"""First columns of that file; custom metrics and infos of the task follow"""
 
 
 class ResultsFolder:
-    """Rows of finished episodes, and the folder where they are kept.
+    """Rows of finished episodes, and the folder where they are stored.
 
     Attributes:
         rows: The rows by the number of the episode.
     """
 
     def __init__(self, folder: Path | None, about: dict[str, Any]) -> None:
-        """Open a folder and read what is there, also what pieces of the run have flown.
+        """Open a folder and read its rows, including those of the run's pieces.
 
         Args:
-            folder: Where to keep the rows; None for memory alone.
-            about: What is flown, for `run.json`.
+            folder: Folder of the rows; None to keep them in memory only.
+            about: Description of the run, for `run.json`.
 
         Raises:
-            ValueError: The folder holds another run, is damaged or cannot be written to.
+            ValueError: If the folder holds another run, is damaged or cannot be written to.
         """
         self.rows: dict[int, Row] = {}
         self._folder = folder
@@ -46,37 +46,35 @@ class ResultsFolder:
             return
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            # A folder without a run may hold anything.
+            # A folder without a description of a run may hold any files.
             for one in (folder, *piece_folders(folder).values()):
                 if (one / RUN).exists():
                     self._load(one, about)
             replace_file(folder / RUN, json.dumps(about, indent=2) + "\n")
             self.add([])
         except OSError as error:
-            raise ValueError(
-                f"{folder} cannot be a folder to write to: {error.strerror or error}"
-            ) from None
+            raise ValueError(f"{folder} cannot be written to: {error.strerror or error}") from None
 
     def _load(self, folder: Path, about: dict[str, Any]) -> None:
-        """Read the rows of a run that was begun, if it is the same."""
+        """Read the rows of an earlier call, after a check that its run is the same."""
         with _damaged(folder / RUN):
             known = read_json(folder / RUN)
-            # What is compared next has to be there.
+            # Raises an error if the entries to compare are missing.
             {**known, **known["options"]}
-        require_same(known, about, folder)
+        check_same_run(known, about, folder)
         self.rows |= read_rows(folder)
 
     def add(self, rows: list[Row]) -> None:
-        """Keep the rows of a batch, on disk too, in the order of the episodes.
+        """Add the rows of a batch, in memory and in the file, sorted by episode.
 
         Raises:
-            OSError: The file cannot be written.
+            OSError: If the file cannot be written.
         """
         self.rows |= {int(row["episode"]): row for row in rows}
         if self._folder is None:
             return
         ordered = [self.rows[episode] for episode in sorted(self.rows)]
-        # Each row begins with the same columns; infos that some lack come last.
+        # All rows share the first columns; infos that some rows lack come last.
         columns = list(dict.fromkeys([*COLUMNS, *(name for row in ordered for name in row)]))
         text = io.StringIO()
         writer = csv.DictWriter(text, columns, restval="nan", lineterminator="\n")
@@ -89,7 +87,7 @@ def read_rows(folder: Path) -> dict[int, Row]:
     """Read the rows of a folder, by the number of the episode.
 
     Raises:
-        ValueError: They cannot be read.
+        ValueError: If the rows cannot be read.
     """
     rows: dict[int, Row] = {}
     with (
@@ -109,8 +107,8 @@ def read_rows(folder: Path) -> dict[int, Row]:
 
 @contextlib.contextmanager
 def _damaged(path: Path) -> Iterator[None]:
-    """Name the file that cannot be read as what it should be."""
-    # Text that is no UTF-8 or no JSON raises ValueErrors.
+    """Convert errors of a damaged file to a ValueError that names the file."""
+    # Invalid UTF-8 and invalid JSON raise ValueErrors.
     try:
         yield
     except (ValueError, KeyError, TypeError, csv.Error) as error:
@@ -120,12 +118,8 @@ def _damaged(path: Path) -> Iterator[None]:
         ) from None
 
 
-def require_same(
-    known: dict[str, Any],
-    about: dict[str, Any],
-    folder: Path,
-) -> None:
-    """Raise ValueError unless both tell of the same run, maybe of more or fewer episodes."""
+def check_same_run(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
+    """Raise ValueError unless both descriptions are of the same run, for any number of episodes."""
     known, about = (
         {**one["options"], **one, "options": 0, "episodes": 0, "call": 0} for one in (known, about)
     )

@@ -1,4 +1,4 @@
-"""What a recording keeps for replays: what drones and obstacles look like, links, readings.
+"""Scene of a recording for replays: appearance of drones and obstacles, links, and readings.
 
 The parts of `Recording.scene`, with T decisions, N drones and K obstacles:
 
@@ -6,9 +6,9 @@ The parts of `Recording.scene`, with T decisions, N drones and K obstacles:
   and labels of readings.
 - `rotor_speed`: (T+1, N, R) rad/s, in the order of each airframe's rotors.
 - `obstacle_quaternion`: (T+1, K, 4) from the obstacle's axes to the world's.
-- `link`: (L, 3) row of the states, drone, and number among the targets of who serves whom.
-- `hull`: (V, 3) corners of the city's pieces that are no boxes, m, one piece after the other.
-- `hull_size`: (H,) how many corners each of these has. They are the last H of `building`.
+- `link`: (L, 3) row of the states, drone, and target, for each drone that serves a target.
+- `hull`: (V, 3) vertices of the city's pieces that are not boxes, m, one piece after the other.
+- `hull_size`: (H,) number of vertices of each of these. They are the last H of `building`.
 """
 
 import json
@@ -44,14 +44,14 @@ UNITS = {
     "scene/rotor_speed": "rad/s",
     "scene/hull": "m",
 }
-"""Units of a recording's arrays, by the names of files; others have none, or are told by labels"""
+"""Units of a recording's arrays, by their names in files; readings have labels instead"""
 
 
 class SceneLog:
-    """Keeps, row by row, what recordings of world 0 tell of its scene and its sensors."""
+    """Records, row by row, the scene and the sensor readings of world 0."""
 
     def __init__(self, aviary: Aviary) -> None:
-        """Begin with the start, right after a reset."""
+        """Start with the first row, right after a reset."""
         self._aviary = aviary
         self._labels = aviary.reading_labels
         self._active = aviary.task.active_targets(aviary.scene)[0]
@@ -59,10 +59,10 @@ class SceneLog:
         self._turns: list[np.ndarray] = []
         self._links: list[np.ndarray] = []
         self._readings: dict[str, list[np.ndarray]] = {}
-        self.note()
+        self.record()
 
-    def note(self) -> None:
-        """Keep one row."""
+    def record(self) -> None:
+        """Record one row."""
         aviary = self._aviary
         self._rotor_speed.append(aviary.swarm.rotor_speed[0].copy())
         self._turns.append(aviary.scene.obstacle_quaternion[0].copy())
@@ -71,21 +71,21 @@ class SceneLog:
             if name in self._labels:
                 self._readings.setdefault(name, []).append(values[0].copy())
 
-    def forget(self) -> None:
-        """Drop all rows but the last."""
+    def discard_history(self) -> None:
+        """Discard all rows but the last."""
         for kept in (self._rotor_speed, self._turns, self._links, *self._readings.values()):
             del kept[:-1]
 
     def readings(self) -> dict[str, np.ndarray]:
-        """Stack what sensors measured in each row, by name."""
+        """Stack the sensor readings of all rows, by name."""
         rows = len(self._turns)
         return {name: np.array(kept) for name, kept in self._readings.items() if len(kept) == rows}
 
     def scene(self) -> dict[str, np.ndarray]:
-        """Make the parts of the scene."""
+        """Return the parts of the scene."""
         hulls = self._aviary.solids().hulls
         return {
-            # Users may give NumPy's numbers.
+            # Options of users may contain NumPy numbers.
             "about": np.array(json.dumps(self._about(), default=float)),
             "rotor_speed": np.array(self._rotor_speed),
             "obstacle_quaternion": np.array(self._turns),
@@ -95,20 +95,20 @@ class SceneLog:
         }
 
     def _about(self) -> dict[str, Any]:
-        """Tell what does not change."""
+        """Return the constant part of the scene."""
         task, options = self._aviary.task, self._aviary.options
-        # Each kind of airframe once; drones tell which is theirs
+        # Each airframe is stored once; drones refer to it by index
         airframes = list(dict.fromkeys(options.airframe))
         return {
             "task": task.name,
-            # Conflicts and goals, which pictures mark
+            # For the marks of conflicts and goals in pictures
             "d_safe": float(task.config.d_safe),
             "has_goals": task.has_goals,
             "shows": dict(task.shows),
             "units": UNITS,
             "airframes": [_airframe(one) for one in airframes],
             "airframe_of": [airframes.index(one) for one in options.airframe],
-            # What stands still, and what sensors tell
+            # Obstacles and sensors
             "obstacles": [{**_shape(one.shape), "colour": one.colour} for one in task.obstacles()],
             "lidar": {
                 "beams": task.context.beams,
@@ -123,7 +123,7 @@ class SceneLog:
 
 
 def _airframe(airframe: Airframe) -> dict[str, Any]:
-    """Tell what an airframe looks like."""
+    """Describe the appearance of an airframe."""
     return {
         "name": airframe.name,
         "radius": airframe.collision_radius,
@@ -142,5 +142,5 @@ def _airframe(airframe: Airframe) -> dict[str, Any]:
 
 
 def _shape(shape: Shape) -> dict[str, Any]:
-    """Tell a shape; its kind is the number that `geometry.shapes` gives it."""
+    """Describe a shape; its kind is the number in `geometry.shapes`."""
     return {"kind": shape.kind, "half": shape.half, "corners": shape.corners}

@@ -1,4 +1,4 @@
-"""Hashes of results, and seals of the files that tell of them."""
+"""Hashes of results, and seals of the JSON files that describe them."""
 
 import ast
 import hashlib
@@ -13,12 +13,12 @@ import numpy as np
 from bulletuav.errors import shown
 
 SEAL = "seal"
-"""Entry of a sealed file that hashes all the others"""
-CODE = re.compile(r"[A-Za-z_][\w.]*:\w")
-"""Beginning of a name that leads to code or to a pickled model, such as `mine:Policy`"""
+"""Entry of a sealed file that holds the hash of all other entries"""
+CODE_NAME = re.compile(r"[A-Za-z_][\w.]*:\w")
+"""Beginning of a name that refers to code or to a pickled model, such as `mine:Policy`"""
 ARGUMENTS = {"task", "policy", "seed", "metrics", "num_worlds", "options"}
-"""Names that calls in files have"""
-OTHERS = ARGUMENTS - {"num_worlds"} | {
+"""Arguments of calls in files"""
+RESERVED_ARGUMENTS = ARGUMENTS - {"num_worlds"} | {
     "episodes",
     "workers",
     "trust",
@@ -27,11 +27,11 @@ OTHERS = ARGUMENTS - {"num_worlds"} | {
     "piece",
     "ray",
 }
-"""Names of arguments, beside options, of the functions that repeat a call"""
+"""Arguments of the functions that repeat a call, besides options"""
 
 
 def hash_bytes(parts: Iterable[bytes]) -> str:
-    """Hash bytes, one part after the other: 32 hexadecimal digits of BLAKE2b."""
+    """Hash bytes in sequence with BLAKE2b, to 32 hexadecimal digits."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         digest.update(part)
@@ -39,7 +39,7 @@ def hash_bytes(parts: Iterable[bytes]) -> str:
 
 
 def hash_arrays(arrays: Mapping[str, np.ndarray]) -> str:
-    """Hash arrays with their names, types and shapes, in the order of their names."""
+    """Hash arrays with their names, types and shapes, sorted by name."""
     parts = []
     for name, array in sorted(arrays.items()):
         parts += [repr((name, array.dtype.str, array.shape)).encode(), array.tobytes()]
@@ -54,27 +54,27 @@ def hash_rows(rows: Iterable[Mapping[str, float]]) -> str:
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Hash the bytes of those files of a folder that are there, by their names."""
+    """Hash the bytes of a folder's files that exist, by their names."""
     there = [name for name in names if (folder / name).exists()]
     return {name: hash_bytes([(folder / name).read_bytes()]) for name in there}
 
 
-def sealed(told: Mapping[str, Any]) -> dict[str, Any]:
-    """Add a seal to what a JSON file is to tell."""
-    return {**told, SEAL: seal_of(told)}
+def add_seal(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the contents of a JSON file with a seal."""
+    return {**content, SEAL: compute_seal(content)}
 
 
-def seal_of(told: Mapping[str, Any]) -> str:
-    """Hash all entries but the seal, as JSON writes them."""
-    rest = {name: value for name, value in told.items() if name != SEAL}
+def compute_seal(content: Mapping[str, Any]) -> str:
+    """Hash all entries but the seal, as JSON."""
+    rest = {name: value for name, value in content.items() if name != SEAL}
     return hash_bytes([json.dumps(rest, sort_keys=True).encode()])
 
 
-def call_text(call: Mapping[str, Any]) -> str | None:
-    """Write the arguments of a call as a Python literal.
+def format_call(call: Mapping[str, Any]) -> str | None:
+    """Format the arguments of a call as a Python literal.
 
     Returns:
-        The text, or None where some of them are objects, which no text tells.
+        The text, or None if some arguments are objects that no literal can represent.
     """
     text = repr(dict(call))
     try:
@@ -83,27 +83,26 @@ def call_text(call: Mapping[str, Any]) -> str | None:
         return None
 
 
-def read_call(
-    text: Any,
-    trust: bool,
-    path: str | Path = "the file",
-) -> dict[str, Any]:
-    """Read what `call_text` wrote.
+def parse_call(text: Any, trust: bool, path: str | Path = "the file") -> dict[str, Any]:
+    """Parse the text of `format_call`.
 
     Args:
         text: The text, from a file.
-        trust: Whether names in it may lead to code.
-        path: The file, or its folder, for the message.
+        trust: Whether names in it may refer to code.
+        path: The file or its folder, for messages.
+
+    Returns:
+        The arguments.
 
     Raises:
-        ValueError: It is no such text, or names code that is not trusted.
+        ValueError: If the text is not such a literal, or refers to code that is not trusted.
     """
     if text is None:
         raise ValueError(
             f"{path} cannot be flown again: its task, policy or options were Python objects, "
-            "which no file holds"
+            "which cannot be stored in a file"
         )
-    # Literals alone: reading the text runs nothing of it
+    # Only literals are evaluated, so that no code of the file runs
     try:
         call = ast.literal_eval(text)
     except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
@@ -112,29 +111,29 @@ def read_call(
     if (
         not isinstance(options, dict)
         or not all(isinstance(name, str) for name in options)
-        or set(options) & OTHERS
+        or set(options) & RESERVED_ARGUMENTS
         or not set(call) <= ARGUMENTS
         or "task" not in call
     ):
-        raise ValueError(f"{path} has no call that could be flown again: {shown(text)}")
-    # Names may lead to modules or pickled models, which run code when loaded
-    for name in _texts(call):
-        if not trust and CODE.match(name):
+        raise ValueError(f"{path} has no valid call to fly again: {shown(text)}")
+    # Names may refer to modules or pickled models, which run code when loaded
+    for name in _iterate_strings(call):
+        if not trust and CODE_NAME.match(name):
             raise ValueError(
                 f"{path} names {shown(name)}, which is code or a model that can run code: "
-                f"say --trust if you know its maker"
+                f"pass --trust if you trust its author"
             )
     found: dict[str, Any] = call
     return found
 
 
-def _texts(value: Any) -> Iterable[str]:
-    """Yield all texts within a literal."""
+def _iterate_strings(value: Any) -> Iterable[str]:
+    """Yield all strings within a literal."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):
         for name, one in value.items():
-            yield from (*_texts(name), *_texts(one))
+            yield from (*_iterate_strings(name), *_iterate_strings(one))
     elif isinstance(value, list | tuple | set):
         for one in value:
-            yield from _texts(one)
+            yield from _iterate_strings(one)

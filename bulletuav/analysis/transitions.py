@@ -1,35 +1,35 @@
-"""Transitions of whole flights: what each drone observed and did, and what came of it."""
+"""Transitions of whole episodes, for datasets: observations, actions, rewards and ends."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.analysis.episodes import Flights
+from bulletuav.analysis.episodes import EpisodeJob
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import shown
 from bulletuav.policies.base import Policy
 from bulletuav.policies.mismatch import naming_task
 
 DATASET = "dataset.json"
-"""File that tells what a dataset is"""
+"""File with the index of a dataset"""
 
 
 class Transitions(NamedTuple):
-    """K decisions of drones, sorted by episode, then by drone, then by time.
+    """K transitions of drones, sorted by episode, then by drone, then by time.
 
     Attributes:
-        episode: (K,) number of the episode.
-        drone: (K,) number of the drone.
-        step: (K,) decisions of the episode before this one.
-        observation: (K, D) float32, what the drone saw.
-        action: (K, A) float32 numbers, or (K,) int64 choices of a discrete action.
-        reward: (K,) what it was paid.
-        terminated: (K,) bool, whether the task ended its episode with this decision.
-        truncated: (K,) bool, whether the horizon did.
-        last: (E,) places, of the last decision of each drone in each episode.
-        final_observation: (E, D) float32, what it saw after that.
-        ends: (episode, seed, decisions, hash of the state at the end) of each episode.
+        episode: Number of the episode, (K,).
+        drone: Number of the drone, (K,).
+        step: Number of earlier decisions of the episode, (K,).
+        observation: Observations before the decision, (K, D) float32.
+        action: Actions, (K, A) float32, or (K,) int64 choices of a discrete action.
+        reward: Rewards, (K,).
+        terminated: Whether the task ended the drone's episode with this decision, (K,) bool.
+        truncated: Whether the horizon did, (K,) bool.
+        last: Rows of the last transition of each drone in each episode, (E,).
+        final_observation: Observations after those transitions, (E, D) float32.
+        ends: (episode, seed, decisions, hash of the final state) of each episode.
     """
 
     episode: np.ndarray
@@ -46,20 +46,15 @@ class Transitions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Collection(Flights[Transitions]):
-    """The episodes of a dataset; see `Flights`."""
+class DatasetJob(EpisodeJob[Transitions]):
+    """The episodes of a dataset; see `EpisodeJob`."""
 
-    def _flown(
-        self,
-        aviary: Aviary,
-        policy: Policy,
-        batch: range,
-    ) -> Transitions:
-        """Note every decision of a batch."""
+    def _fly_batch(self, aviary: Aviary, policy: Policy, batch: range) -> Transitions:
+        """Fly one batch and return its transitions."""
         observations, worlds = self.start(aviary, policy, batch)
         seen = [_vector(observations)]
-        flown, actions, told = [], [], []
-        # Worlds end one by one; those that are over are left out of the rows
+        flown, actions, results = [], [], []
+        # Worlds end at different times; finished ones add no rows
         while aviary.alive[worlds].any():
             flown.append(aviary.alive & worlds[:, None])
             with naming_task(policy, aviary):
@@ -67,14 +62,16 @@ class Collection(Flights[Transitions]):
             step = aviary.step(action)
             observations = step.observations
             actions.append(np.array(action, dtype=np.float32))
-            told.append((step.rewards.copy(), step.terminated.copy(), step.truncated.copy()))
+            results.append((step.rewards.copy(), step.terminated.copy(), step.truncated.copy()))
             seen.append(_vector(observations))
-        # (worlds, drones, decisions, ...): in this order rows are sorted as they are to be
+        # Axes (worlds, drones, decisions, ...), so that rows come in the documented order
         flew, did, saw = (np.stack(one, axis=2) for one in (flown, actions, seen))
-        reward, terminated, truncated = (np.stack(one, axis=2) for one in zip(*told, strict=True))
+        reward, terminated, truncated = (
+            np.stack(one, axis=2) for one in zip(*results, strict=True)
+        )
         # A row for each decision that a drone flew
         world, drone, time = np.nonzero(flew)
-        # The last of a drone has an observation after it, too
+        # The last transition of a drone also has a final observation
         is_last = np.append((world[1:] != world[:-1]) | (drone[1:] != drone[:-1]), True)
         last = np.flatnonzero(is_last)
         action = did[world, drone, time]
@@ -99,7 +96,7 @@ class Collection(Flights[Transitions]):
 
 
 def _vector(observations: Any) -> np.ndarray:
-    """Copy observations, which must be vectors."""
+    """Copy observations as float32; raise ValueError unless they are vectors."""
     if not isinstance(observations, np.ndarray) or observations.ndim != 3:
         raise ValueError(
             f"a dataset holds vectors of numbers, and drones observe {shown(type(observations))}: "

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from bulletuav.analysis.pieces import Piece, as_piece
+from bulletuav.analysis.pieces import WorkPiece, parse_piece
 from bulletuav.commands.progress import show_progress
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
@@ -130,14 +130,14 @@ def add_sharing(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _parse_piece(text: str) -> Piece:
+def _parse_piece(text: str) -> WorkPiece:
     try:
-        return as_piece(text)
+        return parse_piece(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def print_piece(piece: Piece, out: Path) -> None:
+def print_piece(piece: WorkPiece, out: Path) -> None:
     """Print that a piece is done, and the command that joins all pieces."""
     print(f"finished piece {piece.number} of {piece.of}; when all are done: bulletuav merge {out}")
 

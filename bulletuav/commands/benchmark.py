@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from bulletuav.analysis.benchmark import FLOORS, ROUNDS, SIZES, Result, measure
+from bulletuav.analysis.benchmark import (
+    ENGINE_CASES,
+    ROUNDS,
+    SWARM_SIZES,
+    BenchmarkResult,
+    measure_speed,
+)
 from bulletuav.commands.output import print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.dynamics import DYNAMICS
@@ -37,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         nargs="+",
         metavar="N",
-        help=f"numbers of drones (default: {' '.join(map(str, SIZES))})",
+        help=f"numbers of drones (default: {' '.join(map(str, SWARM_SIZES))})",
     )
     parser.add_argument(
         "--seconds",
@@ -56,15 +62,15 @@ def run(arguments: argparse.Namespace) -> None:
             )
         _print_stages(arguments.stages)
         return
-    sizes = tuple(SIZES if arguments.drones is None else arguments.drones)
+    sizes = tuple(SWARM_SIZES if arguments.drones is None else arguments.drones)
     seconds = SECONDS if arguments.seconds is None else arguments.seconds
     if min(sizes) < 1 or not seconds > 0:
         raise ValueError(f"--drones {sizes}, --seconds {seconds}: numbers above 0 are needed")
     # Interleave repeated measurements, so that all cases meet the same disturbances
-    total = len(sizes) * (len(DYNAMICS) + len(FLOORS)) * ROUNDS
+    total = len(sizes) * (len(DYNAMICS) + len(ENGINE_CASES)) * ROUNDS
     done = itertools.count(1)
     with show_progress("measuring", total, "measurements") as report:
-        results = measure(sizes, seconds, lambda: report(next(done)))
+        results = measure_speed(sizes, seconds, lambda: report(next(done)))
     print_table(_table(results, sizes))
     print(
         "bare step: only the step of the physics engine\n"
@@ -93,7 +99,7 @@ def _print_stages(task: str) -> None:
     print_table(table)
 
 
-def _table(results: Sequence[Result], sizes: Sequence[int]) -> Table:
+def _table(results: Sequence[BenchmarkResult], sizes: Sequence[int]) -> Table:
     """Return a table of rates: a row for each dynamics, a column for each number of drones."""
     table = Table(
         title="physics steps of drones per CPU-second, one thread, 240 Hz, all forces; "
@@ -108,7 +114,7 @@ def _table(results: Sequence[Result], sizes: Sequence[int]) -> Table:
     return table
 
 
-def _cell(result: Result) -> str:
+def _cell(result: BenchmarkResult) -> str:
     """Return the rate of a case and, if it has one, its reset time."""
     rate = f"{result.rate:.3g}"
-    return rate if result.name in FLOORS else f"{rate}\n{result.reset_ms:.2f} ms"
+    return rate if result.name in ENGINE_CASES else f"{rate}\n{result.reset_ms:.2f} ms"

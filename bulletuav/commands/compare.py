@@ -20,8 +20,8 @@ from bulletuav.commands.evaluate import evaluate_case, run_name, shared_episodes
 from bulletuav.commands.output import print_files
 from bulletuav.errors import unknown
 from bulletuav.policies import find_policy
-from bulletuav.report.leaderboard import markdown
-from bulletuav.report.results import note_cases, write_comparison
+from bulletuav.report.leaderboard import format_leaderboard
+from bulletuav.report.results import write_cases, write_comparison
 
 ABOUT = {
     "help": "evaluate several policies in several tasks and write a leaderboard",
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> None:
     cases = _cases(arguments, options, dynamics)
     folders = [out / "runs" / run_name(*case) for case in cases]
     if arguments.piece is not None:
-        note_cases(folders, arguments.against, out)
+        write_cases(folders, arguments.against, out)
         _evaluate(arguments, cases, folders)
         print_piece(arguments.piece, out)
         return
@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> None:
     for result, folder in zip(results, folders, strict=True):
         result.save(folder)
     files = write_comparison(results, arguments.against, out)
-    print(markdown(results, arguments.against))
+    print(format_leaderboard(results, arguments.against))
     print_files(files)
 
 

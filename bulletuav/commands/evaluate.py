@@ -235,7 +235,7 @@ def shared_episodes(arguments: argparse.Namespace, cases: int = 1) -> int:
     """Return the number of episodes of all cases that this call flies."""
     batches = -(-arguments.episodes // BATCH)
     counts = [min(BATCH, arguments.episodes - k * BATCH) for k in range(batches)] * cases
-    return sum(counts if arguments.piece is None else arguments.piece.share(counts))
+    return sum(counts if arguments.piece is None else arguments.piece.select(counts))
 
 
 def _table(result: Evaluation) -> Table:

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.evaluation import EPISODES
-from bulletuav.analysis.recorded import Recording, outcomes, summary
+from bulletuav.analysis.recorded import Recording, outcomes, summarize_infos
 from bulletuav.analysis.recording import fly_episode, save
 from bulletuav.commands.arguments import (
     POLICY_HELP,
@@ -182,7 +182,7 @@ def _table(recording: Recording, aviary: Aviary, seed: int) -> Table:
     )
     for heading in ("drone", *shows.values(), "time (s)"):
         table.add_column(heading, justify="right")
-    rows = zip(outcomes(recording), summary(recording, shows), strict=True)
+    rows = zip(outcomes(recording), summarize_infos(recording, shows), strict=True)
     for outcome, numbers in rows:
         cells = map(_cell, numbers.values())
         table.add_row(f"drone_{outcome.drone}", *cells, f"{outcome.time:.2f}")

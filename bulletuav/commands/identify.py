@@ -10,12 +10,19 @@ from bulletuav.commands.arguments import make_out_folder
 from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.identification.constants import BATTERY, CONSTANTS, GROUPS
-from bulletuav.identification.curves import curves
-from bulletuav.identification.example import fly, noisy, write
+from bulletuav.identification.curves import make_curves
+from bulletuav.identification.example import add_sensor_noise, fly_example, write_example_log
 from bulletuav.identification.identify import WINDOW, Identification, identify
 from bulletuav.identification.intervals import LEVEL
 from bulletuav.identification.logs import FACTORS
-from bulletuav.identification.write import KINDS, MEASURES, as_table, rms, write_report, write_urdf
+from bulletuav.identification.write import (
+    KINDS,
+    MEASURES,
+    compute_rms,
+    summarize,
+    write_report,
+    write_urdf,
+)
 from bulletuav.report.identification import plot_identification
 from bulletuav.vehicle.airframes import available_airframes, load_airframe
 
@@ -103,8 +110,8 @@ def run(arguments: argparse.Namespace) -> None:
     if (arguments.example is None) != bool(arguments.logs):
         raise ValueError("identify what? Give either flight logs or --example FILE")
     if arguments.example is not None:
-        rows = fly(load_airframe(arguments.airframe), EXAMPLE_SECONDS, seed=0)
-        print_files([write(arguments.example, noisy(rows, seed=0))])
+        rows = fly_example(load_airframe(arguments.airframe), EXAMPLE_SECONDS, seed=0)
+        print_files([write_example_log(arguments.example, add_sensor_noise(rows, seed=0))])
         return
     # Without names, all identifiable constants are fitted
     names = [name.strip() for name in arguments.fit.split(",") if name.strip()]
@@ -123,7 +130,7 @@ def run(arguments: argparse.Namespace) -> None:
     picture = out / "prediction.png"
     shown = max(result.kept, key=lambda one: len(one.part.windows))
     title = f"{result.before.name}: {shown.part.flight.log.path.name}, held out"
-    plot_identification(curves(shown), title, picture)
+    plot_identification(make_curves(shown), title, picture)
     files = [write_urdf(result, out), *write_report(result, out), picture]
     # Constants, errors before and after, and where the files are
     print_table(_constants(result))
@@ -138,7 +145,7 @@ def _constants(result: Identification) -> Table:
     table = Table(title=f"{result.before.name}, mass {result.airframe.mass:g} kg; SI units")
     for heading, side in COLUMNS:
         table.add_column(heading, justify=side)
-    for name, row in as_table(result)["constants"].items():
+    for name, row in summarize(result)["constants"].items():
         interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not identifiable"
         after = f"{row['after']:.5g}" if row["told"] else "unchanged"
         table.add_row(name, f"{row['before']:.5g}", after, interval)
@@ -152,7 +159,7 @@ def _errors(result: Identification) -> Table:
     table.add_column("error")
     for kind in KINDS:
         table.add_column(kind, justify="right")
-    values = [rms(result.kept, kind) for kind in KINDS]
+    values = [compute_rms(result.kept, kind) for kind in KINDS]
     for (name, *_), *row in zip(MEASURES, *values, strict=True):
         table.add_row(name, *(f"{value:.4g}" for value in row))
     return table

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from bulletuav.analysis.incentives import Incentive, incentives, shirkers
+from bulletuav.analysis.incentives import Incentive, incentives, list_degenerate_policies
 from bulletuav.commands.arguments import (
     add_episodes,
     add_options,
@@ -71,7 +71,8 @@ def run(arguments: argparse.Namespace) -> None:
         for difficulty in _difficulties(task, arguments.difficulties)
     ]
     flights = sum(
-        1 + len(shirkers(task, arguments.policy or find_task(task).baseline)) for task, _ in cases
+        1 + len(list_degenerate_policies(task, arguments.policy or find_task(task).baseline))
+        for task, _ in cases
     )
     found: list[Incentive] = []
     with show_episodes(arguments.episodes * flights) as advance:
@@ -91,7 +92,7 @@ def run(arguments: argparse.Namespace) -> None:
     worst: dict[tuple[str, str], Incentive] = {}
     for one in found:
         case = (one.task, one.difficulty)
-        if case not in worst or one.gap.low < worst[case].gap.low:
+        if case not in worst or one.return_difference.low < worst[case].return_difference.low:
             worst[case] = one
     files = [out / "incentives.md", out / "all.md"]
     table = incentives_table(list(worst.values()))
@@ -117,17 +118,18 @@ def incentives_table(found: list[Incentive]) -> str:
         "|" + "---|" * len(COLUMNS),
     ]
     for one in found:
+        earned = one.baseline_return
         # Gap to the shirker as a fraction of the lead of the baseline over staying
-        share = one.gap.low / one.lead if one.lead > 0 else float("nan")
+        share = one.return_difference.low / one.lead if one.lead > 0 else float("nan")
         row = (
             one.task,
             one.difficulty,
             one.conditions.dynamics,
             one.baseline,
-            f"{one.earned.mean:.4g} [{one.earned.low:.4g}, {one.earned.high:.4g}]",
+            f"{earned.mean:.4g} [{earned.low:.4g}, {earned.high:.4g}]",
             f"{one.success.mean:.2f}",
-            one.shirker,
-            f"{one.gained.mean:.4g}",
+            one.degenerate_policy,
+            f"{one.degenerate_return.mean:.4g}",
             f"{share:.2f}",
             "yes" if one.holds else "no",
         )

@@ -48,5 +48,5 @@ def _table(path: Path, checks: list[Check]) -> Table:
         table.add_column(heading)
     for check in checks:
         same = Text("yes" if check.same else "NO", style="" if check.same else "bold red")
-        table.add_row(check.what, check.told[:12], check.found[:12], same)
+        table.add_row(check.what, check.expected[:12], check.found[:12], same)
     return table

@@ -23,6 +23,7 @@ from bulletuav.errors import (
     finite,
     numbers_of,
     shown,
+    suggest_names,
 )
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids

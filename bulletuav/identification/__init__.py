@@ -1,1 +1,1 @@
-"""Identification: constants of an airframe from flight logs."""
+"""System identification: fit the constants of an airframe to flight logs."""

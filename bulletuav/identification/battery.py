@@ -1,4 +1,4 @@
-"""Resistance and capacity of a battery, from its voltage and current in flight."""
+"""Identification of a battery's resistance and capacity from voltage and current in flight."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -7,53 +7,53 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bulletuav.compiled.kernel import kernel
-from bulletuav.identification.fit import MILD
-from bulletuav.identification.intervals import UNSURE, newey_west, quantile
+from bulletuav.identification.fit import SOFT_L1_SCALE
+from bulletuav.identification.intervals import MAX_HALF_WIDTH, newey_west, quantile
 from bulletuav.identification.logs import Log
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.battery import WATT_HOUR, loaded_voltage, resting_voltage
 
 PERIOD = 0.1
-"""Time between voltages that are compared, s"""
+"""Interval between the voltages that are compared, s"""
 BLOCK = 20
-"""Voltages whose errors are summed to a score: 2 s"""
+"""Number of voltages in a block, whose scores are summed for the covariance: 2 s"""
 DIGITS = 5
-"""Significant digits of constants that were fitted"""
-LEAST_RESISTANCE = 1e-3
-"""Resistance at which a fit starts where a battery has none, ohm"""
+"""Significant digits of fitted constants"""
+MIN_RESISTANCE = 1e-3
+"""Initial resistance of the fit for a battery that has none, ohm"""
 
 
 @dataclasses.dataclass(frozen=True)
 class BatteryFit:
-    """What voltages and currents tell.
+    """Fitted resistance and capacity of a battery.
 
     Attributes:
-        resistance: Inner resistance, ohm, with the ends of its interval.
-        capacity: Energy of a full battery, W h, with the ends of its interval.
-        told: Whether the logs tell the resistance, and the capacity.
-        error: RMS of the voltage's error, V: in what was fitted, and in what was kept.
-        start: (L,) charge at the start of each log, from 0 to 1.
+        resistance: Internal resistance, ohm: estimate, lower and upper end of its interval.
+        capacity: Energy of the full battery, W h: estimate, lower and upper end of its interval.
+        is_identified: Whether the logs determine the resistance, and the capacity.
+        error: RMS error of the voltage, V, over the fitted blocks and over the held-out blocks.
+        start: State of charge at the start of each log, (L,), from 0 to 1.
     """
 
     resistance: tuple[float, float, float]
     capacity: tuple[float, float, float]
-    told: tuple[bool, bool]
+    is_identified: tuple[bool, bool]
     error: tuple[float, float]
     start: np.ndarray
 
-    def put(self, airframe: Airframe) -> Airframe:
-        """Return an airframe with these constants, where the logs tell them."""
+    def apply_to(self, airframe: Airframe) -> Airframe:
+        """Return the airframe with the fitted constants that the logs determine."""
         assert airframe.pack is not None
         pack = airframe.pack
-        if self.told[0]:
+        if self.is_identified[0]:
             pack = dataclasses.replace(pack, resistance=self.resistance[0])
-        if self.told[1]:
+        if self.is_identified[1]:
             pack = dataclasses.replace(pack, capacity=self.capacity[0])
         return dataclasses.replace(airframe, pack=pack)
 
 
 @kernel
-def voltages(
+def predict_voltages(
     power: np.ndarray,
     dt: float,
     cells: float,
@@ -62,16 +62,16 @@ def voltages(
     resistance: float,
     volts: np.ndarray,
 ) -> None:
-    """Predict the voltage of a battery whose power is known.
+    """Predict the voltage of a battery from the power that is drawn.
 
     Args:
-        power: (n,) power that is taken, W.
-        dt: Time between samples, s.
-        cells: Cells in series.
-        start: Charge at the start, from 0 to 1.
+        power: Power drawn from the battery, (n,), W.
+        dt: Sample interval, s.
+        cells: Number of cells in series.
+        start: Initial state of charge, from 0 to 1.
         energy: Energy of the full battery, J.
-        resistance: Inner resistance, ohm.
-        volts: (n,) voltages; filled.
+        resistance: Internal resistance, ohm.
+        volts: Output: voltages, (n,), V.
     """
     charge = start
     for k in range(power.size):
@@ -81,24 +81,23 @@ def voltages(
 
 
 def fit_battery(
-    logs: Sequence[Log],
-    airframe: Airframe,
-    required: bool = False,
+    logs: Sequence[Log], airframe: Airframe, required: bool = False
 ) -> BatteryFit | None:
-    """Fit a battery's resistance and capacity to the logs that have voltage and current.
+    """Fit a battery's resistance and capacity to the logs that contain voltage and current.
 
-    Every other block of 2 s of each log is fitted, and the rest kept back.
+    Every second block of 2 s of each log is fitted, and the other blocks are held out.
 
     Args:
-        logs: The logs.
-        airframe: Its battery is where the fit starts.
-        required: Whether it is an error that no log has both.
+        logs: The flight logs.
+        airframe: The airframe, whose battery is the initial guess.
+        required: Whether to raise an error if the battery cannot be fitted.
 
     Returns:
-        What was found; None if no log has both.
+        The fitted constants, or None if no log contains voltage and current, or the airframe has no
+        battery.
 
     Raises:
-        ValueError: It is required, and not possible.
+        ValueError: If `required` is True and the battery cannot be fitted.
     """
     having = [log for log in logs if "vbat" in log and "current" in log]
     if not having or airframe.pack is None:
@@ -106,57 +105,58 @@ def fit_battery(
             return None
         lacks = "the columns vbat and current" if not having else "a <battery> in the URDF"
         raise ValueError(f"--fit battery needs {lacks}")
-    runs = [_even(log) for log in having]
+    runs = [_resample(log) for log in having]
     pack = airframe.pack
     fitted = np.concatenate([np.arange(len(volts)) // BLOCK % 2 == 0 for volts, _ in runs])
 
-    def errors(numbers: np.ndarray) -> np.ndarray:
+    def errors(theta: np.ndarray) -> np.ndarray:
         found = []
-        for (volts, power), start in zip(runs, numbers[2:], strict=True):
-            told = np.empty_like(volts)
-            energy = WATT_HOUR * pack.capacity * np.exp(numbers[1])
-            ohm = max(pack.resistance, LEAST_RESISTANCE) * np.exp(numbers[0])
-            voltages(power, PERIOD, float(pack.cells), start, energy, ohm, told)
-            found.append(told - volts)
+        for (volts, power), start in zip(runs, theta[2:], strict=True):
+            predicted = np.empty_like(volts)
+            energy = WATT_HOUR * pack.capacity * np.exp(theta[1])
+            ohm = max(pack.resistance, MIN_RESISTANCE) * np.exp(theta[0])
+            predict_voltages(power, PERIOD, float(pack.cells), start, energy, ohm, predicted)
+            found.append(predicted - volts)
         return np.concatenate(found)
 
-    def residuals(numbers: np.ndarray) -> np.ndarray:
-        # A weak rule holds what nothing tells
-        return np.concatenate([errors(numbers)[fitted] / 0.01, numbers[:2]])
+    def residuals(theta: np.ndarray) -> np.ndarray:
+        # The weak prior on the constants keeps unobservable ones near their initial values
+        return np.concatenate([errors(theta)[fitted] / 0.01, theta[:2]])
 
     start = np.concatenate([np.zeros(2), np.full(len(runs), 0.9)])
     low = np.concatenate([np.full(2, -3.0), np.zeros(len(runs))])
     high = np.concatenate([np.full(2, 3.0), np.ones(len(runs))])
     solution = least_squares(
-        residuals, start, bounds=(low, high), loss="soft_l1", f_scale=MILD, x_scale="jac"
+        residuals, start, bounds=(low, high), loss="soft_l1", f_scale=SOFT_L1_SCALE, x_scale="jac"
     )
-    numbers = solution.x
-    deviation, reach = _deviation(residuals, numbers)
-    error = errors(numbers)
+    theta = solution.x
+    deviation, half_width = _standard_deviations(residuals, theta)
+    error = errors(theta)
     rms = (float(np.sqrt(np.mean(error[part] ** 2))) for part in (fitted, ~fitted))
-    own = (max(pack.resistance, LEAST_RESISTANCE), pack.capacity)
+    own = (max(pack.resistance, MIN_RESISTANCE), pack.capacity)
     return BatteryFit(
-        resistance=_ends(own[0], numbers[0], reach * deviation[0]),
-        capacity=_ends(own[1], numbers[1], reach * deviation[1]),
-        told=(bool(reach * deviation[0] < UNSURE), bool(reach * deviation[1] < UNSURE)),
+        resistance=_confidence_interval(own[0], theta[0], half_width * deviation[0]),
+        capacity=_confidence_interval(own[1], theta[1], half_width * deviation[1]),
+        is_identified=(
+            bool(half_width * deviation[0] < MAX_HALF_WIDTH),
+            bool(half_width * deviation[1] < MAX_HALF_WIDTH),
+        ),
         error=(next(rms), next(rms)),
-        start=numbers[2:],
+        start=theta[2:],
     )
 
 
-def _ends(
-    own: float,
-    number: float,
-    reach: float,
+def _confidence_interval(
+    own: float, number: float, half_width: float
 ) -> tuple[float, float, float]:
-    """Return a value and the ends of its interval, from the logarithm of its ratio to its start."""
-    values = own * np.exp([number, number - reach, number + reach])
+    """Convert the logarithm of a ratio and its half width to a value and its interval's ends."""
+    values = own * np.exp([number, number - half_width, number + half_width])
     middle, low, high = (float(f"{value:.{DIGITS}g}") for value in values)
     return middle, low, high
 
 
-def _even(log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Return voltage (V) and power (W) at even times."""
+def _resample(log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Resample a log to equally spaced voltages (V) and powers (W)."""
     time = log.time
     grid = np.arange(time[0], time[-1], PERIOD)
     volts = np.interp(grid, time, log.columns["vbat"])
@@ -164,20 +164,20 @@ def _even(log: Log) -> tuple[np.ndarray, np.ndarray]:
     return volts, volts * np.maximum(current, 0.0)
 
 
-def _deviation(residuals: object, numbers: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return robust standard deviations of the numbers, and the quantile for intervals."""
+def _standard_deviations(residuals: object, theta: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return robust standard deviations of the parameters, and the quantile for intervals."""
     assert callable(residuals)
-    base = residuals(numbers)
+    base = residuals(theta)
     step = 1e-5
     slopes = np.stack(
-        [(residuals(numbers + step * unit) - base) / step for unit in np.eye(len(numbers))], axis=1
+        [(residuals(theta + step * unit) - base) / step for unit in np.eye(len(theta))], axis=1
     )
-    stretch = 1 + (base / MILD) ** 2
+    stretch = 1 + (base / SOFT_L1_SCALE) ** 2
     scores = (stretch**-0.5 * base)[:, None] * slopes
     bread = (stretch**-1.5 * slopes.T) @ slopes
     count = -(-len(scores) // BLOCK)
     blocks = np.add.reduceat(scores, np.arange(0, len(scores), BLOCK))
-    meat = newey_west(blocks) + np.diag([1.0, 1.0, *np.zeros(len(numbers) - 2)])
+    meat = newey_west(blocks) + np.diag([1.0, 1.0, *np.zeros(len(theta) - 2)])
     inverse = np.linalg.pinv(bread)
-    covariance = inverse @ meat @ inverse * count / max(count - len(numbers), 1)
-    return np.sqrt(np.diag(covariance)), quantile(count, len(numbers))
+    covariance = inverse @ meat @ inverse * count / max(count - len(theta), 1)
+    return np.sqrt(np.diag(covariance)), quantile(count, len(theta))

@@ -1,4 +1,4 @@
-"""Constants of an airframe that can be fitted, by name."""
+"""Registry of the airframe constants that can be fitted."""
 
 import dataclasses
 import math
@@ -10,101 +10,102 @@ from bulletuav.errors import suggest_names
 from bulletuav.vehicle.airframe import Airframe
 
 Get = Callable[[Airframe], float]
-Put = Callable[[Airframe, float], Airframe]
+Replace = Callable[[Airframe, float], Airframe]
 
 
 @dataclass(frozen=True)
 class Constant:
-    """A constant of an airframe.
+    """A constant of an airframe that can be fitted.
 
     Attributes:
         name: Name in --fit and in reports.
-        group: Another name for it and others together.
-        unit: Its unit.
-        get: Reads it.
-        put: Returns an airframe with another value.
-        start: Where the fit starts if the airframe has 0.
-        scale: For a constant of either sign, the step in which it is fitted; 0 for one above 0,
-            of which the logarithm is fitted.
-        resolution: Standard deviation that the method adds to that of the number that is fitted,
-            by noise of the state at the start of a window, few windows that tell, and smoothing.
-            The likeliest one, given the errors of fits to 80 simulated logs and their deviations.
+        group: Name of the group that the constant belongs to, also accepted by --fit.
+        unit: Physical unit.
+        get: Function that returns the constant's value of an airframe.
+        replace: Function that returns a copy of an airframe with another value of the constant.
+        start: Initial value of the fit if the airframe's value is 0.
+        scale: Unit of the fitted parameter of a signed constant; 0 for a positive constant, whose
+            logarithm is fitted.
+        resolution: Standard deviation that is added to that of the fitted parameter. It accounts
+            for noise of the state at the start of a window, few informative windows, and smoothing.
+            It is the maximum-likelihood value given the errors of fits to 80 simulated logs and
+            their estimated deviations.
     """
 
     name: str
     group: str
     unit: str
     get: Get
-    put: Put
+    replace: Replace
     start: float
     scale: float
     resolution: float
 
     def encode(self, airframe: Airframe) -> float:
-        """Return the number that is fitted, for the airframe's value."""
+        """Return the fitted parameter that corresponds to the airframe's value."""
         value = self.get(airframe)
         return value / self.scale if self.scale else math.log(value or self.start)
 
     def decode(self, number: float) -> float:
-        """Return the value for the number that is fitted."""
+        """Return the constant's value that corresponds to a fitted parameter."""
         return number * self.scale if self.scale else math.exp(number)
 
 
-def _field(name: str) -> tuple[Get, Put]:
-    """Make functions that read and replace a field."""
+def _field(name: str) -> tuple[Get, Replace]:
+    """Return a getter and a replacer of a field of the airframe."""
 
     def get(airframe: Airframe) -> float:
         value: float = getattr(airframe, name)
         return value
 
-    def put(airframe: Airframe, value: float) -> Airframe:
+    def replace(airframe: Airframe, value: float) -> Airframe:
         changed: dict[str, Any] = {name: value}
         return dataclasses.replace(airframe, **changed)
 
-    return get, put
+    return get, replace
 
 
-def _entry(name: str, axis: int) -> tuple[Get, Put]:
-    """Make functions that read and replace an entry of a field of several numbers."""
+def _entry(name: str, axis: int) -> tuple[Get, Replace]:
+    """Return a getter and a replacer of one component of a vector field of the airframe."""
 
     def get(airframe: Airframe) -> float:
         value: float = getattr(airframe, name)[axis]
         return value
 
-    def put(airframe: Airframe, value: float) -> Airframe:
+    def replace(airframe: Airframe, value: float) -> Airframe:
         values = list(getattr(airframe, name))
         values[axis] = value
         changed: dict[str, Any] = {name: tuple(values)}
         return dataclasses.replace(airframe, **changed)
 
-    return get, put
+    return get, replace
 
 
-def _lag() -> tuple[Get, Put]:
-    """Make functions for the lag of rotors that speed up; slowing down keeps its ratio to it."""
+def _lag() -> tuple[Get, Replace]:
+    """Return a getter and a replacer of the spin-up lag, which scale the spin-down lag equally."""
 
     def get(airframe: Airframe) -> float:
         return airframe.lag_up
 
-    def put(airframe: Airframe, value: float) -> Airframe:
+    def replace(airframe: Airframe, value: float) -> Airframe:
         ratio = airframe.lag_down / airframe.lag_up if airframe.lag_up > 0 else 1.0
         return dataclasses.replace(airframe, lag_up=value, lag_down=ratio * value)
 
-    return get, put
+    return get, replace
 
 
-def _nominal() -> tuple[Get, Put]:
-    """Make functions for the voltage at which motors reach the speed that is commanded."""
+def _nominal() -> tuple[Get, Replace]:
+    """Return a getter and a replacer of the voltage at which motors reach their commanded speed."""
 
     def get(airframe: Airframe) -> float:
         return airframe.pack.voltage if airframe.pack else 0.0
 
-    def put(airframe: Airframe, value: float) -> Airframe:
+    def replace(airframe: Airframe, value: float) -> Airframe:
         if airframe.pack is None:
             raise ValueError(f"voltage cannot be fitted: {airframe.name} has no <battery>")
         return dataclasses.replace(airframe, pack=dataclasses.replace(airframe.pack, voltage=value))
 
-    return get, put
+    return get, replace
 
 
 CONSTANTS = (
@@ -128,38 +129,39 @@ CONSTANTS = (
     Constant("wake_spread", "wake", "1", *_field("wake_spread"), 0.1, 0, 0.007),
     Constant("battery_voltage", "voltage", "V", *_nominal(), 3.7, 0, 0.002),
 )
-"""All constants that flights can be fitted with"""
+"""All constants that can be fitted"""
 BY_NAME = {constant.name: constant for constant in CONSTANTS}
 GROUPS = tuple(dict.fromkeys(constant.group for constant in CONSTANTS))
 GROUND = "ground_effect"
-"""Group of the ground effect, which needs flights near the ground"""
+"""Group of the ground effect, which can only be fitted from flights near the ground"""
 BATTERY = "battery"
-"""Name in --fit of the battery's resistance and capacity, which are fitted by themselves"""
-NOT_USUAL = ("inertia_z", "battery_voltage")
-"""Left out unless asked for. Yaw tells but the quotient of torque ratio and inertia_z, and the
-voltage's constant scales thrust."""
+"""Name in --fit of the battery's resistance and capacity, which are fitted separately"""
+NOT_FITTED_BY_DEFAULT = ("inertia_z", "battery_voltage")
+"""Constants that are fitted only on request. Yaw motion determines only the ratio of torque_ratio
+to inertia_z, and the voltage constant scales the thrust.
+"""
 
 
-def choose_constants(
-    names: Sequence[str],
-    has_other: bool,
-    has_pwm: bool,
-) -> list[Constant]:
-    """Choose the constants to fit.
+def choose_constants(names: Sequence[str], has_other: bool, has_pwm: bool) -> list[Constant]:
+    """Select the constants to fit.
 
     Args:
-        names: Names of constants and of groups; none for all that logs of this kind can tell.
-        has_other: Whether the logs know of a drone above.
-        has_pwm: Whether they have motor commands and voltages.
+        names: Names of constants and groups; empty for all that logs of this kind can determine.
+        has_other: Whether the logs contain the position of a drone above.
+        has_pwm: Whether the logs contain motor commands and voltages.
+
+    Returns:
+        The constants, without duplicates.
 
     Raises:
-        ValueError: A name is unknown, or the logs lack what it needs.
+        ValueError: If a name is unknown, or the logs lack the columns that a constant needs.
     """
     if not names:
         return [
             constant
             for constant in CONSTANTS
-            if constant.name not in NOT_USUAL and (constant.group != "wake" or has_other)
+            if constant.name not in NOT_FITTED_BY_DEFAULT
+            and (constant.group != "wake" or has_other)
         ]
     chosen = []
     for name in names:

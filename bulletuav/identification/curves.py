@@ -1,34 +1,34 @@
-"""What was measured and what was predicted, side by side over time."""
+"""Measured and predicted time series of a log, for plots."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.identification.errors import legs_of
+from bulletuav.identification.errors import make_legs
 from bulletuav.identification.identify import Prediction
 
-LONGEST = 12.0
-"""Duration that is shown, s"""
-SHOWN = (
-    ("velocity east, m/s", "moved", 3),
-    ("velocity north, m/s", "moved", 4),
-    ("velocity up, m/s", "moved", 5),
-    ("p, rad/s", "turned", 3),
-    ("q, rad/s", "turned", 4),
-    ("r, rad/s", "turned", 5),
+MAX_PLOT_DURATION = 12.0
+"""Maximum duration of a plot, s"""
+PLOTTED_QUANTITIES = (
+    ("velocity east, m/s", "translation", 3),
+    ("velocity north, m/s", "translation", 4),
+    ("velocity up, m/s", "translation", 5),
+    ("p, rad/s", "rotation", 3),
+    ("q, rad/s", "rotation", 4),
+    ("r, rad/s", "rotation", 5),
 )
-"""Label of a quantity, and where its error stands in `Errors`"""
+"""Label of each quantity, the field of `PredictionErrors` and the column with its error"""
 
 
 class Curve(NamedTuple):
-    """One quantity in the legs of a log.
+    """One quantity over the legs of a log: measured, and predicted before and after the fit.
 
     Attributes:
-        label: What it is, with its unit.
-        time: (L, picks) times, s.
-        measured: (L, picks) what was measured.
-        before: (L, picks) what was predicted with the airframe as it was.
-        after: (L, picks) the same with the airframe as it is now.
+        label: Name of the quantity with its unit.
+        time: Times, (L, num_states), s.
+        measured: Measured values, (L, num_states).
+        before: Predictions of the initial airframe, (L, num_states).
+        after: Predictions of the fitted airframe, (L, num_states).
     """
 
     label: str
@@ -38,26 +38,30 @@ class Curve(NamedTuple):
     after: np.ndarray
 
 
-def curves(prediction: Prediction) -> list[Curve]:
-    """Return what to plot of one log.
+def make_curves(prediction: Prediction) -> list[Curve]:
+    """Return the time series to plot for one log.
 
     Args:
-        prediction: Predictions in its windows; the first of them are shown.
+        prediction: Predictions in the log's windows, of which the first `MAX_PLOT_DURATION` are
+            used.
+
+    Returns:
+        A curve for each of `PLOTTED_QUANTITIES`.
     """
     flight = prediction.part.flight
     windows = prediction.part.windows
-    guided, free = legs_of(flight, windows)
+    guided, free = make_legs(flight, windows)
     found = []
-    for label, field, column in SHOWN:
-        legs = guided if field == "moved" else free
-        at = legs.start[:, None] + legs.every * np.arange(1, legs.picks + 1)
-        values = flight.track.velocity if field == "moved" else flight.track.rates
+    for label, field, column in PLOTTED_QUANTITIES:
+        legs = guided if field == "translation" else free
+        at = legs.start[:, None] + legs.stride * np.arange(1, legs.num_states + 1)
+        values = flight.track.velocity if field == "translation" else flight.track.rates
         measured = values[at, column - 3]
         errors = [
             getattr(one, field)[..., column].reshape(at.shape)
             for one in (prediction.before, prediction.after)
         ]
-        first = at[:, 0] * flight.dt < at[0, 0] * flight.dt + LONGEST
+        first = at[:, 0] * flight.dt < at[0, 0] * flight.dt + MAX_PLOT_DURATION
         time = flight.dt * at
         shown = (time, measured, measured + errors[0], measured + errors[1])
         found.append(Curve(label, *(part[first] for part in shown)))

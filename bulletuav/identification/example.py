@@ -1,4 +1,4 @@
-"""An example of a flight log: a flight of the simulator, with the noise of real sensors."""
+"""Example flight logs: simulated flights with the noise of real sensors."""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -12,15 +12,15 @@ from bulletuav.geometry.rotation import axes
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 HZ = 100
-"""Rows of a log, and decisions, per second"""
+"""Rate of log rows and of decisions, Hz"""
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw", "p", "q", "r", "w1", "w2", "w3", "w4")
-PLACE, ANGLE, GYRO = 3e-4, np.deg2rad(0.2), 0.02
-"""Noise of a motion capture system, m and rad, and of a gyroscope, rad/s"""
+POSITION_NOISE, ATTITUDE_NOISE, GYRO_NOISE = 3e-4, np.deg2rad(0.2), 0.02
+"""Standard deviations of a motion capture system, m and rad, and of a gyroscope, rad/s"""
 Path3 = Callable[[float], np.ndarray]
-"""Function of the time (s) that returns a position (3,), m"""
+"""Function from time (s) to a position (3,), m"""
 
 
-def fly(
+def fly_example(
     airframe: Airframe,
     seconds: float,
     seed: int,
@@ -29,18 +29,18 @@ def fly(
     path: Path3 | None = None,
     other: Path3 | None = None,
 ) -> np.ndarray:
-    """Fly along a path, with sines in all torques.
+    """Simulate a flight along a path, with sinusoidal excitation of all torques.
 
     Args:
-        airframe: What flies.
+        airframe: The airframe.
         seconds: Duration, s.
-        seed: Of the sines.
-        delay: Rows after which a logged command acts.
+        seed: Seed of the sines.
+        delay: Number of rows after which a logged command takes effect.
         path: The path; by default slow sines about 1 m above the ground.
         other: Path of a second drone.
 
     Returns:
-        Rows of `COLUMNS`, and of other_x, other_y, other_z where there is a second drone.
+        Rows of `COLUMNS`, followed by other_x, other_y, other_z if there is a second drone.
     """
     rng = np.random.default_rng(seed)
     slow = rng.uniform(0.1, 0.9, (3, 5)), rng.uniform(0, 2 * np.pi, (3, 5))
@@ -50,11 +50,11 @@ def fly(
         total: np.ndarray = np.sin(2 * np.pi * kind[0] * time + kind[1]).sum(axis=1)
         return total
 
-    def slowly(time: float) -> np.ndarray:
+    def default_path(time: float) -> np.ndarray:
         place: np.ndarray = np.array([0, 0, 1]) + np.array([0.33, 0.33, 0.2]) * sines(slow, time)
         return place
 
-    path = path or slowly
+    path = path or default_path
     hover = airframe.hover_speed()
     places = [path(0.0)] + ([] if other is None else [other(0.0)])
     space = Airspace(
@@ -73,7 +73,7 @@ def fly(
         time = k / HZ
         state = [array[0].copy() for array in space.swarm[:4]]
         excitation = np.array([6, 6, 3]) * sines(fast, time)
-        command = controlled(airframe, mixer, state, path(time), excitation)
+        command = compute_rotor_speeds(airframe, mixer, state, path(time), excitation)
         place = [] if other is None else space.swarm.position[1]
         rows.append([time, *state[0], *state[1], *state[3], *command, *place])
         queue.append(command)
@@ -84,65 +84,66 @@ def fly(
     return np.array(rows)
 
 
-def controlled(
+def compute_rotor_speeds(
     airframe: Airframe,
     mixer: np.ndarray,
     state: Sequence[np.ndarray],
     goal: np.ndarray,
     excitation: np.ndarray,
 ) -> np.ndarray:
-    """Compute rotor speeds that lead to a goal.
+    """Compute rotor speeds that fly an airframe to a goal, by geometric control.
 
     Args:
-        airframe: What flies.
-        mixer: Squared rotor speeds from thrust and torques, (4, 4).
+        airframe: The airframe.
+        mixer: Matrix from thrust and torques to squared rotor speeds times the thrust coefficient,
+            (4, 4).
         state: Position, attitude, velocity and body rates.
-        goal: Position (3,), m.
-        excitation: Angular acceleration that is added, (3,), rad/s^2.
+        goal: Goal position, (3,), m.
+        excitation: Additional angular acceleration, (3,), rad/s^2.
 
     Returns:
-        Rotor speeds (4,), rad/s.
+        Rotor speeds, (4,), rad/s.
     """
     position, quaternion, velocity, rates = state
-    asked = np.clip(3.0 * (goal - position) - 2.5 * velocity, -4, 4)
-    asked += np.array([0, 0, STANDARD_GRAVITY])
+    acceleration = np.clip(3.0 * (goal - position) - 2.5 * velocity, -4, 4)
+    acceleration += np.array([0, 0, STANDARD_GRAVITY])
     body = np.array(axes(tuple(quaternion)))
-    lean = body @ asked / np.linalg.norm(asked)
+    direction = body @ acceleration / np.linalg.norm(acceleration)
     yaw = np.arctan2(body[0, 1], body[0, 0])
-    turn = np.array([-lean[1], lean[0], -0.3 * np.sin(yaw)])
+    turn = np.array([-direction[1], direction[0], -0.3 * np.sin(yaw)])
     angular = np.array([40, 40, 16]) * turn - np.array([9, 9, 6]) * rates + excitation
-    thrust = airframe.mass * max(asked @ body[2], 3.0)
+    thrust = airframe.mass * max(acceleration @ body[2], 3.0)
     force = mixer @ np.array([thrust, *(np.array(airframe.inertia) * angular)])
-    most = airframe.thrust_coefficient * airframe.max_rotor_speed**2
-    speeds: np.ndarray = np.sqrt(np.clip(force, 0.0, most) / airframe.thrust_coefficient)
+    max_force = airframe.thrust_coefficient * airframe.max_rotor_speed**2
+    speeds: np.ndarray = np.sqrt(np.clip(force, 0.0, max_force) / airframe.thrust_coefficient)
     return speeds
 
 
-def noisy(rows: np.ndarray, seed: int) -> np.ndarray:
-    """Add the noise of sensors to the rows of a log."""
+def add_sensor_noise(rows: np.ndarray, seed: int) -> np.ndarray:
+    """Add sensor noise to the rows of a log."""
     rng = np.random.default_rng(seed)
     rows = rows.copy()
-    rows[:, 1:4] += PLACE * rng.standard_normal((len(rows), 3))
+    rows[:, 1:4] += POSITION_NOISE * rng.standard_normal((len(rows), 3))
     x, y, z, w = rows[:, 4:8].T
-    a, b, c = 0.5 * ANGLE * rng.standard_normal((3, len(rows)))
-    # The product with (a, b, c, 1), a small turn
+    a, b, c = 0.5 * ATTITUDE_NOISE * rng.standard_normal((3, len(rows)))
+    # Quaternion product with (a, b, c, 1), a small rotation
     turned = (w * a + x + y * c - z * b, w * b + y + z * a - x * c)
     rows[:, 4:8] = np.stack([*turned, w * c + z + x * b - y * a, w - x * a - y * b - z * c], axis=1)
     rows[:, 4:8] /= np.linalg.norm(rows[:, 4:8], axis=1)[:, None]
-    rows[:, 8:11] += GYRO * rng.standard_normal((len(rows), 3))
+    rows[:, 8:11] += GYRO_NOISE * rng.standard_normal((len(rows), 3))
     return rows
 
 
-def write(path: Path | str, rows: np.ndarray, names: Sequence[str] = COLUMNS) -> Path:
-    """Write rows as a log.
+def write_example_log(path: Path | str, rows: np.ndarray, names: Sequence[str] = COLUMNS) -> Path:
+    """Write rows as a CSV log.
 
     Args:
         path: The file.
-        rows: Numbers, a row for each time.
+        rows: Numbers, one row per time.
         names: Names of the columns.
 
     Returns:
-        The file.
+        The path of the file.
     """
     with whole_file(Path(path)) as part, open(part, "w", newline="") as file:
         writer = csv.writer(file)

@@ -1,10 +1,13 @@
-"""Least squares over windows of flights: constants, the logs' own numbers, and their intervals.
+"""Least-squares fit of airframe constants and per-log parameters over windows of flights.
 
-Errors of a window are whitened by the covariance of all windows' errors, so that those of one axis
-count together as much as they tell. Large ones count less (soft L1). Intervals are robust: they
-hold for errors of any distribution, correlated within a window and with the windows near it (W.
-Newey, K. West, A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent
-covariance matrix, Econometrica 1987).
+The errors of a window are whitened by the covariance of all windows' errors, so that each error
+counts according to its information. Large errors count less (soft L1 loss). Intervals are robust:
+they hold for errors of any distribution that are correlated within a window and with neighbouring
+windows.
+
+References:
+    W. Newey, K. West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
+    consistent covariance matrix, Econometrica 1987.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,82 +17,92 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bulletuav.identification.constants import Constant
-from bulletuav.identification.errors import NUM_OFFSETS, SPREAD, Errors, errors_of, with_constants
-from bulletuav.identification.flight import Flight
-from bulletuav.identification.intervals import UNSURE, Information, quantile
+from bulletuav.identification.errors import (
+    LOG_PARAMETER_STD,
+    NUM_LOG_PARAMETERS,
+    PredictionErrors,
+    compute_errors,
+    with_constants,
+)
+from bulletuav.identification.flight import LoggedFlight
+from bulletuav.identification.intervals import MAX_HALF_WIDTH, Information, quantile
 from bulletuav.identification.weights import Weights, whiten
 from bulletuav.vehicle.airframe import Airframe
 
-MILD = 2.0
-"""Error in standard deviations from which on errors count less"""
-WEAK = 1.0
-"""Standard deviation with which constants stay at the airframe's own, in their logarithm"""
-STEP = 1e-4
-"""Step of numbers for derivatives"""
-MOST_STEPS = 25
-"""Most iterations of a fit"""
-UNSURE_STEP = 0.2
-"""The same for constants of either sign, in their scale"""
-FARTHEST = 3.0
-"""Bound of the logarithms of constants, about the start"""
+SOFT_L1_SCALE = 2.0
+"""Whitened error above which the loss grows less than quadratically, in standard deviations"""
+PRIOR_STD = 1.0
+"""Prior standard deviation of the constants' parameters about the airframe's own values"""
+DIFFERENCE_STEP = 1e-4
+"""Step of finite differences"""
+MAX_ITERATIONS = 25
+"""Maximum number of function evaluations of a fit"""
+MAX_HALF_WIDTH_SIGNED = 0.2
+"""Half width, in its scale, above which a signed constant counts as not identified"""
+MAX_CHANGE = 3.0
+"""Bound of the change of a parameter from its initial value"""
 Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
-class Part:
-    """Windows of a flight that are fitted, or kept.
+class FlightPart:
+    """Windows of a flight that are fitted or held out.
 
     Attributes:
         flight: The flight.
-        windows: (K,) indices of its windows, in order.
+        windows: Indices of the windows, (K,), ascending.
     """
 
-    flight: Flight
+    flight: LoggedFlight
     windows: np.ndarray
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit found.
+    """Result of a fit.
 
     Attributes:
-        airframe: The airframe with what was fitted.
-        constants: What was fitted.
-        numbers: (P,) constants as they are fitted.
-        deviation: (P,) their standard deviations.
-        quantile: Standard deviations from the middle to the ends of intervals.
-        offsets: (L, 7) the logs' own numbers.
-        offset_deviation: (L, F) standard deviations of those that were fitted.
+        airframe: The airframe with the fitted constants.
+        constants: The constants that were fitted.
+        theta: Fitted parameters of the constants, (P,).
+        deviation: Standard deviations of the parameters, (P,).
+        quantile: Half width of the intervals, in standard deviations.
+        log_parameters: Per-log parameters, (L, 7).
+        log_parameter_deviation: Standard deviations of the free per-log parameters, (L, F).
     """
 
     airframe: Airframe
     constants: list[Constant]
-    numbers: np.ndarray
+    theta: np.ndarray
     deviation: np.ndarray
     quantile: float
-    offsets: np.ndarray
-    offset_deviation: np.ndarray
+    log_parameters: np.ndarray
+    log_parameter_deviation: np.ndarray
 
 
-class Problem:
-    """A least-squares problem: constants of an airframe over parts of flights."""
+class FitProblem:
+    """Least-squares problem: constants of an airframe over windows of flights.
+
+    The parameter vector theta holds the parameters of the C constants, followed by the free per-log
+    parameters of each of the L parts.
+    """
 
     def __init__(
         self,
-        parts: Sequence[Part],
+        parts: Sequence[FlightPart],
         airframe: Airframe,
         constants: list[Constant],
         free: np.ndarray,
         progress: Progress,
     ) -> None:
-        """Keep what the problem is made of.
+        """Define the problem.
 
         Args:
-            parts: What is fitted.
-            airframe: Where the fit starts.
-            constants: Constants that are fitted; none to fit the logs' own numbers alone.
-            free: (7,) bool, which of those.
-            progress: Called with the evaluations so far.
+            parts: The L parts of flights to fit.
+            airframe: The airframe with the initial values.
+            constants: The constants to fit; empty to fit the per-log parameters only.
+            free: Mask of the per-log parameters to fit, (7,) bool.
+            progress: Callback that receives the number of evaluations.
         """
         self.parts = parts
         self.airframe = airframe
@@ -100,138 +113,145 @@ class Problem:
         self.weights: Weights | None = None
         self.evaluations = 0
 
-    def begin(self) -> np.ndarray:
-        """Return the numbers at the airframe's own constants, and no offsets."""
+    def initial_theta(self) -> np.ndarray:
+        """Return the parameters of the airframe's own constants and zero per-log parameters."""
         return np.concatenate([self.start, np.zeros(len(self.parts) * len(self.free))])
 
-    def own(self, numbers: np.ndarray) -> np.ndarray:
-        """Return the logs' own numbers of all numbers, as a view (L, free)."""
-        return numbers[len(self.constants) :].reshape(len(self.parts), -1)
+    def log_part(self, theta: np.ndarray) -> np.ndarray:
+        """Return a view (L, free) of the per-log parameters in a parameter vector."""
+        return theta[len(self.constants) :].reshape(len(self.parts), -1)
 
-    def split(self, numbers: np.ndarray) -> tuple[Airframe, np.ndarray]:
-        """Return the airframe and the offsets (L, 7) of all numbers that are fitted."""
-        offsets = np.zeros((len(self.parts), NUM_OFFSETS))
-        offsets[:, self.free] = self.own(numbers)
+    def unpack(self, theta: np.ndarray) -> tuple[Airframe, np.ndarray]:
+        """Return the airframe and the per-log parameters (L, 7) of a parameter vector."""
+        log_parameters = np.zeros((len(self.parts), NUM_LOG_PARAMETERS))
+        log_parameters[:, self.free] = self.log_part(theta)
         count = len(self.constants)
-        return with_constants(self.airframe, self.constants, numbers[:count]), offsets
+        return with_constants(self.airframe, self.constants, theta[:count]), log_parameters
 
-    def errors(self, numbers: np.ndarray) -> list[Errors]:
-        """Return the errors in all parts."""
-        airframe, offsets = self.split(numbers)
+    def errors(self, theta: np.ndarray) -> list[PredictionErrors]:
+        """Compute the prediction errors of each part."""
+        airframe, log_parameters = self.unpack(theta)
         self.evaluations += 1
         self.progress(self.evaluations)
         return [
-            errors_of(part.flight, part.windows, airframe, own)
-            for part, own in zip(self.parts, offsets, strict=True)
+            compute_errors(part.flight, part.windows, airframe, own)
+            for part, own in zip(self.parts, log_parameters, strict=True)
         ]
 
-    def whitened(self, numbers: np.ndarray) -> list[np.ndarray]:
-        """Return the whitened errors of all parts, (K, E) each."""
+    def whitened(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Compute the whitened errors of each part, (K, E)."""
         assert self.weights is not None
-        return [whiten(errors, self.weights) for errors in self.errors(numbers)]
+        return [whiten(errors, self.weights) for errors in self.errors(theta)]
 
-    def priors(self, numbers: np.ndarray) -> np.ndarray:
-        """Return how far numbers are from where they usually are, in standard deviations."""
+    def priors(self, theta: np.ndarray) -> np.ndarray:
+        """Return the parameters' deviations from their prior means, in standard deviations."""
         count = len(self.constants)
-        own = self.own(numbers).ravel() / SPREAD
-        return np.concatenate([(numbers[:count] - self.start) / WEAK, own])
+        own = self.log_part(theta).ravel() / LOG_PARAMETER_STD
+        return np.concatenate([(theta[:count] - self.start) / PRIOR_STD, own])
 
-    def residuals(self, numbers: np.ndarray) -> np.ndarray:
-        """Return all whitened errors, then the priors."""
-        found = [part.ravel() for part in self.whitened(numbers)]
-        return np.concatenate([*found, self.priors(numbers)])
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        """Return all whitened errors, followed by the prior residuals."""
+        found = [part.ravel() for part in self.whitened(theta)]
+        return np.concatenate([*found, self.priors(theta)])
 
-    def slopes(self, numbers: np.ndarray) -> list[np.ndarray]:
-        """Return the derivatives of whitened errors, (K, E, P) of each part, by all numbers."""
+    def slopes(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Return the derivatives of the whitened errors by theta, (K, E, P) for each part."""
         count = len(self.constants)
         own = len(self.free)
-        base = self.whitened(numbers)
-        slopes = [np.zeros((*part.shape, len(numbers))) for part in base]
+        base = self.whitened(theta)
+        slopes = [np.zeros((*part.shape, len(theta))) for part in base]
         for k in range(count + own):
-            moved = numbers.copy()
+            moved = theta.copy()
             if k < count:
-                moved[k] += STEP
+                moved[k] += DIFFERENCE_STEP
             else:
-                # One kind of the logs' own numbers at once: each matters to its log alone
-                self.own(moved)[:, k - count] += STEP
+                # One step changes a per-log parameter of all logs: it affects the errors of its own
+                # log only
+                self.log_part(moved)[:, k - count] += DIFFERENCE_STEP
             for i, part in enumerate(self.whitened(moved)):
                 column = k if k < count else count + i * own + k - count
-                slopes[i][..., column] = (part - base[i]) / STEP
+                slopes[i][..., column] = (part - base[i]) / DIFFERENCE_STEP
         return slopes
 
-    def jacobian(self, numbers: np.ndarray) -> np.ndarray:
-        """Return the derivatives of `residuals`."""
-        found = [part.reshape(-1, len(numbers)) for part in self.slopes(numbers)]
-        return np.concatenate([*found, np.diag(1 / self._scale(len(numbers)))])
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
+        """Return the Jacobian of `residuals`."""
+        found = [part.reshape(-1, len(theta)) for part in self.slopes(theta)]
+        return np.concatenate([*found, np.diag(1 / self._scale(len(theta)))])
 
     def _scale(self, size: int) -> np.ndarray:
-        """Return the standard deviations of the priors."""
-        return np.where(np.arange(size) < len(self.constants), WEAK, SPREAD)
+        return np.where(np.arange(size) < len(self.constants), PRIOR_STD, LOG_PARAMETER_STD)
 
-    def solve(self, numbers: np.ndarray) -> np.ndarray:
-        """Return the numbers of the least squares from a start on."""
-        reach = np.full(len(numbers), np.inf)
-        reach[: len(self.constants)] = FARTHEST
-        middle = np.concatenate([self.start, np.zeros(len(numbers) - len(self.start))])
+    def solve(self, theta: np.ndarray) -> np.ndarray:
+        """Solve the least-squares problem from an initial parameter vector."""
+        half_width = np.full(len(theta), np.inf)
+        half_width[: len(self.constants)] = MAX_CHANGE
+        middle = np.concatenate([self.start, np.zeros(len(theta) - len(self.start))])
         solution = least_squares(
             self.residuals,
-            np.clip(numbers, middle - 0.99 * reach, middle + 0.99 * reach),
+            np.clip(theta, middle - 0.99 * half_width, middle + 0.99 * half_width),
             jac=self.jacobian,
-            bounds=(middle - reach, middle + reach),
+            bounds=(middle - half_width, middle + half_width),
             loss="soft_l1",
-            f_scale=MILD,
+            f_scale=SOFT_L1_SCALE,
             x_scale="jac",
             ftol=1e-6,
             xtol=1e-6,
-            max_nfev=MOST_STEPS,
+            max_nfev=MAX_ITERATIONS,
         )
         found: np.ndarray = solution.x
         return found
 
-    def information(self, numbers: np.ndarray) -> "Information":
-        """Return what the windows tell about the numbers."""
-        scale = self._scale(len(numbers))
+    def information(self, theta: np.ndarray) -> "Information":
+        """Compute the information of the windows about the parameters."""
+        scale = self._scale(len(theta))
         curves = []
         scores = []
-        for errors, slopes in zip(self.whitened(numbers), self.slopes(numbers), strict=True):
-            stretch = 1.0 + (errors / MILD) ** 2
+        for errors, slopes in zip(self.whitened(theta), self.slopes(theta), strict=True):
+            stretch = 1.0 + (errors / SOFT_L1_SCALE) ** 2
             weighted = np.swapaxes(stretch[..., None] ** -1.5 * slopes, 1, 2)
             curves.append(weighted @ slopes)
             scores.append(np.einsum("ke,kep->kp", stretch**-0.5 * errors, slopes))
-        # Priors: the logs' own numbers scatter; a constant that nothing tells is as unsure as that
-        drawn = self.priors(numbers) / scale
-        drawn[: len(self.constants)] = 1 / WEAK
+        # Per-log parameters contribute their actual prior score; constants contribute the expected
+        # one, so that the interval of an unobservable constant is as wide as its prior
+        drawn = self.priors(theta) / scale
+        drawn[: len(self.constants)] = 1 / PRIOR_STD
         return Information(curves, scores, 1 / scale**2, drawn**2)
 
-    def told(self, numbers: np.ndarray) -> np.ndarray:
-        """Tell which constants the windows tell, (C,) bool: the least sure one goes first."""
-        known = self.information(numbers)
-        limit = np.array([UNSURE_STEP if one.scale else UNSURE for one in self.constants])
-        keep = np.ones(len(numbers), bool)
+    def find_identified(self, theta: np.ndarray) -> np.ndarray:
+        """Find the constants that the windows determine, by backward elimination.
+
+        Returns:
+            Mask of the constants, (C,) bool.
+        """
+        known = self.information(theta)
+        limit = np.array(
+            [MAX_HALF_WIDTH_SIGNED if one.scale else MAX_HALF_WIDTH for one in self.constants]
+        )
+        keep = np.ones(len(theta), bool)
         while True:
             rest = np.flatnonzero(keep)
             size = int((rest < len(limit)).sum())
             if not size:
                 return keep[: len(limit)]
             deviation = np.sqrt(np.diag(known.covariance(rest)))[:size]
-            reach = quantile(sum(map(len, known.scores)), size + len(self.free))
-            excess = reach * deviation / limit[rest[:size]]
+            half_width = quantile(sum(map(len, known.scores)), size + len(self.free))
+            excess = half_width * deviation / limit[rest[:size]]
             if excess.max() < 1:
                 return keep[: len(limit)]
             keep[rest[int(np.argmax(excess))]] = False
 
-    def found(self, numbers: np.ndarray) -> Fit:
-        """Return what the numbers mean, with their deviations."""
-        known = self.information(numbers)
-        deviation = np.sqrt(np.diag(known.covariance(np.arange(len(numbers)))))
-        airframe, offsets = self.split(numbers)
+    def make_fit(self, theta: np.ndarray) -> Fit:
+        """Return the result for a parameter vector, with standard deviations."""
+        known = self.information(theta)
+        deviation = np.sqrt(np.diag(known.covariance(np.arange(len(theta)))))
+        airframe, log_parameters = self.unpack(theta)
         count = len(self.constants)
         return Fit(
             airframe=airframe,
             constants=self.constants,
-            numbers=numbers[:count],
+            theta=theta[:count],
             deviation=np.hypot(deviation[:count], [one.resolution for one in self.constants]),
             quantile=quantile(sum(map(len, known.scores)), count + len(self.free)),
-            offsets=offsets,
-            offset_deviation=self.own(deviation),
+            log_parameters=log_parameters,
+            log_parameter_deviation=self.log_part(deviation),
         )

@@ -1,4 +1,4 @@
-"""Fits constants of an airframe to flight logs, and tells how well it then predicts flights."""
+"""Identification of airframe constants from flight logs, with held-out prediction errors."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -8,37 +8,49 @@ import numpy as np
 
 from bulletuav.errors import finite
 from bulletuav.identification.battery import BatteryFit, fit_battery
-from bulletuav.identification.checks import checked, require_same_logs
+from bulletuav.identification.checks import check_distinct_logs, check_log
 from bulletuav.identification.constants import BATTERY, GROUND, Constant, choose_constants
-from bulletuav.identification.errors import DELAY, OFFSETS, Errors, errors_of, naive_errors
-from bulletuav.identification.fit import Fit, Part, Progress
-from bulletuav.identification.fitting import Fitting, halves, own_numbers, silent, split
-from bulletuav.identification.flight import prepare
+from bulletuav.identification.errors import (
+    DELAY_UNIT,
+    LOG_PARAMETERS,
+    PredictionErrors,
+    compute_errors,
+    compute_naive_errors,
+)
+from bulletuav.identification.fit import Fit, FlightPart, Progress
+from bulletuav.identification.fitting import (
+    StepwiseFit,
+    fit_log_parameters,
+    ignore_progress,
+    split_blocks,
+    split_flights,
+)
+from bulletuav.identification.flight import prepare_log
 from bulletuav.identification.logs import OTHER, parse_map, read_log
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import HEAVIEST, load_airframe
 
 WINDOW = 0.5
-"""Usual duration of a window, s"""
-LOW = 0.63
-"""Share of its reach below which windows tell of the ground effect: there it is 5 % of itself"""
-FEWEST_LOW = 20
-"""Fewest such windows: a few take-offs tell more of the touch of the ground than of its effect"""
+"""Default duration of a window, s"""
+LOW_HEIGHT_FRACTION = 0.63
+"""Fraction of the reach below which the ground effect exceeds 5 % and can be fitted"""
+MIN_LOW_WINDOWS = 20
+"""Minimum number of windows in ground effect: fewer show take-offs, not the effect"""
 DIGITS = 5
-"""Significant digits of constants that were fitted"""
+"""Significant digits of fitted constants"""
 
 
 @dataclasses.dataclass(frozen=True)
-class Estimate:
-    """A constant before and after.
+class ConstantEstimate:
+    """A constant before and after the fit.
 
     Attributes:
-        constant: What it is.
+        constant: The constant.
         before: The airframe's own value.
-        after: The fitted value; the airframe's own where logs do not tell it.
+        after: The fitted value, or the airframe's own value if the constant is not identified.
         low: Lower end of the interval.
         high: Upper end of the interval.
-        told: Whether the logs tell it. Where not, it stays what it was.
+        is_identified: Whether the logs determine the constant. If not, it keeps its value.
     """
 
     constant: Constant
@@ -46,33 +58,33 @@ class Estimate:
     after: float
     low: float
     high: float
-    told: bool
+    is_identified: bool
 
 
 @dataclasses.dataclass(frozen=True)
 class Prediction:
-    """Windows of one log, and the errors of predictions in them.
+    """Windows of one log, and the errors of predictions in these windows.
 
     Attributes:
         part: The windows.
-        naive: Errors if velocity and rates stay what they are.
-        before: Errors with the airframe as it was.
-        after: Errors with the airframe as it is now.
-        offsets: (7,) the log's own numbers, with the airframe as it is now.
-        offsets_before: (7,) the same with the airframe as it was.
+        naive: Errors of a prediction with constant velocity and rates.
+        before: Errors with the initial airframe.
+        after: Errors with the fitted airframe.
+        log_parameters: Per-log parameters, (7,), with the fitted airframe.
+        log_parameters_before: Per-log parameters, (7,), with the initial airframe.
     """
 
-    part: Part
-    naive: Errors
-    before: Errors
-    after: Errors
-    offsets: np.ndarray
-    offsets_before: np.ndarray
+    part: FlightPart
+    naive: PredictionErrors
+    before: PredictionErrors
+    after: PredictionErrors
+    log_parameters: np.ndarray
+    log_parameters_before: np.ndarray
 
     @property
     def delay(self) -> float:
-        """How late commands arrive, s."""
-        return float(DELAY * self.offsets[0])
+        """Delay of the commands, s."""
+        return float(DELAY_UNIT * self.log_parameters[0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,20 +92,20 @@ class Identification:
     """Result of `identify`.
 
     Attributes:
-        before: The airframe as it was.
-        airframe: The airframe with what was fitted.
+        before: The initial airframe.
+        airframe: The fitted airframe.
         estimates: The constants.
-        fitted: Predictions in what was fitted.
-        kept: Predictions in what was kept back.
-        battery: Constants of the battery, where they were fitted.
-        whole_logs: Whether whole logs were kept back; else blocks of the one log.
+        fitted: Predictions in the fitted windows.
+        kept: Predictions in the held-out windows.
+        battery: Fitted constants of the battery, or None if they were not fitted.
+        whole_logs: Whether whole logs were held out; otherwise blocks of the single log.
         window: Duration of a window, s.
-        note: What else was changed; empty for nothing.
+        note: Description of further changes; empty if there are none.
     """
 
     before: Airframe
     airframe: Airframe
-    estimates: Sequence[Estimate]
+    estimates: Sequence[ConstantEstimate]
     fitted: Sequence[Prediction]
     kept: Sequence[Prediction]
     battery: BatteryFit | None
@@ -110,59 +122,61 @@ def identify(
     columns: Iterable[str] = (),
     mass: float | None = None,
     window: float = WINDOW,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Identification:
     """Fit constants of an airframe to flight logs.
 
-    Of one log, every other block of windows is fitted; of several, every other log. The rest is
-    kept back, and tells how good the predictions are.
+    With one log, every second block of windows is fitted; with several, every second log. The rest
+    is held out to evaluate the predictions.
 
     Args:
         logs: CSV files, see `bulletuav.identification.logs`.
-        airframe: The drone that flew: a name, the path of a URDF, or the airframe.
-        fit: Names of constants or groups; none for all that the logs tell.
-        columns: Texts NAME=COLUMN[*FACTOR][+OFFSET] for columns of other names and units.
-        mass: Mass that flew, kg; the airframe's own when left out. Forces scale with it.
-        window: Duration of the flights that are predicted, s.
-        progress: Called with the share that is done.
+        airframe: The airframe that was flown: a name, the path of a URDF, or the airframe.
+        fit: Names of constants or groups; empty for all that the logs determine.
+        columns: Mappings NAME=COLUMN[*FACTOR][+OFFSET] for columns with other names or units.
+        mass: Mass in flight, kg; the airframe's own by default. Forces scale with it.
+        window: Duration of the predicted flights, s.
+        progress: Callback that receives the completed fraction.
 
     Returns:
-        The airframe with what was fitted, and how well it predicts.
+        The fitted airframe, and its prediction errors.
 
     Raises:
-        FileNotFoundError: There is no such log.
-        ValueError: A log is broken or tells nothing, or a name is unknown.
+        FileNotFoundError: If a log does not exist.
+        ValueError: If a log is damaged or not informative, or a name is unknown.
     """
     drone = load_airframe(airframe)
     if mass is not None:
         drone = dataclasses.replace(drone, mass=finite("mass", mass, 1e-3, HEAVIEST))
     window = finite("window", window, 0.1, 5.0)
     sources = parse_map(columns)
-    require_same_logs([Path(log) for log in logs])
-    read = [checked(read_log(log, sources, len(drone.rotors)), drone) for log in logs]
+    check_distinct_logs([Path(log) for log in logs])
+    read = [check_log(read_log(log, sources, len(drone.rotors)), drone) for log in logs]
     has_other = all(OTHER[0] in log for log in read)
     has_volts = all(log.kind == "pwm" and "vbat" in log for log in read)
     constants = choose_constants(fit, has_other, has_volts)
     flights = []
     for k, log in enumerate(read):
-        flights.append(prepare(log, drone, window))
+        flights.append(prepare_log(log, drone, window))
         progress(0.1 * (k + 1) / len(read))
-    parts, kept = split(flights)
-    if not fit and low_windows(parts, drone) < FEWEST_LOW:
+    parts, kept = split_flights(flights)
+    if not fit and count_low_windows(parts, drone) < MIN_LOW_WINDOWS:
         constants = [constant for constant in constants if constant.group != GROUND]
-    free = np.array([name != "gain" or len(logs) > 1 for name in OFFSETS])
-    found = Fitting(parts, drone, free, bool(fit), progress).run(constants)
-    fitted_airframe, note = _possible(_rounded(found.airframe, found.constants), found.constants)
+    free = np.array([name != "gain" or len(logs) > 1 for name in LOG_PARAMETERS])
+    found = StepwiseFit(parts, drone, free, bool(fit), progress).run(constants)
+    fitted_airframe, note = _limit_yaw_inertia(
+        _round_constants(found.airframe, found.constants), found.constants
+    )
     battery = None
     if not fit or BATTERY in fit:
         battery = fit_battery(read, fitted_airframe, required=BATTERY in fit)
         if battery is not None:
-            fitted_airframe = battery.put(fitted_airframe)
+            fitted_airframe = battery.apply_to(fitted_airframe)
     predictions = _predictions(parts, kept, drone, fitted_airframe, free, len(logs) > 1, progress)
     return Identification(
         before=drone,
         airframe=fitted_airframe,
-        estimates=_estimates(constants, found, drone, fitted_airframe),
+        estimates=_make_estimates(constants, found, drone, fitted_airframe),
         fitted=predictions[0],
         kept=predictions[1],
         battery=battery,
@@ -172,37 +186,37 @@ def identify(
     )
 
 
-def low_windows(parts: Sequence[Part], airframe: Airframe) -> int:
-    """Count the windows near the ground, where its effect is felt."""
+def count_low_windows(parts: Sequence[FlightPart], airframe: Airframe) -> int:
+    """Count the windows in which the ground effect is noticeable."""
     count = 0
     for part in parts:
         height = part.flight.track.position[part.flight.windows[part.windows], 2]
-        count += int((height < LOW * airframe.ground_effect_reach).sum())
+        count += int((height < LOW_HEIGHT_FRACTION * airframe.ground_effect_reach).sum())
     return count
 
 
 def _predictions(
-    parts: list[Part],
-    kept: list[Part],
+    parts: list[FlightPart],
+    kept: list[FlightPart],
     before: Airframe,
     after: Airframe,
     free: np.ndarray,
     whole_logs: bool,
     progress: Progress,
 ) -> tuple[list[Prediction], list[Prediction]]:
-    """Predict what was fitted and what was kept; every airframe gets numbers of each log's own.
+    """Predict the fitted and held-out windows with both airframes, each with per-log parameters.
 
-    In logs that were kept as a whole these are fitted to every other block, and the errors are
-    those in the others.
+    The per-log parameters of a held-out log are fitted to every second block, and its errors are
+    those in the other blocks.
     """
-    own = [own_numbers(parts, drone, free) for drone in (before, after)]
+    own = [fit_log_parameters(parts, drone, free) for drone in (before, after)]
     progress(0.95)
     kept_own = own
     if whole_logs:
-        pairs = [halves(part.flight) for part in kept]
+        pairs = [split_blocks(part.flight) for part in kept]
         fitted = [first for first, _ in pairs]
         kept = [second for _, second in pairs]
-        kept_own = [own_numbers(fitted, drone, free) for drone in (before, after)]
+        kept_own = [fit_log_parameters(fitted, drone, free) for drone in (before, after)]
     progress(1.0)
     return (
         [_predict(part, before, after, a, b) for part, a, b in zip(parts, *own, strict=True)],
@@ -211,65 +225,66 @@ def _predictions(
 
 
 def _predict(
-    part: Part,
-    before: Airframe,
-    after: Airframe,
-    own_before: np.ndarray,
-    own: np.ndarray,
+    part: FlightPart, before: Airframe, after: Airframe, own_before: np.ndarray, own: np.ndarray
 ) -> Prediction:
-    """Predict one part with both airframes."""
     return Prediction(
         part=part,
-        naive=naive_errors(part.flight, part.windows),
-        before=errors_of(part.flight, part.windows, before, own_before),
-        after=errors_of(part.flight, part.windows, after, own),
-        offsets=own,
-        offsets_before=own_before,
+        naive=compute_naive_errors(part.flight, part.windows),
+        before=compute_errors(part.flight, part.windows, before, own_before),
+        after=compute_errors(part.flight, part.windows, after, own),
+        log_parameters=own,
+        log_parameters_before=own_before,
     )
 
 
-def _rounded(airframe: Airframe, constants: Iterable[Constant]) -> Airframe:
-    """Round what was fitted to the digits that are written."""
+def _round_constants(airframe: Airframe, constants: Iterable[Constant]) -> Airframe:
+    """Round the fitted constants to `DIGITS` significant digits."""
     for constant in constants:
-        airframe = constant.put(airframe, float(f"{constant.get(airframe):.{DIGITS}g}"))
+        airframe = constant.replace(airframe, float(f"{constant.get(airframe):.{DIGITS}g}"))
     return airframe
 
 
-def _possible(airframe: Airframe, constants: Sequence[Constant]) -> tuple[Airframe, str]:
-    """Make the inertia one that a body can have, and tell if it was changed."""
+def _limit_yaw_inertia(airframe: Airframe, constants: Sequence[Constant]) -> tuple[Airframe, str]:
+    """Reduce inertia_z to a physically possible value.
+
+    Returns:
+        The airframe, and a note on the change, empty if there is none.
+    """
     x, y, z = airframe.inertia
     names = {constant.name for constant in constants}
     if z <= x + y or "inertia_z" in names:
         return airframe, ""
-    # Yaw tells but the quotient of torque ratio and inertia: both are taken down
-    most = float(f"{0.99 * (x + y):.{DIGITS}g}")
-    ratio = airframe.torque_ratio * most / z
+    # Yaw motion determines only the ratio of torque_ratio to inertia_z: both are reduced
+    max_inertia_z = float(f"{0.99 * (x + y):.{DIGITS}g}")
+    ratio = airframe.torque_ratio * max_inertia_z / z
     ratio = float(f"{ratio:.{DIGITS}g}")
     note = (
         f"inertia_z of {z:g} kg m^2 is more than inertia_x + inertia_y, which no body has: it and "
-        f"torque_ratio were taken down together, to {most:g} kg m^2 and {ratio:g} m."
+        f"torque_ratio were reduced together, to {max_inertia_z:g} kg m^2 and {ratio:g} m."
     )
-    changed = dataclasses.replace(airframe, inertia=(x, y, most), torque_ratio=ratio)
+    changed = dataclasses.replace(airframe, inertia=(x, y, max_inertia_z), torque_ratio=ratio)
     return changed, note
 
 
-def _estimates(
-    constants: list[Constant],
-    found: Fit,
-    before: Airframe,
-    after: Airframe,
-) -> list[Estimate]:
-    """Put together what was before and after."""
+def _make_estimates(
+    constants: list[Constant], found: Fit, before: Airframe, after: Airframe
+) -> list[ConstantEstimate]:
+    """Collect the values before and after the fit."""
     ends = {}
     for constant, number, deviation in zip(
-        found.constants, found.numbers, found.deviation, strict=True
+        found.constants, found.theta, found.deviation, strict=True
     ):
-        reach = found.quantile * deviation
-        ends[constant.name] = (constant.decode(number - reach), constant.decode(number + reach))
+        half_width = found.quantile * deviation
+        ends[constant.name] = (
+            constant.decode(number - half_width),
+            constant.decode(number + half_width),
+        )
     estimates = []
     for constant in constants:
         own = constant.get(before)
         low, high = ends.get(constant.name, (float("nan"),) * 2)
-        told = constant.name in ends
-        estimates.append(Estimate(constant, own, constant.get(after), low, high, told))
+        is_identified = constant.name in ends
+        estimates.append(
+            ConstantEstimate(constant, own, constant.get(after), low, high, is_identified)
+        )
     return estimates

@@ -1,4 +1,4 @@
-"""Intervals that hold for errors of any distribution, correlated within a window and near it."""
+"""Robust confidence intervals for errors that correlate within a window and with its neighbours."""
 
 from dataclasses import dataclass
 
@@ -6,31 +6,32 @@ import numpy as np
 from scipy.stats import t as student
 
 LEVEL = 0.95
-"""Level of intervals"""
-UNSURE = 0.69
-"""Half of the length of a logarithm's interval from which on a log does not tell a constant: its
-ends are a factor of 4 apart"""
+"""Confidence level of intervals"""
+MAX_HALF_WIDTH = 0.69
+"""Half width of a logarithm's interval above which a constant counts as not identified: the ends of
+the interval are then a factor of 4 apart
+"""
 
 
 def quantile(count: int, numbers: int) -> float:
-    """Return how many standard deviations it is to the ends of intervals.
+    """Return the half width of intervals in standard deviations (Student's t).
 
     Args:
-        count: Windows that were fitted.
-        numbers: Numbers that every window tells.
+        count: Number of fitted windows.
+        numbers: Number of parameters that every window informs about.
     """
     return float(student.ppf(0.5 + LEVEL / 2, max(count - numbers, 1)))
 
 
 @dataclass(frozen=True)
 class Information:
-    """What windows tell about numbers.
+    """Information of the windows about the parameters.
 
     Attributes:
-        curves: (K, P, P) curvature of the squares of each window's errors, of each part.
-        scores: (K, P) their slopes, of each part.
-        prior_curve: (P,) curvature of the priors.
-        prior_square: (P,) squares of the slopes of the priors.
+        curves: Curvature of the loss of each window, (K, P, P) for each part.
+        scores: Gradient of the loss of each window, (K, P) for each part.
+        prior_curve: Curvature of the priors, (P,).
+        prior_square: Squared gradients of the priors, (P,).
     """
 
     curves: list[np.ndarray]
@@ -39,13 +40,17 @@ class Information:
     prior_square: np.ndarray
 
     def covariance(self, rest: np.ndarray) -> np.ndarray:
-        """Return the robust covariance of some of the numbers, (F, F), while others are held.
+        """Return the robust covariance of some parameters, (F, F), while the others are fixed.
 
-        Each window counts as far as it would be off if it had not been fitted (jackknife: R. Bell,
-        D. McCaffrey, Survey Methodology 2002), so that intervals of few windows are wide enough.
+        Each window's score is corrected for the window's own leverage (jackknife), so that the
+        intervals of few windows are wide enough.
 
         Args:
-            rest: (F,) indices of the numbers.
+            rest: Indices of the parameters, (F,).
+
+        References:
+            R. Bell, D. McCaffrey, Bias reduction in standard errors for linear regression with
+            multi-stage samples, Survey Methodology 2002.
         """
         grid = np.ix_(rest, rest)
         bread = np.diag(self.prior_curve[rest])
@@ -62,7 +67,7 @@ class Information:
 
 
 def newey_west(scores: np.ndarray) -> np.ndarray:
-    """Return the covariance of a sum of scores (K, P) that are correlated with those near them."""
+    """Return the Newey-West covariance of a sum of autocorrelated scores (K, P)."""
     total: np.ndarray = scores.T @ scores
     reach = min(round(len(scores) ** (1 / 3)) + 1, len(scores) - 1)
     for lag in range(1, reach + 1):

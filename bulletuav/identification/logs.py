@@ -1,6 +1,6 @@
 """Flight logs: CSV files with named columns, read into arrays in SI units.
 
-Needed are:
+Required columns:
 
 - `t`, s;
 - `x`, `y`, `z`: position, world ENU, z above the ground, m;
@@ -8,13 +8,13 @@ Needed are:
 - `w1` ... (rad/s) or `rpm1` ... (1/min) or `pwm1` ...: commands of the rotors, in the airframe's
   order.
 
-May be left out:
+Optional columns:
 
 - `vx`, `vy`, `vz`: velocity, world, m/s;
 - `p`, `q`, `r`: rates from the gyroscope, body, rad/s;
 - `ax`, `ay`, `az`: specific force from the accelerometer, body, m/s^2; only its unit is checked;
 - `vbat`, `current`: the battery's voltage and current, V and A;
-- `other_x`, `other_y`, `other_z`: position of a drone above this one, world, m.
+- `other_x`, `other_y`, `other_z`: position of a drone above the drone of the log, world, m.
 """
 
 import csv
@@ -40,9 +40,9 @@ RATES = ("p", "q", "r")
 FORCE = ("ax", "ay", "az")
 OTHER = ("other_x", "other_y", "other_z")
 GROUPS = (VELOCITY, RATES, FORCE, ("vbat",), ("current",), OTHER)
-"""Columns that may be left out, but not some of a group"""
+"""Optional columns, in groups that must be complete"""
 COMMANDS = ("w", "rpm", "pwm")
-"""Kinds of commands; a number tells the rotor"""
+"""Kinds of commands; column names append the number of the rotor"""
 NAMES = (
     "t",
     *POSITION,
@@ -51,7 +51,7 @@ NAMES = (
     *(name for group in GROUPS for name in group),
     *(f"{kind}{rotor}" for kind in COMMANDS for rotor in range(1, MAX_ROTORS + 1)),
 )
-"""All columns that have a meaning"""
+"""Names of all columns that are read"""
 FACTORS = {
     "deg": math.pi / 180,
     "g": STANDARD_GRAVITY,
@@ -61,15 +61,17 @@ FACTORS = {
     "ms": 1e-3,
     "us": 1e-6,
 }
-"""Units that can be named in place of a factor"""
-MOST_HINT = 600
-"""Most characters of the columns that a message offers for one that is missing"""
-SOURCE = re.compile(r"(?P<column>[^*]+?)(\*(?P<factor>[^*+]+?))?(?P<offset>[+-]\d[\d.e-]*)?")
+"""Units that can be named instead of a factor"""
+MAX_HINT_LENGTH = 600
+"""Maximum length of the list of columns that a message suggests, characters"""
+SOURCE_PATTERN = re.compile(
+    r"(?P<column>[^*]+?)(\*(?P<factor>[^*+]+?))?(?P<offset>[+-]\d[\d.e-]*)?"
+)
 
 
 @dataclass(frozen=True)
-class Source:
-    """Where the values of a column come from: factor * column + offset.
+class ColumnSource:
+    """Column of a file and its conversion: factor * column + offset.
 
     Attributes:
         column: Name in the file's header.
@@ -84,12 +86,12 @@ class Source:
 
 @dataclass(frozen=True)
 class Log:
-    """One flight as it was logged.
+    """One logged flight.
 
     Attributes:
         path: The file.
-        columns: (n,) values by the names of `NAMES`, SI units, finite.
-        filled: How many missing values were filled in between neighbours, by column.
+        columns: Values (n,) by the names of `NAMES`, SI units, finite.
+        filled: Number of missing values that were interpolated, by column.
     """
 
     path: Path
@@ -100,34 +102,34 @@ class Log:
         return name in self.columns
 
     def stack(self, names: Iterable[str]) -> np.ndarray:
-        """Return columns side by side, (n, len(names))."""
+        """Stack columns side by side, (n, len(names))."""
         return np.stack([self.columns[name] for name in names], axis=1)
 
     @property
     def time(self) -> np.ndarray:
-        """Times (n,), s."""
+        """Times, (n,), s."""
         return self.columns["t"]
 
     @property
     def kind(self) -> str:
-        """Kind of its commands, one of `COMMANDS`."""
+        """Kind of the commands, one of `COMMANDS`."""
         return next(kind for kind in COMMANDS if f"{kind}1" in self)
 
 
-def parse_map(pairs: Iterable[str]) -> dict[str, Source]:
-    """Parse texts such as "z=altitude*mm-0.03", which tell where a column comes from.
+def parse_map(pairs: Iterable[str]) -> dict[str, ColumnSource]:
+    """Parse column mappings such as "z=altitude*mm-0.03".
 
     Args:
-        pairs: Texts NAME=COLUMN, then optionally *FACTOR (a number or one of `FACTORS`, with a
-            minus sign for a reversed axis), then optionally +OFFSET or -OFFSET.
+        pairs: Texts NAME=COLUMN, optionally followed by *FACTOR (a number or one of `FACTORS`, with
+            a minus sign for a reversed axis) and by +OFFSET or -OFFSET.
 
     Returns:
         The sources by name.
 
     Raises:
-        ValueError: A name is unknown or comes twice, or a text has another form.
+        ValueError: If a name is unknown or repeated, or a text has another form.
     """
-    sources: dict[str, Source] = {}
+    sources: dict[str, ColumnSource] = {}
     for pair in pairs:
         name, equals, text = (part.strip() for part in pair.partition("="))
         if not equals or not text:
@@ -142,9 +144,9 @@ def parse_map(pairs: Iterable[str]) -> dict[str, Source]:
     return sources
 
 
-def _parse_source(pair: str, text: str) -> Source:
-    """Parse what stands behind the equals sign."""
-    found = SOURCE.fullmatch(text)
+def _parse_source(pair: str, text: str) -> ColumnSource:
+    """Parse the text after the equals sign."""
+    found = SOURCE_PATTERN.fullmatch(text)
     if found is None:
         raise ValueError(f"--map {pair}: NAME=COLUMN[*FACTOR][+OFFSET] is needed")
     factor = (found["factor"] or "1").strip()
@@ -158,41 +160,39 @@ def _parse_source(pair: str, text: str) -> Source:
             f"--map {pair}: the factor is {factor!r}: a number, or one of {', '.join(FACTORS)}, "
             f"is needed"
         ) from None
-    return Source(found["column"].strip(), sign * number, offset)
+    return ColumnSource(found["column"].strip(), sign * number, offset)
 
 
-def read_log(
-    path: str | Path,
-    sources: Mapping[str, Source],
-    num_rotors: int,
-) -> Log:
-    """Read a log.
+def read_log(path: str | Path, sources: Mapping[str, ColumnSource], num_rotors: int) -> Log:
+    """Read a log from a CSV file.
 
     Args:
         path: A CSV file whose first line names the columns.
-        sources: Where columns come from that have other names or units there.
-        num_rotors: Rotors R of the airframe: so many commands are needed.
+        sources: Sources of the columns that have other names or units in the file.
+        num_rotors: Number of rotors R of the airframe, and so of commands.
 
     Returns:
-        The log; missing values of up to `checks.LONGEST_HOLE` are filled in.
+        The log. Missing values are NaN until `checks.check_log` interpolates them.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: Columns are missing, or it cannot be read; the message names them.
+        FileNotFoundError: If the file does not exist.
+        ValueError: If columns are missing, or the file cannot be parsed; the message names them.
     """
     found = require_file("log", path, "pass the path of a CSV file")
     try:
         with found.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
             header = [name.strip() for name in next(reader, [])]
-            _require_header(found, header)
-            wanted = _wanted(found, header, sources, num_rotors)
+            _check_header(found, header)
+            wanted = _select_columns(found, header, sources, num_rotors)
             places = {source.column: header.index(source.column) for source in wanted.values()}
             table = _read_table(found, reader, len(header), places)
     except UnicodeDecodeError:
-        raise ValueError(f"{found} is no text in UTF-8: export the log as CSV") from None
+        raise ValueError(f"{found} is not text in UTF-8: export the log as CSV") from None
     except csv.Error as error:
-        raise ValueError(f"{found} is no CSV: {error}; is a quotation mark missing?") from None
+        raise ValueError(
+            f"{found} is not a CSV file: {error}; is a quotation mark missing?"
+        ) from None
     columns = {
         name: source.factor * table[source.column] + source.offset
         for name, source in wanted.items()
@@ -207,15 +207,15 @@ def _read_table(
 
     Args:
         path: The file, for messages.
-        reader: Gives the cells of each row below the header.
-        width: Cells that each row has; more of them are empty.
-        places: Where the columns are in a row, by name.
+        reader: Iterator over the cells of the rows below the header.
+        width: Number of cells of a row; further cells must be empty.
+        places: Index of each column in a row, by name.
 
     Returns:
-        Numbers (n,) by name, NaN where a cell is empty.
+        Numbers (n,) by name, NaN for empty cells.
 
     Raises:
-        ValueError: A row has fewer or more cells, a cell is no number, or there are no rows.
+        ValueError: If a row has fewer or more cells, a cell is not a number, or there are no rows.
     """
     rows = []
     for number, row in enumerate(reader, start=2):
@@ -223,8 +223,8 @@ def _read_table(
             continue
         if len(row) < width or any(map(str.strip, row[width:])):
             raise ValueError(
-                f"{path}: rows have other numbers of columns: row {number} has {len(row)}, and the "
-                f"header {width}"
+                f"{path}: rows have other numbers of columns: row {number} has {len(row)}, the "
+                f"header has {width}"
             )
         for name, place in places.items():
             try:
@@ -240,8 +240,8 @@ def _read_table(
     return {name: table[:, k] for k, name in enumerate(places)}
 
 
-def _require_header(path: Path, header: list[str]) -> None:
-    """Refuse files whose first line does not name the columns."""
+def _check_header(path: Path, header: list[str]) -> None:
+    """Raise ValueError if the first line does not name the columns."""
     if not header:
         raise ValueError(f"{path} is empty")
     numbers = [name for name in header if re.fullmatch(r"[-+]?\d[\d.eE+-]*", name)]
@@ -257,17 +257,16 @@ def _require_header(path: Path, header: list[str]) -> None:
         )
     twice = [name for name, count in Counter(header).items() if count > 1]
     if twice:
-        raise ValueError(f"{path}: the column {twice[0]!r} is there twice: rename one of them")
+        raise ValueError(
+            f"{path}: the header has the column {twice[0]!r} twice: rename one of them"
+        )
 
 
-def _wanted(
-    path: Path,
-    header: list[str],
-    sources: Mapping[str, Source],
-    num_rotors: int,
-) -> dict[str, Source]:
-    """Choose the columns to read, and refuse logs that lack some."""
-    known = {name: Source(name) for name in NAMES if name in header} | dict(sources)
+def _select_columns(
+    path: Path, header: list[str], sources: Mapping[str, ColumnSource], num_rotors: int
+) -> dict[str, ColumnSource]:
+    """Select the columns to read; raise ValueError if required ones are missing."""
+    known = {name: ColumnSource(name) for name in NAMES if name in header} | dict(sources)
     for name, source in known.items():
         if source.column not in header:
             raise ValueError(
@@ -290,7 +289,7 @@ def _wanted(
         hints = "; ".join(f"{name}: {_hint(name, header)}" for name in lacking[:4])
         raise ValueError(
             f"{path} lacks the columns {', '.join(lacking)} ({hints}). Name them in the header, "
-            f"or tell where they are by --map {lacking[0]}=COLUMN"
+            f"or map them by --map {lacking[0]}=COLUMN"
         )
     return {name: known[name] for name in needed}
 
@@ -307,13 +306,13 @@ SYNONYMS = {
         for r in range(1, MAX_ROTORS + 1)
     },
 }
-"""What others call the columns"""
+"""Names of the columns in other tools"""
 
 
 def _hint(name: str, header: list[str]) -> str:
-    """Tell which columns of a header may be the one that is missing."""
+    """Suggest columns of a header that may be a missing one."""
     known = SYNONYMS.get(name, (name,))
     like = [column for column in header if column.lower().endswith(known)]
     if like:
         return f"perhaps {' or '.join(map(repr, like[:3]))}"
-    return suggest_names(name, header)[:MOST_HINT]
+    return suggest_names(name, header)[:MAX_HINT_LENGTH]

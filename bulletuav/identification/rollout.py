@@ -1,4 +1,4 @@
-"""Short flights from measured states under logged commands, by the laws of `rigid_body`."""
+"""Short rollouts from measured states under logged commands, with the `rigid_body` dynamics."""
 
 from typing import NamedTuple
 
@@ -12,12 +12,12 @@ from bulletuav.vehicle.rotors import lag_decay, lagged
 from bulletuav.vehicle.swarm import Swarm, get, put
 from bulletuav.vehicle.wakes import Wakes, sum_wakes
 
-STATE = 13
-"""Numbers of a state: position, quaternion, velocity, rates."""
+STATE_SIZE = 13
+"""Size of a state: position, quaternion, velocity, rates"""
 
 
 class Track(NamedTuple):
-    """What a log measured, at times with a fixed step, on the clock of the attitude.
+    """Measurements of a log, equally spaced in time, on the clock of the attitude.
 
     Attributes:
         position: (n, 3) world, m.
@@ -35,35 +35,30 @@ class Track(NamedTuple):
 
 
 class Legs(NamedTuple):
-    """Which parts of a log are flown again.
+    """Sections of a log to simulate.
 
     Attributes:
-        start: (K,) index of the sample at which each leg starts.
-        picks: How many states of each leg are kept.
-        every: Steps between them.
-        guided: Whether attitude and rates are set to the measured ones after every step.
+        start: Index of the first sample of each leg, (K,).
+        num_states: Number of states of each leg that are kept.
+        stride: Number of steps between these states.
+        guided: Whether attitude and rates are reset to the measured ones after every step.
     """
 
     start: np.ndarray
-    picks: int
-    every: int
+    num_states: int
+    stride: int
     guided: bool
 
 
 @kernel
-def follow(
-    command: np.ndarray,
-    row: np.record,
-    dt: float,
-    speed: np.ndarray,
-) -> None:
-    """Let rotors follow their commands over a whole log.
+def simulate_rotors(command: np.ndarray, row: np.record, dt: float, speed: np.ndarray) -> None:
+    """Simulate the rotor speeds over a whole log by first-order lags.
 
     Args:
-        command: (n, R) rotor speeds that are commanded from each sample on, rad/s.
+        command: Commanded rotor speeds from each sample on, (n, R), rad/s.
         row: Row of `PARAMETERS`.
-        dt: Time between samples, s.
-        speed: (n, R) rotor speeds at each sample; filled, begins with the first command.
+        dt: Sample interval, s.
+        speed: Output: rotor speeds at each sample, (n, R); the first equal the first commands.
     """
     decay = lag_decay(dt, row)
     for r in range(command.shape[1]):
@@ -74,12 +69,8 @@ def follow(
 
 
 @func
-def _turned(
-    quaternion: np.ndarray,
-    k: int,
-    tilt: Quat4Like,
-) -> Quat4:
-    """Return the measured attitude k, put right by the tilt of what was measured."""
+def _measured_attitude(quaternion: np.ndarray, k: int, tilt: Quat4Like) -> Quat4:
+    """Return the measured attitude k, corrected by the tilt of the measured body."""
     measured = quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3]
     return product(measured, tilt)
 
@@ -91,7 +82,7 @@ def roll_out(
     command: np.ndarray,
     speed: np.ndarray,
     tilt: Quat4Like,
-    twist: Vec3,
+    torque_bias: Vec3,
     parameters: np.ndarray,
     thrust_speed: float,
     gravity: float,
@@ -99,21 +90,21 @@ def roll_out(
     wakes: Wakes,
     states: np.ndarray,
 ) -> None:
-    """Fly legs of a log anew: from the measured state, with the commands of the log.
+    """Simulate legs of a log from measured states, with the commands of the log.
 
     Args:
-        legs: Which parts.
-        track: What was measured.
-        command: (n, R) rotor speeds that are commanded from each sample on, rad/s.
-        speed: (n, R) rotor speeds at each sample, see `follow`.
+        legs: The legs.
+        track: The measurements.
+        command: Commanded rotor speeds from each sample on, (n, R), rad/s.
+        speed: Rotor speeds at each sample, (n, R), see `simulate_rotors`.
         tilt: Quaternion from the drone's body to the body whose attitude was measured.
-        twist: Torque that acts throughout, body axes, N m.
-        parameters: (1, N) rows of `PARAMETERS` of the drone, and of the other where there is one.
+        torque_bias: Constant torque, body axes, N m.
+        parameters: Rows of `PARAMETERS` of the drone, and of the other drone if any, (1, N).
         thrust_speed: Rotor speed of the other drone, rad/s.
-        gravity: m/s^2, downwards.
-        dt: Time between samples, s.
-        wakes: Room for the wakes of N drones.
-        states: (K, picks, 13) predicted positions, quaternions, velocities, rates; filled.
+        gravity: Gravitational acceleration, m/s^2, downwards.
+        dt: Time step, s.
+        wakes: Work arrays for the wakes of N drones.
+        states: Output: predicted positions, quaternions, velocities and rates, (K, num_states, 13).
     """
     num_drones = parameters.shape[1]
     num_rotors = command.shape[1]
@@ -133,7 +124,7 @@ def roll_out(
         np.ones((1, num_drones)),
     )
     for k in range(3):
-        air.torque[0, 0, k] = twist[k]
+        air.torque[0, 0, k] = torque_bias[k]
     for i in range(num_drones):
         swarm.quaternion[0, i, 3] = 1.0
     alive = np.ones((1, num_drones), dtype=np.bool_)
@@ -146,14 +137,14 @@ def roll_out(
         first = legs.start[leg]
         begin = (
             point(track.position, first),
-            _turned(track.quaternion, first, tilt),
+            _measured_attitude(track.quaternion, first, tilt),
             point(track.velocity, first),
             point(track.rates, first),
         )
         put(swarm, 0, 0, begin)
         for r in range(num_rotors):
             swarm.rotor_speed[0, 0, r] = speed[first, r]
-        for step in range(legs.picks * legs.every):
+        for step in range(legs.num_states * legs.stride):
             now = first + step
             if num_drones > 1:
                 for k in range(3):
@@ -165,11 +156,11 @@ def roll_out(
             around = surroundings(air, 0, 0, wakes.felt[0])
             state = rk4(get(swarm, 0, 0), speeds, rotors, dt, around, row)
             if legs.guided:
-                measured = _turned(track.quaternion, now + 1, tilt)
+                measured = _measured_attitude(track.quaternion, now + 1, tilt)
                 state = (state[0], measured, state[2], point(track.rates, now + 1))
             put(swarm, 0, 0, state)
-            if (step + 1) % legs.every == 0:
-                pick = step // legs.every
+            if (step + 1) % legs.stride == 0:
+                pick = step // legs.stride
                 for k in range(3):
                     states[leg, pick, k] = state[0][k]
                     states[leg, pick, 7 + k] = state[2][k]

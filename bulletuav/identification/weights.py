@@ -1,44 +1,47 @@
-"""Whitening of errors: those of one axis count together as much as they tell."""
+"""Whitening of prediction errors, so that each error counts according to its information."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from bulletuav.identification.errors import Errors
+from bulletuav.identification.errors import PredictionErrors
 
 Weights = tuple[np.ndarray, np.ndarray]
 """Whitening matrices of positions and velocities, (3, 10, 10), and of attitudes and rates"""
-LEAST_SHARE = 0.05
-"""Least share of the diagonal in a covariance"""
+MIN_DIAGONAL_FRACTION = 0.05
+"""Minimum weight of the diagonal in the shrunk covariance"""
 
 
-def whiten(errors: Errors, weights: Weights) -> np.ndarray:
-    """Return errors with about unit covariance, (K, E).
+def whiten(errors: PredictionErrors, weights: Weights) -> np.ndarray:
+    """Return errors with approximately unit covariance.
 
     Args:
         errors: Errors of K windows.
         weights: Whitening matrices.
+
+    Returns:
+        Whitened errors, (K, E).
     """
     parts = []
-    for values, weight in zip(_by_axis(errors), weights, strict=True):
+    for values, weight in zip(_group_by_axis(errors), weights, strict=True):
         parts.append(np.einsum("aij,akj->kai", weight, values).reshape(values.shape[1], -1))
     return np.concatenate(parts, axis=1)
 
 
-def _by_axis(errors: Errors) -> tuple[np.ndarray, np.ndarray]:
-    """Return what is whitened together: all of an axis, (3, K, E)."""
+def _group_by_axis(errors: PredictionErrors) -> tuple[np.ndarray, np.ndarray]:
+    """Group the errors that are whitened together, those of one axis, (3, K, E)."""
     found = []
-    for values in (errors.moved, errors.turned):
+    for values in (errors.translation, errors.rotation):
         size = len(values)
         split = values.reshape(size, -1, 2, 3)
         found.append(np.moveaxis(split, 3, 0).reshape(3, size, -1))
     return found[0], found[1]
 
 
-def weights_of(errors: Sequence[Errors]) -> Weights:
-    """Return whitening matrices for errors: their covariance, drawn to its diagonal."""
+def compute_weights(errors: Sequence[PredictionErrors]) -> Weights:
+    """Compute whitening matrices from the robust covariance of errors, shrunk to its diagonal."""
     found = []
-    for values in zip(*map(_by_axis, errors), strict=True):
+    for values in zip(*map(_group_by_axis, errors), strict=True):
         joined = np.concatenate(values, axis=1)
         matrices = []
         for axis in joined:
@@ -48,8 +51,8 @@ def weights_of(errors: Sequence[Errors]) -> Weights:
             clipped = np.clip((axis - middle) / deviation, -3, 3)
             count, size = clipped.shape
             covariance = clipped.T @ clipped / count
-            share = max(LEAST_SHARE, size / (count + size))
-            covariance = (1 - share) * covariance + share * np.diag(np.diag(covariance))
+            fraction = max(MIN_DIAGONAL_FRACTION, size / (count + size))
+            covariance = (1 - fraction) * covariance + fraction * np.diag(np.diag(covariance))
             matrices.append(np.linalg.inv(np.linalg.cholesky(covariance)) / deviation)
         found.append(np.array(matrices))
     return found[0], found[1]

@@ -1,4 +1,4 @@
-"""What an identification found, as files: a URDF, a table in JSON, a report."""
+"""Files of an identification: a URDF, a report in Markdown, and a table in JSON."""
 
 import json
 import shutil
@@ -11,7 +11,7 @@ import numpy as np
 
 from bulletuav.errors import read_file
 from bulletuav.files import replace_file
-from bulletuav.identification.errors import DELAY, OFFSETS, TILT
+from bulletuav.identification.errors import DELAY_UNIT, LOG_PARAMETERS, TILT_UNIT
 from bulletuav.identification.fitting import BLOCK
 from bulletuav.identification.identify import Identification, Prediction
 from bulletuav.identification.intervals import LEVEL
@@ -19,70 +19,72 @@ from bulletuav.vehicle.airframe import Airframe
 
 KINDS = ("naive", "before", "after")
 MEASURES = (
-    ("position, horizontal, m", "moved", slice(0, 2), 1.0),
-    ("position, vertical, m", "moved", slice(2, 3), 1.0),
-    ("velocity, horizontal, m/s", "moved", slice(3, 5), 1.0),
-    ("velocity, vertical, m/s", "moved", slice(5, 6), 1.0),
-    ("tilt, deg", "turned", slice(0, 2), 180 / np.pi),
-    ("turn about z, deg", "turned", slice(2, 3), 180 / np.pi),
-    ("rates, roll and pitch, rad/s", "turned", slice(3, 5), 1.0),
-    ("rates, yaw, rad/s", "turned", slice(5, 6), 1.0),
+    ("position, horizontal, m", "translation", slice(0, 2), 1.0),
+    ("position, vertical, m", "translation", slice(2, 3), 1.0),
+    ("velocity, horizontal, m/s", "translation", slice(3, 5), 1.0),
+    ("velocity, vertical, m/s", "translation", slice(5, 6), 1.0),
+    ("tilt, deg", "rotation", slice(0, 2), 180 / np.pi),
+    ("turn about z, deg", "rotation", slice(2, 3), 180 / np.pi),
+    ("rates, roll and pitch, rad/s", "rotation", slice(3, 5), 1.0),
+    ("rates, yaw, rad/s", "rotation", slice(5, 6), 1.0),
 )
-"""Name of an error, where it stands in `Errors`, and its factor"""
+"""Name of an error, its field and columns in `PredictionErrors`, and its factor"""
 
 
 def write_urdf(result: Identification, folder: Path) -> Path:
-    """Write the airframe that was found as a URDF file.
+    """Write the fitted airframe as a URDF file.
 
-    It is the file of the airframe with other numbers, and a comment on where they are from.
+    The file is a copy of the airframe's URDF with other numbers, and a comment on their origin.
 
     Args:
-        result: What was found.
-        folder: Where the file goes; meshes go beside it.
+        result: The identification.
+        folder: Folder of the file and of its meshes.
 
     Returns:
-        The file.
+        The path of the file.
     """
     source = result.before.urdf
     text = read_file(source)
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     root = ElementTree.fromstring(text, parser)
     _set_numbers(root, result.airframe)
-    # What stands before the robot, the file's own comments, is no part of the tree
+    # Comments before the root element are not part of the parsed tree
     head = text[: text.index(f"<{root.tag}")]
     path = folder / f"{result.before.name}.urdf"
     for mesh in root.iter("mesh"):
         name = mesh.get("filename", "")
         if name and (source.parent / name).is_file() and source.parent != folder:
-            # One from elsewhere goes into the folder, too: nothing outside of it is written
+            # A mesh outside of the URDF's folder is copied into `folder`, too
             inside = (folder / name).resolve().is_relative_to(folder.resolve())
             copy = folder / (name if inside else Path(name).name)
             mesh.set("filename", copy.relative_to(folder).as_posix())
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source.parent / name, copy)
     robot = ElementTree.tostring(root, encoding="unicode")
-    replace_file(path, f"{head}<!-- {_origin(result)} -->\n{robot}\n")
+    replace_file(path, f"{head}<!-- {_describe_origin(result)} -->\n{robot}\n")
     return path
 
 
-def _origin(result: Identification) -> str:
-    """Tell which numbers were fitted, and to what."""
-    told = ", ".join(one.constant.name for one in result.estimates if one.told) or "nothing"
+def _describe_origin(result: Identification) -> str:
+    """Describe which constants were fitted to which logs."""
+    fitted = (
+        ", ".join(one.constant.name for one in result.estimates if one.is_identified) or "nothing"
+    )
     if result.battery is not None:
         names = ("resistance", "capacity")
-        told += "".join(
+        fitted += "".join(
             f", battery {name}"
-            for name, is_told in zip(names, result.battery.told, strict=True)
-            if is_told
+            for name, is_identified in zip(names, result.battery.is_identified, strict=True)
+            if is_identified
         )
     logs = ", ".join(item.part.flight.log.path.name for item in result.fitted)
-    text = f"Fitted by bulletuav identify: {told}. Logs: {logs}. See report.md."
-    # Two hyphens would end the comment
+    text = f"Fitted by bulletuav identify: {fitted}. Logs: {logs}. See report.md."
+    # XML forbids two hyphens in a comment
     return text.replace("--", "-")
 
 
 def _set_numbers(root: ElementTree.Element, airframe: Airframe) -> None:
-    """Write an airframe's constants into its URDF; what a file left out is written too."""
+    """Write an airframe's constants into its URDF, including omitted ones."""
     x, y, z = airframe.inertia
     place = root.find("link/inertial")
     assert place is not None  # as the airframe was read from this file
@@ -109,12 +111,8 @@ def _set_numbers(root: ElementTree.Element, airframe: Airframe) -> None:
         _set(own, "battery", **numbers, voltage=pack.voltage)
 
 
-def _set(
-    parent: ElementTree.Element,
-    tag: str,
-    **numbers: float,
-) -> None:
-    """Set attributes of an element, which is made where it lacks; equal ones keep their text."""
+def _set(parent: ElementTree.Element, tag: str, **numbers: float) -> None:
+    """Set attributes of an element, which is created if missing; equal values keep their text."""
     element = parent.find(tag)
     if element is None:
         element = ElementTree.SubElement(parent, tag)
@@ -124,8 +122,8 @@ def _set(
             element.set(name, repr(float(number)))
 
 
-def rms(predictions: Sequence[Prediction], kind: str) -> list[float]:
-    """Return the RMS of errors at the ends of legs, for each of `MEASURES`.
+def compute_rms(predictions: Sequence[Prediction], kind: str) -> list[float]:
+    """Return the RMS of the errors at the ends of legs, for each of `MEASURES`.
 
     Args:
         predictions: Predictions in several logs.
@@ -134,43 +132,45 @@ def rms(predictions: Sequence[Prediction], kind: str) -> list[float]:
     found = []
     for _, field, columns, factor in MEASURES:
         ends = [getattr(getattr(one, kind), field) for one in predictions]
-        # The last states of the two legs without guidance in a window, or of the one with it
-        picks = [values[:, [-1]] if field == "moved" else values[:, 4::5] for values in ends]
-        joined = np.concatenate([values[..., columns].reshape(-1) for values in picks])
+        # Final states of the guided leg of a window, or of its two free legs
+        final = [values[:, [-1]] if field == "translation" else values[:, 4::5] for values in ends]
+        joined = np.concatenate([values[..., columns].reshape(-1) for values in final])
         size = columns.stop - columns.start
         found.append(factor * float(np.sqrt(size * np.mean(joined**2))))
     return found
 
 
-def as_table(result: Identification) -> dict[str, Any]:
-    """Put what was found into a dict for JSON; what is not there is null."""
+def summarize(result: Identification) -> dict[str, Any]:
+    """Return the identification as a dict for JSON; missing values are None."""
     constants = {
         one.constant.name: {
             "unit": one.constant.unit,
             "before": one.before,
             "after": one.after,
-            "low": one.low if one.told else None,
-            "high": one.high if one.told else None,
-            "told": one.told,
+            "low": one.low if one.is_identified else None,
+            "high": one.high if one.is_identified else None,
+            "told": one.is_identified,
         }
         for one in result.estimates
     }
     if result.battery is not None:
         pairs = (("resistance", "ohm"), ("capacity", "W h"))
-        for (name, unit), told in zip(pairs, result.battery.told, strict=True):
+        for (name, unit), is_identified in zip(pairs, result.battery.is_identified, strict=True):
             value, low, high = getattr(result.battery, name)
             before = getattr(result.before.pack, name)
             constants[f"battery_{name}"] = {
                 "unit": unit,
                 "before": before,
-                "after": value if told else before,
-                "low": low if told else None,
-                "high": high if told else None,
-                "told": told,
+                "after": value if is_identified else before,
+                "low": low if is_identified else None,
+                "high": high if is_identified else None,
+                "told": is_identified,
             }
     names = [name for name, *_ in MEASURES]
     errors = {
-        part: {kind: dict(zip(names, rms(predictions, kind), strict=True)) for kind in KINDS}
+        part: {
+            kind: dict(zip(names, compute_rms(predictions, kind), strict=True)) for kind in KINDS
+        }
         for part, predictions in (("fitted", result.fitted), ("kept", result.kept))
     }
     return {
@@ -179,36 +179,37 @@ def as_table(result: Identification) -> dict[str, Any]:
         "window": result.window,
         "constants": constants,
         "errors": errors,
-        "logs": [*_logs("fitted", result.fitted), *_logs("kept", result.kept)],
+        "logs": [*_describe_logs("fitted", result.fitted), *_describe_logs("kept", result.kept)],
         "note": result.note,
     }
 
 
-def _logs(use: str, predictions: Sequence[Prediction]) -> list[dict[str, Any]]:
-    """Describe the logs, and their own numbers."""
+def _describe_logs(use: str, predictions: Sequence[Prediction]) -> list[dict[str, Any]]:
+    """Describe the logs and their per-log parameters."""
     found = []
     for one in predictions:
         flight = one.part.flight
-        tilt = np.degrees(TILT * one.offsets[1:3])
+        tilt = np.degrees(TILT_UNIT * one.log_parameters[1:3])
         found.append(
             {
                 "log": flight.log.path.name,
                 "use": use,
                 "windows": len(one.part.windows),
-                "command_delay": DELAY * float(one.offsets[OFFSETS.index("delay")]),
+                "command_delay": DELAY_UNIT
+                * float(one.log_parameters[LOG_PARAMETERS.index("delay")]),
                 "gyro_delay": flight.gyro_delay,
                 "gyro_bias": [float(rate) for rate in flight.gyro_bias],
                 "tilt_deg": [float(angle) for angle in tilt],
-                "gain": 1 + 0.01 * float(one.offsets[OFFSETS.index("gain")]),
+                "gain": 1 + 0.01 * float(one.log_parameters[LOG_PARAMETERS.index("gain")]),
                 "filled": dict(flight.log.filled),
             }
         )
     return found
 
 
-def markdown(result: Identification) -> str:
-    """Write the report: constants, errors of predictions, and logs."""
-    table = as_table(result)
+def format_report(result: Identification) -> str:
+    """Format the report in Markdown: constants, prediction errors, and logs."""
+    table = summarize(result)
     window = result.window
     lines = [
         f"# {result.before.name}, fitted to {len({row['log'] for row in table['logs']})} log(s)",
@@ -220,9 +221,9 @@ def markdown(result: Identification) -> str:
         "|---|---|---|---|---|",
     ]
     for name, row in table["constants"].items():
-        told = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "logs do not tell it"
+        interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not identified"
         lines.append(
-            f"| {name} | {row['unit']} | {row['before']:.5g} | {row['after']:.5g} | {told} |"
+            f"| {name} | {row['unit']} | {row['before']:.5g} | {row['after']:.5g} | {interval} |"
         )
     if result.note:
         lines += ["", result.note]
@@ -235,7 +236,7 @@ def markdown(result: Identification) -> str:
         "",
         f"RMS after {window:g} s of position and velocity, with the attitude as measured, and "
         f"after {window / 2:g} s of attitude and rates. Kept: {kept}. Naive: velocity and rates "
-        "stay what they are.",
+        "are constant.",
         "",
         "| | fitted: naive | before | after | kept: naive | before | after |",
         "|---|---|---|---|---|---|---|",
@@ -251,8 +252,8 @@ def markdown(result: Identification) -> str:
         "",
         "## Logs",
         "",
-        "Commands and gyroscope lag behind the attitude by these delays, which were taken off. "
-        "Tilt: of the body whose attitude was measured. Gain: thrust over that of all logs.",
+        "Delays of commands and gyroscope against the attitude, which were compensated. Tilt: of "
+        "the body whose attitude was measured. Gain: thrust relative to that of all logs.",
         "",
         "| log | use | windows | commands, ms | gyro, ms | tilt x, y, deg | gain | filled in |",
         "|---|---|---|---|---|---|---|---|",
@@ -275,6 +276,6 @@ def write_report(result: Identification, folder: Path) -> list[Path]:
         The files.
     """
     files = [folder / "report.md", folder / "report.json"]
-    replace_file(files[0], markdown(result))
-    replace_file(files[1], json.dumps(as_table(result), indent=1) + "\n")
+    replace_file(files[0], format_report(result))
+    replace_file(files[1], json.dumps(summarize(result), indent=1) + "\n")
     return files

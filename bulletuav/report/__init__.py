@@ -1,1 +1,1 @@
-"""Tables, pictures and animations of results."""
+"""Reports for people: pictures, films, replays, live pages, tables, and verification."""

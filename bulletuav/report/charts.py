@@ -1,4 +1,4 @@
-"""Pictures of evaluations and of learning curves."""
+"""Figures of evaluations and learning curves."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -23,85 +23,87 @@ COLOURS = (
     "#aa3377",
     "#bbbbbb",
 )
-"""P. Tol's bright scheme"""
+"""P. Tol's bright colour scheme"""
 RATES = ("success", "drone_success", "conflict", "collision")
-"""Shares in the picture of one evaluation"""
+"""Rates and fractions in the figure of one evaluation"""
 COMPARED = ("success", "conflict", "collision", "served", "completed")
-"""Metrics in the picture of several"""
-NOTHING = Estimate(np.nan, np.nan, np.nan, 0)
+"""Metrics in the figure of several evaluations"""
+NO_ESTIMATE = Estimate(np.nan, np.nan, np.nan, 0)
 BINS = 40
-"""Bars of a histogram"""
+"""Number of histogram bins"""
 
 
 def plot_evaluation(result: Evaluation, path: Path) -> None:
     """Plot one evaluation as a PNG file.
 
-    It shows rates with their intervals, and how separations, durations and efficiencies spread over
-    the episodes.
+    The figure shows rates with their intervals, and histograms of separations, durations and path
+    efficiencies over the episodes.
 
     Args:
         result: The evaluation.
         path: The file.
     """
     figure = blank_figure(11, 7)
-    rates, apart, time, way = np.ravel(figure.subplots(2, 2))
-    # Shares of all drones, each with its interval
+    rates, separation, duration, efficiency = np.ravel(figure.subplots(2, 2))
+    # Rates with their intervals
     estimates = result.estimates()
-    _bars(
+    _draw_bars(
         rates,
         names=RATES,
         rows=[[estimates[metric] for metric in RATES]],
         labels=[""],
     )
-    rates.set(title="share, with 95 % interval", ylim=(0, 1.05))
-    # How episodes differ
+    rates.set(title="fraction, with 95 % confidence interval", ylim=(0, 1.05))
+    # Distributions over the episodes
     for axes, metric, label in (
-        (apart, "min_separation", "least separation of an episode, m"),
-        (time, "length", "duration of an episode, s"),
+        (separation, "min_separation", "minimum separation of an episode, m"),
+        (duration, "length", "duration of an episode, s"),
         (
-            way,
+            efficiency,
             "path_efficiency",
             "path efficiency of the drones that succeeded",
         ),
     ):
-        _histogram(axes, np.array([row[metric] for row in result.rows]))
+        _draw_histogram(axes, np.array([row[metric] for row in result.rows]))
         axes.set(xlabel=label, ylabel="episodes")
-    # Below this line episodes had a conflict
+    # Episodes below this line had a conflict
     about = result.about
     d_safe = about["options"]["d_safe"]
-    apart.axvline(d_safe, color="crimson", ls="--", label=f"d_safe {d_safe:g} m")
-    apart.legend()
+    separation.axvline(d_safe, color="crimson", ls="--", label=f"d_safe {d_safe:g} m")
+    separation.legend()
     figure.suptitle(
         f"policy {about['policy']}, {about['options']['num_drones']} drones\n{result.conditions}"
     )
     save_figure(figure, path)
 
 
-def _histogram(axes: Axes, values: np.ndarray) -> None:
-    """Draw how the values that are finite spread."""
+def _draw_histogram(axes: Axes, values: np.ndarray) -> None:
+    """Draw a histogram of the finite values."""
     values = values[np.isfinite(values)]
     if len(values):
-        # What differs by rounding alone is to look like one value.
+        # Values that differ by rounding only fall into one bin.
         spread = max(np.ptp(values), 0.05 * np.abs(values).max(), 0.01)
         low = values.min()
         bounds = (low - spread / 20, low + 1.05 * spread)
         axes.hist(values, bins=BINS, range=bounds, color=COLOURS[0])
     else:
-        axes.text(0.5, 0.5, "no episode has it", ha="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, "no episode has this metric", ha="center", transform=axes.transAxes)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
-    """Plot rates and shares of all policies in each task, difficulty and dynamics as a PNG file.
+    """Plot metrics of all policies in each task, difficulty and dynamics as a PNG file.
 
     Args:
         results: The evaluations.
         path: The file.
     """
-    # Cases and policies in the order in which they come first.
-    cases = list(dict.fromkeys(_case(result) for result in results))
+    # Cases and policies in order of first appearance.
+    cases = list(dict.fromkeys(_case_label(result) for result in results))
     policies = list(dict.fromkeys(result.about["policy"] for result in results))
-    found = {(_case(result), result.about["policy"]): result.estimates() for result in results}
+    found = {
+        (_case_label(result), result.about["policy"]): result.estimates() for result in results
+    }
     metrics = [
         metric
         for metric in COMPARED
@@ -111,10 +113,10 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
     figure = blank_figure(width, 2.7 * len(metrics))
     for axes, metric in zip(figure.subplots(len(metrics), 1, sharex=True), metrics, strict=True):
         rows = [
-            [found.get((case, policy), {}).get(metric, NOTHING) for case in cases]
+            [found.get((case, policy), {}).get(metric, NO_ESTIMATE) for case in cases]
             for policy in policies
         ]
-        _bars(axes, names=cases, rows=rows, labels=policies)
+        _draw_bars(axes, names=cases, rows=rows, labels=policies)
         axes.set(ylabel=metric, ylim=(0, 1.05))
     columns = min(len(policies), int(width / 1.5))
     figure.axes[0].legend(loc="lower left", ncols=columns, bbox_to_anchor=(0, 1))
@@ -122,9 +124,10 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
 
 
 def plot_curves(runs: Sequence[TrainedRun], path: Path) -> None:
-    """Plot the learning curves of runs as a PNG file, a row for each task.
+    """Plot learning curves of runs as a PNG file, with a row for each task.
 
-    It shows what the evaluations on the way found over the steps: each seed, their mean and range.
+    The curves show the intermediate evaluations over the training steps: each seed, and the mean
+    and range over seeds.
 
     Args:
         runs: The runs with their learning curves.
@@ -138,7 +141,7 @@ def plot_curves(runs: Sequence[TrainedRun], path: Path) -> None:
         serves = not any(np.isnan(rows[-1]["completed"]) for rows in curves.values())
         metrics = ("return", "completed" if serves else "success", "conflict")
         for axes, metric in zip(row, metrics, strict=True):
-            _curves(axes, curves, metric)
+            _draw_curves(axes, curves, metric)
             bounds = None if metric == "return" else (-0.05, 1.05)
             axes.set(xlabel="steps", ylabel=metric, ylim=bounds)
         row[0].set_title("; ".join(map(str, dict.fromkeys(conditions))), loc="left", fontsize=9)
@@ -146,18 +149,14 @@ def plot_curves(runs: Sequence[TrainedRun], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _curves(
-    axes: Axes,
-    curves: Mapping[int, list[Row]],
-    metric: str,
-) -> None:
-    """Draw a metric over the steps for each seed, with mean and range where steps are the same."""
+def _draw_curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:
+    """Plot a metric over the steps for each seed, with mean and range if the steps agree."""
     lines = []
     for (seed, rows), colour in zip(curves.items(), itertools.cycle(COLOURS), strict=False):
         steps = [row["steps"] for row in rows]
         lines.append(np.array([row[metric] for row in rows]))
         axes.plot(steps, lines[-1], color=colour, lw=0.8, label=f"seed {seed}")
-    # Runs of other steps have no common mean.
+    # Runs with different evaluation steps have no common mean.
     if len(lines) > 1 and len({len(line) for line in lines}) == 1:
         low = np.min(lines, axis=0)
         high = np.max(lines, axis=0)
@@ -165,8 +164,8 @@ def _curves(
         axes.plot(steps, np.mean(lines, axis=0), color="black", lw=2, label="mean")
 
 
-def _case(result: Evaluation) -> str:
-    """Label what was flown, in lines."""
+def _case_label(result: Evaluation) -> str:
+    """Format task, difficulty, number of drones, dynamics and episodes as lines."""
     options = result.about["options"]
     return "\n".join(
         (
@@ -179,16 +178,13 @@ def _case(result: Evaluation) -> str:
     )
 
 
-def _bars(
-    axes: Axes,
-    names: Sequence[str],
-    rows: Sequence[Sequence[Estimate]],
-    labels: Sequence[str],
+def _draw_bars(
+    axes: Axes, names: Sequence[str], rows: Sequence[Sequence[Estimate]], labels: Sequence[str]
 ) -> None:
-    """Draw bars with intervals: a row of estimates for each label, a group for each name."""
+    """Draw grouped bars with intervals: a group for each name, a bar for each label."""
     width = 0.8 / len(rows)
     for k, (row, label) in enumerate(zip(rows, labels, strict=True)):
-        # The bars of a group stand side by side about its number.
+        # The bars of a group are centred on its tick.
         place = np.arange(len(row)) + (k - (len(rows) - 1) / 2) * width
         mean, low, high, _ = np.array(row).T
         errors = np.maximum([mean - low, high - mean], 0)

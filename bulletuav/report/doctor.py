@@ -1,4 +1,4 @@
-"""Report on this installation: versions, what is active, what is missing and how to get it."""
+"""Diagnosis of the installation: versions, active features, missing ones and their remedies."""
 
 import importlib.metadata
 import os
@@ -15,17 +15,17 @@ from bulletuav.version import __version__
 
 PACKAGES = ("pybullet", "numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")
 REQUIREMENT = re.compile(r"([\w.-]+)(?:\[([\w.-]+)\])?.*extra == ['\"]([\w.-]+)['\"]")
-"""A line of the metadata: a package, an extra of it, and the extra of ours that needs it"""
-SLOW = "not active, bullet flies several times slower"
+"""A requirement of the metadata: package, its extra, and our extra that needs it"""
+SLOW_ENGINE = "not active, bullet flies several times slower"
 
 
 class Finding(NamedTuple):
-    """One line of the report.
+    """One line of the diagnosis.
 
     Attributes:
-        subject: What was examined, such as "C extension".
-        state: Its version, place or condition.
-        remedy: How to get what is missing; empty where nothing is.
+        subject: Examined component, such as "C extension".
+        state: Its version, path or state.
+        remedy: How to install a missing component; empty if nothing is missing.
     """
 
     subject: str
@@ -37,7 +37,7 @@ def examine() -> list[Finding]:
     """Examine this installation.
 
     Returns:
-        Everything that `bulletuav doctor` prints, in that order.
+        All findings of `bulletuav doctor`, in printing order.
     """
     system = f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
     packages = [Finding(name, importlib.metadata.version(name)) for name in PACKAGES]
@@ -54,19 +54,21 @@ def examine() -> list[Finding]:
 
 
 def _extension() -> Finding:
-    """Tell whether the engine really takes the C extension, not only whether it is there."""
+    """Check whether the engine uses the C extension, not only whether it exists."""
     if EXTENSION.library is None:
-        return Finding("C extension", SLOW, EXTENSION.missing)
+        return Finding("C extension", SLOW_ENGINE, EXTENSION.missing)
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240)
     active = engine.port is not None
     engine.close()
     if not active:
-        return Finding("C extension", SLOW, "the installed pybullet refuses it")
+        return Finding(
+            "C extension", SLOW_ENGINE, "the installed pybullet is not compatible with it"
+        )
     return Finding("C extension", "active")
 
 
 def _screen() -> Finding:
-    """Tell whether a window that shows flights can be opened."""
+    """Check whether a window can be opened."""
     try:
         require_screen()
     except RuntimeError as error:
@@ -75,11 +77,11 @@ def _screen() -> Finding:
 
 
 def _extras() -> list[Finding]:
-    """List the extras that the installed metadata declare, with the packages of each."""
+    """List the extras declared by the installed metadata, with the packages of each."""
     try:
         about = importlib.metadata.metadata("bulletuav")
     except importlib.metadata.PackageNotFoundError:
-        return [Finding("extras", "not known: bulletuav runs from a folder, and is not installed")]
+        return [Finding("extras", "unknown: bulletuav runs from a folder, not installed")]
     needed: dict[str, list[str]] = {extra: [] for extra in about.get_all("Provides-Extra") or ()}
     joined: dict[str, list[str]] = {extra: [] for extra in needed}
     for line in about.get_all("Requires-Dist") or ():
@@ -93,7 +95,7 @@ def _extras() -> list[Finding]:
 
 
 def _extra(extra: str, needed: dict[str, list[str]], joined: dict[str, list[str]]) -> Finding:
-    """Examine the packages of an extra, and of those that it includes.
+    """Examine the packages of an extra, including those of extras that it includes.
 
     Args:
         extra: Name of the extra.
@@ -111,7 +113,7 @@ def _extra(extra: str, needed: dict[str, list[str]], joined: dict[str, list[str]
 
 
 def _version(package: str) -> str | None:
-    """Return the installed version of a package; None where it is missing."""
+    """Return the installed version of a package, or None if it is missing."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:

@@ -1,9 +1,10 @@
-"""Server of a live page: the page itself, and what happens as server-sent events.
+"""HTTP server of a live page: the page itself, and a stream of server-sent events.
 
-The feed goes one way, from the flight to browsers. Server-sent events do that without a library
-beyond Python's own, and browsers' `EventSource` connects again after an interruption.
+The stream is one-way, from the flight to the browsers. Server-sent events need no library beyond
+the standard library, and the browsers' `EventSource` reconnects after an interruption.
 
-One thread serves all browsers, so that many viewers cost a flight little, and none can block it.
+One thread serves all browsers, so that many viewers cost the simulation little, and no viewer can
+block it.
 """
 
 import asyncio
@@ -28,23 +29,23 @@ from bulletuav.serving.streams import Stream, StreamServer
 LIMITS = Limits(
     max_clients=64, max_pending=32, grace=10.0, max_unread=2**23, max_stall=10.0, linger=1.0
 )
-"""Limits of connections: clients are pages that watch. After `linger` the last event is lost."""
+"""Limits of connections, whose clients are viewers; the last event is lost after `linger` s"""
 MAX_REQUEST = 2**14
-"""Longest request, bytes"""
+"""Maximum length of a request, bytes"""
 SEND_BUFFER = 2**16
-"""Bytes for a viewer that the system keeps, so that unread ones are noticed soon"""
-SILENCE = 5.0
-"""s without an event after which a viewer is written to, to find out whether it is still there"""
-SINGLE = ("Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest")
-"""Headers that are checked: one that is there twice could mean another thing to a proxy"""
+"""Size of a viewer's send buffer, bytes: small, so that stalled viewers are detected soon"""
+KEEPALIVE_INTERVAL = 5.0
+"""Time without an event after which a comment is sent to detect closed connections, s"""
+UNIQUE_HEADERS = ("Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest")
+"""Headers that are checked, and must not be repeated: a proxy might read another one"""
 HOST = re.compile(r"(\[[^\[\]@]*\]|[^:\[\]@]*)(:\d*)?", re.ASCII)
-"""Form of the header `Host`: name and port"""
+"""Pattern of the header `Host`: name and port"""
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 LOG = logging.getLogger("bulletuav.live")
 
 
 def event(name: str, data: str = "") -> str:
-    """Write an event; `data` is one line."""
+    """Format an event of the stream; `data` must be a single line."""
     return f"event: {name}\ndata: {data}\n\n"
 
 
@@ -52,7 +53,7 @@ class RequestError(ValueError):
     """A request that is answered by an error.
 
     Attributes:
-        status: HTTP status of the answer.
+        status: HTTP status of the response.
     """
 
     def __init__(self, status: HTTPStatus, text: str) -> None:
@@ -61,11 +62,11 @@ class RequestError(ValueError):
 
 
 class _Viewer:
-    """A page that watches.
+    """A browser page that watches.
 
     Attributes:
         stream: Its connection.
-        has_begun: Whether it was sent the whole flight so far.
+        has_begun: Whether it has received the start of the flight.
     """
 
     def __init__(self, stream: Stream) -> None:
@@ -74,7 +75,7 @@ class _Viewer:
 
 
 class Feed:
-    """Serves a page and a stream of events, in a thread of its own.
+    """Serves a page and a stream of events, in its own thread.
 
     Attributes:
         address: host:port that browsers open.
@@ -88,17 +89,17 @@ class Feed:
         limits: Limits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
-        """Open the port.
+        """Open the port and start the thread.
 
         Args:
-            host: Address to listen at.
+            host: Address to listen on.
             port: Port; 0 for a free one.
-            make_page: Function that gives the page's HTML.
+            make_page: Function that returns the page's HTML.
             limits: Limits of connections.
-            clock: Function that returns the time by which connections are idle, s.
+            clock: Function that returns the time for timeouts, s.
 
         Raises:
-            OSError: The port is in use, or there is no such address.
+            OSError: If the port is in use, or the address does not exist.
         """
         self._viewers: list[_Viewer] = []
         self._came, self._is_ready = threading.Event(), threading.Event()
@@ -111,12 +112,12 @@ class Feed:
                 f"cannot serve the live page at {host}, port {port}: {error.strerror or error}; "
                 f"if another live page is there, choose another port"
             ) from error
-        # Accepted connections inherit it
+        # Accepted connections inherit the buffer size
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.address = join_address(host, self._socket.getsockname()[1])
         self._names, self._is_on_loopback = _names_of(host), _is_loopback(host)
         self._streams = StreamServer(self._talk, limits, Refusals(LOG, clock), clock)
-        # A daemon, so that a program that ends is not held up
+        # A daemon thread does not delay the exit of the program
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
         self._thread.start()
         self._is_ready.wait()
@@ -124,24 +125,24 @@ class Feed:
 
     @property
     def is_watched(self) -> bool:
-        """Whether a page watches."""
+        """Whether any page watches."""
         return bool(self._viewers)
 
     @property
     def connections(self) -> Connections[Stream]:
-        """The connections that there are."""
+        """The open connections."""
         return self._streams.connections
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until a page watches, and return whether one did in time."""
+        """Wait until a page watches; return False after a timeout."""
         return self._came.wait(seconds)
 
     def send(self, news: str, make_start: Callable[[], str]) -> None:
-        """Send an event to all viewers, without waiting for any.
+        """Send an event to all viewers, without waiting for any of them.
 
         Args:
             news: The event.
-            make_start: Function that gives the event with which new viewers begin instead.
+            make_start: Function that returns the first event of new viewers, which replaces `news`.
         """
         viewers = list(self._viewers)
         start = "" if all(viewer.has_begun for viewer in viewers) else make_start()
@@ -156,30 +157,30 @@ class Feed:
 
         self._do(send)
 
-    def begin_anew(self) -> None:
-        """Let all viewers begin with the start again."""
+    def restart_viewers(self) -> None:
+        """Send the start event to all viewers next."""
         for viewer in list(self._viewers):
             viewer.has_begun = False
 
     def close(self) -> None:
-        """Send viewers that it is over, and close the port; a second call does nothing."""
+        """Send the final event to all viewers and close the port; a second call does nothing."""
         self._do(self._over.set)
-        # Python's garbage collection may call it in the thread itself
+        # The garbage collector may call this method in the thread itself
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
     def _do(self, does: Callable[[], object]) -> None:
-        """Do something in the thread of the connections, which is never long; wait for it."""
+        """Call a short function in the thread of the connections, and wait for its return."""
         done = threading.Event()
 
         def do() -> None:
             does()
             done.set()
 
-        # The loop is closed once the feed is
+        # The event loop is closed after `close`
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(do)
-            # In a process that was forked the thread is not there
+            # The thread does not exist in a forked process
             while self._thread.is_alive() and threading.current_thread() is not self._thread:
                 if done.wait(0.1):
                     return
@@ -209,10 +210,13 @@ class Feed:
 
     @staticmethod
     async def _read_request(stream: Stream) -> tuple[str, Message]:
-        """Read the first lines of a request: return its path and its headers.
+        """Read the head of a request.
+
+        Returns:
+            The path and the headers.
 
         Raises:
-            RequestError: It is none, or none that is answered.
+            RequestError: If it is not a valid or supported request.
         """
         try:
             line, lines = (await stream.reader.readuntil(b"\r\n\r\n")).split(b"\r\n", 1)
@@ -221,42 +225,45 @@ class Feed:
         except asyncio.IncompleteReadError as error:
             raise ConnectionError("a browser has gone") from error
         except (asyncio.LimitOverrunError, ValueError, http.client.HTTPException) as error:
-            raise RequestError(HTTPStatus.BAD_REQUEST, "this is no request of HTTP") from error
-        if repeated := [name for name in SINGLE if len(headers.get_all(name, [])) > 1]:
-            raise RequestError(HTTPStatus.BAD_REQUEST, f"the header {repeated[0]} is there twice")
+            raise RequestError(HTTPStatus.BAD_REQUEST, "not a valid HTTP request") from error
+        if repeated := [name for name in UNIQUE_HEADERS if len(headers.get_all(name, [])) > 1]:
+            raise RequestError(HTTPStatus.BAD_REQUEST, f"the header {repeated[0]} is repeated")
         LOG.debug('%s "%s %s %s"', stream.peer, method, path, version)
         if not version.startswith("HTTP/1."):
             raise RequestError(HTTPStatus.HTTP_VERSION_NOT_SUPPORTED, "use HTTP/1.1")
         if method != "GET":
-            raise RequestError(HTTPStatus.METHOD_NOT_ALLOWED, "pages can be read, and that is all")
+            raise RequestError(HTTPStatus.METHOD_NOT_ALLOWED, "only GET is supported")
         return path, headers
 
     def _check(self, stream: Stream, request: tuple[str, Message]) -> str:
-        """Return the path of a request that may be answered.
+        """Return the path of a request, if the request is allowed.
 
         Raises:
-            RequestError: It is for another host, from a page of another one, or for another path.
+            RequestError: If the request is for another host, from a page of another site, or for an
+                unknown path.
         """
         path, headers = request
         host = headers.get("Host", "")
-        if not self.knows(host):
-            self._streams.log.log_connection(stream.peer, "refused: it asked for another host")
+        if not self.accepts_host(host):
+            self._streams.log.log_connection(stream.peer, "refused: request for another host")
             raise RequestError(
                 HTTPStatus.FORBIDDEN, f"unknown host: open http://{self.address}/ instead"
             )
         if not _is_of_this_page(host, headers):
-            self._streams.log.log_connection(stream.peer, "refused: it is a page of another site")
+            self._streams.log.log_connection(
+                stream.peer, "refused: request from a page of another site"
+            )
             raise RequestError(HTTPStatus.FORBIDDEN, "pages of other sites are not served")
         if path not in ("/", "/feed"):
             raise RequestError(HTTPStatus.NOT_FOUND, "there is no such page")
         return path
 
-    def knows(self, host: str) -> bool:
-        """Return True if a page may ask for a host, as in the header "Host".
+    def accepts_host(self, host: str) -> bool:
+        """Return True if requests may use a host, as in the header "Host".
 
-        Pages elsewhere could read along by a name that they make point here. So names have to be
-        those of this machine. Addresses cannot be made to point here; on loopback they have to be
-        its own all the same.
+        This prevents DNS rebinding: a page elsewhere could read the stream by a name that resolves
+        to this machine. So names must be those of this machine. IP addresses cannot be rebound, but
+        on loopback they must be loopback addresses.
         """
         name = _name_in(host)
         return name in self._names or (not self._is_on_loopback and _is_address(name))
@@ -265,14 +272,13 @@ class Feed:
         """Send events until the viewer leaves, or is dropped.
 
         Raises:
-            RequestError: There are too many viewers.
+            RequestError: If there are too many viewers.
         """
         try:
             stream.request()
         except FullError as error:
             raise RequestError(HTTPStatus.SERVICE_UNAVAILABLE, f"{error}: try later") from error
-        # Events come after the head, as they are sent in this thread, too: a page that has the head
-        # misses none
+        # Events are sent in this thread, too, and so after the head: no viewer misses one after it
         viewer = _Viewer(stream)
         self._viewers.append(viewer)
         stream.send(_head(HTTPStatus.OK, "text/event-stream"))
@@ -280,8 +286,8 @@ class Feed:
         try:
             while True:
                 try:
-                    # Pages send nothing more: this ends when they leave
-                    async with asyncio.timeout(SILENCE):
+                    # Pages send no more data, so the read returns when they leave
+                    async with asyncio.timeout(KEEPALIVE_INTERVAL):
                         await stream.reader.read(1)
                     return
                 except TimeoutError:
@@ -291,7 +297,7 @@ class Feed:
 
 
 def _head(status: HTTPStatus, kind: str, length: int | None = None) -> bytes:
-    """Write the head of an answer; its connection ends with it."""
+    """Format the head of a response; the connection ends with it."""
     lines = [
         f"HTTP/1.1 {status.value} {status.phrase}",
         f"Content-Type: {kind}; charset=utf-8",
@@ -306,7 +312,7 @@ def _head(status: HTTPStatus, kind: str, length: int | None = None) -> bytes:
 
 
 def _is_of_this_page(host: str, headers: Message) -> bool:
-    """Return True unless a request comes from a page of another site.
+    """Return False for a request that comes from a page of another site.
 
     Browsers send "Origin" with `EventSource`, and "Sec-Fetch-Site" with all requests. Links on
     other sites may lead here.
@@ -320,7 +326,7 @@ def _is_of_this_page(host: str, headers: Message) -> bool:
 
 
 def _name_in(host: str) -> str:
-    """Return the name in "name:port", in lower case; an IPv6 address without brackets.
+    """Return the lower-case name in "name:port", without brackets of IPv6; empty if malformed.
 
     It is empty if the text is not of that form.
     """
@@ -329,7 +335,7 @@ def _name_in(host: str) -> str:
 
 
 def _names_of(host: str) -> tuple[str, ...]:
-    """Return the names by which browsers may ask for a page that is served at an address."""
+    """Return the host names under which a page served at an address may be requested."""
     if _is_loopback(host):
         return (*LOOPBACK_NAMES, host.lower())
     own = socket.gethostname().lower()
@@ -346,5 +352,5 @@ def _is_address(name: str) -> bool:
 
 
 def _is_loopback(host: str) -> bool:
-    """Return True if only this machine reaches an address."""
+    """Return True if an address is reachable from this machine only."""
     return ip_address(host).is_loopback if _is_address(host) else host == "localhost"

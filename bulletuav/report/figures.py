@@ -1,4 +1,4 @@
-"""Figures without a window system, and what pictures of episodes share."""
+"""Figures without a window system, and common parts of pictures of episodes."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,26 +15,26 @@ from bulletuav.analysis.recording import Recording
 from bulletuav.errors import printable_text
 from bulletuav.files import whole_file
 
-MOST_NUMBERS = 24
-"""Drones are numbered up to this many"""
+MAX_NUMBERED_DRONES = 24
+"""Maximum number of drones up to which they are numbered"""
 ABOVE, SOUTH = (0, 1), (0, 2)
-"""Axes that views from above and from the south show"""
-LEVEL = 0.5
-"""Difference of heights up to which a flight counts as level, m"""
+"""Axes of the views from above and from the south"""
+MIN_HEIGHT_RANGE = 0.5
+"""Range of heights above which a flight is not level, m"""
 SEEN = "#228833"
 """Colour of targets in sight"""
 UNSEEN = "#cc3311"
-"""Colour of the other targets"""
+"""Colour of targets out of sight"""
 BARS = "#d2691e"
-"""Colour of obstacles that are bars, such as those of gates"""
+"""Colour of bars among the obstacles, such as those of gates"""
 
 
 def blank_figure(width: float, height: float) -> Figure:
-    """Make a figure that needs no window system.
+    """Create a figure that needs no window system.
 
     Args:
-        width: Its width, inches.
-        height: Its height, inches.
+        width: Width, inches.
+        height: Height, inches.
     """
     figure = Figure(figsize=(width, height), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.08, h_pad=0.08)  # type: ignore[union-attr, call-arg]
@@ -43,10 +43,10 @@ def blank_figure(width: float, height: float) -> Figure:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as a picture file, whole or not at all.
+    """Write a figure as a picture file, atomically.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: If the file cannot be written.
     """
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
@@ -61,12 +61,8 @@ def drone_colours(count: int) -> np.ndarray:
     return np.asarray(matplotlib.colormaps["turbo"](shades))
 
 
-def bar_lines(
-    recording: Recording,
-    row: int,
-    axes: Sequence[int] = ABOVE,
-) -> list[np.ndarray]:
-    """List the bars among obstacles as lines (2, 2), at a row of the states, seen along an axis."""
+def bar_lines(recording: Recording, row: int, axes: Sequence[int] = ABOVE) -> list[np.ndarray]:
+    """Return the bars among the obstacles as projected lines (2, 2), at a row of the states."""
     axis = recording.obstacle_axis
     is_bar = axis.any(axis=1)
     middle, half = recording.obstacle[row, is_bar][:, axes], axis[is_bar][:, axes]
@@ -74,14 +70,14 @@ def bar_lines(
 
 
 def has_depth(recording: Recording) -> bool:
-    """Tell whether a view from above leaves something out: heights that differ, or bodies."""
+    """Return True if heights differ, or there are buildings or obstacles."""
     if len(recording.building) or recording.obstacle.shape[1]:
         return True
-    return float(np.ptp(recording.position[..., 2])) > LEVEL
+    return float(np.ptp(recording.position[..., 2])) > MIN_HEIGHT_RANGE
 
 
 def draw_skyline(axes: Axes, recording: Recording) -> None:
-    """Draw the pieces' bounding boxes from the south, the nearer above the farther."""
+    """Draw the bounding boxes of the city from the south, nearer ones on top."""
     low, high = recording.building[:, 0], recording.building[:, 1]
     for k in np.argsort(-low[:, 1], kind="stable"):
         (x, _, z), (width, _, height) = low[k], high[k] - low[k]
@@ -89,11 +85,11 @@ def draw_skyline(axes: Axes, recording: Recording) -> None:
 
 
 def draw_buildings(axes: Axes, recording: Recording) -> None:
-    """Draw the pieces' bounding boxes from above, the higher the darker."""
+    """Draw the bounding boxes of the city from above, darker for higher ones."""
     low = recording.building[:, 0]
     high = recording.building[:, 1]
     pieces = zip(low.tolist(), high.tolist(), strict=True)
-    # The higher ones come later, and so above the others.
+    # Higher buildings are drawn later, on top of the others.
     for south_west, north_east in sorted(pieces, key=lambda piece: piece[1][2]):
         width = north_east[0] - south_west[0]
         length = north_east[1] - south_west[1]

@@ -1,4 +1,4 @@
-"""Films: a recorded episode in three dimensions, drawn by the engine without a screen."""
+"""Films: a recorded episode in 3-D, rendered by the engine without a screen."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,8 +18,8 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
 from bulletuav.geometry.solids import Solids
 from bulletuav.parsing import parse_json
-from bulletuav.report.figures import MOST_NUMBERS, drone_colours
-from bulletuav.report.replay import DAMAGE, continuous, damaged_scene
+from bulletuav.report.figures import MAX_NUMBERED_DRONES, drone_colours
+from bulletuav.report.replay import SCENE_ERRORS, scene_error, unwrap_quaternions
 from bulletuav.report.video import FPS, save_video
 from bulletuav.vehicle.airframes import load_airframe
 
@@ -27,28 +27,28 @@ SIZE = (960, 540)
 """Width and height of pictures, pixels"""
 CAMERAS = ("orbit", "follow", "still")
 ELEVATION = {"orbit": 32.0, "follow": 30.0, "still": 28.0}
-"""Of each camera above the horizon, degrees"""
+"""Elevation of each camera above the horizon, degrees"""
 SOUTH_WEST = np.radians(234.0)
-"""Direction in which the camera stands at first, from the east, rad"""
+"""Initial azimuth of the camera, from the east, rad"""
 TURN = np.radians(9.0)
-"""How fast the camera of "orbit" turns, rad/s"""
-NEAR = 5.0
-"""Distance of the camera of "follow", in wing spans of its drone"""
-LAG = 1.0
-"""Time within which that camera comes behind its drone, s"""
-TRAIL = 5.0
-"""Time that trails reach back, s"""
-SMALLEST = 14
-"""Pixels across, to which drones that all are looked at from afar are enlarged"""
-SIDES = 12
-"""Sides of cylinders"""
-INK = (40, 40, 40)
-STAND_IN = "cf2x"
-"""Airframe of the one drone that the engine wants; it waits where no picture shows it"""
+"""Angular velocity of the camera "orbit", rad/s"""
+FOLLOW_DISTANCE = 5.0
+"""Distance of the camera "follow", in wing spans of its drone"""
+FOLLOW_LAG = 1.0
+"""Time constant of the camera "follow", s"""
+TRAIL_TIME = 5.0
+"""Length of trails, s"""
+MIN_DRONE_PIXELS = 14
+"""Minimum size of drones in views of the whole scene, pixels"""
+CYLINDER_SIDES = 12
+"""Number of sides of cylinders"""
+TEXT_COLOUR = (40, 40, 40)
+PLACEHOLDER_AIRFRAME = "cf2x"
+"""Airframe of the one drone that the engine requires; it is outside of all pictures"""
 
 
 class Film:
-    """Takes pictures of a recording at any time of it."""
+    """Renders pictures of a recording at any time."""
 
     def __init__(
         self,
@@ -59,46 +59,45 @@ class Film:
         size: tuple[int, int] = SIZE,
         source: str = "",
     ) -> None:
-        """Put up what there is to see.
+        """Create the scene in the engine.
 
         Args:
             recording: The episode, with its scene.
             title: Title of the pictures.
-            camera: "orbit" turns about everything, "still" shows everything from the south-west,
-                "follow" flies behind a drone.
+            camera: "orbit" circles the whole scene, "still" shows the whole scene from the
+                south-west, "follow" flies behind a drone.
             drone: Number of that drone.
             size: Width and height, pixels.
-            source: Where the recording is from, for the message.
+            source: Path of the recording, for messages.
 
         Raises:
-            ValueError: There is no such camera or drone, or the scene is damaged.
+            ValueError: If the camera or drone does not exist, or the scene is damaged.
         """
-        # What is shown, and by which camera
         find_choice("camera", camera, dict.fromkeys(CAMERAS))
         count = recording.position.shape[1]
         self._drone = as_int("drone", drone, 0, count - 1)
         self._recording, self._title, self._camera = recording, title, camera
         self._size = size
-        self._turns = continuous(recording.quaternion)
+        self._turns = unwrap_quaternions(recording.quaternion)
         self._colours = [
             tuple(round(255 * part) for part in colour[:3])
             for colour in drone_colours(count).tolist()
         ]
-        # Cameras are laid out from the whole flight, so that they move evenly
-        self._whole = self._fit_whole()
-        self._behind = self._headings()
-        # Files of others may have any scene
+        # Cameras are computed from the whole flight, so that they move smoothly
+        self._overview = self._fit_overview()
+        self._camera_azimuth = self._follow_azimuths()
+        # The scene of a file may be malformed
         try:
             self._about = parse_json(str(recording.scene["about"]), "its description")
             self._make_bodies()
-        except DAMAGE as error:
-            raise damaged_scene(error, source) from None
+        except SCENE_ERRORS as error:
+            raise scene_error(error, source) from None
         self._renderer = Renderer(self._engine, size)
 
     def _make_bodies(self) -> None:
-        """Make an engine with the city, obstacles, and each part of each drone as an obstacle."""
+        """Create an engine whose obstacles are the obstacles and the parts of all drones."""
         recording, about = self._recording, self._about
-        # Obstacles first; parts of drones follow, and tell whose they are
+        # Obstacles first, followed by the parts of drones, whose drones are in `_owner`
         bodies = [_obstacle(one) for one in about["obstacles"]]
         self._owner: list[int] = []
         places, turns = [], []
@@ -106,7 +105,7 @@ class Film:
             airframe = about["airframes"][kind]
             scale = self._scale(airframe["radius"])
             for part in airframe["parts"]:
-                # Rotors take the drone's colour, which tells who is who
+                # Rotors have the colour of the drone
                 colour = [share / 255 for share in self._colours[drone]]
                 own = part if not _is_disc(part) else {**part, "colour": [*colour, 1.0]}
                 bodies.append(_obstacle(own, scale))
@@ -115,24 +114,26 @@ class Film:
                 turns.append(part["quaternion"])
         self._place = np.array(places)
         self._own_turn = Rotation.from_quat(np.array(turns))
-        # The last buildings are hulls, whose corners stand one after the other
+        # The last buildings are hulls, whose vertices are concatenated
         sizes = recording.scene["hull_size"]
         hulls = np.split(recording.scene["hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
         boxes = recording.building[: len(recording.building) - len(sizes)]
         city = [Solids(boxes, tuple(hulls))] if len(recording.building) else []
-        # The engine flies nobody here: it only takes pictures
-        self._engine = Engine([load_airframe(STAND_IN)], 1, 1.0, bodies, city)
+        # The engine only renders; it does not simulate
+        self._engine = Engine([load_airframe(PLACEHOLDER_AIRFRAME)], 1, 1.0, bodies, city)
         if city:
             self._engine.set_layouts(np.array([0]), np.array([True]))
 
     def _scale(self, radius: float) -> float:
-        """Tell how many times as large as it is a drone is drawn."""
+        """Return the enlargement of a drone of a radius."""
         if self._camera == "follow":
             return 1.0
-        return max(1.0, SMALLEST * pixel_size(self._whole[1], self._size[1]) / (2 * radius))
+        return max(
+            1.0, MIN_DRONE_PIXELS * pixel_size(self._overview[1], self._size[1]) / (2 * radius)
+        )
 
-    def _fit_whole(self) -> tuple[np.ndarray, float]:
-        """Find the middle of all that moves, and how far from it all is seen from any side."""
+    def _fit_overview(self) -> tuple[np.ndarray, float]:
+        """Find the centre of the scene, and the camera distance from which all of it is visible."""
         recording = self._recording
         parts = (recording.position, recording.goal, recording.target)
         points = np.concatenate([part.reshape(-1, 3) for part in parts])
@@ -142,103 +143,95 @@ class Film:
         return fits[0][0], max(distance for _, distance in fits)
 
     def _direction(self, azimuth: float) -> np.ndarray:
-        """Return the unit vector to the camera, which stands in a direction over ground."""
+        """Return the unit vector to the camera at an azimuth."""
         height = np.radians(ELEVATION[self._camera])
         level = np.cos(height)
         return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(height)])
 
-    def _headings(self) -> np.ndarray:
-        """Find the direction (R,) behind the followed drone, rad, without sudden turns."""
+    def _follow_azimuths(self) -> np.ndarray:
+        """Return the azimuths (R,) behind the followed drone, rad, low-pass filtered."""
         recording = self._recording
         times = recording.time
-        keep = np.exp(-(times[1] - times[0]) / LAG)
-        way = recording.velocity[:, self._drone, :2]
-        smooth = np.zeros_like(way)
-        smooth[0] = way[0]
-        for row in range(1, len(way)):
-            smooth[row] = keep * smooth[row - 1] + (1 - keep) * way[row]
-        # What hovers is looked at from where the camera is.
+        keep = np.exp(-(times[1] - times[0]) / FOLLOW_LAG)
+        velocity = recording.velocity[:, self._drone, :2]
+        smooth = np.zeros_like(velocity)
+        smooth[0] = velocity[0]
+        for row in range(1, len(velocity)):
+            smooth[row] = keep * smooth[row - 1] + (1 - keep) * velocity[row]
+        # While the drone hovers, the camera keeps its azimuth.
         moves = np.linalg.norm(smooth, axis=1) > 0.05
         angle = np.arctan2(-smooth[:, 1], -smooth[:, 0])
-        last = np.maximum.accumulate(np.where(moves, np.arange(len(way)), -1))
+        last = np.maximum.accumulate(np.where(moves, np.arange(len(velocity)), -1))
         kept = np.where(last >= 0, angle[np.maximum(last, 0)], SOUTH_WEST)
         behind: np.ndarray = np.unwrap(kept)
         return behind
 
-    def picture(self, time: float, reach: float = TRAIL) -> np.ndarray:
-        """Take a picture.
+    def picture(self, time: float, reach: float = TRAIL_TIME) -> np.ndarray:
+        """Render a picture.
 
         Args:
-            time: Since the start, s.
-            reach: Time that trails reach back, s.
+            time: Time since the start, s.
+            reach: Length of trails, s.
 
         Returns:
-            (height, width, 3) uint8, red, green, blue.
+            RGB picture, (height, width, 3) uint8.
         """
         recording = self._recording
-        # Between which two rows of the recording, and how far
+        # Rows of the recording before and after, and the fraction between
         clock = np.clip(time, 0, recording.time[-1]) / (recording.time[1] - recording.time[0])
         row = min(int(clock + 1e-9), len(recording.time) - 2)
-        share = clock - row
+        fraction = clock - row
 
         def between(values: np.ndarray) -> np.ndarray:
-            now: np.ndarray = (1 - share) * values[row] + share * values[row + 1]
+            now: np.ndarray = (1 - fraction) * values[row] + fraction * values[row + 1]
             return now
 
-        # Move the bodies there, and take the picture
+        # Move the bodies and render
         position = between(recording.position)
-        self._put(position, between(self._turns), between)
+        self._place_bodies(position, between(self._turns), between)
         flies = recording.alive[row]
-        target, away = self._look(time, position, float(between(self._behind)))
+        target, away = self._camera_position(time, position, float(between(self._camera_azimuth)))
         image, lens, depth = self._renderer.shot(0, target, away, position[flies])
-        # Draw over it what has no body: trails, marks, numbers
+        # Draw the 2-D overlay: trails, marks, numbers
         pen = ImageDraw.Draw(image)
         self._draw_trails(pen, lens, depth, row, position, reach)
-        draw(self._marks(row, position, flies, between), lens, pen)
-        self._number(pen, lens, position)
-        pen.text((10, 8), f"{self._title}   t = {time:.1f} s", INK)
+        draw(self._make_marks(row, position, flies, between), lens, pen)
+        self._draw_numbers(pen, lens, position)
+        pen.text((10, 8), f"{self._title}   t = {time:.1f} s", TEXT_COLOUR)
         return np.asarray(image)
 
-    def _number(
-        self,
-        pen: ImageDraw.ImageDraw,
-        lens: Lens,
-        position: np.ndarray,
-    ) -> None:
-        """Write the numbers of drones beside them."""
+    def _draw_numbers(self, pen: ImageDraw.ImageDraw, lens: Lens, position: np.ndarray) -> None:
+        """Write the numbers of drones next to them."""
         for drone, (place, is_before) in enumerate(zip(*lens.project(position), strict=True)):
-            if is_before and len(position) <= MOST_NUMBERS:
-                pen.text((place[0] + 9, place[1] - 17), str(drone), INK)
+            if is_before and len(position) <= MAX_NUMBERED_DRONES:
+                pen.text((place[0] + 9, place[1] - 17), str(drone), TEXT_COLOUR)
 
-    def _put(
+    def _place_bodies(
         self,
         position: np.ndarray,
         quaternion: np.ndarray,
         between: Callable[[np.ndarray], np.ndarray],
     ) -> None:
-        """Put obstacles, and the parts of drones, where they are."""
+        """Move obstacles and parts of drones to their poses."""
         turn = Rotation.from_quat(quaternion[self._owner])
         places = position[self._owner] + turn.apply(self._place)
         turns = (turn * self._own_turn).as_quat()
         recording = self._recording
         obstacle = between(recording.obstacle)
-        own = between(continuous(recording.scene["obstacle_quaternion"]))
+        own = between(unwrap_quaternions(recording.scene["obstacle_quaternion"]))
         places = np.concatenate([obstacle, places])[None]
         turns = np.concatenate([own, turns])[None]
         self._engine.set_obstacles(places, turns, np.array([True]))
 
-    def _look(
-        self,
-        time: float,
-        position: np.ndarray,
-        behind: float,
+    def _camera_position(
+        self, time: float, position: np.ndarray, behind: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Tell what the camera looks at, and where it is from there."""
+        """Return the camera's target, and its position relative to the target."""
         if self._camera == "follow":
             kind = self._about["airframe_of"][self._drone]
             span = 2 * self._about["airframes"][kind]["radius"]
-            return position[self._drone], NEAR * span * self._direction(behind)
-        target, distance = self._whole
+            return position[self._drone], FOLLOW_DISTANCE * span * self._direction(behind)
+        target, distance = self._overview
         turned = TURN * time if self._camera == "orbit" else 0.0
         return target, distance * self._direction(SOUTH_WEST + turned)
 
@@ -251,11 +244,11 @@ class Film:
         position: np.ndarray,
         reach: float,
     ) -> None:
-        """Draw where drones have been; what is behind something is thin and pale."""
+        """Draw the trails; occluded sections are thin and pale."""
         recording = self._recording
         first = int(np.searchsorted(recording.time, recording.time[row] - reach))
-        way = np.concatenate([recording.position[first : row + 1], position[None]])
-        pieces = np.stack([way[:-1], way[1:]], axis=2)
+        track = np.concatenate([recording.position[first : row + 1], position[None]])
+        pieces = np.stack([track[:-1], track[1:]], axis=2)
         hidden = lens.hidden(pieces.mean(axis=2).reshape(-1, 3), depth).reshape(pieces.shape[:2])
         flew = recording.alive[first : row + 1]
         for drone, colour in enumerate(self._colours):
@@ -265,38 +258,38 @@ class Film:
                 for line in lens.lines(pieces[chosen, drone]):
                     pen.line(tuple(line), ink, width)
 
-    def _marks(
+    def _make_marks(
         self,
         row: int,
         position: np.ndarray,
         flies: np.ndarray,
         between: Callable[[np.ndarray], np.ndarray],
     ) -> Marks:
-        """Find out what is marked."""
+        """Return the marks of a row: goals, courses, targets, links."""
         recording = self._recording
         drone = position[flies]
-        way = np.stack([drone, drone + recording.velocity[row][flies]], axis=1)
-        marks = Marks(drone, way)
+        motion = np.stack([drone, drone + recording.velocity[row][flies]], axis=1)
+        marks = Marks(drone, motion)
         if recording.goal.shape[1]:
             goal = between(recording.goal)
             course = np.stack([position, goal], axis=1)[flies]
             marks = marks._replace(goal=goal, course=course)
         target = between(recording.target)
         links = recording.scene["link"]
-        _, who, whom = links[links[:, 0] == row].T
-        link = np.stack([position[who], target[whom]], axis=1)
+        _, drone_index, target_index = links[links[:, 0] == row].T
+        link = np.stack([position[drone_index], target[target_index]], axis=1)
         return marks._replace(target=target, seen=recording.seen[row], link=link)
 
     def save(self, path: Path, progress: Callable[[], None] = lambda: None) -> None:
-        """Write the film.
+        """Write the film to a file.
 
         Args:
             path: A .mp4, which needs the extra `video`.
-            progress: Called after every picture.
+            progress: Callback after every picture.
 
         Raises:
-            ImportError: The extra is missing; the message names it.
-            OSError: The file cannot be written.
+            ImportError: If the extra is missing; the message names it.
+            OSError: If the file cannot be written.
         """
 
         def pictures() -> Iterator[np.ndarray]:
@@ -308,22 +301,22 @@ class Film:
             save_video(part, pictures())
 
     def __len__(self) -> int:
-        """Count the pictures."""
+        """Return the number of pictures."""
         return int(self._recording.time[-1] * FPS + 1e-6) + 1
 
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Close the engine; a second call does nothing."""
         self._engine.close()
 
 
 def _is_disc(part: dict[str, Any]) -> bool:
-    """Tell whether a part stands for a propeller; it has the colour of its drone."""
+    """Return True if a part represents a propeller, which has the colour of its drone."""
     half = part["half"]
     return bool(part["kind"] == CYLINDER and half[2] < 0.2 * half[0])
 
 
 def _obstacle(shape: dict[str, Any], scale: float = 1.0) -> Obstacle:
-    """Make an obstacle of a shape that the scene tells, `scale` times as large."""
+    """Create an obstacle from a shape of the scene, scaled."""
     x, y, z = (scale * half for half in shape["half"])
     colour = tuple(shape["colour"])
     if shape["kind"] == BOX:
@@ -332,8 +325,8 @@ def _obstacle(shape: dict[str, Any], scale: float = 1.0) -> Obstacle:
         return Obstacle("sphere", (x,), colour)
     corners = (scale * np.array(shape["corners"])).tolist()
     if shape["kind"] == CYLINDER:
-        # Of few sides: films have many of them.
-        turn = 2 * np.pi * np.arange(SIDES) / SIDES
+        # Few sides, as films have many cylinders.
+        turn = 2 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
         rim = [(x * np.cos(one), x * np.sin(one)) for one in turn]
         corners = [(*point, height) for height in (-z, z) for point in rim]
     return Obstacle("hull", (), colour, tuple(map(tuple, corners)))

@@ -1,4 +1,4 @@
-"""Pictures of how well an identified airframe predicts flights."""
+"""Figures of an identification: measured flights and predictions."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,39 +12,35 @@ from bulletuav.report.figures import blank_figure, save_figure
 
 
 class CurveLike(Protocol):
-    """One quantity in several stretches of a flight, see `identification.curves.Curve`."""
+    """Measured and predicted values of a quantity, see `identification.curves.Curve`."""
 
     @property
     def label(self) -> str:
-        """What it is, with its unit."""
+        """Name of the quantity with its unit."""
 
     @property
     def time(self) -> np.ndarray:
-        """Times (L, picks), s."""
+        """Times, (L, num_states), s."""
 
     @property
     def measured(self) -> np.ndarray:
-        """What was measured, (L, picks)."""
+        """Measured values, (L, num_states)."""
 
     @property
     def before(self) -> np.ndarray:
-        """What was predicted with the airframe as it was, (L, picks)."""
+        """Predictions of the initial airframe, (L, num_states)."""
 
     @property
     def after(self) -> np.ndarray:
-        """What was predicted with the airframe that was fitted, (L, picks)."""
+        """Predictions of the fitted airframe, (L, num_states)."""
 
 
-def plot_identification(
-    curves: Sequence[CurveLike],
-    title: str,
-    path: Path,
-) -> None:
-    """Plot predictions against a flight as a PNG file.
+def plot_identification(curves: Sequence[CurveLike], title: str, path: Path) -> None:
+    """Plot predictions against measurements of a flight as a PNG file.
 
     Args:
-        curves: The quantities, an even number of them.
-        title: What flight it is.
+        curves: The quantities, an even number.
+        title: Title of the figure.
         path: The file.
     """
     figure = blank_figure(12, 1 + 1.1 * len(curves))
@@ -59,13 +55,13 @@ def plot_identification(
 
 
 def _draw(axes: Axes, curve: CurveLike) -> None:
-    """Draw one quantity; predictions start anew in each stretch."""
+    """Plot one quantity; each leg's prediction starts from a measured state."""
     axes.plot(curve.time.ravel(), curve.measured.ravel(), ".", color="0.2", ms=3, label="measured")
     pairs = (("before", curve.before, COLOURS[1]), ("after", curve.after, COLOURS[0]))
     for name, values, colour in pairs:
         for k, (time, value) in enumerate(zip(curve.time, values, strict=True)):
             axes.plot(time, value, color=colour, lw=1.2, label=None if k else name)
-    # Predictions that run away must not hide the flight
+    # The limits follow the measurements, as predictions may diverge
     span = max(float(np.ptp(curve.measured)), 1e-3)
     low, high = float(curve.measured.min()), float(curve.measured.max())
     axes.set(ylabel=curve.label, ylim=(low - 0.5 * span, high + 0.5 * span))

@@ -1,4 +1,4 @@
-"""Tables of several evaluations side by side."""
+"""Tables of several evaluations: Markdown, CSV, and JSON for verification."""
 
 import csv
 import json
@@ -7,13 +7,13 @@ from pathlib import Path
 
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.analysis.metrics import Estimate, mean_estimate
-from bulletuav.analysis.seals import sealed
+from bulletuav.analysis.seals import add_seal
 from bulletuav.files import replace_file, whole_file
 
 LEADERBOARD = "leaderboard.json"
 """File from which a leaderboard can be flown again"""
 DIGITS = 8
-"""Of hashes in tables"""
+"""Number of digits of hashes in tables"""
 SHOWN = {
     "success": "success",
     "drone_success": "drones",
@@ -37,27 +37,27 @@ SHOWN = {
     "lap_time": "lap s",
     "race_time": "race s",
 }
-"""Metrics of the table, with their headings; those that no episode of a table has are left out"""
+"""Metrics of the table with their headings; those that no episode of a table has are omitted"""
 FOOTNOTE = (
     "\\* reads the true state instead of observations. In brackets: 95 % confidence intervals.\n"
 )
 CASE = ("task", "difficulty", "drones", "dynamics", "policy", "reads_swarm", "hash")
-"""Columns of the csv file that tell one evaluation from others"""
+"""Columns of the CSV file that identify an evaluation"""
 
 
-def markdown(results: Sequence[Evaluation], against: str | None = None) -> str:
-    """Write a table for each task, difficulty and size of the swarm.
+def format_leaderboard(results: Sequence[Evaluation], against: str | None = None) -> str:
+    """Format a table for each task, difficulty and number of drones.
 
-    Cells are means with 95 % intervals, and the first digits of the hash of all episodes; * marks
-    policies that read the true state.
+    Cells are means with 95 % intervals, and the first digits of the hash of all episodes. An
+    asterisk marks policies that read the true state.
 
     Args:
         results: The evaluations.
-        against: A policy. Each table is followed by one of how much more the others have than it,
-            episode by episode.
+        against: A reference policy. Each table is followed by a table of the other policies'
+            differences to it, paired by episode.
 
     Returns:
-        The tables in markdown.
+        The tables in Markdown.
     """
     groups: dict[tuple[str, str, int], list[Evaluation]] = {}
     for result in results:
@@ -68,23 +68,19 @@ def markdown(results: Sequence[Evaluation], against: str | None = None) -> str:
             options["num_drones"],
         )
         groups.setdefault(case, []).append(result)
-    parts = [_group(*case, group, against) for case, group in groups.items()]
+    parts = [_format_group(*case, group, against) for case, group in groups.items()]
     return "\n".join(parts) + "\n" + FOOTNOTE
 
 
-def _group(
-    task: str,
-    difficulty: str,
-    drones: int,
-    results: Sequence[Evaluation],
-    against: str | None,
+def _format_group(
+    task: str, difficulty: str, drones: int, results: Sequence[Evaluation], against: str | None
 ) -> str:
-    """Write the table of one case, and that of the differences."""
+    """Format the tables of one case."""
     dynamics = ", ".join(dict.fromkeys(map(_dynamics, results)))
     flown = "; ".join(dict.fromkeys(result.conditions.flown for result in results))
     title = f"### {task}, {difficulty}: {drones} drones, {dynamics}, {flown}\n"
     text = _table(title, results, [result.estimates() for result in results])
-    # Policies are compared in the same dynamics.
+    # Differences are formed within the same dynamics.
     references = {
         _dynamics(result): result for result in results if result.about["policy"] == against
     }
@@ -104,17 +100,15 @@ def _group(
 
 
 def _table(
-    title: str,
-    results: Sequence[Evaluation],
-    estimates: Sequence[Mapping[str, Estimate]],
+    title: str, results: Sequence[Evaluation], estimates: Sequence[Mapping[str, Estimate]]
 ) -> str:
-    """Write a table, a row for each result; dynamics have a column where there are several."""
+    """Format a table with a row for each result, and a column of dynamics if they differ."""
     shown = [
         metric
         for metric in SHOWN
         if any(metric in found and found[metric].episodes for found in estimates)
     ]
-    # A column that says the same in every row is left out.
+    # A column of equal cells is omitted.
     has_dynamics = len(set(map(_dynamics, results))) > 1
     headings = ["policy"]
     if has_dynamics:
@@ -131,14 +125,14 @@ def _table(
 
 
 def _line(cells: Sequence[str]) -> str:
-    """Write a row of a table."""
+    """Format a row of a table."""
     return "| " + " | ".join(cells) + " |"
 
 
 def _differences(result: Evaluation, reference: Evaluation) -> dict[str, Estimate]:
-    """Estimate how much more a result has than the reference, episode by episode.
+    """Estimate the differences of a result to the reference, paired by episode.
 
-    Rates have intervals of the bootstrap here, too. Episodes in which one has none do not count.
+    Rates have bootstrap intervals here, too. Episodes in which either value is missing are ignored.
     """
     pairs = list(zip(result.rows, reference.rows, strict=True))
     return {
@@ -149,28 +143,28 @@ def _differences(result: Evaluation, reference: Evaluation) -> dict[str, Estimat
 
 
 def _dynamics(result: Evaluation) -> str:
-    """Name the dynamics of a result."""
+    """Format the dynamics of a result."""
     options = result.about["options"]
     return f"{options['dynamics']} at {options['physics_hz']} Hz"
 
 
 def _cell(one: Estimate) -> str:
-    """Write a mean with its interval, a dash where no episode has the metric."""
+    """Format a mean with its interval, or a dash if no episode has the metric."""
     return f"{one.mean:.2f} [{one.low:.2f}, {one.high:.2f}]" if one.episodes else "-"
 
 
 def write_csv(results: Sequence[Evaluation], path: Path) -> None:
-    """Write all metrics of all evaluations as a csv file, a row for each.
+    """Write all metrics of all evaluations as a CSV file, a row for each metric of each evaluation.
 
-    The columns are the case, the metric, its mean, the interval, the episodes that have it, and the
-    seed of the first episode.
+    The columns are the case, the metric, its mean, the interval, the number of episodes that have
+    the metric, and the seed of the first episode.
 
     Args:
         results: The evaluations.
         path: The file.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: If the file cannot be written.
     """
     with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -192,21 +186,17 @@ def write_csv(results: Sequence[Evaluation], path: Path) -> None:
             )
 
 
-def write_json(
-    results: Sequence[Evaluation],
-    against: str | None,
-    path: Path,
-) -> None:
-    """Write what is needed to fly a leaderboard again, sealed.
+def write_json(results: Sequence[Evaluation], against: str | None, path: Path) -> None:
+    """Write the description from which a leaderboard can be flown again, with a seal.
 
     Args:
         results: The evaluations.
-        against: As of `markdown`.
+        against: Reference policy, as for `format_leaderboard`.
         path: The file.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: If the file cannot be written.
     """
     cases = [{**result.about, "hash": result.hash} for result in results]
-    told = sealed({"against": against, "cases": cases})
-    replace_file(path, json.dumps(told, indent=2) + "\n")
+    content = add_seal({"against": against, "cases": cases})
+    replace_file(path, json.dumps(content, indent=2) + "\n")

@@ -1,7 +1,7 @@
-"""Live views: world 0 of an environment, shown while it flies, in browsers or in Foxglove.
+"""Live views: world 0 of an environment, shown during the simulation, in browsers or in Foxglove.
 
-Both get a flight two states at a time: the one before a decision, which they know, and the one
-after it. The page for browsers is that of replays, with the same block of numbers.
+Viewers receive two states at a time: the state before a decision, which they know, and the state
+after it. The page for browsers is that of replays, with the same payload format.
 """
 
 import functools
@@ -16,74 +16,74 @@ from bulletuav.envs.infos import later
 from bulletuav.envs.pacer import Pacer
 from bulletuav.envs.viewer import parse_address
 from bulletuav.report.feed import Feed, event
-from bulletuav.report.replay import page, rows_payload, whole_payload
+from bulletuav.report.replay import make_payload, make_rows_payload, render_page
 
 TITLE = "bulletuav: live"
-MOST_LINES = 200_000
-"""Pieces of trails that viewers keep; after as many they begin anew"""
+MAX_TRAIL_SEGMENTS = 200_000
+"""Maximum number of trail segments in a viewer, after which it restarts"""
 
 
 class Server(Protocol):
-    """What serves a live view, in threads of its own."""
+    """Server of a live view, in its own threads."""
 
     @property
     def is_watched(self) -> bool:
-        """Whether somebody watches."""
+        """Whether there is any viewer."""
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until somebody watches, and tell whether somebody did in time."""
+        """Wait until there is a viewer; return False after a timeout."""
 
-    def begin_anew(self) -> None:
-        """Let viewers forget the flight before."""
+    def restart_viewers(self) -> None:
+        """Discard the previous flight in all viewers."""
 
     def close(self) -> None:
-        """Let viewers go, and close the port; a second call does nothing."""
+        """Disconnect all viewers and close the port; a second call does nothing."""
 
 
 class LiveView(ABC):
-    """Shows an aviary while it flies; `render_mode` "web" and "foxglove" make one.
+    """Shows an aviary during the simulation; created by `render_mode` "web" and "foxglove".
 
-    While somebody watches, flights are paced to real time. Without viewers nothing is kept or sent,
-    and flights are as fast as ever.
+    With viewers, flights are paced to real time. Without viewers, nothing is recorded or sent, and
+    flights run at full speed.
 
     Attributes:
-        invitation: What somebody who wants to watch does.
+        invitation: Instructions for a person to connect a viewer.
     """
 
     invitation: str
 
     def __init__(self, aviary: Aviary, server: Server) -> None:
-        """Keep the aviary, of which only the options have to be there yet, and the server."""
+        """Store the aviary, of which only the options need to exist yet, and the server."""
         self._aviary = aviary
         self._server = server
         self._recorder: Recorder | None = None
         self._pacer: Pacer | None = None
         self._rows = 0
-        # Also where nobody closes the environment.
+        # Closes the server even if the environment is never closed.
         self._finalizer = weakref.finalize(self, server.close)
 
     def wait(self) -> None:
-        """Wait until somebody watches."""
+        """Wait until there is a viewer."""
         self._server.wait()
 
     def begin(self) -> None:
-        """Take in that world 0 was reset."""
+        """Restart the view after a reset of world 0."""
         self._start()
         if self._pacer is not None:
             self._pacer.restart()
 
     def _start(self) -> None:
-        """Let viewers begin anew with the present state, if there are any."""
-        self._server.begin_anew()
+        """Restart all viewers with the present state, if there are any."""
+        self._server.restart_viewers()
         self._rows = 0
         self._recorder = Recorder(self._aviary) if self._server.is_watched else None
 
     def show(self) -> None:
-        """Send the decision that was flown, and wait until its time has come."""
+        """Send the last decision, and wait until its real time."""
         if not self._server.is_watched:
             self._recorder = self._pacer = None
             return
-        if self._recorder is None or self._rows * self._aviary.num_drones > MOST_LINES:
+        if self._recorder is None or self._rows * self._aviary.num_drones > MAX_TRAIL_SEGMENTS:
             self._start()
         else:
             self._send(self._decision(self._recorder))
@@ -92,20 +92,20 @@ class LiveView(ABC):
         self._pacer.wait()
 
     def _decision(self, recorder: Recorder) -> Recording:
-        """Record the decision that was flown."""
+        """Record the last decision."""
         aviary = self._aviary
-        recorder.note(aviary.given.copy(), aviary.rewards.copy(), later(aviary.telling()))
+        recorder.record(aviary.given.copy(), aviary.rewards.copy(), later(aviary.telling()))
         recording = recorder.recording()
-        recorder.forget()
+        recorder.discard_history()
         self._rows += 1
         return recording
 
     @abstractmethod
     def _send(self, recording: Recording) -> None:
-        """Send a decision."""
+        """Send a decision to all viewers."""
 
     def close(self) -> None:
-        """Tell viewers that it is over, and close the port; a second call does nothing."""
+        """Notify the viewers of the end and close the port; a second call does nothing."""
         self._recorder = None
         self._finalizer()
 
@@ -118,12 +118,12 @@ class PageView(LiveView):
     """
 
     def __init__(self, aviary: Aviary) -> None:
-        """Open the port that the option `render_address` tells.
+        """Open the port of the option `render_address`.
 
         Raises:
-            OSError: The port is in use, or there is no such address.
+            OSError: If the port is in use, or the address does not exist.
         """
-        make_page = functools.cache(functools.partial(page, TITLE))
+        make_page = functools.cache(functools.partial(render_page, TITLE))
         self.feed = Feed(*parse_address(aviary.options.render_address), make_page)
         self.invitation = f"open http://{self.feed.address}/ in a browser"
         super().__init__(aviary, self.feed)
@@ -133,8 +133,8 @@ class PageView(LiveView):
         aviary = self._aviary
         drones = f"{aviary.num_drones} {'drones' if aviary.num_drones > 1 else 'drone'}"
         title = f"{aviary.task.name}: {drones}, live"
-        news = event("rows", rows_payload(recording))
-        self.feed.send(news, lambda: event("start", whole_payload(recording, title)))
+        news = event("rows", make_rows_payload(recording))
+        self.feed.send(news, lambda: event("start", make_payload(recording, title)))
 
 
 class FoxgloveView(LiveView):
@@ -145,11 +145,11 @@ class FoxgloveView(LiveView):
     """
 
     def __init__(self, aviary: Aviary) -> None:
-        """Open the port that the option `render_address` tells.
+        """Open the port of the option `render_address`.
 
         Raises:
-            ImportError: The extra is missing.
-            OSError: The port is in use, or there is no such address.
+            ImportError: If the extra is missing.
+            OSError: If the port is in use, or the address does not exist.
         """
         from bulletuav.adapters.foxglove import FoxgloveServer  # which needs an extra
 
@@ -158,5 +158,5 @@ class FoxgloveView(LiveView):
         super().__init__(aviary, self.topics)
 
     def _send(self, recording: Recording) -> None:
-        """Send a decision to all who have subscribed."""
+        """Send a decision to all subscribers."""
         self.topics.send(recording.everything())

@@ -1,4 +1,4 @@
-"""Pictures of a recorded episode: tracks from above with what is told, and an animation."""
+"""Pictures of a recorded episode: tracks from above, time series, and an animation."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +12,7 @@ from bulletuav.analysis.recording import Recording
 from bulletuav.report.animation import Animation
 from bulletuav.report.figures import (
     BARS,
-    MOST_NUMBERS,
+    MAX_NUMBERED_DRONES,
     SEEN,
     UNSEEN,
     bar_lines,
@@ -28,47 +28,43 @@ from bulletuav.tasks.base import SHOWS
 __all__ = ["Animation", "blank_figure", "plot_tracks", "save_figure"]
 
 ALTITUDE = "altitude (m)"
-SAME = 1e-9
-"""Span up to which numbers count as the same"""
+MIN_VARIATION = 1e-9
+"""Range up to which values count as constant"""
 OVERVIEW = (840, 640)
-"""Size of the picture in three dimensions, pixels"""
-MOST_ROWS = 3
-"""Panels that stand one above another"""
-TOGETHER = "0.2"
-"""Colour of what is the same for all drones"""
+"""Size of the 3-D picture, pixels"""
+MAX_PANEL_ROWS = 3
+"""Maximum number of panels in a column"""
+SHARED_COLOUR = "0.2"
+"""Colour of values that are equal for all drones"""
 
 
 def plot_tracks(
-    recording: Recording,
-    d_safe: float,
-    title: str,
-    path: Path,
-    shows: Mapping[str, str] = SHOWS,
+    recording: Recording, d_safe: float, title: str, path: Path, shows: Mapping[str, str] = SHOWS
 ) -> None:
-    """Plot tracks from above, and altitudes and what infos tell over time, as a PNG file.
+    """Plot tracks from above, and altitudes and infos over time, as a PNG file.
 
-    Starts are numbered discs, ends are squares, goals are crosses. Targets are drawn as they are at
-    the end. Small black crosses show where shapes touched, red rings where a conflict began. Where
-    heights differ, or something stands, a picture in three dimensions is beside it.
+    Starts are numbered discs, ends are squares, goals are crosses. Targets are drawn in their final
+    state. Black crosses mark contact points, red circles the starts of conflicts. If heights
+    differ, or there are obstacles or buildings, a 3-D picture is next to the view from above.
 
     Args:
         recording: The episode.
         d_safe: Separation below which there is a conflict, m.
         title: Title of the picture.
         path: The file.
-        shows: Infos by name, with what to call them, as `Task.shows` tells. Numbers have a panel
-            each; flags, counts, and what never changes have none.
+        shows: Labels of infos by name, as in `Task.shows`. Each number has a panel; flags, counts
+            and constants have none.
 
     Raises:
-        ValueError: Infos told nothing of a name.
+        ValueError: If there is no info of a name.
     """
-    # Panels of what changes over time, in columns on the right
+    # Panels of time series, in columns on the right
     heights = {ALTITUDE: recording.position[..., 2]}
-    told = heights | {name: np.asarray(recording.told(name)) for name in shows}
-    panels = {name: values for name, values in told.items() if _has_history(values)}
-    columns = -(-len(panels) // MOST_ROWS)
+    histories = heights | {name: np.asarray(recording.get_info(name)) for name in shows}
+    panels = {name: values for name, values in histories.items() if _has_history(values)}
+    columns = -(-len(panels) // MAX_PANEL_ROWS)
     rows = -(-len(panels) // max(1, columns))
-    # The picture from above, and one in three dimensions where heights matter
+    # The view from above, and a 3-D picture if heights matter
     views = 2 if has_depth(recording) and recording.scene else 1
     figure = blank_figure(1 + 7 * views + 4 * columns, 6.5)
     ratios = [1.7] * views + [1.0] * columns
@@ -78,7 +74,7 @@ def plot_tracks(
         _draw_overview(figure.add_subplot(grid[:, 1]), recording)
     cells = [grid[k % rows, views + k // rows] for k in range(len(panels))]
     places = [figure.add_subplot(cell) for cell in cells]
-    # Drones first: each has its colour in all parts.
+    # A drone has the same colour in all panels.
     colours = drone_colours(recording.position.shape[1])
     for drone, colour in enumerate(colours):
         _draw_track(above, recording, drone, colour)
@@ -95,7 +91,7 @@ def plot_tracks(
     _draw_targets(above, recording)
     _mark_conflicts(above, recording)
     _mark_contacts(above, recording)
-    # Without marks there is nothing to explain.
+    # A legend only if there are labelled marks.
     if above.get_legend_handles_labels()[0]:
         above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
     above.set(title=title, xlabel="x east (m)", ylabel="y north (m)", aspect="equal")
@@ -107,39 +103,34 @@ def plot_tracks(
     save_figure(figure, path)
 
 
-def _has_history(told: np.ndarray) -> bool:
-    """Tell whether numbers say something over time: no flags or counts, none that never change."""
-    known = told[np.isfinite(told)] if told.dtype.kind == "f" else told[:0]
-    return bool(known.size) and float(np.ptp(known)) > SAME
+def _has_history(values: np.ndarray) -> bool:
+    """Return True for numbers that vary over time; False for flags, counts and constants."""
+    known = values[np.isfinite(values)] if values.dtype.kind == "f" else values[:0]
+    return bool(known.size) and float(np.ptp(known)) > MIN_VARIATION
 
 
 def _draw_overview(axes: Axes, recording: Recording) -> None:
-    """Draw the whole flight in three dimensions."""
+    """Draw the whole flight in 3-D."""
     film = Film(recording, "", "still", size=OVERVIEW)
     axes.imshow(film.picture(float(recording.time[-1]), reach=float("inf")))
-    axes.set(title="from the south-west; pale: behind something")
+    axes.set(title="view from the south-west; thin line: occluded")
     axes.set_axis_off()
     film.close()
 
 
-def _draw_track(
-    axes: Axes,
-    recording: Recording,
-    drone: int,
-    colour: np.ndarray,
-) -> None:
+def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray) -> None:
     """Draw the track of a drone from above, with its start, its end and its goal, if any."""
     end = int(recording.alive[:-1, drone].sum()) + 1
     track = recording.position[:end, drone]
     axes.plot(track[:, 0], track[:, 1], color=colour, lw=1.2)
-    # One drone's marks stand for all in the legend.
-    told = ("start", "end", "goal") if drone == 0 else (None, None, None)
-    axes.plot(*track[0, :2], "o", color=colour, ms=5, label=told[0])
-    axes.plot(*track[-1, :2], "s", color=colour, ms=6, mec="black", mew=0.6, label=told[1])
+    # The legend has the marks of one drone only.
+    labels = ("start", "end", "goal") if drone == 0 else (None, None, None)
+    axes.plot(*track[0, :2], "o", color=colour, ms=5, label=labels[0])
+    axes.plot(*track[-1, :2], "s", color=colour, ms=6, mec="black", mew=0.6, label=labels[1])
     if recording.goal.shape[1]:
         goal = recording.goal[end - 1, drone, :2]
-        axes.plot(*goal, "x", color=colour, ms=8, mew=2, label=told[2])
-    if recording.position.shape[1] <= MOST_NUMBERS:
+        axes.plot(*goal, "x", color=colour, ms=8, mew=2, label=labels[2])
+    if recording.position.shape[1] <= MAX_NUMBERED_DRONES:
         axes.annotate(
             str(drone),
             (track[0, 0], track[0, 1]),
@@ -150,51 +141,44 @@ def _draw_track(
 
 
 def _draw_history(
-    axes: Axes,
-    time: np.ndarray,
-    told: np.ndarray,
-    flown: np.ndarray,
-    colours: np.ndarray,
+    axes: Axes, time: np.ndarray, values: np.ndarray, flown: np.ndarray, colours: np.ndarray
 ) -> None:
-    """Draw a number of each drone over time, or one line where it is the same for all.
+    """Plot a number of each drone over time, or a single line if it is equal for all drones.
 
     Args:
         axes: The panel.
-        time: (T,) s.
-        told: (T, N), while drones fly.
-        flown: (decisions, N) bool, drones that flew them; `told` may have the start before.
-        colours: (N, 4) of the drones.
+        time: Times, (T,), s.
+        values: Values, (T, N).
+        flown: Mask of the drones that flew each decision, (decisions, N) bool; `values` may have an
+            additional first row for the start.
+        colours: Colours of the drones, (N, 4).
     """
-    known = np.where(np.isfinite(told), told, np.nan)
-    if len(colours) > 1 and (told == told[:, :1]).all():
-        axes.plot(time, known[:, 0], color=TOGETHER, lw=1.6, label="all drones together")
+    known = np.where(np.isfinite(values), values, np.nan)
+    if len(colours) > 1 and (values == values[:, :1]).all():
+        axes.plot(time, known[:, 0], color=SHARED_COLOUR, lw=1.6, label="all drones")
         axes.legend(loc="best", fontsize=8)
         return
-    ends = flown.sum(axis=0) + len(told) - len(flown)
+    ends = flown.sum(axis=0) + len(values) - len(flown)
     for row, end, colour in zip(known.T, ends, colours, strict=True):
         axes.plot(time[:end], row[:end], color=colour, lw=1.2)
 
 
-def _mark_separations(
-    axes: Axes,
-    separation: np.ndarray,
-    d_safe: float,
-) -> None:
-    """Mark d_safe among separations (T, N), and leave out those that are far above it."""
+def _mark_separations(axes: Axes, separation: np.ndarray, d_safe: float) -> None:
+    """Mark d_safe among separations (T, N), and limit the axis to the range around it."""
     axes.axhline(d_safe, color="crimson", ls="--", lw=1, label=f"d_safe {d_safe:g} m")
     axes.set(ylim=(0, max(5 * d_safe, 2 * float(separation.min()))))
     axes.legend(loc="upper right")
 
 
 def _draw_obstacles(axes: Axes, recording: Recording) -> None:
-    """Draw the ways of obstacles, where they were at first (dotted) and where they came to."""
-    # Bars are drawn as lines, others as circles
+    """Draw the paths of obstacles, and their initial (dotted) and final outlines."""
+    # Bars are drawn as lines, other obstacles as circles
     tracks = recording.obstacle.swapaxes(0, 1)
     is_bar = recording.obstacle_axis.any(axis=1)
     for row, style in ((0, ":"), (-1, "-")):
         lines = bar_lines(recording, row)
         axes.add_collection(LineCollection(lines, colors=BARS, linewidths=2, linestyles=style))
-    # A way, and a circle at each end of it
+    # A path, and a circle at each end
     for track, radius in zip(tracks[~is_bar], recording.obstacle_radius[~is_bar], strict=True):
         axes.plot(track[:, 0], track[:, 1], color="0.6", lw=1)
         for row, style in ((0, ":"), (-1, "-")):
@@ -212,30 +196,30 @@ def _draw_obstacles(axes: Axes, recording: Recording) -> None:
 
 
 def _draw_targets(axes: Axes, recording: Recording) -> None:
-    """Draw targets, by whether they are seen, and the ways of those that move."""
-    way = recording.target[..., :2]
+    """Draw targets, coloured by whether they are in sight, and the paths of moving ones."""
+    track = recording.target[..., :2]
     seen = recording.seen[-1]
-    lines = list(way.swapaxes(0, 1))
+    lines = list(track.swapaxes(0, 1))
     axes.add_collection(LineCollection(lines, colors="0.7", linewidths=0.6, zorder=1))
     for some, colour, label in (
         (seen, SEEN, "target in sight"),
         (~seen, UNSEEN, "target out of sight"),
     ):
         if some.any():
-            axes.plot(*way[-1, some].T, ".", color=colour, ms=4, label=label, zorder=1)
+            axes.plot(*track[-1, some].T, ".", color=colour, ms=4, label=label, zorder=1)
 
 
 def _mark_conflicts(axes: Axes, recording: Recording) -> None:
-    """Mark where drones were when a conflict of theirs began, if any."""
+    """Mark the positions of drones at the start of their conflicts, if any."""
     began = np.argwhere(recording.conflicts > 0)
     if len(began):
         place = recording.position[began[:, 0] + 1, began[:, 1]]
         x, y, _ = place.T
-        axes.plot(x, y, "o", color="crimson", mfc="none", ms=11, label="conflict begins")
+        axes.plot(x, y, "o", color="crimson", mfc="none", ms=11, label="start of conflict")
 
 
 def _mark_contacts(axes: Axes, recording: Recording) -> None:
-    """Mark the points where shapes touched, if any."""
+    """Mark the contact points, if any."""
     x, y, _ = recording.contact_point.T
     if len(x):
         axes.plot(x, y, "+", color="black", ms=7, mew=1.2, label="contact", zorder=3)

@@ -1,7 +1,7 @@
-"""Replays: one page of HTML that shows a recorded episode in three dimensions, without a network.
+"""Replays: a self-contained HTML page that shows a recorded episode in 3-D, without a network.
 
-The page's own files are in `web/`. They are put into it as they are, beside a block of the
-recording's numbers; see `payload`.
+The files of the page are in `web/`. They are embedded in the page, next to the payload of the
+recording; see `payload`.
 """
 
 import base64
@@ -25,40 +25,41 @@ from bulletuav.geometry.solids import Solids
 from bulletuav.parsing import parse_json
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.payload import Payload
-from bulletuav.report.replay_charts import add_charts, later
+from bulletuav.report.replay_charts import add_charts, prepend_missing_row
 from bulletuav.report.verification import read_sealed
 
 REPLAY = "replay.html"
-"""Name of the page beside a recording"""
+"""Name of the page in the folder of a recording"""
 WEB = Path(__file__).parent / "web"
-DAMAGE = (KeyError, TypeError, IndexError, AttributeError, ValueError)
-"""Errors of scenes that are damaged"""
-BESIDE = re.compile(r'(from\s*)"\./')
-"""How the scripts name others: in the page they have no folder"""
+SCENE_ERRORS = (KeyError, TypeError, IndexError, AttributeError, ValueError)
+"""Errors that a damaged scene can raise"""
+RELATIVE_IMPORT = re.compile(r'(from\s*)"\./')
+"""Relative imports in the scripts, which become bare names in the page"""
 
 
 def read_run(path: Path) -> tuple[Recording, str]:
-    """Read what `bulletuav fly` wrote, and compare it with its seals.
+    """Read a recording that `bulletuav fly` wrote, after a check of its seal and hashes.
 
     Args:
         path: The folder, or a file in it.
 
     Returns:
-        The recording, and a title that tells task, policy and seed.
+        The recording, and a title with task, policy and seed.
 
     Raises:
-        FileNotFoundError: There is no such folder.
-        ValueError: It holds no recording, or one that is damaged or of an earlier version.
+        FileNotFoundError: If the folder does not exist.
+        ValueError: If the folder holds no recording, or one that is damaged or of an earlier
+            version.
     """
     if not path.exists():
-        raise FileNotFoundError(f"there is no {path}: give the folder of a flight")
-    # A file in the folder stands for it
+        raise FileNotFoundError(f"there is no {path}: pass the folder of a flight")
+    # A file selects its folder
     folder = path if path.is_dir() else path.parent
     if not (folder / ARRAYS_FILE).exists():
         raise ValueError(
-            f"{folder} holds no recording ({ARRAYS_FILE}): give a folder that `bulletuav fly` wrote"
+            f"{folder} holds no recording ({ARRAYS_FILE}): pass a folder of `bulletuav fly`"
         )
-    # Before anything is read: are the files those that were written?
+    # Check the hashes of the files before they are read
     about, checks = read_sealed(folder / RUN)
     changed = [check.what for check in checks if not check.same]
     if changed:
@@ -81,19 +82,20 @@ def read_run(path: Path) -> tuple[Recording, str]:
 
 
 def replay_run(run: Path, path: Path | None = None) -> Path:
-    """Write the page of what `bulletuav fly` wrote.
+    """Write the replay of a recording that `bulletuav fly` wrote.
 
     Args:
         run: The folder of the flight, or a file in it.
-        path: The page; `replay.html` beside the recording when left out.
+        path: The page; by default `replay.html` in the folder of the recording.
 
     Returns:
         The path of the page.
 
     Raises:
-        FileNotFoundError: There is no such folder.
-        ValueError: It holds no recording, or one that is damaged or of an earlier version.
-        OSError: The page cannot be written.
+        FileNotFoundError: If the folder does not exist.
+        ValueError: If the folder holds no recording, or one that is damaged or of an earlier
+            version.
+        OSError: If the page cannot be written.
     """
     recording, title = read_run(run)
     target = path or (run if run.is_dir() else run.parent) / REPLAY
@@ -101,51 +103,48 @@ def replay_run(run: Path, path: Path | None = None) -> Path:
     return target
 
 
-def write_replay(
-    recording: Recording,
-    title: str,
-    path: Path,
-    source: str = "",
-) -> None:
-    """Write a page that replays an episode: one file that needs no other and no network.
+def write_replay(recording: Recording, title: str, path: Path, source: str = "") -> None:
+    """Write the replay of an episode: a single HTML file that needs no other file and no network.
 
     Args:
         recording: The episode, with its scene.
         title: Title of the page.
         path: The file.
-        source: Where the recording is from, for the message.
+        source: Path of the recording, for messages.
 
     Raises:
-        ValueError: The recording's scene is none.
-        OSError: The file cannot be written.
+        ValueError: If the scene of the recording is missing or damaged.
+        OSError: If the file cannot be written.
     """
     try:
-        text = whole_payload(recording, title)
-    except DAMAGE as error:
-        raise damaged_scene(error, source) from None
-    replace_file(path, page(title, text))
+        text = make_payload(recording, title)
+    except SCENE_ERRORS as error:
+        raise scene_error(error, source) from None
+    replace_file(path, render_page(title, text))
 
 
-def damaged_scene(error: Exception, source: str = "") -> ValueError:
-    """Make the error for a scene that cannot be read, for the caller to raise."""
-    told = f"{source}: " if source else ""
-    return ValueError(f"the scene of the recording is damaged ({told}{reason_of(error)}): {REMEDY}")
+def scene_error(error: Exception, source: str = "") -> ValueError:
+    """Return a ValueError for a damaged scene."""
+    prefix = f"{source}: " if source else ""
+    return ValueError(
+        f"the scene of the recording is damaged ({prefix}{reason_of(error)}): {REMEDY}"
+    )
 
 
-def page(title: str, payload: str = "") -> str:
-    """Make the page.
+def render_page(title: str, payload: str = "") -> str:
+    """Return the HTML of the page.
 
     Args:
-        title: Its title.
-        payload: The text of a `Payload`; a page without one asks its server for a live feed.
+        title: Title of the page.
+        payload: Text of a `Payload`; without it the page connects to its server's live feed.
     """
-    # All scripts go into the page, which then needs no other file
+    # Embed all scripts as data URLs
     scripts = {}
     for script in sorted(WEB.glob("*.js")):
-        code = BESIDE.sub(r'\1"', script.read_text(encoding="utf-8"))
+        code = RELATIVE_IMPORT.sub(r'\1"', script.read_text(encoding="utf-8"))
         data = base64.b64encode(code.encode()).decode()
         scripts[script.name] = f"data:text/javascript;base64,{data}"
-    # A page with numbers in it connects to nothing
+    # The content policy of a page with a payload forbids all connections
     parts = {
         "title": html.escape(title),
         "style": (WEB / "style.css").read_text(encoding="utf-8"),
@@ -158,19 +157,19 @@ def page(title: str, payload: str = "") -> str:
     return re.sub(r"<!--put (\w+)-->", lambda found: parts[found[1]], template)
 
 
-def whole_payload(recording: Recording, title: str) -> str:
-    """Write all that a page shows."""
+def make_payload(recording: Recording, title: str) -> str:
+    """Return the payload of a whole recording."""
     about = parse_json(str(recording.scene["about"]), "its description")
-    # Numbers go into series, each of which the page finds by its name
+    # The page finds arrays and series by name
     payload = Payload()
     charts = _add_rows(payload, recording, about)
     _add_city(payload, recording)
-    # Browsers draw triangles; hulls are corners until here
+    # Browsers draw triangles, but the scene holds only the vertices of hulls
     for part in (*about["obstacles"], *(p for one in about["airframes"] for p in one["parts"])):
         if part["kind"] == HULL:
             part["triangles"] = _hull_triangles(part["corners"])
-    # The rest is small, and goes as it is
-    told = {
+    # Metadata
+    metadata = {
         "title": title,
         "rows": len(recording.time),
         "drones": recording.position.shape[1],
@@ -181,33 +180,29 @@ def whole_payload(recording: Recording, title: str) -> str:
         **{name: about[name] for name in ("obstacles", "lidar")},
         "charts": charts,
     }
-    return payload.text(told)
+    return payload.text(metadata)
 
 
-def rows_payload(recording: Recording) -> str:
-    """Write the rows of a recording alone, for a page that knows the rest."""
+def make_rows_payload(recording: Recording) -> str:
+    """Return the payload of a recording's rows only, for a page that has the rest."""
     payload = Payload()
     _add_rows(payload, recording, parse_json(str(recording.scene["about"]), "its description"))
     return payload.text({"rows": len(recording.time)})
 
 
-def _add_rows(
-    payload: Payload,
-    recording: Recording,
-    about: dict[str, Any],
-) -> list[Any]:
-    """Add what changes over time, and return the plots of it."""
+def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> list[Any]:
+    """Add all time-dependent data, and return the charts."""
     payload.add("time", recording.time, "f4")
-    # A drone flies from the start on without a gap.
+    # A drone is alive without interruption from the start.
     payload.add("end", recording.alive[:-1].sum(axis=0), "u4")
     payload.add_series("position", recording.position)
-    payload.add_series("quaternion", continuous(recording.quaternion))
+    payload.add_series("quaternion", unwrap_quaternions(recording.quaternion))
     payload.add_series("rotors", recording.scene["rotor_speed"].mean(axis=-1))
     payload.add_series("goal", recording.goal)
     payload.add_series("obstacle", recording.obstacle)
-    turns = continuous(recording.scene["obstacle_quaternion"])
+    turns = unwrap_quaternions(recording.scene["obstacle_quaternion"])
     payload.add_series("obstacle_quaternion", turns)
-    payload.add("conflict", later(recording.separation) < about["d_safe"], "u1")
+    payload.add("conflict", prepend_missing_row(recording.separation) < about["d_safe"], "u1")
     payload.add("contact_row", recording.contact_step + 1, "u4")
     payload.add("contact_point", recording.contact_point, "f4")
     _add_users(payload, recording)
@@ -218,7 +213,7 @@ def _add_rows(
 
 
 def _colours(count: int) -> list[str]:
-    """Return the colours of drones as `tracks.png` has them, but seen on light and dark ground."""
+    """Return the drones' colours of `tracks.png`, adjusted to light and dark backgrounds."""
     colours = []
     for red, green, blue, _ in drone_colours(count):
         hue, light, strength = colorsys.rgb_to_hls(red, green, blue)
@@ -227,18 +222,18 @@ def _colours(count: int) -> list[str]:
 
 
 def _add_users(payload: Payload, recording: Recording) -> None:
-    """Add targets, whether they are seen, and links to them."""
+    """Add targets, whether they are in sight, and links to them."""
     payload.add_series("target", recording.target)
     payload.add("seen", recording.seen, "u1")
     row, drone, target = recording.scene["link"].T
     payload.add("link_drone", drone, "u2")
     payload.add("link_target", target, "u2")
-    # Links are in the order of rows: those of row k begin at the k-th number.
+    # Links are sorted by row: entry k is the index of the first link of row k.
     payload.add("link_start", np.searchsorted(row, np.arange(len(recording.time) + 1)), "u4")
 
 
 def _add_city(payload: Payload, recording: Recording) -> None:
-    """Add the mesh of all pieces that stand."""
+    """Add the mesh of all buildings."""
     sizes = recording.scene["hull_size"]
     hulls = np.split(recording.scene["hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
     boxes = recording.building[: len(recording.building) - len(sizes)]
@@ -248,14 +243,14 @@ def _add_city(payload: Payload, recording: Recording) -> None:
 
 
 def _hull_triangles(corners: list[Any]) -> list[list[int]]:
-    """Find the triangles of a convex hull, as indices of its corners."""
+    """Return the triangles of a convex hull, as indices of its vertices."""
     _, triangles = Solids(np.zeros((0, 2, 3)), (np.array(corners),)).mesh
     found: list[list[int]] = triangles.tolist()
     return found
 
 
-def continuous(quaternion: np.ndarray) -> np.ndarray:
-    """Choose the signs of quaternions (R, ..., 4) such that each is near the one before."""
+def unwrap_quaternions(quaternion: np.ndarray) -> np.ndarray:
+    """Choose the signs of quaternions (R, ..., 4) so that consecutive ones are close."""
     dot = (quaternion[1:] * quaternion[:-1]).sum(axis=-1, keepdims=True)
     flips = np.cumprod(np.where(dot < 0, -1.0, 1.0), axis=0)
     return np.concatenate([quaternion[:1], quaternion[1:] * flips])

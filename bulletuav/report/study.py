@@ -1,4 +1,4 @@
-"""Table and picture of a study."""
+"""Table and figure of a hyperparameter study."""
 
 import json
 from collections.abc import Sequence
@@ -15,18 +15,18 @@ from bulletuav.report.figures import blank_figure, save_figure
 from bulletuav.training.study import Study, Trial, best_trials, trial_conditions
 
 COLUMNS = 4
-"""Panels of the picture beside each other"""
+"""Number of panels in a row of the figure"""
 
 
 def study_table(study: Study, trials: Sequence[Trial]) -> str:
-    """Write a table of a study: its trials, best first, and those that failed.
+    """Format the trials of a study as a table, best first, followed by the failed ones.
 
     Args:
         study: The study.
         trials: Its trials.
 
     Returns:
-        The table in markdown.
+        The table in Markdown.
     """
     headings = ["trial", study.metric, *study.space]
     caption = f"{study.metric} of each trial's last evaluation: {_conditions(study, trials)}\n"
@@ -40,43 +40,39 @@ def study_table(study: Study, trials: Sequence[Trial]) -> str:
 
 
 def _conditions(study: Study, trials: Sequence[Trial]) -> str:
-    """Write the conditions of all results, of which there are several where these vary."""
+    """Format the conditions of all results, which may differ between trials."""
     found = (trial_conditions(study, trial) for trial in trials if not trial.error)
     return "; ".join(dict.fromkeys(map(str, found)))
 
 
 def _line(cells: Sequence[str]) -> str:
-    """Write a row of a table; a bar in a cell would end it."""
+    """Format a row of a table; vertical bars in cells are replaced."""
     return "| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |"
 
 
 def _shown(value: Any) -> str:
-    """Write a value with few digits."""
+    """Format a value with few digits."""
     return f"{value:.4g}" if isinstance(value, float) else json.dumps(value)
 
 
-def plot_study(
-    study: Study,
-    trials: Sequence[Trial],
-    path: Path,
-) -> None:
-    """Plot a study as a PNG file: its metric over the trials, and over each setting that varies.
+def plot_study(study: Study, trials: Sequence[Trial], path: Path) -> None:
+    """Plot a study as a PNG file: its metric over the trials, and over each hyperparameter.
 
     Args:
         study: The study.
-        trials: Its trials, of which one at least did not fail.
+        trials: Its trials, at least one of which succeeded.
         path: The file.
     """
     # Failed trials have no result
     done = [trial for trial in trials if not trial.error]
     results = np.array([trial.result for trial in done])
     numbers = [trial.number for trial in done]
-    # One plot of the progress and one for each setting
+    # A panel of the progress and one for each hyperparameter
     columns = min(COLUMNS, 1 + len(study.space))
     rows = -(-(1 + len(study.space)) // columns)
     figure = blank_figure(3.2 * columns, 2.8 * rows)
     first, *others = np.ravel(figure.subplots(rows, columns, squeeze=False))
-    # How much the search still gains
+    # Progress of the search
     best = (np.maximum if study.maximise else np.minimum).accumulate(results)
     first.scatter(numbers, results, color=COLOURS[0], s=16, label="trial")
     first.step(numbers, best, color="black", where="post", label="best so far")
@@ -84,7 +80,7 @@ def plot_study(
     first.legend()
     for axes, name in zip(others, study.space, strict=False):
         _scatter(axes, study, name, done)
-    # Places of the grid that are left over
+    # Unused panels of the grid
     for axes in others[len(study.space) :]:
         axes.set_axis_off()
     figure.suptitle(
@@ -93,16 +89,11 @@ def plot_study(
     save_figure(figure, path)
 
 
-def _scatter(
-    axes: Axes,
-    study: Study,
-    name: str,
-    done: Sequence[Trial],
-) -> None:
-    """Draw the metric over one setting; later trials are darker, the best one is ringed."""
+def _scatter(axes: Axes, study: Study, name: str, done: Sequence[Trial]) -> None:
+    """Plot the metric over one hyperparameter; darker: later trials, circle: best trial."""
     searched = study.space[name]
     values = [trial.values[name] for trial in done]
-    # Ranges are axes; choices are ticks, by their order
+    # Ranges are numeric axes; choices are ticks in their order
     if isinstance(searched, Range):
         places = values
         if searched.log:
@@ -114,7 +105,7 @@ def _scatter(
     results = [trial.result for trial in done]
     numbers = [trial.number for trial in done]
     axes.scatter(places, results, c=numbers, cmap="Blues", vmin=-len(done), s=16)
-    # The best one is ringed
+    # Circle the best trial
     k = done.index(best_trials(study, done)[0])
     axes.scatter(places[k], results[k], s=90, facecolor="none", edgecolor=COLOURS[1])
     axes.set(xlabel=name)

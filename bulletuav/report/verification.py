@@ -1,4 +1,4 @@
-"""Verification of files: their seals, and whether flights from the same seeds give their bits."""
+"""Verification of results: seals of files, and bitwise repetition of flights from their seeds."""
 
 import contextlib
 import itertools
@@ -14,29 +14,29 @@ from bulletuav.analysis.evaluation import RUN, Evaluation, evaluate
 from bulletuav.analysis.recording import ARRAYS_FILE, fly_episode, load
 from bulletuav.analysis.seals import (
     SEAL,
+    compute_seal,
     hash_arrays,
     hash_bytes,
     hash_files,
-    read_call,
-    seal_of,
+    parse_call,
 )
 from bulletuav.analysis.transitions import DATASET
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import naming, read_file, shown
 from bulletuav.parsing import read_json
 from bulletuav.policies import find_policy
-from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv
+from bulletuav.report.leaderboard import LEADERBOARD, format_leaderboard, write_csv
 
 SUMMARY = "summary.json"
-"""File that tells how an evaluation went"""
+"""File with the summary of an evaluation"""
 ROW = "row.json"
-"""File of a row of the leaderboard of algorithms: a policy, and how its evaluation went"""
+"""File of a row of the leaderboard of algorithms: a policy, and its evaluation"""
 ROW_POLICY = "{row}"
-"""What stands for the row's folder in the call, where the policy was trained and is in it"""
-Report = Callable[[float], None]
-"""Function that takes how much is done so far"""
-Show = Callable[[str, int, str], AbstractContextManager[Report]]
-"""What shows progress: of an activity, up to a total, in a unit"""
+"""Placeholder in the call for the row's folder, which holds the trained policy"""
+ReportProgress = Callable[[float], None]
+"""Function that receives the amount of work done so far"""
+ShowProgress = Callable[[str, int, str], AbstractContextManager[ReportProgress]]
+"""Context manager that shows the progress of an activity, up to a total, in a unit"""
 
 
 OF_EVALUATION = {"call": object, "episodes": int, "hash": str}
@@ -48,69 +48,66 @@ NEEDED: Mapping[str, Mapping[str, type]] = {
     ROW: {**OF_EVALUATION, "estimates": dict},
     DATASET: {"call": object, "episodes": int},
 }
-"""Entries of sealed files from which flights are repeated, by the file that names the kind"""
+"""Entries of sealed files that are needed to repeat the flights, by the file that identifies the
+kind
+"""
 
 
 @contextlib.contextmanager
-def _show_nothing(
-    activity: str,
-    total: int,
-    unit: str,
-) -> Iterator[Report]:
-    """Keep silent."""
+def _show_nothing(activity: str, total: int, unit: str) -> Iterator[ReportProgress]:
+    """Show no progress."""
     yield lambda done: None
 
 
 class Check(NamedTuple):
-    """One thing that was compared.
+    """One comparison.
 
     Attributes:
-        what: Its name.
-        told: Hash that the file tells.
-        found: Hash of what was found.
+        what: Name of the compared object.
+        expected: Hash in the file.
+        found: Hash of the object itself.
     """
 
     what: str
-    told: str
+    expected: str
     found: str
 
     @property
     def same(self) -> bool:
-        """Whether both agree."""
-        return self.told == self.found
+        """Whether both hashes agree."""
+        return self.expected == self.found
 
 
 class Verifier(NamedTuple):
-    """How files are verified.
+    """Settings of a verification.
 
     Attributes:
-        workers: Processes that fly evaluations.
-        trust: Whether names in the files may lead to code.
-        show: Shows how far flights are.
+        workers: Number of processes that fly evaluations.
+        trust: Whether names in the files may refer to code.
+        show: Context manager that shows the progress of flights.
     """
 
     workers: int = 1
     trust: bool = False
-    show: Show = _show_nothing
+    show: ShowProgress = _show_nothing
 
     def verify(self, path: Path) -> list[Check]:
-        """Compare what files tell with themselves, and with new flights.
+        """Compare files with their seals, and their results with repeated flights.
 
         Args:
             path: The folder of a recording, an evaluation, a leaderboard, a row of the leaderboard
                 of algorithms or a dataset, or a file in it.
 
         Returns:
-            What was compared: files first, then flights.
+            The comparisons: files first, then flights.
 
         Raises:
-            FileNotFoundError: There is no such file.
-            ValueError: The files are none of these, are damaged beyond reading, or cannot be flown
-                again.
-            ImportError: The extra `dataset` is not installed, which datasets need.
+            FileNotFoundError: If the path does not exist.
+            ValueError: If the files are none of these, cannot be read, or cannot be flown again.
+            ImportError: If the extra `dataset`, which datasets need, is not installed.
         """
         if not path.exists():
-            raise FileNotFoundError(f"there is no {path}: give a file or a folder of results")
+            raise FileNotFoundError(f"there is no {path}: pass a file or a folder of results")
         folder = path if path.is_dir() else path.parent
         for name, sealed, fly_again in (
             (LEADERBOARD, LEADERBOARD, self._leaderboard),
@@ -121,7 +118,7 @@ class Verifier(NamedTuple):
         ):
             if (folder / name).exists():
                 about, checks = read_sealed(folder / sealed)
-                # Of changed files there is nothing to fly.
+                # If files were changed, flights are not repeated.
                 if all(check.same for check in checks):
                     _require(folder / sealed, about, NEEDED[name])
                     with naming(folder / sealed):
@@ -129,13 +126,13 @@ class Verifier(NamedTuple):
                 return checks
         raise ValueError(
             f"{folder} holds no recording ({ARRAYS_FILE}), evaluation ({SUMMARY}), leaderboard "
-            f"({LEADERBOARD}), row of one ({ROW}) or dataset ({DATASET}): give the folder of one"
+            f"({LEADERBOARD}), row of one ({ROW}) or dataset ({DATASET}): pass the folder of one"
         )
 
     def _recording(self, folder: Path, about: dict[str, Any]) -> list[Check]:
-        """Fly again what `bulletuav fly` wrote."""
+        """Repeat the flight of a recording that `bulletuav fly` wrote."""
         recording = load(folder)
-        call = read_call(about["call"], self.trust, folder / RUN)
+        call = parse_call(about["call"], self.trust, folder / RUN)
         if lacking := {"policy", "seed", "num_worlds"} - set(call):
             raise ValueError(f"{folder / RUN} is damaged: its call lacks {min(lacking)}")
         aviary = Aviary(call["task"], call["num_worlds"], **call["options"])
@@ -147,43 +144,43 @@ class Verifier(NamedTuple):
         return [Check("flight", about["hash"], flown.hash(like=recording))]
 
     def _evaluation(self, folder: Path, about: dict[str, Any]) -> list[Check]:
-        """Fly again what `bulletuav evaluate` wrote, or the policy that is in the folder."""
+        """Repeat an evaluation of `bulletuav evaluate`, or of the policy in the folder."""
         (result,) = self._fly([about], folder)
-        told, found = (
+        expected, found = (
             hash_bytes([json.dumps(one, sort_keys=True).encode()])
             for one in (about["estimates"], result.figures())
         )
         flight = Check("episodes", about["hash"], result.hash)
-        return [flight, Check("estimates", told, found)]
+        return [flight, Check("estimates", expected, found)]
 
     def _leaderboard(self, folder: Path, about: dict[str, Any]) -> list[Check]:
-        """Fly each row again that `bulletuav compare` wrote, and compare the tables from that."""
+        """Repeat each row of a leaderboard of `bulletuav compare`, and compare the new tables."""
         results, checks = self._fly(about["cases"], folder), []
         for case, result in zip(about["cases"], results, strict=True):
             what = f"{Conditions.of(case)}: {case['policy']}"
             checks.append(Check(what, case["hash"], result.hash))
-        # The tables follow from the flights.
+        # The tables are recomputed from the repeated flights.
         with tempfile.TemporaryDirectory() as place:
             table = Path(place) / "leaderboard.csv"
             write_csv(results, table)
             texts = {"leaderboard.csv": table.read_text(encoding="utf-8")}
-        texts["leaderboard.md"] = markdown(results, about["against"])
+        texts["leaderboard.md"] = format_leaderboard(results, about["against"])
         for name, text in texts.items():
-            told = hash_bytes([read_file(folder / name).encode()])
-            checks.append(Check(name, told, hash_bytes([text.encode()])))
+            expected = hash_bytes([read_file(folder / name).encode()])
+            checks.append(Check(name, expected, hash_bytes([text.encode()])))
         return checks
 
     def _dataset(self, folder: Path, about: dict[str, Any]) -> list[Check]:
-        """Collect again what `bulletuav dataset` wrote: rows of tables, and states at the end."""
+        """Repeat a dataset of `bulletuav dataset`, and compare rows of tables and final states."""
         from bulletuav.analysis.dataset import collect  # which needs an extra
 
-        call = read_call(about["call"], self.trust, folder / DATASET)
+        call = parse_call(about["call"], self.trust, folder / DATASET)
         options = call.pop("options")
         with (
             self._advance(about["episodes"]) as advance,
             tempfile.TemporaryDirectory() as place,
         ):
-            # A single piece of all is the tables alone.
+            # Piece 1/1 writes the tables only.
             again = collect(
                 **call,
                 episodes=about["episodes"],
@@ -197,8 +194,8 @@ class Verifier(NamedTuple):
             return [check for path in again for check in _table_checks(folder, path)]
 
     def _fly(self, cases: list[dict[str, Any]], folder: Path) -> list[Evaluation]:
-        """Evaluate again what was evaluated."""
-        calls = [read_call(case["call"], self.trust, folder) for case in cases]
+        """Repeat evaluations."""
+        calls = [parse_call(case["call"], self.trust, folder) for case in cases]
         for call in calls:
             if isinstance(call.get("policy"), str):
                 call["policy"] = call["policy"].replace(ROW_POLICY, str(folder))
@@ -212,7 +209,7 @@ class Verifier(NamedTuple):
 
     @contextlib.contextmanager
     def _advance(self, episodes: int) -> Iterator[Callable[[int], None]]:
-        """Show how far flights are, as a function that takes how many more are done."""
+        """Show the progress of flights; yields a callback of the number of new episodes."""
         done = 0
         with self.show("flying", episodes, "episodes") as report:
 
@@ -225,17 +222,19 @@ class Verifier(NamedTuple):
 
 
 def _table_checks(folder: Path, again: Path) -> Iterator[Check]:
-    """Compare a table of a dataset with the one that was collected again."""
+    """Compare a table of a dataset with the repeated one."""
     from bulletuav.adapters.parquet import read_about, read_table  # which needs an extra
 
-    told = folder / again.parent.name / again.name
-    ends = [hash_bytes([json.dumps(read_about(path)).encode()]) for path in (told, again)]
+    original = folder / again.parent.name / again.name
+    ends = [hash_bytes([json.dumps(read_about(path)).encode()]) for path in (original, again)]
     yield Check(f"{again.stem}: states", *ends)
-    yield Check(f"{again.stem}: rows", *(hash_arrays(read_table(path)) for path in (told, again)))
+    yield Check(
+        f"{again.stem}: rows", *(hash_arrays(read_table(path)) for path in (original, again))
+    )
 
 
 def _require(path: Path, about: dict[str, Any], needed: Mapping[str, type]) -> None:
-    """Raise ValueError unless a file holds the entries that a flight is repeated from."""
+    """Raise ValueError unless a file holds the entries that are needed to repeat a flight."""
     for name, kind in needed.items():
         if name not in about or not isinstance(about[name], kind):
             raise ValueError(
@@ -249,21 +248,24 @@ def _require(path: Path, about: dict[str, Any], needed: Mapping[str, type]) -> N
 
 
 def read_sealed(path: Path) -> tuple[dict[str, Any], list[Check]]:
-    """Read a sealed file; compare its seal, and the files beside it that it tells of.
+    """Read a sealed file, and compare its seal and the hashes of its files.
+
+    Returns:
+        The contents, and the comparisons.
 
     Raises:
-        ValueError: It is no JSON, or has no seal.
+        ValueError: If the file is not JSON, or has no seal.
     """
-    told = read_json(path)
-    if not isinstance(told, dict) or not isinstance(told.get(SEAL), str):
+    content = read_json(path)
+    if not isinstance(content, dict) or not isinstance(content.get(SEAL), str):
         raise ValueError(
             f"{path} has no seal: it is damaged, or from an earlier bulletuav; fly it again"
         )
-    checks = [Check(path.name, told[SEAL], seal_of(told))]
+    checks = [Check(path.name, content[SEAL], compute_seal(content))]
     if checks[0].same:
-        files = told.get("files", {})
+        files = content.get("files", {})
         if not isinstance(files, dict):
             raise ValueError(f"{path} is damaged: its files are {shown(files)}; fly it again")
         found = hash_files(path.parent, files)
         checks += [Check(name, one, found.get(name, "missing")) for name, one in files.items()]
-    return told, checks
+    return content, checks

@@ -1,4 +1,4 @@
-"""Videos, written by FFmpeg, which the extra `video` brings."""
+"""Video files, written by FFmpeg from the extra `video`."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,19 +8,19 @@ import numpy as np
 from bulletuav.errors import missing_extra
 
 FPS = 20
-"""Pictures a second"""
+"""Frames per second"""
 
 
 def save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:
-    """Write pictures as a video, `FPS` a second.
+    """Write pictures as a video, with `FPS` frames per second.
 
     Args:
         path: A .mp4.
-        pictures: At least one, (height, width, 3) uint8.
+        pictures: At least one picture, (height, width, 3) uint8.
 
     Raises:
-        ImportError: The extra `video` is missing; the message names it.
-        OSError: The file cannot be written.
+        ImportError: If the extra `video` is missing; the message names it.
+        OSError: If the file cannot be written.
     """
     try:
         import imageio_ffmpeg
@@ -35,6 +35,6 @@ def save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:
         writer.send(picture)
         count += 1
     writer.close()
-    # FFmpeg does not tell of a full disk.
+    # FFmpeg does not report a full disk.
     if imageio_ffmpeg.count_frames_and_secs(str(path))[0] < count:
-        raise OSError("fewer pictures were written than there are; is the disk full?")
+        raise OSError("not all pictures were written; is the disk full?")

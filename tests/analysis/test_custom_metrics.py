@@ -12,7 +12,7 @@ import pytest
 import bulletuav
 from bulletuav import registry
 from bulletuav.analysis.evaluation import evaluate
-from bulletuav.analysis.infos import own_infos
+from bulletuav.analysis.infos import select_task_infos
 from bulletuav.analysis.metrics import METRICS, StandardMetric, find_metric
 from bulletuav.cli import main
 from bulletuav.policies import find_policy
@@ -222,10 +222,13 @@ class NotCalled:
         (("jirk",), "did you mean 'jerk'"),
         (("nowhere:low",), "metric nowhere:low cannot be imported"),
         ((lambda step, aviary: 0,), "name of metric .*a word is needed"),
-        ((jerk,), "metric 'jerk' is measured already"),
+        ((jerk,), "metric 'jerk' is a standard metric already"),
         ((final_height, final_height), "metric 'final_height' is given twice"),
-        ((of_drones,), r"metric 'of_drones' gave an array \(10, 3\) of float64: an array \(10,\)"),
-        ((number,), r"metric 'number' gave 1.0: an array \(10,\) of numbers"),
+        (
+            (of_drones,),
+            r"metric 'of_drones' returned an array \(10, 3\) of float64: an array \(10,\)",
+        ),
+        ((number,), r"metric 'number' returned 1.0: an array \(10,\) of numbers"),
         ((NotCalled,), "metric 'NotCalled' makes .*__call__"),
     ],
 )
@@ -302,7 +305,7 @@ def test_standard_infos_are_no_tasks_own():
     ):
         aviary = bulletuav.Aviary(task, num_drones=2, dynamics="point_mass", **options)
         aviary.reset(seeds=0)
-        assert set(own_infos(aviary.first_info())) == own - {"place", "of_world"}
+        assert set(select_task_infos(aviary.first_info())) == own - {"place", "of_world"}
         step = aviary.step(np.zeros((1, *aviary.action.low.shape)))
-        assert set(own_infos(step.info)) == own
+        assert set(select_task_infos(step.info)) == own
         aviary.close()

@@ -11,14 +11,14 @@ import pytest
 from PIL import Image
 
 import bulletuav
-from bulletuav.analysis.episodes import Run
+from bulletuav.analysis.episodes import EvaluationJob
 from bulletuav.analysis.evaluation import BATCH, evaluate
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
 from bulletuav.policies import find_policy
 from bulletuav.policies.base import Policy
 from bulletuav.report.charts import plot_evaluation, plot_leaderboard
-from bulletuav.report.leaderboard import markdown, write_csv
+from bulletuav.report.leaderboard import format_leaderboard, write_csv
 
 QUICK = {"dynamics": "point_mass", "num_drones": 3, "horizon": 120, "radius": 30.0}
 
@@ -77,7 +77,7 @@ def test_workers_change_no_bit(workers, start_method, policy, tmp_path):
 
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path, straight, monkeypatch):
     flown = []
-    original = Run._flown
+    original = EvaluationJob._fly_batch
 
     def watched(self, aviary, policy, batch):
         if len(flown) == 1:
@@ -86,7 +86,7 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, straight, monkeypatch
         flown.append(batch)
         return original(self, aviary, policy, batch)
 
-    monkeypatch.setattr(Run, "_flown", watched)
+    monkeypatch.setattr(EvaluationJob, "_fly_batch", watched)
     with pytest.raises(KeyboardInterrupt):
         evaluate("converge", "straight", 13, 4, out=tmp_path, **QUICK)
     (tmp_path / "episodes.csv.part").write_text(
@@ -116,7 +116,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path):
     with pytest.raises(ValueError, match="its seed is 0, not 3"):
         evaluate("converge", "straight", 2, 3, out=tmp_path, **QUICK)
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="cannot be a folder"):
+    with pytest.raises(ValueError, match="cannot be written to"):
         evaluate("converge", "orca", 2, out=tmp_path / "file", **QUICK)
 
 
@@ -278,14 +278,14 @@ def test_summary_pictures_and_leaderboard(straight, tmp_path):
     plot_leaderboard([straight, orca], tmp_path / "all.png")
     for name in ("one.png", "all.png"):
         assert np.asarray(Image.open(tmp_path / name).convert("L")).std() > 10
-    text = markdown([straight, orca])
+    text = format_leaderboard([straight, orca])
     assert (
         "### converge, medium: 3 drones, point_mass at 240 Hz, 13 episodes, seeds 4 to 16\n" in text
     )
     assert "| straight \\* | 0." in text
     assert "1.00 [0.77, 1.00]" in text
-    assert markdown([straight, orca], "potential") == text  # which is not among them
-    paired = markdown([straight, orca], "orca")
+    assert format_leaderboard([straight, orca], "potential") == text  # which is not among them
+    paired = format_leaderboard([straight, orca], "orca")
     (line,) = paired.split("More than `orca` in the same episodes:")[1].strip().splitlines()[2:3]
     difference = np.array(
         [one["length"] - two["length"] for one, two in zip(straight.rows, orca.rows, strict=True)]
@@ -349,7 +349,7 @@ COMMON = ["success", "drones", "return", "conflict", "collision", "nearest m", "
 
 
 def test_columns_that_no_episode_has_are_left_out(straight, served):
-    goals, users = cells(markdown([straight, *served[::2]]))
+    goals, users = cells(format_leaderboard([straight, *served[::2]]))
     assert goals[0] == ["policy", *COMMON, "efficiency", "fairness", "hash"]
     assert users[0] == ["policy", *COMMON, "served", "completed", "latency s", "hash"]
     assert [row[0] for row in users[1:]] == ["random", "kmeans \\*"]
@@ -364,14 +364,14 @@ def test_a_cell_that_an_evaluation_has_not_is_a_dash():
         evaluate("converge", "orca", 2, **QUICK),
     )
     assert there.estimates()["success"].mean == 1
-    (table,) = cells(markdown([lost, there]))
+    (table,) = cells(format_leaderboard([lost, there]))
     ways = [row[table[0].index("efficiency")] for row in table[1:]]
     assert ways[0] == "-"
     assert float(ways[1].split()[0]) > 0.8
 
 
 def test_dynamics_have_a_column_where_there_are_several(served, tmp_path):
-    text = markdown(served)
+    text = format_leaderboard(served)
     assert (
         "### mec, easy: 2 drones, single_integrator at 240 Hz, point_mass at 240 Hz, 2 episodes"
         in text
@@ -385,7 +385,7 @@ def test_dynamics_have_a_column_where_there_are_several(served, tmp_path):
         assert row[table[0].index("completed")].startswith(
             f"{result.estimates()['completed'].mean:.2f} ["
         )
-    (one,) = cells(markdown(served[::2]))
+    (one,) = cells(format_leaderboard(served[::2]))
     assert "dynamics" not in one[0]
     plot_leaderboard(served, tmp_path / "all.png")
     write_csv(served, tmp_path / "board.csv")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bulletuav import cli
-from bulletuav.analysis.incentives import SHIRKERS, incentives, shirkers
+from bulletuav.analysis.incentives import DEGENERATE_POLICIES, incentives, list_degenerate_policies
 from bulletuav.tasks.converge import Converge
 
 POINTS = {"dynamics": "single_integrator"}
@@ -16,11 +16,13 @@ CASES = ["converge", "pursuit", "formation", "hover", "los", "race"]
 @pytest.mark.parametrize("task", CASES)
 def test_no_shirker_earns_what_the_baseline_does(task):
     found = list(incentives(task, episodes=3, difficulty="easy", **POINTS))
-    assert [one.shirker for one in found] == shirkers(task, found[0].baseline)
-    assert found[0].shirker == "stay"
+    assert [one.degenerate_policy for one in found] == list_degenerate_policies(
+        task, found[0].baseline
+    )
+    assert found[0].degenerate_policy == "stay"
     assert found[0].lead > 0
     for one in found:
-        assert one.gap.low > 0.1 * one.lead, one
+        assert one.return_difference.low > 0.1 * one.lead, one
         assert one.holds
 
 
@@ -30,7 +32,7 @@ def test_a_reward_for_nothing_is_found_out():
     class Idle(Converge):
         reward: ClassVar = {**Converge.reward, "alive": 10.0, "time": 0.0}
 
-    found = {one.shirker: one for one in incentives(Idle, episodes=2, **POINTS)}
+    found = {one.degenerate_policy: one for one in incentives(Idle, episodes=2, **POINTS)}
     assert not found["stay"].holds
     assert found["stay"].lead < 0
 
@@ -38,17 +40,17 @@ def test_a_reward_for_nothing_is_found_out():
 def test_death_never_saves_time():
     """Whoever crashes at once pays the time of the whole episode, as whoever stays."""
     found = {
-        one.shirker: one
+        one.degenerate_policy: one
         for one in incentives("converge", episodes=2, weights={"collision": 0.0}, **POINTS)
     }
-    assert found["dive"].gained.mean <= found["stay"].gained.mean + 50.0
+    assert found["dive"].degenerate_return.mean <= found["stay"].degenerate_return.mean + 50.0
 
 
 def test_clump_is_for_tasks_with_targets():
-    assert "clump" in shirkers("los", "oracle")
-    assert "clump" not in shirkers("hover", "straight")
-    assert shirkers("follow", "straight") == [
-        name for name in SHIRKERS if name not in ("straight", "clump")
+    assert "clump" in list_degenerate_policies("los", "oracle")
+    assert "clump" not in list_degenerate_policies("hover", "straight")
+    assert list_degenerate_policies("follow", "straight") == [
+        name for name in DEGENERATE_POLICIES if name not in ("straight", "clump")
     ]
 
 
@@ -56,7 +58,7 @@ def test_the_command_writes_the_table(tmp_path, capsys):
     arguments = ["hover", "--difficulties", "easy", "--episodes", "2", "--out", str(tmp_path)]
     cli.main(["incentives", *arguments, "--dynamics", "single_integrator"])
     rows = (tmp_path / "all.md").read_text().splitlines()
-    assert len(rows) == 4 + len(shirkers("hover", "straight"))
+    assert len(rows) == 4 + len(list_degenerate_policies("hover", "straight"))
     worst = (tmp_path / "incentives.md").read_text().splitlines()
     assert len(worst) == 5
     assert worst[4] in rows

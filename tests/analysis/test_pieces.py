@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bulletuav
-from bulletuav.analysis.pieces import Piece, as_piece
+from bulletuav.analysis.pieces import WorkPiece, parse_piece
 from bulletuav.cli import main
 from bulletuav.report.results import merge
 
@@ -29,7 +29,7 @@ def files(folder):
 
 @given(st.integers(1, 40), st.integers(1, 12), st.integers(0, 30))
 def test_pieces_take_everything_once_and_equally_much(count, of, first):
-    shares = [Piece(k, of, first).share(range(count)) for k in range(1, of + 1)]
+    shares = [WorkPiece(k, of, first).select(range(count)) for k in range(1, of + 1)]
     assert sorted(one for share in shares for one in share) == list(range(count))
     sizes = [len(share) for share in shares]
     assert max(sizes) - min(sizes) <= 1
@@ -38,8 +38,8 @@ def test_pieces_take_everything_once_and_equally_much(count, of, first):
 @pytest.mark.parametrize("text", ["0/3", "4/3", "3", "a/b", "1/0", "-1/2", "", 5, None])
 def test_what_is_no_piece_is_refused(text):
     with pytest.raises(ValueError, match="K/N is needed"):
-        as_piece(text)
-    assert as_piece("2/3") == as_piece(Piece(2, 3)) == (2, 3, 0)
+        parse_piece(text)
+    assert parse_piece("2/3") == parse_piece(WorkPiece(2, 3)) == (2, 3, 0)
 
 
 def test_an_evaluation_of_pieces_has_the_bytes_of_one_process(tmp_path, capsys):
@@ -113,7 +113,7 @@ def test_where_there_is_nothing_to_merge_it_says_so(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["merge", str(tmp_path)])
     assert "holds no pieces: fly them with --piece 1/N to N/N" in capsys.readouterr().err
-    with pytest.raises(ValueError, match="without out: give the folder that all write to"):
+    with pytest.raises(ValueError, match="without out: pass the folder that all pieces write to"):
         bulletuav.evaluate("crossing", episodes=10, piece="1/2", **CALM)
     with pytest.raises(SystemExit):
         main(["evaluate", "crossing", "--piece", "3/2"])
@@ -124,7 +124,7 @@ def test_code_in_files_of_pieces_is_not_trusted(tmp_path):
     bulletuav.evaluate("crossing", "stay", 10, piece="1/1", out=tmp_path, **CALM)
     run = tmp_path / "pieces" / "1-of-1" / "run.json"
     run.write_text(run.read_text().replace("'stay'", "'evil:Policy'"))
-    with pytest.raises(ValueError, match="say --trust"):
+    with pytest.raises(ValueError, match="pass --trust"):
         merge(tmp_path)
 
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 import bulletuav
-from bulletuav.analysis.recorded import summary
+from bulletuav.analysis.recorded import summarize_infos
 from bulletuav.analysis.recording import Recording, fly_episode, load, outcomes, save
 from bulletuav.policies import Policy, find_policy
 from bulletuav.report import pictures
@@ -121,17 +121,17 @@ def test_weighted_reward_terms_are_recorded_and_add_up_to_rewards(flown):
 
 def test_what_infos_told_is_found_by_their_names(flown):
     _, recording, _ = flown
-    assert recording.told("separation") is recording.separation
-    assert recording.told("charge") is recording.info["charge"]
+    assert recording.get_info("separation") is recording.separation
+    assert recording.get_info("charge") is recording.info["charge"]
     for name in ("goal_distanc", "position"):
         with pytest.raises(ValueError, match=f"unknown info of the recording '{name}'"):
-            recording.told(name)
+            recording.get_info(name)
 
 
 def test_episodes_are_summed_up_by_hand(flown):
     _, recording, _ = flown
     names = ("success", "separation", "conflicts", "collision", "goal_distance")
-    rows = summary(recording, names)
+    rows = summarize_infos(recording, names)
     for row, outcome in zip(rows, outcomes(recording), strict=True):
         assert tuple(row) == names
         wanted = (outcome.reached, outcome.min_separation, outcome.conflicts, outcome.collisions)
@@ -176,7 +176,7 @@ def test_a_recording_of_version_2_is_read(flown, tmp_path):
     assert outcomes(again) == outcomes(recording)
     for i, end in enumerate(recording.alive[:-1].sum(axis=0)):
         np.testing.assert_allclose(
-            again.told("goal_distance")[:end, i], recording.told("goal_distance")[:end, i]
+            again.get_info("goal_distance")[:end, i], recording.get_info("goal_distance")[:end, i]
         )
     plot_tracks(again, 5.0, "old", tmp_path / "old.png")
     targets = {
@@ -292,11 +292,11 @@ def test_what_is_no_recording_is_refused(tmp_path):
     np.savez(path, position=np.array([None]))
     for content in (path.read_bytes(), b"", b"zzz", path.read_bytes()[:100]):
         path.write_bytes(content)
-        with pytest.raises(ValueError, match=f"{re.escape(str(path))} is no recording"):
+        with pytest.raises(ValueError, match=f"{re.escape(str(path))} is not a recording"):
             load(path)
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
-    with pytest.raises(ValueError, match="is no recording"):
+    with pytest.raises(ValueError, match="is not a recording"):
         load(path)
 
 
@@ -311,7 +311,7 @@ def test_contacts_are_crosses_in_pictures(flown, tmp_path, monkeypatch):
     np.testing.assert_array_equal(touching["contact"].get_xydata(), recording.contact_point[:, :2])
     assert touching["contact"].get_marker() == "+"
     assert "contact" not in free
-    assert "conflict begins" in free
+    assert "start of conflict" in free
 
 
 def test_pictures_are_drawn(flown, tmp_path):
@@ -333,8 +333,8 @@ def test_pictures_are_drawn(flown, tmp_path):
     animation = Animation(recording, 5.0, 0.55, "title")
     caption = animation.figure.axes[-1].get_xlabel()
     assert "Crosses: goals" in caption
-    assert "real 0.55 m" in caption
-    assert "Rings: 5 m across" in caption
+    assert "true: 0.55 m" in caption
+    assert "Circles: diameter d_safe = 5 m" in caption
     frames = []
     animation.save(tmp_path / "flight.gif", lambda: frames.append(1))
     with Image.open(tmp_path / "flight.gif") as image:
@@ -400,7 +400,7 @@ def test_users_are_recorded_and_drawn_by_whether_they_are_seen(tmp_path):
     assert 0 < recording.seen.mean() < 1
     assert recording.target.shape == (21, 12, 3)
     assert recording.goal.shape == (21, 0, 3)
-    np.testing.assert_allclose(recording.told("served")[:, 0], served[1:])
+    np.testing.assert_allclose(recording.get_info("served")[:, 0], served[1:])
     pace = np.linalg.norm(np.diff(recording.target, axis=0), axis=-1)
     assert 0 < pace.max() <= 3.0 + 1e-9  # 1 s at the speed of users
     plot_tracks(recording, 2.0, "users", tmp_path / "tracks.png", {"served": "served"})

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.analysis.benchmark import FLOORS
+from bulletuav.analysis.benchmark import ENGINE_CASES
 from bulletuav.cli import COMMANDS, main
 from bulletuav.commands.progress import EXPECTED_FUNCTIONS, show_progress
 from bulletuav.compiled import dispatcher
@@ -130,7 +130,7 @@ def test_the_benchmark_prints_the_stages_of_a_task(capsys):
 def test_the_benchmark_prints_every_dynamics_and_the_floor(capsys):
     main(["benchmark", "--drones", "1", "3", "--seconds", "0.01"])
     said = capsys.readouterr().out
-    for word in (*DYNAMICS, *FLOORS, "N = 1", "N = 3"):
+    for word in (*DYNAMICS, *ENGINE_CASES, "N = 1", "N = 3"):
         assert word in said
 
 
@@ -558,7 +558,7 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     assert "[video]'" in "".join(capsys.readouterr().out.split())
     monkeypatch.setattr(engine, "EXTENSION", engine.EXTENSION._replace(path="/nowhere.so"))
     with pytest.warns(UserWarning, match="refused"):
-        assert "refuses it" in doctor._extension().remedy
+        assert "is not compatible" in doctor._extension().remedy
 
 
 def test_a_reader_that_has_seen_enough_is_no_error():

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 import bulletuav
 from bulletuav.analysis.recording import fly_episode, load, save
 from bulletuav.analysis.results_folder import RUN
-from bulletuav.analysis.seals import hash_files, sealed
+from bulletuav.analysis.seals import add_seal, hash_files
 from bulletuav.cli import main
 from bulletuav.policies import find_policy
 from bulletuav.policies.run import shipped
@@ -148,7 +148,7 @@ def reseal(folder, entry, values):
     about = json.loads((folder / RUN).read_text())
     about["files"] = hash_files(folder, tuple(about["files"]))
     about.pop("seal", None)
-    (folder / RUN).write_text(json.dumps(sealed(about)))
+    (folder / RUN).write_text(json.dumps(add_seal(about)))
 
 
 @pytest.mark.parametrize(

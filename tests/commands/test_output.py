@@ -66,8 +66,8 @@ def assert_whole(table, monkeypatch, capsys, columns):
 def test_no_command_loses_columns_or_digits(name, monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     if name == "identify":
-        rows = flown.fly(load_airframe("cf2x"), 12, seed=0)
-        flown.write("log.csv", flown.noisy(rows, 0))
+        rows = flown.fly_example(load_airframe("cf2x"), 12, seed=0)
+        flown.write_example_log("log.csv", flown.add_sensor_noise(rows, 0))
     tables = []
     monkeypatch.setattr(f"bulletuav.commands.{name}.print_table", tables.append)
     for arguments in RUNS[name]:

@@ -12,12 +12,12 @@ import pytest
 import bulletuav
 from bulletuav.analysis.recording import fly_episode, load, save
 from bulletuav.analysis.seals import (
-    call_text,
+    add_seal,
+    format_call,
     hash_arrays,
     hash_files,
     hash_rows,
-    read_call,
-    sealed,
+    parse_call,
 )
 from bulletuav.cli import main
 from bulletuav.policies import find_policy
@@ -107,7 +107,7 @@ def test_a_sealed_lie_is_found_by_the_flight(folders, tmp_path, capsys):
     path = tmp_path / "copy" / "run.json"
     told = json.loads(path.read_text())
     told["call"] = told["call"].replace("'seed': 0", "'seed': 1")
-    path.write_text(json.dumps(sealed({k: v for k, v in told.items() if k != "seal"})))
+    path.write_text(json.dumps(add_seal({k: v for k, v in told.items() if k != "seal"})))
     assert not verified(path)
     shown = capsys.readouterr().out
     assert "NO" in next(line for line in shown.splitlines() if "flight" in line)
@@ -130,7 +130,7 @@ def test_a_sealed_lie_in_a_dataset_is_found_by_the_flights(folders, what, tmp_pa
     pq.write_table(table, copy / TABLE)
     told = json.loads((copy / "dataset.json").read_text())
     told["files"] = hash_files(copy, [TABLE])
-    (copy / "dataset.json").write_text(json.dumps(sealed({**told, "seal": ""})))
+    (copy / "dataset.json").write_text(json.dumps(add_seal({**told, "seal": ""})))
     different = [check.what for check in Verifier().verify(copy) if not check.same]
     assert different == [f"episodes-000000: {what}"]
 
@@ -157,7 +157,7 @@ def test_flights_of_objects_are_not_flown_again(tmp_path):
 
 
 def test_what_cannot_be_verified_is_told(folders, tmp_path, capsys):
-    with pytest.raises(FileNotFoundError, match="give a file or a folder of results"):
+    with pytest.raises(FileNotFoundError, match="pass a file or a folder of results"):
         Verifier().verify(tmp_path / "gone")
     with pytest.raises(ValueError, match="holds no recording"):
         Verifier().verify(tmp_path)
@@ -172,9 +172,9 @@ def test_what_cannot_be_verified_is_told(folders, tmp_path, capsys):
 
 def test_calls_are_literals_and_name_no_code():
     call = {"task": "crossing", "options": {"wind": (1.0, 0, 0), "weights": {"goal": 1e-9}}}
-    assert read_call(call_text(call), trust=False) == call
-    assert call_text({"options": {"wind": np.zeros(3)}}) is None
-    assert call_text({"options": {"wind": float("nan")}}) is None
+    assert parse_call(format_call(call), trust=False) == call
+    assert format_call({"options": {"wind": np.zeros(3)}}) is None
+    assert format_call({"options": {"wind": float("nan")}}) is None
     for text in (
         "[]",
         "{'options': 1}",
@@ -183,15 +183,15 @@ def test_calls_are_literals_and_name_no_code():
         "__import__('os')",
         "(" * 200,
     ):
-        with pytest.raises(ValueError, match="has no call"):
-            read_call(text, trust=True)
+        with pytest.raises(ValueError, match="has no valid call"):
+            parse_call(text, trust=True)
     for named in ("mine:Policy", "ppo:model.zip"):
-        text = call_text(
+        text = format_call(
             {"task": "crossing", "policy": "orca", "options": {"sensors": ("imu", named)}}
         )
         with pytest.raises(ValueError, match=f"{named}.*--trust"):
-            read_call(text, trust=False)
-        assert read_call(text, trust=True)["policy"] == "orca"
+            parse_call(text, trust=False)
+        assert parse_call(text, trust=True)["policy"] == "orca"
 
 
 def test_hashes_tell_numbers_names_and_types_apart():

@@ -14,12 +14,12 @@ import bulletuav
 from bulletuav.adapters.parquet import read_about, read_table, write_table
 from bulletuav.analysis.recording import fly_episode, load, outcomes, save
 from bulletuav.analysis.results_folder import ResultsFolder
-from bulletuav.analysis.seals import hash_files, sealed
+from bulletuav.analysis.seals import add_seal, hash_files
 from bulletuav.city.imports import from_geojson, from_obj
 from bulletuav.engine.drones import require_loadable
 from bulletuav.envs.snapshot import Snapshot, checksum_of
 from bulletuav.geometry.mesh_file import read_obj
-from bulletuav.identification.checks import checked
+from bulletuav.identification.checks import check_log
 from bulletuav.identification.logs import read_log
 from bulletuav.policies import find_policy
 from bulletuav.policies.run import RunConfig
@@ -216,7 +216,7 @@ def seal_again(folder, name="run.json"):
         about = json.loads((folder / name).read_text())
         if isinstance(about.get("files"), dict):
             about["files"] = hash_files(folder, about["files"])
-        (folder / name).write_text(json.dumps(sealed(about)))
+        (folder / name).write_text(json.dumps(add_seal(about)))
     except (ValueError, AttributeError, RecursionError, OSError):
         pass
 
@@ -328,7 +328,7 @@ def make_log(folder):
 
 def read_flight_log(folder):
     log = read_log(folder / "log.csv", {}, 4)
-    checked(log, bulletuav.load_airframe("cf2x"))
+    check_log(log, bulletuav.load_airframe("cf2x"))
 
 
 def make_training(folder):

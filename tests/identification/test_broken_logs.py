@@ -6,9 +6,9 @@ import pytest
 
 from bulletuav import load_airframe
 from bulletuav.cli import main
-from bulletuav.identification.checks import checked
-from bulletuav.identification.flight import prepare
-from bulletuav.identification.logs import Source, parse_map, read_log
+from bulletuav.identification.checks import check_log
+from bulletuav.identification.flight import prepare_log
+from bulletuav.identification.logs import ColumnSource, parse_map, read_log
 
 DRONE = load_airframe("cf2x")
 SECONDS = 12
@@ -32,8 +32,8 @@ def check(tmp_path):
     """Writes rows, reads and checks them."""
 
     def run(rows, names=flown.COLUMNS, maps=()):
-        path = flown.write(tmp_path / "log.csv", rows, names)
-        return checked(read_log(path, parse_map(maps), 4), DRONE)
+        path = flown.write_example_log(tmp_path / "log.csv", rows, names)
+        return check_log(read_log(path, parse_map(maps), 4), DRONE)
 
     return run
 
@@ -73,7 +73,7 @@ def test_a_sound_log_passes(check):
         (without(circle(), 300, 350), r"t has a gap of 0\.510 s after 2\.990 s .* cut the log"),
         (circle()[[*range(500), 499, *range(500, 1200)]], r"t does not increase: 4\.99.* row 502"),
         (holes("y", 200, 260), r"y has no numbers for 0\.610 s from row 202 on"),
-        (changed("q", np.nan), "q has no numbers: map a column"),
+        (changed("q", np.nan), "q has no numbers: map another column"),
         (changed("w1", 1739.0), r"w1 does not change: it is 1739 in all 1200 rows"),
         (changed("x", 0.0), "x does not change"),
         (scaled(["t"], 1e3), r"t grows by 10 a row: seconds are needed; pass --map t=COLUMN\*ms"),
@@ -82,12 +82,12 @@ def test_a_sound_log_passes(check):
         (circle()[:300], r"lasts 2\.99 s: at least 5 s"),
         (scaled(["qx", "qy", "qz", "qw"], 0.5), r"norm of 0\.5"),
         (scaled(["p", "q", "r"], 180 / np.pi), r"p is 57\.\d times .*--map p=p\*deg"),
-        (scaled(["p"], -1), r"p turns against the attitude .*--map p=p\*-1"),
+        (scaled(["p"], -1), r"p has the opposite sign .*--map p=p\*-1"),
         (changed("p", np.sin(circle()[:, 0] ** 2)), r"p does not follow the attitude"),
         (scaled(["x", "y", "z"], 1e3), r"x moves at .* if these are millimetres, --map x=x\*mm"),
         (scaled(["z"], 1e3), r"z moves at"),
         (scaled(["w1", "w2", "w3", "w4"], 60 / 2 / np.pi), r"if these are 1/min: --map rpm1=w1"),
-        (scaled(["w1", "w2", "w3", "w4"], 3.0), r"cf2x hovers at 1739\.2 rad/s: is the airframe"),
+        (scaled(["w1", "w2", "w3", "w4"], 3.0), r"cf2x hovers at 1739\.2 rad/s: check that cf2x"),
         (scaled(["w1", "w2", "w3", "w4"], 0.0), "w1 does not change"),
     ],
 )
@@ -107,7 +107,7 @@ def test_units_of_other_columns(check):
     rows = circle()
     names = (*flown.COLUMNS, "ax", "ay", "az")
     force = np.tile([0.01, 0.0, 1.0], (len(rows), 1)) + 0.01 * np.sin(rows[:, :3] + 1)
-    with pytest.raises(ValueError, match=r"ax, ay, az are 1.* hovers measures 9\.8"):
+    with pytest.raises(ValueError, match=r"ax, ay, az are 1.* hovering drone measures 9\.8"):
         check(np.hstack([rows, force]), names)
     assert "az" in check(np.hstack([rows, force]), names, ["ax=ax*g", "ay=ay*g", "az=az*g"])
 
@@ -162,7 +162,7 @@ def test_files_that_are_no_logs(tmp_path):
     for text, message in (
         ("", "is empty"),
         ("0.0,1.0,2.0\n1,2,3\n", "has no header: its first line begins with 0.0"),
-        ("t,x,x\n0,1,2\n", "column 'x' is there twice"),
+        ("t,x,x\n0,1,2\n", "column 'x' twice"),
         (",".join(flown.COLUMNS) + "\n1,2\n" + ",".join("1" * 15) + "\n", "other numbers of col"),
     ):
         path.write_text(text)
@@ -177,16 +177,16 @@ def test_files_that_are_no_logs(tmp_path):
 
 def test_a_drone_that_stands_does_not_fly(check):
     with pytest.raises(ValueError, match=r"no flight of 0\.5 s: .*z goes from 0\.0099"):
-        prepare(check(changed("z", 0.01 + 1e-4 * np.sin(circle()[:, 0]))), DRONE, 0.5)
+        prepare_log(check(changed("z", 0.01 + 1e-4 * np.sin(circle()[:, 0]))), DRONE, 0.5)
 
 
 def test_maps():
     assert parse_map(["z=alt*mm-0.03", "q=gyro y*-deg", "x=px"]) == {
-        "z": Source("alt", 1e-3, -0.03),
-        "q": Source("gyro y", -np.pi / 180, 0.0),
-        "x": Source("px"),
+        "z": ColumnSource("alt", 1e-3, -0.03),
+        "q": ColumnSource("gyro y", -np.pi / 180, 0.0),
+        "x": ColumnSource("px"),
     }
-    assert parse_map(["vbat=v*2+1e-1"]) == {"vbat": Source("v", 2.0, 0.1)}
+    assert parse_map(["vbat=v*2+1e-1"]) == {"vbat": ColumnSource("v", 2.0, 0.1)}
     for text, message in (
         ("z", "NAME=COLUMN"),
         ("z=", "NAME=COLUMN"),
@@ -213,7 +213,7 @@ def test_maps():
 )
 def test_the_command_refuses(words, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    flown.write("log.csv", circle())
+    flown.write_example_log("log.csv", circle())
     with pytest.raises(SystemExit) as error:
         main(["identify", "log.csv", *words, "--airframe", "cf2x"])
     assert error.value.code == 2
@@ -230,14 +230,17 @@ ROW = ",".join(["1"] * len(flown.COLUMNS))
         (HEADER, "has no rows below its header"),
         (f"{HEADER}\n\n# nothing\n,,\n", "has no rows below its header"),
         (f"{HEADER.replace(',', ';')}\n1;2\n", "has ';' between its columns"),
-        (f"{HEADER}\n{ROW}\n1{ROW},7\n", r"row 3 has 16, and the header 15"),
-        (f"{HEADER}\n{ROW[:-2]}\n", r"row 2 has 14, and the header 15"),
+        (f"{HEADER}\n{ROW}\n1{ROW},7\n", r"row 3 has 16, the header has 15"),
+        (f"{HEADER}\n{ROW[:-2]}\n", r"row 2 has 14, the header has 15"),
         (f"{HEADER}\n{ROW[:-1]}abc\n", "w4 is 'abc' in row 2: a number is needed"),
         (f'{HEADER}\n{ROW[:-1]}"0,5"\n', "w4 is '0,5' in row 2: a number is needed"),
         (f"{HEADER}\n{ROW[:-1]}1_0\n", "w4 is '1_0' in row 2: a number is needed"),
         (f"{HEADER}\n{ROW[:-1]}\u0661\n", "w4 is '\u0661' in row 2: a number is needed"),
-        (f'{HEADER}\n{ROW[:-1]}"1\n' + "2" * 200_000, "is no CSV: .*is a quotation mark missing"),
-        ("a" * 200_000, "is no CSV"),
+        (
+            f'{HEADER}\n{ROW[:-1]}"1\n' + "2" * 200_000,
+            "is not a CSV file: .*is a quotation mark missing",
+        ),
+        ("a" * 200_000, "is not a CSV"),
         (",".join(f"c{k}" for k in range(20_000)), "lacks the columns"),
     ],
 )
@@ -251,7 +254,9 @@ def test_files_that_are_no_such_csv_are_refused(text, message, tmp_path):
 def test_quotes_comments_and_empty_cells_are_read(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(f'"t",{HEADER[2:]},\n"1",{ROW[2:]},,\n# said\n\n2,,{ROW[4:]},\n')
-    log = read_log(path, {"z": Source("y", 1e-3), "x": Source("x"), "y": Source("y")}, 4)
+    log = read_log(
+        path, {"z": ColumnSource("y", 1e-3), "x": ColumnSource("x"), "y": ColumnSource("y")}, 4
+    )
     assert log.time.tolist() == [1, 2]
     np.testing.assert_equal(log.columns["x"], [1, np.nan])
     assert log.columns["z"].tolist() == [1e-3, 1e-3]

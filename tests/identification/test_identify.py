@@ -10,9 +10,9 @@ import pytest
 
 from bulletuav import Airspace, load_airframe
 from bulletuav.cli import main
-from bulletuav.identification.fitting import BLOCK, opposite
+from bulletuav.identification.fitting import BLOCK, correlation_threshold
 from bulletuav.identification.identify import identify
-from bulletuav.identification.write import as_table, rms, write_report, write_urdf
+from bulletuav.identification.write import compute_rms, summarize, write_report, write_urdf
 
 TRUE = load_airframe("cf2x")
 START = dataclasses.replace(
@@ -46,12 +46,14 @@ FOUND = (
 @pytest.fixture(scope="module")
 def flight():
     """A flight of 40 s without noise."""
-    return flown.fly(TRUE, 40, seed=3)
+    return flown.fly_example(TRUE, 40, seed=3)
 
 
 @pytest.fixture(scope="module")
 def log(flight, tmp_path_factory):
-    return flown.write(tmp_path_factory.mktemp("log") / "flight.csv", flown.noisy(flight, 3))
+    return flown.write_example_log(
+        tmp_path_factory.mktemp("log") / "flight.csv", flown.add_sensor_noise(flight, 3)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,7 @@ def result(log):
 
 def test_constants_come_back_within_their_intervals(result):
     table = {one.constant.name: one for one in result.estimates}
-    assert set(FOUND) == {name for name, one in table.items() if one.told}
+    assert set(FOUND) == {name for name, one in table.items() if one.is_identified}
     for name in FOUND:
         one = table[name]
         true = one.constant.get(TRUE)
@@ -77,13 +79,13 @@ def test_constants_that_logs_of_this_kind_cannot_tell_are_left_out(result):
 
 
 def test_what_a_log_does_not_tell_stays(tmp_path):
-    rows = flown.fly(TRUE, 16, seed=4, path=lambda time: np.array([0, 0, 1.0]))
-    log = flown.write(tmp_path / "still.csv", flown.noisy(rows, 4))
+    rows = flown.fly_example(TRUE, 16, seed=4, path=lambda time: np.array([0, 0, 1.0]))
+    log = flown.write_example_log(tmp_path / "still.csv", flown.add_sensor_noise(rows, 4))
     found = identify([log], dataclasses.replace(TRUE, drag_z=0.5 * TRUE.drag_z))
     table = {one.constant.name: one for one in found.estimates}
-    assert not table["drag_z"].told
+    assert not table["drag_z"].is_identified
     assert table["drag_z"].after == 0.5 * TRUE.drag_z
-    assert table["thrust_coefficient"].told
+    assert table["thrust_coefficient"].is_identified
     assert "drag_z" not in write_urdf(found, tmp_path).read_text()
 
 
@@ -94,10 +96,10 @@ def test_the_delay_of_commands_is_found(result):
 
 
 def test_predictions_are_as_good_as_the_noise_lets_them(result):
-    kept = {kind: np.array(rms(result.kept, kind)) for kind in ("naive", "before", "after")}
+    kept = {kind: np.array(compute_rms(result.kept, kind)) for kind in ("naive", "before", "after")}
     assert (kept["after"] < 0.5 * kept["before"]).all()
     assert (kept["after"] < 0.2 * kept["naive"]).all()
-    fitted = np.array(rms(result.fitted, "after"))
+    fitted = np.array(compute_rms(result.fitted, "after"))
     np.testing.assert_allclose(kept["after"], fitted, rtol=0.35)
 
 
@@ -118,16 +120,18 @@ def test_the_kept_half_is_kept(result, narrow, flight, tmp_path):
     np.testing.assert_array_equal(together, np.arange(len(fitted.part.flight.windows)))
     assert list(windows[0][: 2 * BLOCK]) == [0, 1, 2, 3, 8, 9, 10, 11]
     # Another flight in the kept windows, in their middles, changes no constant
-    rows = flown.noisy(flight, 3)
+    rows = flown.add_sensor_noise(flight, 3)
     measured = fitted.part.flight
     whole = len(windows[1]) // BLOCK * BLOCK
     for block in windows[1][:whole].reshape(-1, BLOCK):
         first = measured.windows[block[0]] + 30
         last = measured.windows[block[-1]] + measured.steps - 30
         rows[first:last, 1] += 0.01 * np.sin(np.linspace(0, 40, last - first))
-    changed = identify([flown.write(tmp_path / "other.csv", rows)], START, fit=["drag_xy"])
+    changed = identify(
+        [flown.write_example_log(tmp_path / "other.csv", rows)], START, fit=["drag_xy"]
+    )
     assert changed.estimates[0].after == narrow.estimates[0].after
-    worse = rms(changed.kept, "after")[0], rms(narrow.kept, "after")[0]
+    worse = compute_rms(changed.kept, "after")[0], compute_rms(narrow.kept, "after")[0]
     assert worse[0] > 1.1 * worse[1]
 
 
@@ -177,7 +181,7 @@ def test_the_report_tells_all(result, tmp_path):
         assert f"| {name} |" in text
     assert "flight.csv" in text
     assert "| position, horizontal, m |" in text
-    assert json.loads(table.read_text()) == json.loads(json.dumps(as_table(result)))
+    assert json.loads(table.read_text()) == json.loads(json.dumps(summarize(result)))
 
 
 def test_the_same_logs_give_the_same_bits(narrow, log):
@@ -188,12 +192,12 @@ def test_the_same_logs_give_the_same_bits(narrow, log):
 
 def test_of_several_logs_every_other_is_kept(flight, tmp_path):
     # The second flies with stronger motors, a marker body that is tilted, and a later clock
-    rows = flown.noisy(flight, 5)
+    rows = flown.add_sensor_noise(flight, 5)
     rows[:, 11:15] *= 0.98
     logs = [
-        flown.write(tmp_path / "a.csv", flown.noisy(flight[:2000], 4)),
-        flown.write(tmp_path / "b.csv", rows[:2000]),
-        flown.write(tmp_path / "c.csv", flown.noisy(flight[2000:], 6)),
+        flown.write_example_log(tmp_path / "a.csv", flown.add_sensor_noise(flight[:2000], 4)),
+        flown.write_example_log(tmp_path / "b.csv", rows[:2000]),
+        flown.write_example_log(tmp_path / "c.csv", flown.add_sensor_noise(flight[2000:], 6)),
     ]
     found = identify(logs, TRUE, fit=["drag_xy"])
     assert found.whole_logs
@@ -201,15 +205,17 @@ def test_of_several_logs_every_other_is_kept(flight, tmp_path):
     assert [one.part.flight.log.path.name for one in found.kept] == ["b.csv"]
     estimate = found.estimates[0]
     assert estimate.low < TRUE.drag_xy < estimate.high
-    gain = {row["log"]: row["gain"] for row in as_table(found)["logs"]}
+    gain = {row["log"]: row["gain"] for row in summarize(found)["logs"]}
     assert gain["b.csv"] == pytest.approx(0.98**-2, abs=0.003)
     assert gain["a.csv"] == pytest.approx(1.0, abs=0.003)
 
 
 def test_a_gyroscope_of_another_clock_and_with_a_bias(flight, tmp_path):
-    rows = flown.noisy(flight[:2000], 7)
+    rows = flown.add_sensor_noise(flight[:2000], 7)
     rows[:, 8:11] = np.roll(rows[:, 8:11], 3, axis=0) + (0.05, -0.03, 0.02)
-    found = identify([flown.write(tmp_path / "late.csv", rows)], TRUE, fit=["inertia_x"])
+    found = identify(
+        [flown.write_example_log(tmp_path / "late.csv", rows)], TRUE, fit=["inertia_x"]
+    )
     (one,) = found.fitted
     assert one.part.flight.gyro_delay == pytest.approx(0.030, abs=0.002)
     np.testing.assert_allclose(one.part.flight.gyro_bias, (0.05, -0.03, 0.02), atol=0.003)
@@ -219,9 +225,9 @@ def test_a_gyroscope_of_another_clock_and_with_a_bias(flight, tmp_path):
 
 @pytest.mark.parametrize("order", [(13, 14, 11, 12), (12, 11, 14, 13), (14, 13, 12, 11)])
 def test_rotors_out_of_order_are_refused(flight, tmp_path, order):
-    rows = flown.noisy(flight[:1500], 8)
+    rows = flown.add_sensor_noise(flight[:1500], 8)
     rows[:, 11:15] = rows[:, order]
-    log = flown.write(tmp_path / "swapped.csv", rows)
+    log = flown.write_example_log(tmp_path / "swapped.csv", rows)
     said = r"[pqr] changes against .* 1 at x 0\.03253, y -0\.03253 m"
     for start in (TRUE, START):
         with pytest.raises(ValueError, match=said):
@@ -230,8 +236,8 @@ def test_rotors_out_of_order_are_refused(flight, tmp_path, order):
 
 def test_few_turns_may_be_opposite_by_chance():
     """The quantile of the normal distribution at 1 - 0.01 / 93 is 3.70115 (tables: 3.70)."""
-    assert opposite(24) == pytest.approx(-math.tanh(3.70 / math.sqrt(21)), abs=1e-3)
-    assert -0.2 < opposite(1000) < 0
+    assert correlation_threshold(24) == pytest.approx(-math.tanh(3.70 / math.sqrt(21)), abs=1e-3)
+    assert -0.2 < correlation_threshold(1000) < 0
 
 
 def test_ground_effect_is_found_near_the_ground(tmp_path):
@@ -239,9 +245,9 @@ def test_ground_effect_is_found_near_the_ground(tmp_path):
         low = 0.045 + 0.03 * np.sin(2 * np.pi * 0.35 * time)
         return np.array([0.3 * np.sin(0.9 * time), 0.3 * np.cos(0.7 * time), low])
 
-    rows = flown.noisy(flown.fly(TRUE, 20, seed=1, path=path), 1)
+    rows = flown.add_sensor_noise(flown.fly_example(TRUE, 20, seed=1, path=path), 1)
     start = dataclasses.replace(TRUE, ground_effect_gain=0.2, ground_effect_reach=0.2)
-    log = flown.write(tmp_path / "low.csv", rows)
+    log = flown.write_example_log(tmp_path / "low.csv", rows)
     found = identify([log], start, fit=["ground_effect", "thrust"])
     for one in found.estimates:
         assert one.low <= one.constant.get(TRUE) <= one.high, one.constant.name
@@ -255,10 +261,10 @@ def test_the_wake_of_a_drone_above_is_found(tmp_path):
     def path(time):
         return np.array([0.12 * np.sin(1.1 * time), 0.12 * np.cos(0.8 * time), 1.1])
 
-    rows = flown.noisy(flown.fly(TRUE, 20, seed=2, path=path, other=above), 2)
+    rows = flown.add_sensor_noise(flown.fly_example(TRUE, 20, seed=2, path=path, other=above), 2)
     start = dataclasses.replace(TRUE, wake_share=0.2, wake_spread=0.14)
     names = (*flown.COLUMNS, "other_x", "other_y", "other_z")
-    log = flown.write(tmp_path / "below.csv", rows, names)
+    log = flown.write_example_log(tmp_path / "below.csv", rows, names)
     found = identify([log], start, fit=["wake", "thrust"])
     for one in found.estimates:
         assert one.low <= one.constant.get(TRUE) <= one.high, one.constant.name
@@ -268,13 +274,13 @@ def test_the_wake_of_a_drone_above_is_found(tmp_path):
 
 def test_the_command_maps_columns_and_writes_files(flight, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    rows = flown.noisy(flight[:1500], 9)
+    rows = flown.add_sensor_noise(flight[:1500], 9)
     rows[:, 0] *= 1e3
     rows[:, 3] = 1e3 * (rows[:, 3] + 0.03)
     rows[:, 8] = -np.rad2deg(rows[:, 8])
     rows[:, 11:] *= 60 / (2 * np.pi)
     names = ("time", "x", "y", "alt", *flown.COLUMNS[4:8], "gx", "q", "r", "m1", "m2", "m3", "m4")
-    flown.write("log.csv", rows, names)
+    flown.write_example_log("log.csv", rows, names)
     motors = [f"rpm{k}=m{k}" for k in (1, 2, 3, 4)]
     maps = ["--map", "t=time*ms", "z=alt*mm-0.03", "p=gx*-deg", *motors]
     main(["identify", "log.csv", "--airframe", "cf2x", "--fit", "drag_xy", *maps, "--out", "out"])
@@ -297,7 +303,9 @@ def test_intervals_hold_with_other_noise(flight, tmp_path):
     start = dataclasses.replace(TRUE, torque_ratio=START.torque_ratio, drag_xy=START.drag_xy)
     inside = 0
     for seed in range(5):
-        log = flown.write(tmp_path / f"{seed}.csv", flown.noisy(flight[:1400], 20 + seed))
+        log = flown.write_example_log(
+            tmp_path / f"{seed}.csv", flown.add_sensor_noise(flight[:1400], 20 + seed)
+        )
         for one in identify([log], start, fit=["torque_ratio", "drag_xy"]).estimates:
             inside += one.low <= one.constant.get(TRUE) <= one.high
     assert inside >= 7
@@ -307,10 +315,12 @@ def test_intervals_hold_with_other_noise(flight, tmp_path):
 def test_intervals_hold_in_as_many_flights_as_they_say(tmp_path):
     inside = []
     for seed in range(30):
-        rows = flown.noisy(flown.fly(TRUE, 40, seed=100 + seed), seed)
-        found = identify([flown.write(tmp_path / f"{seed}.csv", rows)], START)
+        rows = flown.add_sensor_noise(flown.fly_example(TRUE, 40, seed=100 + seed), seed)
+        found = identify([flown.write_example_log(tmp_path / f"{seed}.csv", rows)], START)
         inside += [
-            one.low <= one.constant.get(TRUE) <= one.high for one in found.estimates if one.told
+            one.low <= one.constant.get(TRUE) <= one.high
+            for one in found.estimates
+            if one.is_identified
         ]
     assert len(inside) >= 30 * len(FOUND) - 10
     # 95 % of about 330 and three standard deviations; see benchmarks/intervals.py for more

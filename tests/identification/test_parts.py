@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletuav import load_airframe
-from bulletuav.identification.attitude import rates_of
 from bulletuav.identification.battery import fit_battery
 from bulletuav.identification.constants import CONSTANTS, choose_constants
-from bulletuav.identification.errors import conjugate, times
-from bulletuav.identification.identify import _possible
+from bulletuav.identification.errors import conjugate, multiply_quaternions
+from bulletuav.identification.identify import _limit_yaw_inertia
 from bulletuav.identification.intervals import Information, newey_west, quantile
 from bulletuav.identification.logs import Log
+from bulletuav.identification.smoothing import compute_body_rates
 from bulletuav.vehicle.battery import VOLTS
 
 
@@ -23,14 +23,16 @@ def test_rates_of_a_steady_turn():
     turns = Rotation.from_euler("xyz", (0.3, 0.2, 1.0)) * Rotation.from_rotvec(
         time[:, None] * rates
     )
-    np.testing.assert_allclose(rates_of(time, turns.as_quat()), np.tile(rates, (200, 1)), atol=1e-5)
+    np.testing.assert_allclose(
+        compute_body_rates(time, turns.as_quat()), np.tile(rates, (200, 1)), atol=1e-5
+    )
 
 
 def test_products_of_quaternions_are_those_of_scipy():
     p, q = (Rotation.random(5, random_state=k) for k in (1, 2))
-    found = times(p.as_quat(), q.as_quat())
+    found = multiply_quaternions(p.as_quat(), q.as_quat())
     np.testing.assert_allclose(Rotation.from_quat(found).as_matrix(), (p * q).as_matrix())
-    np.testing.assert_allclose(times(p.as_quat(), conjugate(p.as_quat()))[:, 3], 1.0)
+    np.testing.assert_allclose(multiply_quaternions(p.as_quat(), conjugate(p.as_quat()))[:, 3], 1.0)
 
 
 def test_every_constant_is_read_and_replaced():
@@ -38,9 +40,9 @@ def test_every_constant_is_read_and_replaced():
     for constant in CONSTANTS:
         number = constant.encode(drone)
         assert constant.decode(number) == pytest.approx(constant.get(drone))
-        other = constant.put(drone, 1.25 * constant.get(drone))
+        other = constant.replace(drone, 1.25 * constant.get(drone))
         assert constant.get(other) == pytest.approx(1.25 * constant.get(drone))
-        differing = [one.name for one in CONSTANTS if one.get(one.put(other, 1.0)) != 1.0]
+        differing = [one.name for one in CONSTANTS if one.get(one.replace(other, 1.0)) != 1.0]
         assert not differing
         rest = [one for one in CONSTANTS if one.get(other) != one.get(drone)]
         assert rest == [constant]
@@ -87,13 +89,13 @@ def test_intervals_hold_for_correlated_errors():
 def test_an_inertia_that_no_body_has_is_taken_down_with_the_torque():
     drone = load_airframe("cf2x")
     flat = dataclasses.replace(drone, inertia=(1e-5, 1.5e-5, 2.93e-5))
-    found, note = _possible(flat, ())
+    found, note = _limit_yaw_inertia(flat, ())
     assert found.inertia == (1e-5, 1.5e-5, 2.475e-5)
     assert found.torque_ratio / found.inertia[2] == pytest.approx(
         drone.torque_ratio / 2.93e-5, rel=1e-4
     )
     assert "inertia_z of 2.93e-05" in note
-    assert _possible(drone, ()) == (drone, "")
+    assert _limit_yaw_inertia(drone, ()) == (drone, "")
 
 
 def battery_log(charge, capacity, resistance, path):
@@ -113,14 +115,14 @@ def battery_log(charge, capacity, resistance, path):
 def test_a_battery_comes_back_within_its_intervals(tmp_path):
     drone = load_airframe("cf2x")
     found = fit_battery([battery_log(0.95, 0.85, 0.11, tmp_path)], drone)
-    assert found.told == (True, True)
+    assert found.is_identified == (True, True)
     for (value, low, high), true in ((found.resistance, 0.11), (found.capacity, 0.85)):
         assert low <= true <= high
         assert value == pytest.approx(true, rel=0.03)
     assert found.start[0] == pytest.approx(0.95, abs=0.02)
     assert found.error[0] == pytest.approx(0.005, rel=0.2)
     assert found.error[1] == pytest.approx(0.005, rel=0.2)
-    changed = found.put(drone)
+    changed = found.apply_to(drone)
     assert (changed.pack.resistance, changed.pack.capacity) == (
         found.resistance[0],
         found.capacity[0],

@@ -308,13 +308,13 @@ def test_other_machines_ask_by_address_or_by_this_machines_name(monkeypatch):
     monkeypatch.setattr(socket, "gethostname", lambda: "lab7")
     feed = Feed("0.0.0.0", 0, lambda: "the page")
     known = ("192.0.2.1:80", "[2001:db8::1]:80", "lab7:80", "lab7.local", "localhost")
-    assert all(feed.knows(host) for host in known)
-    assert not any(feed.knows(host) for host in ("evil.example:80", "lab7.evil.example", ""))
+    assert all(feed.accepts_host(host) for host in known)
+    assert not any(feed.accepts_host(host) for host in ("evil.example:80", "lab7.evil.example", ""))
     feed.close()
 
 
 def test_a_long_flight_begins_anew_before_pages_are_full(env, monkeypatch):
-    monkeypatch.setattr("bulletuav.report.live.MOST_LINES", 10)
+    monkeypatch.setattr("bulletuav.report.live.MAX_TRAIL_SEGMENTS", 10)
     (watcher,) = watch(env)
     env.reset(seeds=0)
     for row in range(9):
@@ -370,7 +370,7 @@ def test_silent_connections_lock_no_viewer_out():
 
 
 def test_a_silent_feed_finds_out_who_has_left(env, monkeypatch):
-    monkeypatch.setattr(feeds, "SILENCE", 0.01)
+    monkeypatch.setattr(feeds, "KEEPALIVE_INTERVAL", 0.01)
     (watcher,) = watch(env)
     assert watcher.answer.readline() == b": nothing new\n"
     watcher.leave()

@@ -14,7 +14,7 @@ from payload_block import Block
 
 import bulletuav
 from bulletuav.analysis.recording import fly_episode, load, save
-from bulletuav.analysis.seals import hash_files, sealed
+from bulletuav.analysis.seals import add_seal, hash_files
 from bulletuav.cli import main
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.policies import find_policy
@@ -132,7 +132,7 @@ def test_names_from_a_recording_are_data_in_the_page(run, copied):
     path = copied / "run.json"
     told = json.loads(path.read_text())
     told["policy"] = evil
-    path.write_text(json.dumps(sealed({k: v for k, v in told.items() if k != "seal"})))
+    path.write_text(json.dumps(add_seal({k: v for k, v in told.items() if k != "seal"})))
     text = replay_run(copied).read_text()
     assert evil not in text
     assert "&lt;/script&gt;" in text
@@ -251,7 +251,7 @@ def test_recordings_of_version_4_verify_but_do_not_replay(copied, capsys):
     assert told["hash"] == recording.hash(like=old)
     told["files"] = hash_files(copied, told["files"])
     del told["seal"]
-    (copied / "run.json").write_text(json.dumps(sealed(told)))
+    (copied / "run.json").write_text(json.dumps(add_seal(told)))
     checks = Verifier().verify(copied)
     assert [check.what for check in checks if not check.same] == []
     assert checks[-1].what == "flight"
@@ -269,7 +269,7 @@ def refused(words, capsys, *said):
 
 
 def test_bad_input_gets_one_line(run, copied, tmp_path, capsys):
-    refused(["replay", str(tmp_path / "gone")], capsys, "there is no", "gone: give the folder")
+    refused(["replay", str(tmp_path / "gone")], capsys, "there is no", "gone: pass the folder")
     (tmp_path / "empty").mkdir()
     empty = str(tmp_path / "empty")
     refused(["replay", empty], capsys, "holds no recording (trajectory.npz)", "`bulletuav fly`")
@@ -312,7 +312,7 @@ def test_a_damaged_scene_is_told(copied, capsys):
         told = json.loads((copied / "run.json").read_text())
         del told["seal"]
         told["files"] = hash_files(copied, told["files"])
-        (copied / "run.json").write_text(json.dumps(sealed(told)))
+        (copied / "run.json").write_text(json.dumps(add_seal(told)))
         refused(["replay", str(copied)], capsys, "the scene of the recording is damaged")
 
 

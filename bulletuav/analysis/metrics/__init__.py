@@ -1,8 +1,8 @@
 """Metrics of an episode, and their estimates over many episodes.
 
-The standard metrics of `METRICS` are measured in every evaluation, all together by `Meter`.
-Further ones are ingredients of the kind "metric": a function, a class or an object in a file of
-its own, see `bulletuav.analysis.metrics.custom`.
+The standard metrics of `METRICS` are measured in every evaluation by `Meter`. Custom metrics are
+registered under the kind "metric": a function, a class or an object in the user's own file, see
+`bulletuav.analysis.metrics.custom`.
 """
 
 from bulletuav.analysis.metrics.custom import (

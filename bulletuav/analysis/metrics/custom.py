@@ -1,7 +1,8 @@
-"""Metrics of users: one function, class or object each, in a file of their own.
+"""Custom metrics: a function, class or object each, in the user's own file.
 
-A metric is called with (step, aviary) after every decision and gives one number for each world,
-(W,). What it gave in the last decision of a world's episode is the episode's value, NaN for none:
+A metric is called with (step, aviary) after every decision and returns one number for each world,
+(W,). Its value in the last decision of a world's episode is the value of the episode; NaN means
+that the episode has no value:
 
     def final_height(step, aviary):
         '''Height of the drones at the end, m, mean of the drones.'''
@@ -9,8 +10,8 @@ A metric is called with (step, aviary) after every decision and gives one number
 
     bulletuav.evaluate("hover", metrics=(final_height,))
 
-A metric that has to remember what was before is a class. For every batch of episodes it is made
-anew, from the aviary right after its reset:
+A metric with state is a class. It is instantiated for every batch of episodes, with the aviary
+right after its reset:
 
     class TopSpeed:
         '''Highest speed of any drone, m/s.'''
@@ -25,8 +26,8 @@ anew, from the aviary right after its reset:
             self.top = np.maximum(self.top, speed)
             return self.top
 
-An object that can be called, such as one with parameters of its own, is copied for every batch.
-The drones that flew the decision are `aviary.alive | step.terminated | step.truncated`.
+A callable object, for example one with its own parameters, is copied for every batch. The drones
+that flew the decision are `aviary.alive | step.terminated | step.truncated`.
 """
 
 import copy
@@ -43,19 +44,19 @@ from bulletuav.errors import as_sequence, shown
 from bulletuav.registry import find
 
 MetricFunction = Callable[[Step, Aviary], np.ndarray]
-"""One number for each world, (W,), after a decision"""
+"""Function that returns one number for each world, (W,), after a decision"""
 MetricSource = str | Callable[..., Any]
-"""A metric by its name or as `module:Name`, or the function, class or object itself"""
+"""Name of a metric or `module:Name`, or the function, class or object itself"""
 ROW_LABELS = ("episode", "seed")
-"""Columns of an episode's row that are no metrics"""
+"""Columns of an episode's row that are not metrics"""
 
 
 class MetricSpec(NamedTuple):
-    """A metric before any episode begins.
+    """Specification of a custom metric.
 
     Attributes:
         name: Name of its column.
-        about: What it is: the first line of its docstring, empty where it has none.
+        about: Description: the first line of its docstring, empty if it has none.
         source: The function, class or object that measures.
     """
 
@@ -64,7 +65,7 @@ class MetricSpec(NamedTuple):
     source: Callable[..., Any]
 
     def start(self, aviary: Aviary) -> MetricFunction:
-        """Return what measures the episodes that the aviary's worlds now begin."""
+        """Return a metric function for the episodes that the aviary's worlds start now."""
         is_class = inspect.isclass(self.source)
         made = self.source(aviary) if is_class else copy.deepcopy(self.source)
         return cast(MetricFunction, made)
@@ -74,21 +75,21 @@ def find_metric(source: MetricSource) -> MetricSpec | StandardMetric:
     """Find a metric.
 
     Args:
-        source: Name of a registered metric, also of an entry point of the group
-            `bulletuav.metric`; `module:Name`; or the function, class or object itself.
+        source: Name of a registered metric, including entry points of the group `bulletuav.metric`;
+            `module:Name`; or the function, class or object itself.
 
     Returns:
-        The metric; a `StandardMetric` for the name of one that is measured anyway.
+        The metric; a `StandardMetric` for the name of a standard one.
 
     Raises:
-        ValueError: There is none of that name (the nearest are told), it cannot be imported or
-            called, or it has no name of its own.
+        ValueError: If there is no metric of this name (the message suggests the nearest), or it
+            cannot be imported or called, or it has no name.
     """
     found = find("metric", source, _is_metric)
     if isinstance(found, StandardMetric):
         return found
     name = getattr(found, "name", None) or getattr(found, "__name__", None)
-    # A name of the registry, such as that of an entry point, wins over the object's own.
+    # A registered name, such as that of an entry point, takes precedence over the object's own.
     if isinstance(source, str) and ":" not in source:
         name = source
     if not isinstance(name, str) or not name.isidentifier():
@@ -97,25 +98,26 @@ def find_metric(source: MetricSource) -> MetricSpec | StandardMetric:
             "use a named function, or an attribute `name`"
         )
     if name in METRICS or name in ROW_LABELS:
-        raise ValueError(f"metric {name!r} is measured already: choose another name")
+        raise ValueError(f"metric {name!r} is a standard metric already: choose another name")
     lines = (inspect.getdoc(found) or "").splitlines()
     return MetricSpec(name=name, about=lines[0] if lines else "", source=found)
 
 
 def find_metrics(sources: Sequence[MetricSource]) -> tuple[MetricSpec, ...]:
-    """Find the metrics that are to be measured beside the standard ones.
+    """Find the custom metrics to measure in addition to the standard ones.
 
     Args:
-        sources: Metrics as `find_metric` takes them; standard ones may be among them.
+        sources: Metrics as for `find_metric`; standard ones may be among them.
 
     Returns:
-        Those that are not standard, in their order.
+        The metrics that are not standard, in their order.
 
     Raises:
-        ValueError: One cannot be found, two have the same name, or `sources` is no list or tuple.
+        ValueError: If a metric cannot be found, two have the same name, or `sources` is not a list
+            or tuple.
     """
     found = [find_metric(source) for source in as_sequence("metrics", sources)]
-    # Standard metrics are measured anyway.
+    # Standard metrics are always measured.
     specs = tuple(one for one in found if isinstance(one, MetricSpec))
     names = [spec.name for spec in specs]
     for name in names:
@@ -125,44 +127,40 @@ def find_metrics(sources: Sequence[MetricSource]) -> tuple[MetricSpec, ...]:
 
 
 def _is_metric(source: object) -> bool:
-    """Tell whether an object can be a metric."""
+    """Return True if an object can be a metric."""
     return callable(source) or isinstance(source, StandardMetric)
 
 
 class CustomMetric:
-    """One metric of a user, while the worlds of an aviary fly an episode each.
+    """A custom metric, measured while the worlds of an aviary fly an episode each.
 
     Attributes:
         name: Name of the metric.
-        values: What it gave in the last decision of each world, (W,); NaN before the first.
+        values: Its values in the last decision of each world, (W,); NaN before the first decision.
     """
 
     def __init__(self, spec: MetricSpec, aviary: Aviary) -> None:
-        """Begin to measure, right after the aviary's reset."""
+        """Start to measure, right after the aviary's reset."""
         self.name = spec.name
         self.values = np.full(aviary.num_worlds, np.nan)
         self._measure = spec.start(aviary)
         if not callable(self._measure):
             raise ValueError(
-                f"metric {self.name!r} makes {shown(self._measure)}: "
+                f"metric {self.name!r} constructs {shown(self._measure)}: "
                 "a class needs a method __call__(step, aviary)"
             )
 
-    def record(
-        self,
-        step: Step,
-        aviary: Aviary,
-        flying: np.ndarray,
-    ) -> None:
-        """Take one decision.
+    def record(self, step: Step, aviary: Aviary, flying: np.ndarray) -> None:
+        """Record one decision.
 
         Args:
-            step: What the decision gave.
-            aviary: The worlds after it.
-            flying: Worlds in which some drone flew it, (W,) bool; others keep their values.
+            step: Result of the decision.
+            aviary: The worlds after the decision.
+            flying: Worlds in which any drone flew the decision, (W,) bool; others keep their
+                values.
 
         Raises:
-            ValueError: The metric gave something else than one number for each world.
+            ValueError: If the metric does not return one number for each world.
         """
         given = self._measure(step, aviary)
         values = given if isinstance(given, np.ndarray) else np.asarray(None)
@@ -173,7 +171,7 @@ class CustomMetric:
                 else shown(given)
             )
             raise ValueError(
-                f"metric {self.name!r} gave {form}: an array {flying.shape} of numbers, "
+                f"metric {self.name!r} returned {form}: an array {flying.shape} of numbers, "
                 "one for each world, is needed"
             )
         self.values = np.where(flying, values, self.values)

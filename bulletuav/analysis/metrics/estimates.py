@@ -1,4 +1,4 @@
-"""Means of metrics over episodes, with their 95 % confidence intervals."""
+"""Means of metrics over episodes, with 95 % confidence intervals."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,17 +8,17 @@ import numpy as np
 from bulletuav.analysis.metrics.standard import RATES
 
 RESAMPLES = 2000
-"""Resamples of the bootstrap"""
+"""Number of bootstrap resamples"""
 
 
 class Estimate(NamedTuple):
     """Mean of a metric over episodes, with its 95 % confidence interval.
 
     Attributes:
-        mean: Mean over the episodes that have the metric; NaN where none has it.
+        mean: Mean over the episodes that have the metric; NaN if none has it.
         low: Lower end of the interval.
         high: Upper end of the interval.
-        episodes: How many episodes have the metric.
+        episodes: Number of episodes that have the metric.
     """
 
     mean: float
@@ -31,13 +31,14 @@ def estimate(metric: str, values: Sequence[float]) -> Estimate:
     """Estimate the mean of a metric over episodes.
 
     Args:
-        metric: Its name. Those of `RATES` get Wilson's interval, others that of `mean_estimate`.
-        values: Its value in each episode; NaN, of other metrics than rates, where it has none.
+        metric: Name of the metric. Rates (`RATES`) get Wilson's interval, other metrics that of
+            `mean_estimate`.
+        values: Value of each episode; NaN, for metrics other than rates, if an episode has none.
 
     Returns:
         The mean with its interval.
     """
-    # SciPy's statistics take longer to import than everything else.
+    # Imported here, as SciPy's statistics take longer to import than all other modules.
     from scipy import stats
 
     if metric not in RATES:
@@ -56,20 +57,20 @@ def estimate(metric: str, values: Sequence[float]) -> Estimate:
 def mean_estimate(values: Sequence[float]) -> Estimate:
     """Estimate a mean with the interval of the percentile bootstrap.
 
-    The resamples are always the same, so that the same values give the same interval.
+    The resampling seed is fixed, so that the same values give the same interval.
 
     Args:
-        values: Numbers, of which NaN are left out.
+        values: Numbers; NaN are ignored.
 
     Returns:
-        The mean with its interval; NaN, with 0 episodes, where no number is left.
+        The mean with its interval; NaN, with 0 episodes, if there are no numbers.
     """
     from scipy import stats
 
     sample = np.array([value for value in values if not np.isnan(value)])
     if not len(sample):
         return Estimate(np.nan, np.nan, np.nan, 0)
-    # The bootstrap would warn of a sample without any spread.
+    # The bootstrap would warn about a constant sample.
     if np.ptp(sample) == 0:
         mean = float(sample[0])
         return Estimate(mean, mean, mean, len(sample))

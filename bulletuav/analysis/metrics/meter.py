@@ -1,10 +1,10 @@
-"""Measurement of the episodes that an aviary's worlds fly at once."""
+"""Measurement of the standard and custom metrics while episodes are flown."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bulletuav.analysis.infos import is_scalar, own_infos
+from bulletuav.analysis.infos import is_scalar, select_task_infos
 from bulletuav.analysis.metrics.custom import (
     ROW_LABELS,
     CustomMetric,
@@ -22,14 +22,14 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 class Meter:
-    """Measures one episode in each of an aviary's W worlds, decision by decision."""
+    """Measures the metrics of one episode in each of an aviary's W worlds, decision by decision."""
 
     def __init__(self, aviary: Aviary, metrics: Sequence[MetricSpec] = ()) -> None:
-        """Begin to measure, right after the aviary's reset.
+        """Start to measure, right after the aviary's reset.
 
         Args:
             aviary: The worlds.
-            metrics: What is measured beside the standard metrics.
+            metrics: Custom metrics in addition to the standard ones.
         """
         worlds = aviary.num_worlds
         shape = (worlds, aviary.num_drones)
@@ -40,12 +40,14 @@ class Meter:
         self._collided = np.zeros(shape, dtype=bool)
         self._succeeded = np.zeros(shape, dtype=bool)
         self._return = np.zeros(shape)
-        # Metres of each drone: flown, to its goal at first (with what the goal moved), and left.
+        # Of each drone, m: path length; initial distance to its goal plus the path length of the
+        # goal; distance to its goal now.
         self._goal = aviary.scene.goal.copy()
-        self._ideal = distances(aviary.swarm.position, self._goal)
-        self._flown = np.zeros(shape)
-        self._left = np.zeros(shape)
-        # Effort: the state before the decision, and how the velocity changed in the one before it.
+        self._initial_distance = distances(aviary.swarm.position, self._goal)
+        self._path_length = np.zeros(shape)
+        self._goal_distance = np.zeros(shape)
+        # Effort: the state before the decision, and the change of velocity in the previous
+        # decision.
         self._before = aviary.swarm.copy()
         self._change = np.full((*shape, 3), np.nan)
         self._jerk = np.zeros(shape)
@@ -59,36 +61,36 @@ class Meter:
         self._messages = np.zeros(worlds)
         self._separation = np.full(worlds, np.inf)
         self._time_to_conflict = np.full(worlds, np.inf)
-        # Service to users.
+        # Service to users on the ground.
         self._served = np.zeros(worlds)
         self._completed = np.full(worlds, np.nan)
         self._latency = np.full(worlds, np.nan)
-        # What users and tasks measure beside.
+        # Custom metrics, and infos of the task.
         self._custom = [CustomMetric(spec, aviary) for spec in metrics]
         self._infos: dict[str, np.ndarray] = {}
 
     def record(self, step: Step, flown: np.ndarray) -> None:
-        """Take one decision.
+        """Record one decision.
 
         Args:
-            step: What the decision gave.
-            flown: Drones that flew it, (W, N) bool.
+            step: Result of the decision.
+            flown: Mask of the drones that flew the decision, (W, N) bool.
 
         Raises:
-            ValueError: A metric of a user gave something else than one number for each world.
+            ValueError: If a custom metric does not return one number for each world.
         """
         before = self._before
         after = self._aviary.swarm.copy()
         info = step.info
         flying = np.any(flown, axis=1)
-        # Of drones that have left, what they told last stays.
+        # Drones that have finished keep their last values.
         self._collided |= info["collision"] & flown
         self._succeeded = np.where(flown, info["success"], self._succeeded)
         if self._aviary.task.has_goals:
-            self._left = np.where(flown, info["goal_distance"], self._left)
+            self._goal_distance = np.where(flown, info["goal_distance"], self._goal_distance)
         self._return += np.where(flown, step.rewards, 0.0)
         self._record_conflicts(info, before, after, flown)
-        self._record_way(before, after, flown)
+        self._record_path_length(before, after, flown)
         self._record_effort(before, after, flown)
         # Time of drones and of worlds.
         self._decisions += flown
@@ -97,19 +99,15 @@ class Meter:
             self._messages += (info["messages"] * flown).sum(axis=1)
         self._record_service(info, flying)
         self._record_infos(info, flying)
-        # Metrics of users see the worlds as they are after the decision.
+        # Custom metrics observe the worlds after the decision.
         for metric in self._custom:
             metric.record(step, self._aviary, flying)
         self._before = after
 
     def _record_conflicts(
-        self,
-        info: Mapping[str, np.ndarray],
-        before: Swarm,
-        after: Swarm,
-        flown: np.ndarray,
+        self, info: Mapping[str, np.ndarray], before: Swarm, after: Swarm, flown: np.ndarray
     ) -> None:
-        """Count conflicts and near misses; each is told by both of its drones."""
+        """Count conflicts and near misses, each of which both drones of a pair report."""
         self._conflicts += (info["conflicts"] * flown).sum(axis=1) / 2
         # A near miss is a conflict at half the distance.
         close = conflict(
@@ -124,31 +122,21 @@ class Meter:
         soonest = soonest_conflict(after.position, after.velocity, flown, self._d_safe)
         self._time_to_conflict = np.minimum(self._time_to_conflict, soonest)
 
-    def _record_way(
-        self,
-        before: Swarm,
-        after: Swarm,
-        flown: np.ndarray,
-    ) -> None:
-        """Add the metres flown, and those that the goal moved."""
+    def _record_path_length(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:
+        """Add the path lengths of the drones and of their goals."""
         goal = self._aviary.scene.goal
-        self._flown += flown * distances(before.position, after.position)
-        self._ideal += flown * distances(self._goal, goal)
+        self._path_length += flown * distances(before.position, after.position)
+        self._initial_distance += flown * distances(self._goal, goal)
         self._goal = goal.copy()
 
-    def _record_effort(
-        self,
-        before: Swarm,
-        after: Swarm,
-        flown: np.ndarray,
-    ) -> None:
-        """Add jerk, by second differences of the velocity, and the rotors' work.
+    def _record_effort(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:
+        """Add jerk, by second differences of the velocity, and the work of the rotors.
 
-        The work is that against the rotors' torque, by the trapezium rule.
+        The work is done against the rotors' drag torque, and integrated by the trapezoidal rule.
         """
         change = after.velocity - before.velocity
         jerk = np.linalg.norm(change - self._change, axis=-1) / self._period**2
-        # The first decision has no jerk: no change of velocity came before it.
+        # The first decision has no jerk: there is no previous change of velocity.
         known = flown & np.isfinite(jerk)
         self._jerk[known] += jerk[known]
         self._jerks += known
@@ -157,7 +145,7 @@ class Meter:
         self._energy += flown * power * self._period
 
     def _record_service(self, info: Mapping[str, np.ndarray], flying: np.ndarray) -> None:
-        """Take what drones do for users together, which infos tell each of them."""
+        """Record the service to users, which is a joint result that each drone's infos repeat."""
         if "served" in info:
             self._served += info["served"][:, 0] * flying
         if "completed" in info:
@@ -165,13 +153,13 @@ class Meter:
             self._latency = np.where(flying, info["latency"][:, 0], self._latency)
 
     def _record_infos(self, info: Mapping[str, np.ndarray], flying: np.ndarray) -> None:
-        """Keep the task's own infos, mean of the drones, of each world's last decision."""
+        """Record the task's own infos of each world's last decision, mean over drones."""
         taken = {
             *METRICS,
             *ROW_LABELS,
             *(metric.name for metric in self._custom),
         }
-        for name, values in own_infos(info).items():
+        for name, values in select_task_infos(info).items():
             if name not in taken and is_scalar(values, self._succeeded.shape):
                 known = self._infos.get(name, np.nan)
                 self._infos[name] = np.where(flying, values.mean(axis=1), known)
@@ -180,35 +168,34 @@ class Meter:
         """Return the metrics of the episode of a world.
 
         Args:
-            w: Number of the world.
+            w: Index of the world.
 
         Returns:
-            The standard metrics, those of users and the task's own infos by name; NaN for what the
-            episode has not.
+            The standard metrics, the custom metrics and the task's own infos by name; NaN for
+            values that the episode does not have.
         """
         row = self._standard(w)
         if not self._aviary.task.has_goals:
-            # Its drones are to be anywhere.
+            # A task without goals has no distances to goals.
             row |= dict.fromkeys(
                 ("goal_distance", "path_efficiency", "fairness", "throughput"),
                 np.nan,
             )
         if not self._aviary.task.num_targets:
             row["served"] = np.nan
-        # What is infinite, such as the separation of one drone, is none.
+        # Infinite values, such as the separation of a single drone, count as missing.
         row |= {metric.name: metric.values[w] for metric in self._custom}
         row |= {name: values[w] for name, values in self._infos.items()}
         return {name: float(value) if np.isfinite(value) else np.nan for name, value in row.items()}
 
     def _standard(self, w: int) -> dict[str, float]:
-        """Compute the standard metrics of the episode of world w."""
         aviary = self._aviary
         length = self._steps[w] * self._period
         arrived = self._succeeded[w]
-        # Metres made good are those that the drone is nearer to its goal, as the goal moved.
-        made_good = np.maximum(self._ideal[w] - self._left[w], 0.0)
-        share_of_way = made_good / np.maximum(self._flown[w], 1e-9)
-        efficiency = np.minimum(share_of_way, 1.0)[arrived]
+        # Progress is the reduction of the distance to the goal, corrected by the goal's motion.
+        made_good = np.maximum(self._initial_distance[w] - self._goal_distance[w], 0.0)
+        progress_per_metre = made_good / np.maximum(self._path_length[w], 1e-9)
+        efficiency = np.minimum(progress_per_metre, 1.0)[arrived]
         has_rotors = aviary.setpoint_level == SetpointLevel.ROTOR
         return {
             "collision": self._collided[w].any(),
@@ -221,7 +208,7 @@ class Meter:
             "min_separation": self._separation[w],
             "min_time_to_conflict": self._time_to_conflict[w],
             "length": length,
-            "goal_distance": self._left[w].mean(),
+            "goal_distance": self._goal_distance[w].mean(),
             "path_efficiency": efficiency.mean() if len(efficiency) else np.nan,
             "jerk": self._jerk[w].sum() / max(self._jerks[w].sum(), 1.0),
             "energy": self._energy[w].mean() if has_rotors else np.nan,

@@ -1,52 +1,52 @@
-"""Metrics that every evaluation takes: their names and what they are."""
+"""Names and descriptions of the standard metrics."""
 
 from typing import NamedTuple
 
 from bulletuav.registry import register
 
 RATES = ("collision", "conflict", "success")
-"""Metrics that are 0 or 1 in an episode, so that their means are shares of the episodes"""
+"""Metrics that are 0 or 1 in an episode, so that their means are fractions of the episodes"""
 METRICS = {
-    "collision": "share of episodes with a contact of collision shapes",
-    "conflict": "share of episodes with a separation below d_safe",
-    "success": "share of episodes in which all drones succeeded, as the task means it",
-    "drone_success": "share of drones that succeeded",
-    "return": "sum of the rewards of the episode, mean of the drones",
-    "conflicts": "conflicts of two drones that began",
-    "near_misses": "times that two came closer than half of d_safe",
-    "min_separation": "least separation, m",
+    "collision": "fraction of episodes with a contact of collision shapes",
+    "conflict": "fraction of episodes with a separation below d_safe",
+    "success": "fraction of episodes in which all drones succeeded, as defined by the task",
+    "drone_success": "fraction of drones that succeeded",
+    "return": "sum of the rewards of the episode, mean over drones",
+    "conflicts": "number of conflicts of two drones that began",
+    "near_misses": "number of approaches of two drones below half of d_safe",
+    "min_separation": "minimum separation, m",
     "min_time_to_conflict": (
-        "shortest time until two that fly straight on would conflict, s, where there was one"
+        "minimum time to a conflict of two drones at constant velocity, s, if any"
     ),
     "length": "duration of the episode, s",
-    "goal_distance": "distance to the goal at the end, m, mean of the drones",
-    "path_efficiency": ("metres made good over metres flown, mean of the drones that succeeded"),
-    "jerk": "m/s^3, mean of drones and decisions",
+    "goal_distance": "distance to the goal at the end, m, mean over drones",
+    "path_efficiency": ("progress to the goal over path length, mean over drones that succeeded"),
+    "jerk": "jerk, m/s^3, mean over drones and decisions",
     "energy": (
-        "mechanical energy of the rotors, J, mean of the drones; none where dynamics have no rotors"
+        "mechanical energy of the rotors, J, mean over drones; none if the dynamics have no rotors"
     ),
-    "messages": "messages that drones received, where communication is simulated",
-    "fairness": "Jain's index of the drones' metres made good a second",
-    "throughput": "drones that succeeded a minute",
+    "messages": "number of messages that drones received, if communication is simulated",
+    "fairness": "Jain's index of the drones' progress towards their goals per second",
+    "throughput": "number of drones that succeeded per minute",
     "served": (
-        "share of the task's targets in sight of a drone, mean of the episode as planned: "
-        "0 once all have left"
+        "fraction of the task's targets in sight of a drone, mean over the planned episode: "
+        "0 after all drones have finished"
     ),
-    "completed": "share of the tasks of the episode as planned that were computed in time",
+    "completed": "fraction of the tasks of the planned episode that were computed in time",
     "latency": (
-        "from a task's arrival to its result, s, mean of those that arrived; "
-        "the deadline for those that were lost"
+        "time from a task's arrival to its result, s, mean over tasks that arrived; "
+        "the deadline for lost tasks"
     ),
 }
-"""What each standard metric is, as an episode's number and, over episodes, its mean"""
+"""Description of each standard metric, of an episode's value or its mean over episodes"""
 
 
 class StandardMetric(NamedTuple):
-    """Entry of the registry for a metric that `Meter` takes anyway.
+    """Registry entry of a metric that `Meter` always measures.
 
     Attributes:
         name: Name of the metric.
-        about: What it is, with its unit.
+        about: Description with its unit.
     """
 
     name: str

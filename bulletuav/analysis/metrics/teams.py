@@ -1,4 +1,4 @@
-"""What each of two opposed teams earns, and whether it succeeds."""
+"""Return and success of each of two opposing teams."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ class TeamReturn:
     """
 
     def __init__(self, team: int) -> None:
-        """Begin with nothing earned.
+        """Initialize the sum.
 
         Args:
             team: Number of the team, from 0.
@@ -25,7 +25,7 @@ class TeamReturn:
         self._total: np.ndarray | float = 0.0
 
     def __call__(self, step: Step, aviary: Aviary) -> np.ndarray:
-        """Add the rewards of a decision, (W,); NaN where nobody is in the team."""
+        """Add the rewards of a decision, (W,); NaN for a team without drones."""
         own = aviary.task.team == self.team
         self._total = self._total + (step.rewards * own).sum(axis=1)
         total: np.ndarray = np.asarray(self._total) / (own.sum() or np.nan)
@@ -33,7 +33,7 @@ class TeamReturn:
 
 
 class TeamSuccess:
-    """Share of the team's drones that succeeded.
+    """Fraction of the team's drones that succeeded.
 
     Attributes:
         team: Number of the team.
@@ -41,7 +41,7 @@ class TeamSuccess:
     """
 
     def __init__(self, team: int) -> None:
-        """Begin with nobody.
+        """Initialize without success.
 
         Args:
             team: Number of the team, from 0.
@@ -50,7 +50,7 @@ class TeamSuccess:
         self._was: np.ndarray | bool = False
 
     def __call__(self, step: Step, aviary: Aviary) -> np.ndarray:
-        """Take what drones told that flew the decision; of others what they told last, (W,)."""
+        """Return the fraction of drones whose last decision was a success, (W,)."""
         flown = aviary.alive | step.terminated | step.truncated
         self._was = np.where(flown, step.info["success"], self._was)
         own = aviary.task.team == self.team

@@ -1,10 +1,10 @@
-// A camera that turns about a point, by mouse, touch and keys, and can follow a drone.
+// Orbit camera, controlled by mouse, touch and keys, which can follow a drone.
 
 import { Matrix3, PerspectiveCamera, Vector3 } from "./three.module.min.js";
 
 const FIELD_OF_VIEW = 50; // degrees
-const MARGIN = 1.14; // how much farther away the camera stands than where all is just in sight
-const LOWEST = 0.02; // rad above the horizon
+const MARGIN = 1.14; // factor of the distance at which the whole scene is just visible
+const LOWEST = 0.02; // minimum elevation, rad
 
 export class View {
   constructor(canvas, extent) {
@@ -31,13 +31,13 @@ export class View {
     );
   }
 
-  /** Look at everything, from the south-west and above. */
+  /** Show the whole scene, from the south-west and above. */
   whole() {
     const { middle, low, high } = this.extent;
     this.target.set(...middle);
     [this.azimuth, this.elevation, this.distance] = [-0.7 * Math.PI, 0.6, 1];
     this.update();
-    // A corner is in the picture where it is no farther from the axis than its depth allows.
+    // A corner is visible if its offset from the optical axis is within the field of view at its depth.
     const tangent = Math.tan((FIELD_OF_VIEW * Math.PI) / 360);
     const across = tangent * this.camera.aspect * this.free[0];
     const upright = tangent * this.free[1];
@@ -86,7 +86,7 @@ export class View {
     this.changed = this.touched = true;
   }
 
-  /** Move what is looked at by pixels of the picture, right and forward over ground. */
+  /** Move the target by pixels, right and forward over the ground. */
   move(right, forward) {
     const metre = this.pixelAt(this.distance);
     const [cosine, sine] = [Math.cos(this.azimuth), Math.sin(this.azimuth)];
@@ -95,18 +95,18 @@ export class View {
     this.changed = this.touched = true;
   }
 
-  /** Look at a drone from near enough to see it. */
+  /** Zoom in on a drone. */
   approach(size) {
     this.distance = Math.min(this.distance, Math.max(12 * size, 0.008 * this.extent.size));
     this.changed = this.touched = true;
   }
 
-  /** Size of a pixel that is so far away, m. */
+  /** Size of a pixel at a distance, m. */
   pixelAt(distance) {
     return (2 * distance * Math.tan((FIELD_OF_VIEW * Math.PI) / 360)) / this.height;
   }
 
-  /** Take a new size of the picture; panels cover some pixels on the right and below. */
+  /** Set the size of the canvas, of which panels cover some pixels on the right and below. */
   resize(width, height, right, below) {
     this.height = height;
     this.free = [1 - right / width, 1 - below / height];
@@ -124,7 +124,7 @@ export class View {
       Math.max(0.02, target.z + distance * Math.sin(this.elevation)),
     );
     camera.lookAt(target);
-    // What is near counts from near, so that far faces do not fight for the same pixels.
+    // The near plane scales with the distance, to avoid z-fighting of far faces.
     camera.near = Math.max(0.01, distance / 100);
     camera.far = distance + 30 * this.extent.size;
     camera.updateProjectionMatrix();

@@ -10,20 +10,20 @@ const REACHES = [
 ];
 const LAYERS = [
   ["trails", "Trails"],
-  ["rings", "Rings of d_safe"],
+  ["rings", "d_safe circles"],
   ["stems", "Lines to ground and goal"],
   ["goals", "Goals"],
   ["contacts", "Contacts"],
   ["users", "Users"],
-  ["links", "Links"],
-  ["beams", "Beams"],
+  ["links", "Links to served users"],
+  ["beams", "Range finder beams"],
   ["city", "City"],
 ];
-const PAN = 40; // pixels that a key moves the view by
+const PAN = 40; // step of the view per key press, pixels
 
 export const byId = (id) => document.getElementById(id);
 
-/** Connect the page's controls with a `player`, once; see main.js. */
+/** Connect the page's controls to a `player`, once; see main.js. */
 export function connect(player) {
   const speed = byId("speed");
   for (const one of SPEEDS) speed.add(new Option(`${one}×`, one, one === 1, one === 1));
@@ -48,7 +48,7 @@ export function connect(player) {
   ])
     byId(id).addEventListener("click", act);
   document.addEventListener("keydown", (event) => press(event, player, speed));
-  // An open menu closes with a click elsewhere.
+  // A click elsewhere closes an open menu.
   document.addEventListener("pointerdown", (event) => {
     for (const menu of document.querySelectorAll("footer details[open]")) {
       if (!menu.contains(event.target)) menu.open = false;
@@ -56,7 +56,7 @@ export function connect(player) {
   });
 }
 
-/** Offer what an episode has: drones, layers, its time. */
+/** Fill the controls for an episode: drones, layers, time range. */
 export function fill(player) {
   const { about } = player.episode;
   const drones = Array.from({ length: about.drones }, (_, k) => new Option(`drone_${k}`, k));
@@ -83,7 +83,7 @@ function press(event, player, speed) {
     ["INPUT", "SELECT", "TEXTAREA"].includes(event.target.tagName) &&
     event.target.type !== "checkbox";
   if (event.ctrlKey || event.metaKey || event.altKey) return;
-  // Fields and buttons keep the keys that they work with.
+  // Fields and buttons handle their own keys.
   if (field && event.target.id !== "scrub") return;
   if (event.key === " " && ["BUTTON", "SUMMARY", "INPUT"].includes(event.target.tagName)) {
     if (event.target.id !== "scrub") return;

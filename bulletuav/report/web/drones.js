@@ -1,4 +1,4 @@
-// Drones: bodies, propellers that spin, rings of d_safe, lines to the ground, goals, contacts.
+// Drones: bodies, spinning propellers, d_safe circles, lines to the ground, goals, contacts.
 
 import {
   BoxGeometry,
@@ -17,12 +17,12 @@ import {
 import { Lines, Rings, Trails } from "./lines.js";
 import { hue, joined, pose, shapeGeometry, writePose } from "./shapes.js";
 
-const CYLINDER = 1; // number of geometry/shapes.py
-const SMALLEST = { drone: 26, goal: 9, contact: 9 }; // pixels across, at which things are seen
-const TURNS = 3; // a second, of a propeller at 1,000 rad/s: slow enough to be seen
+const CYLINDER = 1; // kind in geometry/shapes.py
+const SMALLEST = { drone: 26, goal: 9, contact: 9 }; // minimum sizes, pixels
+const TURNS = 3; // displayed revolutions per second of a propeller at 1,000 rad/s: slow enough to be visible
 const GREY = new Color(0.5, 0.5, 0.5);
 const MOST_CONTACTS = 256;
-const CONTACT_TIME = 1.5; // s, for which a contact is shown
+const CONTACT_TIME = 1.5; // duration for which a contact is shown, s
 
 function instances(geometry, material, count, coloured = true) {
   const mesh = new InstancedMesh(geometry, material, count);
@@ -32,7 +32,7 @@ function instances(geometry, material, count, coloured = true) {
   return mesh;
 }
 
-/** Split the looks of an airframe into its body and the discs that stand for propellers. */
+/** Split the parts of an airframe into its body and the discs that represent propellers. */
 function looks({ parts, rotors, propeller_radius: radius }) {
   const isDisc = (part) =>
     part.kind === CYLINDER && part.half[2] < 0.2 * part.half[0] && part.half[0] > 0.5 * radius;
@@ -58,7 +58,7 @@ class Fleet extends Group {
     this.colours = members.map((k) => new Color(colours[k]));
     this.places = places;
     this.size = 2 * airframe.radius;
-    // Discs in the drone's colour, those ahead brighter: they tell where its nose is.
+    // Discs have the drone's colour; the front ones are brighter, to show the heading.
     const white = (share) => new Color(share, share, share);
     const disc = joined(
       places.map(({ x, y, z }) => ({
@@ -119,7 +119,7 @@ class Fleet extends Group {
       for (let r = 0; r < this.places.length; r += 1) {
         const place = this.places[r];
         this.spot.set(place.x, place.y, place.z).applyQuaternion(this.turn).multiplyScalar(scale);
-        // The reaction of a rotor turns the body against its own spin.
+        // The drag torque of a rotor acts on the body opposite to its spin.
         const half = -0.5 * place.turn * (this.angle[m] + r);
         const [s, c] = [Math.sin(half), Math.cos(half)];
         writePose(
@@ -180,7 +180,7 @@ export class Drones extends Group {
     this.add(...this.fleets, this.trails, this.rings, this.stems, this.goals, this.contacts);
   }
 
-  /** Bring all to the episode's time; `pixel(x, y, z)` tells the size of a pixel there, m. */
+  /** Update to the episode's time; `pixel(x, y, z)` returns the size of a pixel at a point, m. */
   update({ pixel, seconds, reach, chosen, trueSize }) {
     const { position: p } = this.episode;
     for (let k = 0; k < this.count; k += 1) {
@@ -205,7 +205,7 @@ export class Drones extends Group {
     this.rings.show(this.count);
   }
 
-  /** Lines from drones to the ground, and from the chosen one to its goal. */
+  /** Place lines from drones to the ground, and from the selected drone to its goal. */
   placeStems(chosen) {
     const { position: p, goal, about } = this.episode;
     const foot = [0, 0, 0];
@@ -252,7 +252,7 @@ export class Drones extends Group {
     const { payload, row, period } = this.episode;
     const [rows, points] = ["contact_row", "contact_point"].map((name) => payload.array(name));
     let count = 0;
-    // The latest come first; contacts are in the order of time.
+    // Latest contacts first; contacts are in chronological order.
     let k = rows.length - 1;
     while (k >= 0 && rows[k] > row) k -= 1;
     for (; k >= 0 && count < MOST_CONTACTS && (row - rows[k]) * period <= CONTACT_TIME; k -= 1) {
@@ -278,7 +278,7 @@ export class Drones extends Group {
   paint(palette) {
     this.palette = palette;
     this.contacts.material.color = palette.contact;
-    // Dark bodies are seen on dark ground, too.
+    // Dark bodies must be visible on dark ground, too.
     for (const fleet of this.fleets) fleet.bodies.material.emissive = palette.glow;
   }
 }

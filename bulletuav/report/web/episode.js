@@ -1,6 +1,6 @@
-// The episode at any time: where drones, goals, obstacles and users are, between two rows.
+// State of the episode at any time: positions of drones, goals, obstacles and users, interpolated.
 
-/** Moves through an episode; `sample` brings its arrays to a time. */
+/** Interpolated episode; `sample` updates its arrays to a time. */
 export class Episode {
   constructor(payload) {
     const { about } = payload;
@@ -15,22 +15,22 @@ export class Episode {
     this.sample(this.start);
   }
 
-  /** Take in rows that have come since; in replays all are there from the start. */
+  /** Read rows that have been added; replays have all rows from the start. */
   read() {
     for (const name of ["end", "conflict", "seen"]) this[name] = this.payload.array(name);
     this.times = this.payload.array("time");
     this.duration = this.times[this.about.rows - 1];
   }
 
-  /** Bring everything to a time, s. */
+  /** Interpolate all arrays at a time, s. */
   sample(time) {
     const last = this.about.rows - 1;
     this.time = Math.min(Math.max(time, this.start), this.duration);
     const place = Math.min((this.time - this.start) / this.period, last);
-    // The small number keeps rounding from showing the row before.
+    // The tolerance prevents rounding from selecting the previous row.
     this.row = Math.min(Math.floor(place + 1e-4), last);
     this.share = Math.max(0, place - this.row);
-    // A decision ends with its row: what it told holds while it lasts.
+    // Data of a decision are stored at its final row and hold during the decision.
     this.decision = Math.min(Math.ceil(place - 1e-4), last);
     for (const name of this.moving)
       this.payload.series(name).between(this.row, this.share, this[name]);
@@ -52,7 +52,7 @@ export class Episode {
     return this.flies(drone) ? this.rotors.at(this.row, drone) : 0;
   }
 
-  /** Least and greatest x, y, z of all that moves: [[x, y, z], [x, y, z]]. */
+  /** Minimum and maximum x, y, z of all moving objects: [[x, y, z], [x, y, z]]. */
   bounds() {
     const low = [Infinity, Infinity, Infinity];
     const high = [-Infinity, -Infinity, -Infinity];

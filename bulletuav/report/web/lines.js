@@ -1,4 +1,4 @@
-// Lines some pixels wide, all of one kind in one draw call.
+// Lines with a width in pixels, drawn in one call for each kind.
 
 import {
   Color,
@@ -25,7 +25,7 @@ varying float moment;
 void main() {
   vec4 a = projectionMatrix * viewMatrix * vec4(start, 1.0);
   vec4 b = projectionMatrix * viewMatrix * vec4(finish, 1.0);
-  // Ends behind the camera are moved to right before it.
+  // Clip lines at the near plane.
   float near = 1e-3;
   if (a.w < near && b.w > near) a = mix(b, a, (b.w - near) / (b.w - a.w));
   if (b.w < near && a.w > near) b = mix(a, b, (a.w - near) / (a.w - b.w));
@@ -38,7 +38,7 @@ void main() {
   moment = mix(when.x, when.y, corner.x);
   gl_Position = place;
 }`;
-/** The same for circles about `centre`, level, whose line has a width of its own. */
+/** The same for horizontal circles about `centre`, each with its own line width. */
 const RING = VERTEX.replace(
   "attribute vec3 start;\nattribute vec3 finish;",
   "attribute vec3 centre;\nattribute vec2 arc;\nattribute float thick;\nuniform float radius;",
@@ -58,18 +58,18 @@ uniform float opacity;
 varying vec3 hue;
 varying float moment;
 void main() {
-  // Lines with a time fade as they age; the others have none.
+  // Lines with a time stamp fade with age; others do not.
   float age = now - moment;
   if (reach > 0.0 && (age < 0.0 || age > reach)) discard;
   gl_FragColor = vec4(hue, opacity * (reach > 0.0 ? 1.0 - 0.85 * age / reach : 1.0));
   #include <colorspace_fragment>
 }`;
-const CORNERS = [0, -1, 1, -1, 0, 1, 1, 1]; // of a line: along it, across it
+const CORNERS = [0, -1, 1, -1, 0, 1, 1, 1]; // of a line: coordinate along and across
 const TRIANGLES = [0, 2, 1, 1, 2, 3];
-const PARTS = ["start", "finish", "tint", "when"]; // of a line, what changes
+const PARTS = ["start", "finish", "tint", "when"]; // attributes of a line
 const shared = { size: { value: new Vector2(1, 1) } };
 
-/** Tell lines how large the picture is, pixels. */
+/** Set the size of the canvas for all lines, pixels. */
 export function setLineSize(width, height) {
   shared.size.value.set(width, height);
 }
@@ -111,9 +111,9 @@ function lineGeometry(most) {
 }
 
 /**
- * Up to `most` lines; `put` them from 0 on, then tell by `show` how many there are.
+ * Up to `most` lines: set them by `put`, from 0 on, then draw their number by `show`.
  *
- * Each has four corners of its own: where the processor draws, instances as small are slow.
+ * Each line has its own four vertices: small instances are slow with software rendering.
  */
 export class Lines extends Mesh {
   constructor(most, width, opacity = 1) {
@@ -123,7 +123,7 @@ export class Lines extends Mesh {
     this.parts = PARTS.map((name) => this.geometry.attributes[name]);
   }
 
-  /** Make room for more lines; those that are there stay. */
+  /** Increase the capacity; existing lines are kept. */
   grow(most) {
     const geometry = lineGeometry(most);
     const parts = PARTS.map((name) => geometry.attributes[name]);
@@ -145,7 +145,7 @@ export class Lines extends Mesh {
     }
   }
 
-  /** Draw so many lines, of which those from `first` on have changed. */
+  /** Draw `count` lines, of which those from `first` on have changed. */
   show(count, first = 0) {
     this.geometry.setDrawRange(0, 6 * count);
     for (const part of this.parts) {
@@ -156,7 +156,7 @@ export class Lines extends Mesh {
   }
 }
 
-/** Circles about drones, level. */
+/** Horizontal circles about drones. */
 export class Rings extends Mesh {
   constructor(count, radius) {
     const geometry = new InstancedBufferGeometry();
@@ -198,20 +198,20 @@ export class Rings extends Mesh {
   }
 }
 
-/** Trails of all drones: pieces in the order of time, of which those in reach are drawn. */
+/** Trails of all drones: segments in chronological order, of which the recent ones are drawn. */
 export class Trails extends Lines {
   constructor(episode) {
     const { rows, drones, colours } = episode.about;
     super(Math.max(1, (rows - 1) * drones), 2);
     this.episode = episode;
     this.hues = colours.map((one) => new Color(one));
-    // Pieces of row k are those from `begins[k]` on.
+    // The segments of row k start at `begins[k]`.
     this.begins = [];
     this.total = 0;
     this.read();
   }
 
-  /** Add the pieces of rows that have come since. */
+  /** Add the segments of new rows. */
   read() {
     const { about, payload, times, end } = this.episode;
     const position = payload.series("position");
@@ -234,7 +234,7 @@ export class Trails extends Lines {
     this.show(this.total, first);
   }
 
-  /** Show what was flown in the last `reach` seconds. */
+  /** Show the last `reach` seconds. */
   update(reach) {
     const { time, start, row, period } = this.episode;
     const before = (one) => this.begins[one] ?? this.total;

@@ -1,4 +1,4 @@
-// Live pages: an episode that grows as the server tells what is flown; report/live.py is the writer.
+// Live pages: an episode that grows by server-sent events; report/live.py is the writer.
 
 import { byId } from "./controls.js";
 import { readPayload } from "./payload.js";
@@ -25,7 +25,7 @@ class Column {
   }
 }
 
-/** Rows of a series that `payload.js` read. */
+/** Values of a series of `payload.js`, row by row, from row `first` on. */
 function rowsOf(series, first) {
   const parts = series.low.length;
   const values = new Float32Array((series.rows - first) * parts);
@@ -34,7 +34,7 @@ function rowsOf(series, first) {
   return values;
 }
 
-/** A series that grows: what `payload.js` offers of one, row by row. */
+/** A series that grows row by row, with the interface of a series of `payload.js`. */
 class GrowingSeries {
   constructor(series, turns) {
     this.parts = series.low.length;
@@ -55,7 +55,7 @@ class GrowingSeries {
     });
   }
 
-  /** Give quaternions the signs that are near to those of the row before. */
+  /** Choose the signs of quaternions so that they are close to the previous row. */
   align(values) {
     const { values: before } = this.rows;
     const from = before.length - values.length;
@@ -87,7 +87,7 @@ class GrowingSeries {
 const COLUMNS = ["time", "conflict", "seen", "contact_row", "contact_point", "link_drone"];
 COLUMNS.push("link_target", "link_start");
 
-/** A payload to which rows come: two at a time, of which the first is known. */
+/** A payload that grows. Updates have two rows, the first of which is known. */
 export class LivePayload {
   constructor(payload) {
     this.about = payload.about;
@@ -100,7 +100,7 @@ export class LivePayload {
       const series = new GrowingSeries(payload.series(own), own.endsWith("quaternion"));
       this.lines.set(own, series);
     }
-    // Decisions that each drone has flown; one more for those that fly on.
+    // Number of decisions that each drone has flown, plus one for drones that still fly.
     this.flown = payload.array("end").slice();
     this.end = this.flown.map((count) => (count === this.about.rows - 1 ? count + 1 : count));
   }
@@ -120,7 +120,7 @@ export class LivePayload {
     add("link_target", array("link_target").subarray(first));
     add("link_start", [links + last - first]);
     for (const [name, series] of this.lines) {
-      // What a sensor does not tell this time has no value.
+      // Readings that are missing in this update have no value.
       if (news.has(name)) series.push(rowsOf(news.series(name), 1));
       else series.push(new Float32Array(series.parts).fill(NaN));
     }
@@ -130,7 +130,7 @@ export class LivePayload {
     about.rows += 1;
   }
 
-  /** Take in that nothing more comes. */
+  /** Mark the episode as complete. */
   finish() {
     [this.grows, this.end] = [false, this.flown];
   }
@@ -149,16 +149,16 @@ export class LivePayload {
   }
 }
 
-/** Show what the server tells, from the first episode on, which `begin` makes a player of. */
+/** Show the server's events; `begin` creates the player of the first episode. */
 export function listen(begin, fail) {
   const source = new EventSource("feed");
   let player = null;
   let turn = Promise.resolve();
-  const tell = (text) => {
+  const showStatus = (text) => {
     byId("feed").hidden = false;
     byId("feed").textContent = text;
   };
-  // What comes is read one after the other, as reading takes a while.
+  // Events are handled in order, as decoding is asynchronous.
   const take = (name, act) =>
     source.addEventListener(name, (event) => {
       turn = turn.then(() => act(event.data)).catch(fail);
@@ -167,7 +167,7 @@ export function listen(begin, fail) {
     const payload = new LivePayload(await readPayload(data));
     if (player) player.load(payload);
     else player = begin(payload);
-    tell("Live");
+    showStatus("Live");
   });
   take("rows", async (data) => {
     player.episode.payload.append(await readPayload(data));
@@ -176,8 +176,8 @@ export function listen(begin, fail) {
   take("over", () => {
     source.close();
     player?.finish();
-    tell("The flight is over");
+    showStatus("The flight is over");
   });
-  source.addEventListener("open", () => tell("Waiting for the flight"));
-  source.addEventListener("error", () => tell("No connection: trying again"));
+  source.addEventListener("open", () => showStatus("Waiting for the flight"));
+  source.addEventListener("error", () => showStatus("Connection lost: reconnecting"));
 }

@@ -1,4 +1,4 @@
-// Builds the page from its payload, and draws a picture whenever something has changed.
+// Builds the page from its payload, and renders a frame whenever something has changed.
 
 import { Color, Scene, Vector3, WebGLRenderer } from "./three.module.min.js";
 import { View } from "./camera.js";
@@ -29,12 +29,12 @@ const COLOURS = [
   "contact",
   "glow",
 ];
-const PICK = 24; // pixels from a drone within which a click chooses it
-const KEPT = 600; // pictures whose times are kept
-const SPARE = 0.15; // of the size of what grows, around it
-const PLOT_EVERY = 400; // ms between plots of what grows
+const PICK = 24; // maximum distance of a click from a drone that it selects, pixels
+const KEPT = 600; // number of frames whose times are kept
+const SPARE = 0.15; // margin around a growing scene, as a fraction of its size
+const PLOT_EVERY = 400; // interval between plots of a growing episode, ms
 
-/** What plays episodes; `globalThis.replay` for consoles and tests. */
+/** Player of episodes; `globalThis.replay` for consoles and tests. */
 class Player {
   constructor(payload) {
     this.canvas = byId("view");
@@ -43,7 +43,7 @@ class Player {
       chosen: 0,
       speed: 1,
       playing: false,
-      atEnd: false, // of an episode that grows
+      atEnd: false, // whether to stay at the end of a growing episode
       following: false,
       reach: 5,
       trueSize: false,
@@ -63,7 +63,7 @@ class Player {
     this.view.whole();
   }
 
-  /** Show an episode, in place of the one before. */
+  /** Show an episode instead of the previous one. */
   load(payload) {
     this.scene?.traverse((one) => {
       one.geometry?.dispose();
@@ -100,7 +100,7 @@ class Player {
     if (payload.grows) this.goLive();
   }
 
-  /** Take in rows that have come to an episode that grows. */
+  /** Show new rows of a growing episode. */
   grow() {
     const { episode, view } = this;
     episode.read();
@@ -115,7 +115,7 @@ class Player {
     this.plotsAreOld = this.dirty = true;
   }
 
-  /** Take in that an episode grows no more. */
+  /** Mark a growing episode as complete. */
   finish() {
     this.episode.payload.finish();
     this.episode.read();
@@ -123,7 +123,7 @@ class Player {
     this.dirty = true;
   }
 
-  /** Go to the end of an episode that grows, and stay there. */
+  /** Go to the end of a growing episode, and stay there. */
   goLive() {
     this.atEnd = this.episode.payload.grows;
     if (!this.playing) this.toggle();
@@ -198,11 +198,11 @@ class Player {
     this.theme = theme;
     document.documentElement.dataset.theme = theme;
     const style = getComputedStyle(document.documentElement);
-    const told = COLOURS.map((name) => [
+    const colours = COLOURS.map((name) => [
       name,
       new Color(style.getPropertyValue(`--${name}`).trim()),
     ]);
-    const palette = Object.fromEntries(told);
+    const palette = Object.fromEntries(colours);
     this.scene.background = palette.sky;
     for (const part of [this.world, this.drones, this.service]) part.paint(palette);
     this.plots.draw();
@@ -210,17 +210,17 @@ class Player {
     this.dirty = true;
   }
 
-  /** Tell what colours mean that are there. */
+  /** Write the legend of the visible colours. */
   writeKey() {
     const { layers } = this;
     const { d_safe: safe } = this.episode.about;
     const entries = [
-      ["conflict", `nearer than d_safe ${safe} m`, true],
-      ["goal", "way to goal", layers.goals],
+      ["conflict", `separation below d_safe ${safe} m`, true],
+      ["goal", "line to goal", layers.goals],
       ["seen", "target in sight", layers.users],
       ["unseen", "target out of sight", layers.users],
-      ["link", "serves", layers.links],
-      ["beam", "range measured", layers.beams],
+      ["link", "serves user", layers.links],
+      ["beam", "range finder beam", layers.beams],
       ["contact", "contact", layers.contacts],
     ].filter(([, , there]) => there);
     byId("key").replaceChildren(
@@ -241,7 +241,7 @@ class Player {
     this.renderer.setPixelRatio(ratio);
     this.renderer.setSize(width, height, false);
     setLineSize(width, height);
-    // The panel is on the right, in narrow windows below, or hidden.
+    // The panel is on the right, below in narrow windows, or hidden.
     const panel = byId("side").getBoundingClientRect();
     const isBelow = panel.width > 0.5 * width;
     const lower = isBelow ? panel : document.querySelector("footer").getBoundingClientRect();
@@ -251,7 +251,7 @@ class Player {
     this.dirty = true;
   }
 
-  /** Where a drone is in the picture, pixels; null behind the camera. */
+  /** Return the position of a drone on the canvas, pixels; null behind the camera. */
   project(drone) {
     const at = this.spot.fromArray(this.episode.position, 3 * drone).project(this.view.camera);
     if (at.z > 1) return null;
@@ -259,7 +259,7 @@ class Player {
   }
 
   pick(event) {
-    // What was dragged is no click.
+    // A drag is not a click.
     if (Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]) > 4) return;
     let [best, nearest] = [-1, PICK];
     for (let k = 0; k < this.episode.about.drones; k += 1) {
@@ -270,7 +270,7 @@ class Player {
     if (best >= 0) this.choose(best);
   }
 
-  /** One turn of the page: go on in time, and draw if anything has changed. */
+  /** Animation loop: advance the time, and draw if anything has changed. */
   turn(now) {
     const begin = performance.now();
     const seconds = Math.min(0.1, (now - (this.before ?? now)) / 1000);
@@ -294,7 +294,7 @@ class Player {
     requestAnimationFrame((later) => this.turn(later));
   }
 
-  /** Stay about a decision behind what has come, so that drones move without a stop. */
+  /** Stay about one decision behind the latest row, so that drones move smoothly. */
   approachEnd(seconds) {
     const { time, duration, period } = this.episode;
     const lag = duration - time;
@@ -318,17 +318,17 @@ class Player {
     this.write();
   }
 
-  /** Bring texts and plots to the time that is shown. */
+  /** Update texts and plots to the displayed time. */
   write() {
     const { episode, chosen } = this;
     byId("clock").textContent = `${episode.time.toFixed(1)} / ${episode.duration.toFixed(1)} s`;
     byId("scrub").value = episode.time;
     const [x, y, z] = episode.position.subarray(3 * chosen, 3 * chosen + 3);
     const now = !episode.flies(chosen)
-      ? "has finished"
+      ? "finished"
       : episode.inConflict(chosen)
         ? "in conflict"
-        : "flies";
+        : "flying";
     byId("state").textContent = `${now}, at ${x.toFixed(1)}, ${y.toFixed(1)}, ${z.toFixed(1)} m`;
     const at = this.project(chosen);
     byId("tag").hidden = !at;
@@ -340,20 +340,20 @@ class Player {
   }
 }
 
-/** Take what the address tells behind #: time, drone, theme, follow, play. */
-function obey(player) {
-  const told = new URLSearchParams(location.hash.slice(1));
-  if (told.has("theme")) player.setTheme(told.get("theme") === "dark" ? "dark" : "light");
-  if (told.has("drone")) player.choose(Number(told.get("drone")) || 0);
-  if (told.has("time")) player.seek(Number(told.get("time")) || 0);
-  if (told.has("follow")) player.follow(true);
-  if (told.has("play")) player.toggle();
+/** Apply the options in the URL fragment: time, drone, theme, follow, play. */
+function applyFragment(player) {
+  const options = new URLSearchParams(location.hash.slice(1));
+  if (options.has("theme")) player.setTheme(options.get("theme") === "dark" ? "dark" : "light");
+  if (options.has("drone")) player.choose(Number(options.get("drone")) || 0);
+  if (options.has("time")) player.seek(Number(options.get("time")) || 0);
+  if (options.has("follow")) player.follow(true);
+  if (options.has("play")) player.toggle();
 }
 
-/** Begin with the first episode. */
+/** Create the player of the first episode. */
 function begin(payload) {
   const player = new Player(payload);
-  obey(player);
+  applyFragment(player);
   globalThis.replay = player;
   requestAnimationFrame((now) => player.turn(now));
   return player;

@@ -1,28 +1,28 @@
-// Reads the block of numbers that the page carries; report/payload.py writes it.
+// Reader of the page's payload; report/payload.py is the writer.
 
 const NO_VALUE = 65535;
 const TYPES = { f4: Float32Array, u4: Uint32Array, u2: Uint16Array, u1: Uint8Array };
 
-/** Numbers over time, rounded: `parts` lines of `rows` values each. */
+/** A quantized time series: `rows` values for each of its parts. */
 class Series {
   constructor(changes, low, step, rows) {
     this.low = low;
     this.step = step;
     this.rows = rows;
     this.codes = changes;
-    // What is kept is the change from row to row; sums wrap as the differences did.
+    // Stored values are differences between rows, modulo 2^16; sum them up in place.
     for (let part = 0; part < low.length; part += 1) {
       for (let k = part * rows + 1; k < (part + 1) * rows; k += 1) changes[k] += changes[k - 1];
     }
   }
 
-  /** One value; NaN where there is none. */
+  /** Return one value; NaN if it is missing. */
   at(row, part) {
     const code = this.codes[part * this.rows + row];
     return code === NO_VALUE ? NaN : this.low[part] + code * this.step[part];
   }
 
-  /** Write all values of a row between two rows to `out`. */
+  /** Interpolate all values between two rows into `out`. */
   between(row, share, out) {
     const { codes, low, step, rows } = this;
     const next = row + 1 < rows ? 1 : 0;
@@ -32,14 +32,14 @@ class Series {
   }
 }
 
-/** What the page shows: `about`, and arrays by name. */
+/** The payload: metadata in `about`, and arrays by name. */
 export class Payload {
   constructor(block) {
     const length = new DataView(block).getUint32(0, true);
     this.about = JSON.parse(new TextDecoder().decode(new Uint8Array(block, 4, length)));
     this.block = block;
     this.start = 4 + length;
-    this.grows = false; // as live ones do
+    this.grows = false; // true for live payloads
     this.known = new Map();
   }
 
@@ -63,7 +63,7 @@ export class Payload {
   }
 }
 
-/** Read the text that `Payload.text` in Python wrote. */
+/** Decode the text of `Payload.text` in Python. */
 export async function readPayload(text) {
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const whole = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));

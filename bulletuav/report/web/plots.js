@@ -1,8 +1,8 @@
-// Plots of the chosen drone, with a cursor at the time that is shown.
+// Plots of the selected drone, with a cursor at the displayed time.
 
-const HEIGHT = 54; // pixels of a plot
-const GUTTER = 42; // pixels on the left, for the least and the greatest value
-const MOST_NAMES = 4; // lines whose names and values stand above a plot
+const HEIGHT = 54; // of a plot, pixels
+const GUTTER = 42; // space on the left for the minimum and maximum, pixels
+const MOST_NAMES = 4; // maximum number of lines with their names and values above a plot
 const OPEN = ["Flight", "Reward"];
 
 function written(value) {
@@ -20,7 +20,7 @@ function element(tag, parent, text = "") {
   return made;
 }
 
-/** Colour of one line of several. */
+/** Return the colour of line k of several. */
 function lineColour(k, count, ink) {
   return count === 1 ? ink : `hsl(${(210 + (360 * k) / count) % 360} 65% 52%)`;
 }
@@ -142,7 +142,7 @@ export class Plots {
   constructor(episode, parent, seek) {
     this.drone = 0;
     this.groups = new Map();
-    // Groups that the reader opened stay so in the next episode.
+    // Groups that the user opened stay open in the next episode.
     const before = [...parent.children].map((one) => [one.dataset.name, one.open]);
     this.open = new Map([...OPEN.map((name) => [name, true]), ...before]);
     parent.replaceChildren();
@@ -158,7 +158,7 @@ export class Plots {
     element("summary", details, name);
     details.dataset.name = name;
     details.open = this.open.get(name) ?? false;
-    // Plots have no size, and are not drawn, while their group is closed.
+    // Plots of a closed group have no size and are not drawn.
     details.addEventListener("toggle", () => this.draw());
     this.groups.set(name, { details, plots: [] });
   }

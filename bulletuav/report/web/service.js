@@ -1,4 +1,4 @@
-// Users on the ground, the links that serve them, and the beams of the chosen drone's range finder.
+// Users on the ground, links to their serving drones, and the selected drone's range finder beams.
 
 import {
   CylinderGeometry,
@@ -12,8 +12,8 @@ import {
 import { Lines } from "./lines.js";
 import { joined, pose, writePose } from "./shapes.js";
 
-const TALL = 1.7; // m, of a user
-const SMALLEST = 13; // pixels, at which a user is seen
+const TALL = 1.7; // height of a user, m
+const SMALLEST = 13; // minimum size of a user, pixels
 
 function person() {
   const white = new Color(1, 1, 1);
@@ -29,7 +29,7 @@ export class Service extends Group {
     super();
     this.episode = episode;
     const { about, payload } = episode;
-    // Targets that stay where they are may be cells of the ground.
+    // Static targets may be cells of the ground: only moving ones are drawn as people.
     this.walk = payload.series("target").step.some((step) => step > 0);
     const figure = this.walk ? person() : new SphereGeometry(0.5, 10, 8);
     this.users = new InstancedMesh(figure, new MeshLambertMaterial(), Math.max(1, about.users));
@@ -62,7 +62,7 @@ export class Service extends Group {
     for (let k = 0; k < about.users; k += 1) {
       const [x, y, z] = [at[3 * k], at[3 * k + 1], at[3 * k + 2]];
       const scale = trueSize ? 1 : Math.max(1, (SMALLEST * pixel(x, y, z)) / TALL);
-      // Targets are at the height of what a user holds: figures stand on the ground below.
+      // Targets are at the height of the user's device: figures stand on the ground below.
       const foot = this.walk ? Math.max(0, z - TALL) : z;
       writePose(this.users.instanceMatrix.array, 16 * k, x, y, foot, 0, 0, 0, 1, scale);
       const colour = this.episode.isSeen(k) ? this.palette.seen : this.palette.unseen;
@@ -95,7 +95,7 @@ export class Service extends Group {
     }
     let [cosine, sine] = [1, 0];
     if (about.lidar.frame === "yaw") {
-      // The heading is that of the nose over ground.
+      // The heading is the horizontal direction of the body's x axis.
       const [x, y, z, w] = q.subarray(4 * chosen, 4 * chosen + 4);
       const [east, north] = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w)];
       const level = Math.hypot(east, north) || 1;

@@ -1,4 +1,4 @@
-// Geometries of the package's shapes, and several of them joined to one.
+// Geometries of the package's shapes, and merging of geometries.
 
 import {
   BoxGeometry,
@@ -12,9 +12,9 @@ import {
   Vector3,
 } from "./three.module.min.js";
 
-const [SPHERE, CYLINDER, BOX] = [0, 1, 2]; // numbers of geometry/shapes.py
+const [SPHERE, CYLINDER, BOX] = [0, 1, 2]; // kinds in geometry/shapes.py
 
-/** Geometry of a shape about its own origin. */
+/** Return the geometry of a shape about its own origin. */
 export function shapeGeometry({ kind, half, corners, triangles }) {
   if (kind === SPHERE) return new SphereGeometry(half[0], 20, 14);
   if (kind === CYLINDER)
@@ -28,7 +28,7 @@ export function shapeGeometry({ kind, half, corners, triangles }) {
   return flat;
 }
 
-/** Join geometries, each with its place and colour, to one with colours of corners. */
+/** Merge geometries, each with its pose and colour, to one with vertex colours. */
 export function joined(parts) {
   const position = [];
   const normal = [];
@@ -51,7 +51,7 @@ export function joined(parts) {
   return whole;
 }
 
-/** A place: where, how turned, how large. */
+/** Return the matrix of a position, a quaternion and a scale. */
 export function pose(position, quaternion = [0, 0, 0, 1], scale = [1, 1, 1]) {
   return new Matrix4().compose(
     new Vector3(...position),
@@ -60,12 +60,12 @@ export function pose(position, quaternion = [0, 0, 0, 1], scale = [1, 1, 1]) {
   );
 }
 
-/** Colour of [red, green, blue], as sRGB. */
+/** Return the colour of sRGB components [red, green, blue]. */
 export function hue([red, green, blue]) {
   return new Color().setRGB(red, green, blue, "srgb");
 }
 
-/** Write the matrix of a place and a scale into `out` from `at` on, without making objects. */
+/** Write the matrix of a pose and a scale into `out` from `at` on, without allocations. */
 export function writePose(out, at, x, y, z, qx, qy, qz, qw, scale) {
   const [xx, yy, zz] = [2 * qx * qx, 2 * qy * qy, 2 * qz * qz];
   const [xy, xz, yz] = [2 * qx * qy, 2 * qx * qz, 2 * qy * qz];

@@ -1,4 +1,4 @@
-// What stands around: ground, city, obstacles, light.
+// Static scene: ground, city, obstacles, light.
 
 import {
   BatchedMesh,
@@ -20,7 +20,7 @@ import {
 } from "./three.module.min.js";
 import { hue, joined, shapeGeometry, writePose } from "./shapes.js";
 
-const REACH = 25; // of the ground to each side, in sizes of the scene
+const REACH = 25; // radius of the ground, in sizes of the scene
 const GROUND_VERTEX = `
 varying vec2 place;
 varying vec2 aside;
@@ -34,7 +34,7 @@ uniform vec3 land, grid, sky;
 uniform float pitch, reach;
 varying vec2 place;
 varying vec2 aside;
-// How much of a pixel a line of the grid covers; far lines fade before they flicker.
+// Coverage of a pixel by a grid line; far lines fade out, to avoid aliasing.
 float lines(float apart) {
   vec2 at = place / apart;
   vec2 size = fwidth(at);
@@ -47,9 +47,9 @@ void main() {
   gl_FragColor = vec4(mix(colour, sky, smoothstep(0.1, 0.95, length(aside) / reach)), 1.0);
   #include <colorspace_fragment>
 }`;
-const MOST_EDGES = 200000; // triangles of a city up to which its edges are drawn
+const MOST_EDGES = 200000; // maximum number of a city's triangles up to which its edges are drawn
 
-/** Lowest and highest corner of everything, with a margin, and what follows for the view. */
+/** Return the bounding box of the scene with a margin, its centre and its size. */
 export function extent(episode, margin = 0) {
   const [low, high] = episode.bounds();
   const corners = episode.payload.array("city_corners");
@@ -57,7 +57,7 @@ export function extent(episode, margin = 0) {
     low[k % 3] = Math.min(low[k % 3], corners[k]);
     high[k % 3] = Math.max(high[k % 3], corners[k]);
   }
-  // Rings reach over what they are about.
+  // The d_safe circles extend beyond the positions of drones.
   for (const axis of [0, 1, 2]) {
     const more = (axis < 2 ? 0.5 * episode.about.d_safe : 0) + margin * (high[axis] - low[axis]);
     low[axis] -= axis < 2 ? more : 0;
@@ -68,7 +68,7 @@ export function extent(episode, margin = 0) {
   return { low, high, middle, size };
 }
 
-/** The nearest of 1, 2, 5, 10, 20, ... to a length, m. */
+/** Round a length to the nearest of 1, 2, 5, 10, 20, ... m. */
 function roundLength(length) {
   const power = 10 ** Math.floor(Math.log10(length));
   return (
@@ -108,7 +108,7 @@ export class World extends Group {
         depthWrite: false,
       }),
     );
-    // Drawn before all else and without depth: nothing is below it.
+    // Drawn first and without depth, as nothing is below the ground.
     this.ground.renderOrder = -1;
     this.ground.position.set(middle[0], middle[1], 0);
     this.add(this.ground);
@@ -123,7 +123,7 @@ export class World extends Group {
     whole.setIndex(new BufferAttribute(payload.array("city_triangles"), 1));
     const flat = whole.toNonIndexed();
     flat.computeVertexNormals();
-    // Walls are darker near the ground, so that heights can be told.
+    // Walls are darker near the ground, to make heights visible.
     const place = flat.attributes.position;
     const shade = new Float32Array(3 * place.count);
     for (let k = 0; k < place.count; k += 1) {

@@ -1,4 +1,4 @@
-"""What decides the results of flights, as a file can tell it."""
+"""Description of what determines the results of an evaluation, as stored in files."""
 
 import functools
 import hashlib
@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numba
 
-from bulletuav.analysis.episodes import BATCH, Flights
+from bulletuav.analysis.episodes import BATCH, EpisodeJob
 from bulletuav.analysis.metrics import MetricSpec
 from bulletuav.envs.described import described, parts_of, text_of
 from bulletuav.envs.env_spec import EnvSpec
@@ -21,22 +21,25 @@ from bulletuav.version import __version__
 _PACKAGE = Path(__file__).parent.parent
 
 
-def about_flights(
-    flights: Flights[Any],
+def describe_flights(
+    flights: EpisodeJob[Any],
     pilot: PolicySpec,
     call: str | None,
     measures: Sequence[MetricSpec] = (),
 ) -> dict[str, Any]:
-    """Tell what is flown, as a JSON file can hold it.
+    """Return a description of the flown episodes that can be stored as JSON.
 
     Args:
         flights: The episodes.
-        pilot: Who flies them.
-        call: The arguments that made them, as a Python literal.
-        measures: Metrics of users, whose code counts, too.
+        pilot: The policy.
+        call: Arguments of the call, as a Python literal.
+        measures: Custom metrics, whose source code is part of the fingerprint.
+
+    Returns:
+        The description, as it would be read back from a file.
 
     Raises:
-        ValueError: The policy cannot give the action.
+        ValueError: If the policy cannot output the action of the environment.
     """
     spec = EnvSpec(flights.task, BATCH, flights.options)
     check_action(pilot.name, pilot.actions, spec.options.action)
@@ -53,7 +56,7 @@ def about_flights(
         "options": described(spec.options, spec.task.config),
         "call": call,
     }
-    # As it comes back from a file, with which it is compared.
+    # The description is compared with one from a file, so it must pass through JSON, too.
     return cast(dict[str, Any], json.loads(json.dumps(about)))
 
 
@@ -61,7 +64,7 @@ def hash_sources(package: Path = _PACKAGE) -> str:
     """Hash the Python files of a package, and the version of numba.
 
     Args:
-        package: Folder of the package; all files below it count, by path and content.
+        package: Folder of the package; all files below it are hashed with their paths.
 
     Returns:
         16 hexadecimal digits.
@@ -74,26 +77,26 @@ def hash_sources(package: Path = _PACKAGE) -> str:
 
 
 @functools.cache
-def _own_sources() -> str:
-    """Hash this package once: what is edited later is not what this process runs."""
+def _hash_own_sources() -> str:
+    """Hash this package, once per process.
+
+    Later edits of the files do not change the code that this process runs.
+    """
     return hash_sources()
 
 
 def _fingerprint(
-    flights: Flights[Any],
-    spec: EnvSpec,
-    models: Sequence[Path],
-    measures: Sequence[MetricSpec],
+    flights: EpisodeJob[Any], spec: EnvSpec, models: Sequence[Path], measures: Sequence[MetricSpec]
 ) -> str:
-    """Hash what decides the results and has no value to compare.
+    """Hash whatever affects the results but has no comparable value.
 
-    That is the code, the airframes, the cities, and files of models.
+    These are source code, airframes, cities, and model files.
     """
-    # Code of the package, and of what comes from outside of it.
-    digest = hashlib.sha256(_own_sources().encode())
+    # Source code of the package, and of policies and metrics from outside of it.
+    digest = hashlib.sha256(_hash_own_sources().encode())
     policy = flights.policy
     policies = policy.sides.values() if isinstance(policy, Versus) else (policy,)
-    # Names and paths are compared by themselves
+    # Names and paths are compared as values
     for source in (*policies, *(metric.source for metric in measures)):
         if not isinstance(source, str | Path):
             digest.update(text_of(source).encode())
