@@ -29,12 +29,7 @@ def check_flags(**flags: Any) -> None:
             raise ValueError(f"{name} is {shown(value)}: True or False is needed")
 
 
-def check_extent(
-    path: Path,
-    low: np.ndarray,
-    high: np.ndarray,
-    side: float | None,
-) -> None:
+def check_extent(path: Path, low: np.ndarray, high: np.ndarray, side: float | None) -> None:
     """Refuse a city that is larger than the room of a world, before anything is made of it.
 
     Args:
@@ -60,10 +55,7 @@ def check_extent(
 
 
 def assemble(
-    path: Path,
-    pieces: Sequence[tuple[str, np.ndarray]],
-    side: float | None,
-    notes: Notebook,
+    path: Path, pieces: Sequence[tuple[str, np.ndarray]], side: float | None, notes: Notebook
 ) -> City:
     """Make a city of convex pieces.
 

@@ -19,12 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 
-def serve(
-    coacd: Any,
-    meshes: BinaryIO,
-    answers: BinaryIO,
-    concavity: float,
-) -> None:
+def serve(coacd: Any, meshes: BinaryIO, answers: BinaryIO, concavity: float) -> None:
     """Split meshes until there are no more.
 
     Args:

@@ -141,10 +141,7 @@ class Decomposer:
 
 
 def _end_late(
-    process: "subprocess.Popen[bytes]",
-    mesh: Mesh,
-    is_done: threading.Event,
-    limits: list[float],
+    process: "subprocess.Popen[bytes]", mesh: Mesh, is_done: threading.Event, limits: list[float]
 ) -> None:
     """Kill the process when a mesh takes too long, sooner if it crosses itself.
 

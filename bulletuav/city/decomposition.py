@@ -17,12 +17,7 @@ CHUNK = 64
 """Samples whose distances are found together"""
 
 
-def split(
-    mesh: Mesh,
-    where: str,
-    notes: Notebook,
-    decompose: Decomposer,
-) -> Iterator[np.ndarray]:
+def split(mesh: Mesh, where: str, notes: Notebook, decompose: Decomposer) -> Iterator[np.ndarray]:
     """Split what a mesh holds into convex pieces.
 
     Each closed component is one piece where it is convex. Upright prisms are cut exactly, all
@@ -62,11 +57,7 @@ def split(
 
 
 def _split_component(
-    mesh: Mesh,
-    hull: float,
-    where: str,
-    notes: Notebook,
-    decompose: Decomposer,
+    mesh: Mesh, hull: float, where: str, notes: Notebook, decompose: Decomposer
 ) -> Iterator[np.ndarray]:
     """Split a mesh, whose hull has a volume, m^3, into convex pieces."""
     closed = outward(mesh)

@@ -141,10 +141,7 @@ def _lots(
 
 
 def _buildings(
-    ground: float,
-    lots: np.ndarray,
-    rng: np.random.Generator,
-    irregularity: float,
+    ground: float, lots: np.ndarray, rng: np.random.Generator, irregularity: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return boxes (P, 2, 3) without height that cover `ground` m^2, and their lots (P,)."""
     count = len(lots)

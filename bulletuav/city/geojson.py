@@ -129,11 +129,7 @@ def _footprints(path: Path, notes: Notebook) -> list[Footprint]:
     return found
 
 
-def _shape(
-    feature: Any,
-    where: str,
-    notes: Notebook,
-) -> Any:
+def _shape(feature: Any, where: str, notes: Notebook) -> Any:
     """Return the footprint of a feature as a valid shapely geometry in two dimensions, if any."""
     shapely = import_shapely("reading GeoJSON")
     geometry = feature.get("geometry") if isinstance(feature, dict) else None

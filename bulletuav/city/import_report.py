@@ -136,13 +136,7 @@ class Notebook:
         self.notes: list[Note] = []
         self.splits: list[Split] = []
 
-    def add(
-        self,
-        kind: str,
-        where: str,
-        what: str,
-        needed: str = "",
-    ) -> None:
+    def add(self, kind: str, where: str, what: str, needed: str = "") -> None:
         """Note what was found.
 
         Args:

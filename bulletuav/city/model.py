@@ -176,11 +176,7 @@ class City:
         return np.concatenate(point), np.concatenate(piece), np.concatenate(distance)
 
     def _near_group(
-        self,
-        plan: np.ndarray,
-        group: np.ndarray,
-        reach: float,
-        sides: np.ndarray,
+        self, plan: np.ndarray, group: np.ndarray, reach: float, sides: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Do as `_near`, of the points with the indices `group`.
 
@@ -209,11 +205,7 @@ class City:
         return point[near], piece[near], distance[near]
 
 
-def _distance(
-    point: np.ndarray,
-    start: np.ndarray,
-    way: np.ndarray,
-) -> np.ndarray:
+def _distance(point: np.ndarray, start: np.ndarray, way: np.ndarray) -> np.ndarray:
     """Return the distances (M,) from points (M, 1, 2) to convex polygons, 0 inside.
 
     Their sides begin at `start` and go `way`, both (M, V, 2).

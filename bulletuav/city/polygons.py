@@ -92,11 +92,7 @@ def area_of(outline: np.ndarray) -> float:
     return float(_cross(outline, np.roll(outline, -1, axis=0)).sum() / 2)
 
 
-def extruded(
-    outline: np.ndarray,
-    bottom: float,
-    top: float,
-) -> np.ndarray:
+def extruded(outline: np.ndarray, bottom: float, top: float) -> np.ndarray:
     """Return the corners (2 V, 3) of a prism between two heights, m, over an outline (V, 2)."""
     return np.concatenate([np.insert(outline, 2, z, axis=1) for z in (bottom, top)])
 
@@ -129,11 +125,7 @@ def _from(piece: list[int], corner: int) -> list[int]:
     return piece[k:] + piece[:k]
 
 
-def _is_convex_at(
-    points: np.ndarray,
-    piece: list[int],
-    corner: int,
-) -> bool:
+def _is_convex_at(points: np.ndarray, piece: list[int], corner: int) -> bool:
     """Tell whether a piece turns left, or goes straight on, at a corner."""
     k = piece.index(corner)
     around = points[[piece[k - 1], corner, piece[(k + 1) % len(piece)]]]

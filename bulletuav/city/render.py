@@ -13,11 +13,7 @@ DIRECTION = np.array([-0.5, -0.75, 0.6])
 """From where the city is seen"""
 
 
-def render(
-    solids: Solids,
-    side: float,
-    size: tuple[int, int] = (1200, 800),
-) -> np.ndarray:
+def render(solids: Solids, side: float, size: tuple[int, int] = (1200, 800)) -> np.ndarray:
     """Render a city from the south-west and above; no screen is needed.
 
     Args:

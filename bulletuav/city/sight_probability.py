@@ -48,10 +48,7 @@ SURFACE_B = (
 
 
 def p1410_los(
-    statistics: Statistics,
-    distance: np.ndarray,
-    transmitter: np.ndarray,
-    receiver: float = 1.5,
+    statistics: Statistics, distance: np.ndarray, transmitter: np.ndarray, receiver: float = 1.5
 ) -> np.ndarray:
     """Return the chance that no roof reaches the ray between two antennas.
 

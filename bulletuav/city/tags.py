@@ -81,12 +81,7 @@ class HeightReader:
         notes: Where what is odd is noted.
     """
 
-    def __init__(
-        self,
-        name: str,
-        default: float | None,
-        notes: Notebook,
-    ) -> None:
+    def __init__(self, name: str, default: float | None, notes: Notebook) -> None:
         """Check the property's name and the default.
 
         Args:

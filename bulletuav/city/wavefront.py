@@ -83,9 +83,7 @@ def from_obj(
 
 
 def _on_the_ground(
-    pieces: list[tuple[str, np.ndarray]],
-    elevation: str,
-    notes: Notebook,
+    pieces: list[tuple[str, np.ndarray]], elevation: str, notes: Notebook
 ) -> list[tuple[str, np.ndarray]]:
     """Put buildings of pieces on the ground where that is asked for."""
     lowest: dict[str, float] = {}

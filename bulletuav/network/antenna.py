@@ -29,10 +29,7 @@ INDOOR_MAX_ATTENUATION = 25.0
 
 @func
 def _attenuation(
-    elevation: float,
-    azimuth: float,
-    beamwidth: float,
-    max_attenuation: float,
+    elevation: float, azimuth: float, beamwidth: float, max_attenuation: float
 ) -> float:
     """Return how far below its peak an element radiates (dB), by the angles off its x axis."""
     vertical = min(12.0 * (elevation / beamwidth) ** 2, max_attenuation)
@@ -41,11 +38,7 @@ def _attenuation(
 
 
 @elementwise
-def element_gain(
-    zenith: float,
-    azimuth: float,
-    peak: float,
-) -> float:
+def element_gain(zenith: float, azimuth: float, peak: float) -> float:
     """Return the gain of the element towards a direction, dBi (TR 38.901, table 7.3-1).
 
     Args:
@@ -57,11 +50,7 @@ def element_gain(
 
 
 @elementwise
-def indoor_gain(
-    zenith: float,
-    azimuth: float,
-    peak: float,
-) -> float:
+def indoor_gain(zenith: float, azimuth: float, peak: float) -> float:
     """Return the gain of the wider element for indoor stations and handsets, dBi.
 
     Source: Report ITU-R M.2412, indoor hotspots.
@@ -75,12 +64,7 @@ def indoor_gain(
 
 
 @elementwise
-def local_zenith(
-    zenith: float,
-    azimuth: float,
-    bearing: float,
-    downtilt: float,
-) -> float:
+def local_zenith(zenith: float, azimuth: float, bearing: float, downtilt: float) -> float:
     """Return the zenith angle of a direction in an antenna's local frame, degrees.
 
     TR 38.901, eq. 7.1-7, with slant 0.
@@ -101,12 +85,7 @@ def local_zenith(
 
 
 @elementwise
-def local_azimuth(
-    zenith: float,
-    azimuth: float,
-    bearing: float,
-    downtilt: float,
-) -> float:
+def local_azimuth(zenith: float, azimuth: float, bearing: float, downtilt: float) -> float:
     """Return the azimuth of a direction in an antenna's local frame, degrees.
 
     TR 38.901, eq. 7.1-8, with slant 0. The arguments are those of `local_zenith`.
@@ -120,12 +99,7 @@ def local_azimuth(
 
 
 @elementwise
-def gain_towards(
-    x: float,
-    y: float,
-    z: float,
-    peak: float,
-) -> float:
+def gain_towards(x: float, y: float, z: float, peak: float) -> float:
     """Return the gain of a drone's antenna that looks straight down, dBi.
 
     The antenna has bearing 0 and downtilt 90. The gain is that of `element_gain` at `local_zenith`

@@ -40,12 +40,7 @@ class Arrivals:
         decision: Length of a decision, s, and least and greatest size of a task, bit.
     """
 
-    def __init__(
-        self,
-        rates: np.ndarray,
-        dt: float,
-        bits: tuple[float, float],
-    ) -> None:
+    def __init__(self, rates: np.ndarray, dt: float, bits: tuple[float, float]) -> None:
         """Set up the arrivals.
 
         Args:

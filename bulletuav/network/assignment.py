@@ -25,11 +25,7 @@ LOAD_WEIGHT = 0.1
 
 @elementwise
 def dtlcm_score(
-    distance: float,
-    capacity: float,
-    demand: float,
-    load: float,
-    distance_weight: float,
+    distance: float, capacity: float, demand: float, load: float, distance_weight: float
 ) -> float:
     """Score how well a drone suits a user; higher is better.
 

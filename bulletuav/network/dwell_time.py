@@ -7,11 +7,7 @@ from bulletuav.compiled.kernel import kernel
 
 @kernel
 def watch(
-    dwell_time: np.ndarray,
-    mean: np.ndarray,
-    sight: np.ndarray,
-    alive: np.ndarray,
-    period: float,
+    dwell_time: np.ndarray, mean: np.ndarray, sight: np.ndarray, alive: np.ndarray, period: float
 ) -> None:
     """Bring dwell times and their means up to date after a decision, in place.
 

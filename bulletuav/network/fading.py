@@ -9,9 +9,7 @@ from bulletuav.errors import numbers_of
 
 
 def rician_gain(
-    k: float | np.ndarray,
-    rng: np.random.Generator,
-    shape: tuple[int, ...],
+    k: float | np.ndarray, rng: np.random.Generator, shape: tuple[int, ...]
 ) -> np.ndarray:
     """Draw power gains |h|^2 of Rician fading, with mean 1.
 

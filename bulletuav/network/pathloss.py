@@ -30,10 +30,7 @@ from bulletuav.network.tr38901 import uma_los, uma_nlos, umi_los, umi_nlos
 
 @elementwise
 def log_distance_los(
-    ground_distance: float,
-    drone_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of `log_distance` with line of sight, dB: that of free space."""
     return free_space(antenna_distance(ground_distance, drone_height, user_height), frequency)
@@ -41,10 +38,7 @@ def log_distance_los(
 
 @elementwise
 def log_distance_nlos(
-    ground_distance: float,
-    drone_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of `log_distance` without line of sight, dB.
 
@@ -187,11 +181,7 @@ Values = float | np.ndarray | None
 
 
 def check_validity(
-    name: str,
-    frequency: Values,
-    distance: Values = None,
-    drone: Values = None,
-    user: Values = None,
+    name: str, frequency: Values, distance: Values = None, drone: Values = None, user: Values = None
 ) -> PathLossModel:
     """Return the path loss model of a name, if it is meant for these values.
 

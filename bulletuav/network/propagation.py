@@ -28,11 +28,7 @@ The customary values for 2 GHz: I. Bor-Yaliniz, A. El-Keyi, H. Yanikomeroglu, IE
 
 
 @func
-def antenna_distance(
-    ground_distance: float,
-    height: float,
-    other_height: float,
-) -> float:
+def antenna_distance(ground_distance: float, height: float, other_height: float) -> float:
     """Return the distance between two antennas, m, at least 1 m.
 
     Args:
@@ -55,11 +51,7 @@ def free_space(distance: float, frequency: float) -> float:
 
 
 @elementwise
-def log_distance(
-    distance: float,
-    frequency: float,
-    exponent: float,
-) -> float:
+def log_distance(distance: float, frequency: float, exponent: float) -> float:
     """Return a path loss that grows with a power of the distance, dB.
 
     It is the free-space loss at 1 m, plus 10 n log10(d).
@@ -76,11 +68,7 @@ def log_distance(
 
 @elementwise
 def mean_path_loss(
-    distance: float,
-    frequency: float,
-    los_probability: float,
-    excess_los: float,
-    excess_nlos: float,
+    distance: float, frequency: float, los_probability: float, excess_los: float, excess_nlos: float
 ) -> float:
     """Return the path loss in the mean over places with and without line of sight, dB.
 

@@ -23,11 +23,7 @@ from bulletuav.compiled.kernel import elementwise
 
 
 @elementwise
-def utilisation(
-    servers: float,
-    arrival_rate: float,
-    service_rate: float,
-) -> float:
+def utilisation(servers: float, arrival_rate: float, service_rate: float) -> float:
     """Return the share of the servers' time that is asked for: rho = lambda / (c mu).
 
     The queue is stable below 1.
@@ -62,11 +58,7 @@ def erlang_c(servers: float, load: float) -> float:
 
 
 @elementwise
-def empty_probability(
-    servers: float,
-    arrival_rate: float,
-    service_rate: float,
-) -> float:
+def empty_probability(servers: float, arrival_rate: float, service_rate: float) -> float:
     """Return the probability P0 that there is no task; 0 where lambda >= c mu.
 
     Kleinrock 1975, section 3.5. It is that of the system where nobody waits, times
@@ -88,11 +80,7 @@ def empty_probability(
 
 
 @elementwise
-def mean_wait(
-    servers: float,
-    arrival_rate: float,
-    service_rate: float,
-) -> float:
+def mean_wait(servers: float, arrival_rate: float, service_rate: float) -> float:
     """Return the mean time Wq in the line, s; inf where lambda >= c mu.
 
     It is C / (c mu - lambda), with Erlang's C (Kleinrock 1975, section 3.5).
@@ -104,11 +92,7 @@ def mean_wait(
 
 
 @elementwise
-def mean_response(
-    servers: float,
-    arrival_rate: float,
-    service_rate: float,
-) -> float:
+def mean_response(servers: float, arrival_rate: float, service_rate: float) -> float:
     """Return the mean time W from arrival to completion, s; inf where lambda >= c mu.
 
     It is the wait and the service, Wq + 1 / mu.
@@ -117,11 +101,7 @@ def mean_response(
 
 
 @elementwise
-def mean_queue_length(
-    servers: float,
-    arrival_rate: float,
-    service_rate: float,
-) -> float:
+def mean_queue_length(servers: float, arrival_rate: float, service_rate: float) -> float:
     """Return the mean number Lq of tasks that wait; inf where lambda >= c mu.
 
     Little's law, Lq = lambda Wq (J. D. C. Little, Operations Research 9(3), 1961).
@@ -130,12 +110,7 @@ def mean_queue_length(
 
 
 @elementwise
-def wait_exceeds(
-    servers: float,
-    arrival_rate: float,
-    service_rate: float,
-    time: float,
-) -> float:
+def wait_exceeds(servers: float, arrival_rate: float, service_rate: float, time: float) -> float:
     """Return the probability P(Wq > t) of a longer wait than a time t >= 0; 1 where lambda >= c mu.
 
     C e^-(c mu - lambda) t: who waits at all waits for an exponential time (D. Gross,
@@ -150,10 +125,7 @@ def wait_exceeds(
 
 @elementwise
 def response_exceeds(
-    servers: float,
-    arrival_rate: float,
-    service_rate: float,
-    time: float,
+    servers: float, arrival_rate: float, service_rate: float, time: float
 ) -> float:
     """Return the probability P(T > t) that wait and service take longer than a time t >= 0.
 
@@ -177,11 +149,7 @@ def response_exceeds(
 
 
 @elementwise
-def service_rate(
-    core_frequency: float,
-    bits: float,
-    cycles_per_bit: float,
-) -> float:
+def service_rate(core_frequency: float, bits: float, cycles_per_bit: float) -> float:
     """Return how many tasks one core completes per second, 1/s (Mao et al. 2017, section II).
 
     Args:
@@ -208,11 +176,7 @@ def core_power(kappa: float, core_frequency: float) -> float:
 
 
 @elementwise
-def compute_energy(
-    kappa: float,
-    core_frequency: float,
-    cycles: float,
-) -> float:
+def compute_energy(kappa: float, core_frequency: float, cycles: float) -> float:
     """Return the energy of computing, J: kappa f^2 cycles (Mao et al. 2017, section II).
 
     Args:

@@ -121,12 +121,7 @@ def serve(
 
 
 @func
-def _go_on(
-    core_free: np.ndarray,
-    dt: float,
-    busy: np.ndarray,
-    remaining: np.ndarray,
-) -> None:
+def _go_on(core_free: np.ndarray, dt: float, busy: np.ndarray, remaining: np.ndarray) -> None:
     """Let the cores (N, C) of one world go on with the work of earlier decisions."""
     for i in range(core_free.shape[0]):
         for j in range(core_free.shape[1]):

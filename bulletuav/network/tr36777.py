@@ -33,10 +33,7 @@ LOWEST_AERIAL = 22.5
 
 @elementwise
 def umi_av_los(
-    ground_distance: float,
-    drone_height: float,
-    base_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, base_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMi-AV with line of sight, dB; up to 22.5 m that of TR 38.901."""
     if drone_height <= LOWEST_AERIAL:
@@ -49,10 +46,7 @@ def umi_av_los(
 
 @elementwise
 def umi_av_nlos(
-    ground_distance: float,
-    drone_height: float,
-    base_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, base_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMi-AV without line of sight, dB; up to 22.5 m that of TR 38.901."""
     if drone_height <= LOWEST_AERIAL:
@@ -65,10 +59,7 @@ def umi_av_nlos(
 
 @elementwise
 def uma_av_los(
-    ground_distance: float,
-    drone_height: float,
-    base_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, base_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMa-AV with line of sight, dB; up to 22.5 m that of TR 38.901."""
     if drone_height <= LOWEST_AERIAL:
@@ -79,10 +70,7 @@ def uma_av_los(
 
 @elementwise
 def uma_av_nlos(
-    ground_distance: float,
-    drone_height: float,
-    base_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, base_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMa-AV without line of sight, dB; up to 22.5 m that of TR 38.901.
 
@@ -122,13 +110,7 @@ def uma_av_los_probability(ground_distance: float, drone_height: float) -> float
 
 
 @elementwise
-def shadowing(
-    drone_height: float,
-    low: float,
-    high: float,
-    decay: float,
-    least: float,
-) -> float:
+def shadowing(drone_height: float, low: float, high: float, decay: float, least: float) -> float:
     """Return the standard deviation of the path loss about a model, dB.
 
     Sources: TR 38.901, table 7.4.1-1; TR 36.777, table B-3.

@@ -50,10 +50,7 @@ def _dual_slope(
 
 @elementwise
 def umi_los(
-    ground_distance: float,
-    base_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, base_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMi street canyon with line of sight, dB."""
     return _dual_slope(ground_distance, base_height, user_height, frequency, 32.4, 21.0)
@@ -61,10 +58,7 @@ def umi_los(
 
 @elementwise
 def umi_nlos(
-    ground_distance: float,
-    base_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, base_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMi street canyon without line of sight, dB."""
     loss = (
@@ -92,10 +86,7 @@ def umi_close_in_nlos(distance: float, frequency: float) -> float:
 
 @elementwise
 def uma_los(
-    ground_distance: float,
-    base_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, base_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMa with line of sight, dB."""
     return _dual_slope(ground_distance, base_height, user_height, frequency, 28.0, 22.0)
@@ -103,10 +94,7 @@ def uma_los(
 
 @elementwise
 def uma_nlos(
-    ground_distance: float,
-    base_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, base_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMa without line of sight, dB."""
     loss = (
@@ -119,11 +107,7 @@ def uma_nlos(
 
 
 @func
-def fading_sight(
-    ground_distance: float,
-    certain: float,
-    decay: float,
-) -> float:
+def fading_sight(ground_distance: float, certain: float, decay: float) -> float:
     """Return a line-of-sight probability that is 1 up to a distance and then falls off.
 
     Both TR 38.901 and TR 36.777 have this form: s / d + exp(-d / decay) (1 - s / d).

@@ -86,11 +86,7 @@ class LinkParams(NamedTuple):
 
 @func
 def _path_loss(
-    link: LinkParams,
-    sight: bool,
-    ground_distance: float,
-    drone_height: float,
-    user_height: float,
+    link: LinkParams, sight: bool, ground_distance: float, drone_height: float, user_height: float
 ) -> float:
     """Return the path loss with or without line of sight, dB."""
     # Laws of 3GPP by scene: streets and roofs (TR 38.901), and aerial vehicles (TR 36.777)

@@ -30,11 +30,7 @@ UNREACHED = 2**62
 """Length of the way to a cell before one is known"""
 
 
-def plan(
-    grid: Voxels,
-    start: np.ndarray,
-    goal: np.ndarray,
-) -> np.ndarray:
+def plan(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """Find a short way through free cells.
 
     A start or goal that is not in a free cell is joined to the centre of the nearest one by a
@@ -63,11 +59,7 @@ def plan(
 
 
 @allocating
-def shortest_path(
-    occupied: np.ndarray,
-    start: Cell,
-    goal: Cell,
-) -> np.ndarray:
+def shortest_path(occupied: np.ndarray, start: Cell, goal: Cell) -> np.ndarray:
     """Find a shortest way between two free cells, by steps to any of 26 neighbours.
 
     Steps cost their Euclidean length. A*: P. Hart, N. Nilsson, B. Raphael, A formal basis for the
@@ -120,11 +112,7 @@ def shortest_path(
 
 
 @func
-def octile(
-    x: int,
-    y: int,
-    z: int,
-) -> int:
+def octile(x: int, y: int, z: int) -> int:
     """Compute the least length of steps that lead x, y and z cells away where all is free.
 
     Args:
@@ -169,12 +157,7 @@ def _cell(index: int, shape: tuple[int, ...]) -> Cell:
 
 
 @allocating
-def _traced(
-    came_from: np.ndarray,
-    first: int,
-    last: int,
-    shape: tuple[int, ...],
-) -> np.ndarray:
+def _traced(came_from: np.ndarray, first: int, last: int, shape: tuple[int, ...]) -> np.ndarray:
     """Trace the cells (K, 3) from `first` to `last`; none where `last` was not reached."""
     # Count them from the end, then write them from the end.
     count = 1

@@ -95,12 +95,7 @@ class Avoidance(Policy):
         )
 
     @abstractmethod
-    def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
-    ) -> np.ndarray:
+    def avoid(self, traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
         """Choose velocities.
 
         Args:

@@ -94,11 +94,7 @@ class Policy(ABC):
             setattr(self, name, value)
 
 
-def check_action(
-    policy: str,
-    actions: tuple[str, ...],
-    action: str,
-) -> None:
+def check_action(policy: str, actions: tuple[str, ...], action: str) -> None:
     """Refuse an action that a policy cannot give.
 
     Args:

@@ -17,11 +17,7 @@ NUM_WORLDS = 3
 SEED = 1
 
 
-def check_policy(
-    policy: Any,
-    task: TaskSource = "crossing",
-    **options: Any,
-) -> None:
+def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> None:
     """Look for mistakes of a policy's author: shapes, numbers, seeds, memory, others' state.
 
     Args:
@@ -62,10 +58,7 @@ def _first_difference(one: list[np.ndarray], other: list[np.ndarray]) -> int | N
 
 
 def _flown(
-    policy: Any,
-    task: TaskSource,
-    options: dict[str, Any],
-    anew: bool = False,
+    policy: Any, task: TaskSource, options: dict[str, Any], anew: bool = False
 ) -> list[np.ndarray]:
     """Fly from one seed; list the actions. With `anew` another policy goes on with the memory."""
     spec = find_policy(policy, task)
@@ -103,11 +96,7 @@ def _flown(
     return rows
 
 
-def _check(
-    name: str,
-    actions: Any,
-    shape: tuple[int, ...],
-) -> None:
+def _check(name: str, actions: Any, shape: tuple[int, ...]) -> None:
     """Refuse actions of another shape, or numbers that are none."""
     if not isinstance(actions, np.ndarray) or actions.shape != shape:
         form = f"an array {actions.shape}" if isinstance(actions, np.ndarray) else shown(actions)

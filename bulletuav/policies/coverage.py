@@ -102,13 +102,7 @@ class Placement(PathFollower):
             self._settle(w, swarm.position[w], targets[w], bool(anew[w]))
         return self._place
 
-    def _settle(
-        self,
-        w: int,
-        position: np.ndarray,
-        targets: np.ndarray,
-        anew: bool,
-    ) -> None:
+    def _settle(self, w: int, position: np.ndarray, targets: np.ndarray, anew: bool) -> None:
         """Make the places of world w, and forget the ways to those that have moved."""
         self._placed[w] = self.aviary.alive[w]
         self._targets[w] = targets
@@ -140,11 +134,7 @@ class Placement(PathFollower):
 
     @abstractmethod
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
     ) -> np.ndarray:
         """Choose where the K living drones of a world are to hover.
 
@@ -167,11 +157,7 @@ class Centroid(Placement):
     name = "centroid"
 
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
     ) -> np.ndarray:
         """Share out the ring with the least sum of ways; see `Placement.places`."""
         task = self.aviary.task
@@ -196,11 +182,7 @@ class Hotspot(Placement):
     name = "hotspot"
 
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
     ) -> np.ndarray:
         """Choose as many hotspots as drones; see `Placement.places`."""
         points = targets[:, :2]
@@ -223,11 +205,7 @@ class KMeans(Placement):
     name = "kmeans"
 
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
     ) -> np.ndarray:
         """Share out the means with the least sum of ways; see `Placement.places`."""
         points = targets[:, :2]
@@ -247,11 +225,7 @@ class Oracle(Placement):
     name = "oracle"
 
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
     ) -> np.ndarray:
         """Take places greedily at first, then improve them; see `Placement.places`.
 
@@ -287,12 +261,7 @@ class Oracle(Placement):
         middles: np.ndarray = grid.origin[:2] + grid.size * (kept + 0.5)
         return middles
 
-    def _served(
-        self,
-        w: int,
-        places: np.ndarray,
-        targets: np.ndarray,
-    ) -> np.ndarray:
+    def _served(self, w: int, places: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Tell how well (C, M), 0 to 1, drones at places (C, 2) would serve targets (M, 3)."""
         start = np.insert(places, 2, self.height.min(), axis=1)
         # A line from each place to each target.

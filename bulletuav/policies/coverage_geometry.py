@@ -22,11 +22,7 @@ def distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def ring(
-    centre: np.ndarray,
-    count: int,
-    apart: float,
-    low: np.ndarray,
-    high: np.ndarray,
+    centre: np.ndarray, count: int, apart: float, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
     """Space places evenly on a circle, the first one east of its centre.
 
@@ -105,11 +101,7 @@ def kmeans(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
 
 
 def greedy_coverage(
-    serves: np.ndarray,
-    distance: np.ndarray,
-    places: np.ndarray,
-    count: int,
-    apart: float,
+    serves: np.ndarray, distance: np.ndarray, places: np.ndarray, count: int, apart: float
 ) -> np.ndarray:
     """Take one place after the other, that which adds most to what is served.
 
@@ -152,10 +144,7 @@ def greedy_coverage(
 
 
 def best_responses(
-    serves: np.ndarray,
-    places: np.ndarray,
-    taken: np.ndarray,
-    apart: float,
+    serves: np.ndarray, places: np.ndarray, taken: np.ndarray, apart: float
 ) -> np.ndarray:
     """Let each drone, in turn, leave its place for a better one.
 

@@ -56,12 +56,7 @@ def dense(values: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarra
 
 
 @kernel
-def _multiply(
-    rows: np.ndarray,
-    columns: np.ndarray,
-    bias: np.ndarray,
-    result: np.ndarray,
-) -> None:
+def _multiply(rows: np.ndarray, columns: np.ndarray, bias: np.ndarray, result: np.ndarray) -> None:
     """Write the products of rows (M, inputs) and columns (inputs, outputs), plus bias."""
     count, inputs = rows.shape
     for m in range(count):

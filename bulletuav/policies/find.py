@@ -115,9 +115,7 @@ def policy_names() -> list[str]:
 
 
 def find_policy(
-    source: PolicySource,
-    task: TaskSource | None = None,
-    trust: bool = False,
+    source: PolicySource, task: TaskSource | None = None, trust: bool = False
 ) -> PolicySpec:
     """Find a policy.
 
@@ -175,9 +173,7 @@ def find_policy(
 
 
 def _from_sides(
-    sides: Mapping[str, Any] | Sequence[Any],
-    task: TaskSource | None,
-    trust: bool,
+    sides: Mapping[str, Any] | Sequence[Any], task: TaskSource | None, trust: bool
 ) -> PolicySpec:
     """Find a policy for each team, by name or in the teams' order, and join them."""
     teams = tuple(sides) if isinstance(sides, Mapping) else ()
@@ -231,11 +227,7 @@ def _from_class(kind: type[Policy]) -> PolicySpec:
     return PolicySpec(kind.name, kind.actions, kind.reads_swarm, kind)
 
 
-def _from_package(
-    name: str,
-    task: TaskSource | None,
-    trust: bool,
-) -> PolicySpec:
+def _from_package(name: str, task: TaskSource | None, trust: bool) -> PolicySpec:
     """Find the package's own trained policy of a task, or what it was before."""
     if task is None:
         raise ValueError(f"policy {name!r} is another one in each task: say which task")
@@ -263,11 +255,7 @@ def read_run_config(folder: Path, trust: bool = False) -> RunConfig:
     return RunConfig.read(config_file(folder), trust)
 
 
-def _from_run(
-    folder: Path,
-    name: str,
-    trust: bool,
-) -> PolicySpec:
+def _from_run(folder: Path, name: str, trust: bool) -> PolicySpec:
     """Find the policy of a run, or of a checkpoint two folders below it."""
     config = read_run_config(folder, trust)
     if config.constants != CONSTANTS:
@@ -286,12 +274,7 @@ def _from_run(
     return spec._replace(actions=actions, options=config.interface)
 
 
-def _from_model(
-    source: str,
-    algorithm: str,
-    file: str,
-    trust: bool,
-) -> PolicySpec:
+def _from_model(source: str, algorithm: str, file: str, trust: bool) -> PolicySpec:
     """Find a model that stable-baselines3 saved, from what stands before and after the colon."""
     choose("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
     if not file:
@@ -304,12 +287,7 @@ def _from_model(
     return _trusted(Path(path), source, algorithm, trust)
 
 
-def _trusted(
-    path: Path,
-    name: str,
-    algorithm: str,
-    trust: bool,
-) -> PolicySpec:
+def _trusted(path: Path, name: str, algorithm: str, trust: bool) -> PolicySpec:
     """Describe a model of stable-baselines3; raise ValueError unless the user trusts it."""
 
     def make(aviary: Aviary) -> Policy:
@@ -322,11 +300,7 @@ def _trusted(
     return spec
 
 
-def _from_file(
-    name: str,
-    path: Path,
-    make: Callable[[Aviary], Policy],
-) -> PolicySpec:
+def _from_file(name: str, path: Path, make: Callable[[Aviary], Policy]) -> PolicySpec:
     """Describe a policy that is read from a file; raise FileNotFoundError unless it is there."""
     if not path.is_file():
         raise FileNotFoundError(f"no model {path}: a file that training saved is needed")

@@ -54,12 +54,7 @@ class Game(Avoidance):
         limit_each(wish, self.speed)
         return self.encoded(self.avoid(traffic, wish, self.rules))
 
-    def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
-    ) -> np.ndarray:
+    def avoid(self, traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
         """Compute `mvp_velocities` among teammates; see `Avoidance.avoid`."""
         return mvp_velocities(traffic._replace(known=traffic.known & self._own), wish, rules)
 

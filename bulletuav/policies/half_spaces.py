@@ -50,12 +50,7 @@ class Rules(NamedTuple):
 
 
 @func
-def add(
-    rows: np.ndarray,
-    count: int,
-    space: HalfSpace,
-    max_speed: float,
-) -> int:
+def add(rows: np.ndarray, count: int, space: HalfSpace, max_speed: float) -> int:
     """Append a half-space unless every velocity within max_speed is in it; return the new count."""
     if space[1] <= -max_speed:
         return count
@@ -65,12 +60,7 @@ def add(
 
 @kernel
 def nearest_first(
-    traffic: Traffic,
-    w: int,
-    i: int,
-    reach: float,
-    near: np.ndarray,
-    distance: np.ndarray,
+    traffic: Traffic, w: int, i: int, reach: float, near: np.ndarray, distance: np.ndarray
 ) -> int:
     """Sort the other drones that drone i knows of within a reach, the nearest first.
 
@@ -97,14 +87,7 @@ def nearest_first(
 
 
 @kernel
-def unyielding(
-    rows: np.ndarray,
-    count: int,
-    traffic: Traffic,
-    rules: Rules,
-    w: int,
-    i: int,
-) -> int:
+def unyielding(rows: np.ndarray, count: int, traffic: Traffic, rules: Rules, w: int, i: int) -> int:
     """Append the half-spaces of balls and surfaces, which leave all the avoiding to the drone.
 
     Args:
@@ -137,12 +120,7 @@ def unyielding(
 
 @func
 def half_space(
-    gap: Vec3,
-    own: Vec3,
-    other: Vec3,
-    radius: float,
-    rules: Rules,
-    share: float,
+    gap: Vec3, own: Vec3, other: Vec3, radius: float, rules: Rules, share: float
 ) -> HalfSpace:
     """Compute the half-space of velocities that keep away from a body.
 
@@ -180,11 +158,7 @@ def half_space(
 
 
 @func
-def _leg(
-    gap: Vec3,
-    relative: Vec3,
-    radius: float,
-) -> tuple[Vec3, float]:
+def _leg(gap: Vec3, relative: Vec3, radius: float) -> tuple[Vec3, float]:
     """Find the point of the cone's surface nearest to the relative velocity.
 
     Returns the outward normal there, and how far below the surface that velocity is, m/s.
@@ -263,11 +237,7 @@ def unit(vector: Vec3, otherwise: Vec3) -> tuple[Vec3, float]:
 
 @kernel
 def going_round(
-    rows: np.ndarray,
-    spare: np.ndarray,
-    count: int,
-    wish: Vec3,
-    max_speed: float,
+    rows: np.ndarray, spare: np.ndarray, count: int, wish: Vec3, max_speed: float
 ) -> Vec3:
     """Find the best permitted velocity, to the right of the wish by as much as that is not given.
 

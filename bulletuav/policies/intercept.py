@@ -25,11 +25,7 @@ def direction(vector: Vec3Like) -> Vec3:
 
 
 @func
-def constant_bearing(
-    way: Vec3Like,
-    other: Vec3Like,
-    speed: float,
-) -> Vec3:
+def constant_bearing(way: Vec3Like, other: Vec3Like, speed: float) -> Vec3:
     """Compute the velocity that meets a target which flies straight on, as soon as possible.
 
     Across the line of sight it is the target's own, so that the bearing stays; what is left of the
@@ -55,13 +51,7 @@ def constant_bearing(
 
 
 @kernel
-def _cut(
-    polygon: np.ndarray,
-    count: int,
-    normal: Vec3,
-    bound: float,
-    out: np.ndarray,
-) -> int:
+def _cut(polygon: np.ndarray, count: int, normal: Vec3, bound: float, out: np.ndarray) -> int:
     """Cut off what of a convex polygon lies beyond normal . x = bound.
 
     I. Sutherland, G. Hodgman, Reentrant polygon clipping (1974).
@@ -118,11 +108,7 @@ def _middle(polygon: np.ndarray, count: int) -> Vec3:
 
 @allocating
 def shared_face(
-    place: np.ndarray,
-    others: np.ndarray,
-    k: int,
-    low: np.ndarray,
-    high: np.ndarray,
+    place: np.ndarray, others: np.ndarray, k: int, low: np.ndarray, high: np.ndarray
 ) -> tuple[bool, Vec3]:
     """Find the face that the Voronoi cells of a point and of one of some others share, in a box.
 
@@ -176,10 +162,7 @@ def shared_face(
 
 @allocating
 def interception(
-    place: np.ndarray,
-    goal: np.ndarray,
-    goal_velocity: np.ndarray,
-    speed: np.ndarray,
+    place: np.ndarray, goal: np.ndarray, goal_velocity: np.ndarray, speed: np.ndarray
 ) -> np.ndarray:
     """Compute `constant_bearing` for all drones.
 

@@ -14,10 +14,7 @@ LOW = 5.0
 
 
 def touch_down(
-    velocity: np.ndarray,
-    way: np.ndarray,
-    goal_height: np.ndarray,
-    task: Task[TaskConfig],
+    velocity: np.ndarray, way: np.ndarray, goal_height: np.ndarray, task: Task[TaskConfig]
 ) -> np.ndarray:
     """Have drones that are close above goals on the ground go down to touch it.
 

@@ -28,13 +28,7 @@ PARALLEL = 1e-8
 
 
 @func
-def write(
-    rows: np.ndarray,
-    depth: int,
-    k: int,
-    vector: Vec3,
-    bound: float,
-) -> bool:
+def write(rows: np.ndarray, depth: int, k: int, vector: Vec3, bound: float) -> bool:
     """Write the half-space vector . v >= bound, with a vector of any length.
 
     Args:
@@ -55,12 +49,7 @@ def write(
 
 
 @func
-def missing(
-    rows: np.ndarray,
-    depth: int,
-    k: int,
-    v: Vec3,
-) -> float:
+def missing(rows: np.ndarray, depth: int, k: int, v: Vec3) -> float:
     """Compute by how much velocity v misses half-space k, m/s; negative inside."""
     n = vec3(rows, depth, k)
     lack: float = rows[depth, k, 3] - dot(n, v)
@@ -68,12 +57,7 @@ def missing(
 
 
 @func
-def within(
-    wanted: Vec3,
-    centre: Vec3,
-    radius: float,
-    linear: bool,
-) -> Vec3:
+def within(wanted: Vec3, centre: Vec3, radius: float, linear: bool) -> Vec3:
     """Find the point of a ball nearest to a wanted one, or the farthest in a wanted direction.
 
     Args:
@@ -90,13 +74,7 @@ def within(
 
 
 @func
-def descend(
-    rows: np.ndarray,
-    frame: np.ndarray,
-    depth: int,
-    k: int,
-    linear: bool,
-) -> int:
+def descend(rows: np.ndarray, frame: np.ndarray, depth: int, k: int, linear: bool) -> int:
     """Pose the problem of a depth on the boundary of its half-space k, one depth lower.
 
     Args:
@@ -146,13 +124,7 @@ def descend(
 
 
 @func
-def pose(
-    frame: np.ndarray,
-    depth: int,
-    wanted: Vec3,
-    centre: Vec3,
-    radius: float,
-) -> None:
+def pose(frame: np.ndarray, depth: int, wanted: Vec3, centre: Vec3, radius: float) -> None:
     """Write the ball of a depth, and its wanted point or direction."""
     for axis in range(3):
         frame[depth, 0, axis] = centre[axis]
@@ -161,11 +133,7 @@ def pose(
 
 
 @func
-def start(
-    frame: np.ndarray,
-    depth: int,
-    linear: bool,
-) -> Vec3:
+def start(frame: np.ndarray, depth: int, linear: bool) -> Vec3:
     """Find the best point of a depth's ball, without half-spaces."""
     wanted = vec3(frame, depth, 1)
     centre = vec3(frame, depth, 0)
@@ -175,11 +143,7 @@ def start(
 
 @allocating
 def nearest(
-    rows: np.ndarray,
-    count: int,
-    wanted: Vec3,
-    radius: float,
-    linear: bool,
+    rows: np.ndarray, count: int, wanted: Vec3, radius: float, linear: bool
 ) -> tuple[int, Vec3]:
     """Find the best point in a ball about the origin and half-spaces.
 
@@ -227,12 +191,7 @@ def nearest(
 
 @kernel
 def least_violation(
-    rows: np.ndarray,
-    spare: np.ndarray,
-    count: int,
-    begin: int,
-    best: Vec3,
-    radius: float,
+    rows: np.ndarray, spare: np.ndarray, count: int, begin: int, best: Vec3, radius: float
 ) -> Vec3:
     """Find the velocity that misses half-spaces by the least, at worst.
 
@@ -272,11 +231,7 @@ def least_violation(
 
 @kernel
 def best_velocity(
-    rows: np.ndarray,
-    spare: np.ndarray,
-    count: int,
-    wanted: Vec3,
-    max_speed: float,
+    rows: np.ndarray, spare: np.ndarray, count: int, wanted: Vec3, max_speed: float
 ) -> Vec3:
     """Find the velocity nearest to a wanted one, or that of `least_violation` if none is left.
 

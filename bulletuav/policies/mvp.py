@@ -37,22 +37,13 @@ class ModifiedVoltagePotential(Avoidance):
 
     name = "mvp"
 
-    def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
-    ) -> np.ndarray:
+    def avoid(self, traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
         """Compute `mvp_velocities`; see `Avoidance.avoid`."""
         return mvp_velocities(traffic, wish, rules)
 
 
 @allocating
-def mvp_velocities(
-    traffic: Traffic,
-    wish: np.ndarray,
-    rules: Rules,
-) -> np.ndarray:
+def mvp_velocities(traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
     """Add to the preferred velocities what solves each conflict that they would lead to.
 
     Args:
@@ -84,13 +75,7 @@ def mvp_velocities(
 
 
 @kernel
-def _changed(
-    own: Vec3,
-    traffic: Traffic,
-    rules: Rules,
-    w: int,
-    i: int,
-) -> Vec3:
+def _changed(own: Vec3, traffic: Traffic, rules: Rules, w: int, i: int) -> Vec3:
     """Add the changes for all conflicts of a velocity to it, m/s."""
     result = own
     for k in range(traffic.known.shape[2]):
@@ -103,11 +88,7 @@ def _changed(
 
 
 @func
-def change(
-    gap: Vec3,
-    relative: Vec3,
-    rules: Rules,
-) -> Vec3:
+def change(gap: Vec3, relative: Vec3, rules: Rules) -> Vec3:
     """Compute the change of velocity that solves a conflict.
 
     It is across the relative velocity, away from where the other one would be at the closest

@@ -187,12 +187,7 @@ class Network:
         inputs = "those of users" if self._users else f"{self._layers[0][0].shape[1]} numbers"
         return f"{inputs} to {len(self._layers[-1][1])} {'numbers' if self._bounds else 'choices'}"
 
-    def fits(
-        self,
-        observed: int,
-        given: int,
-        choices: bool,
-    ) -> bool:
+    def fits(self, observed: int, given: int, choices: bool) -> bool:
         """Tell whether it fits an environment.
 
         Args:

@@ -145,12 +145,7 @@ class StraightObserved(Observed):
     name = "straight_observed"
     needed = (("goal_offset", "goal"),)
 
-    def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
-    ) -> np.ndarray:
+    def avoid(self, traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
         """Give the wish itself."""
         return wish
 

@@ -32,22 +32,13 @@ class Orca(Avoidance):
 
     name = "orca"
 
-    def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
-    ) -> np.ndarray:
+    def avoid(self, traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
         """Compute `orca_velocities`; see `Avoidance.avoid`."""
         return orca_velocities(traffic, wish, rules)
 
 
 @allocating
-def orca_velocities(
-    traffic: Traffic,
-    wish: np.ndarray,
-    rules: Rules,
-) -> np.ndarray:
+def orca_velocities(traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
     """Compute the permitted velocities nearest to the preferred ones.
 
     Where none is permitted, it is the one that violates the half-spaces least (section 5.3). All

@@ -120,12 +120,7 @@ class PathFollower(Policy):
             (W, N, 3) places, m.
         """
 
-    def _plan(
-        self,
-        w: int,
-        start: np.ndarray,
-        goal: np.ndarray,
-    ) -> np.ndarray:
+    def _plan(self, w: int, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Find waypoints (K, 3), m."""
         way = plan(self._grid(w), start, goal)
         return way if len(way) else np.stack([start, goal])
@@ -147,12 +142,7 @@ class PathFollower(Policy):
             self._grids[id(solids)] = solids, grid
         return self._grids[id(solids)][1]
 
-    def _keep(
-        self,
-        w: int,
-        i: int,
-        way: np.ndarray,
-    ) -> None:
+    def _keep(self, w: int, i: int, way: np.ndarray) -> None:
         """Keep the way of a drone, which flies to its second point."""
         # Room for a longer way than any before.
         more = len(way) - self._way.shape[2]
@@ -226,13 +216,7 @@ def follow(
 
 
 @func
-def next_waypoint(
-    points: np.ndarray,
-    k: int,
-    here: Vec3,
-    velocity: Vec3,
-    limits: Limits,
-) -> int:
+def next_waypoint(points: np.ndarray, k: int, here: Vec3, velocity: Vec3, limits: Limits) -> int:
     """Choose the waypoint to fly to.
 
     It is the k-th, or the first after it that is neither passed within the delay nor nearly
@@ -258,12 +242,7 @@ def next_waypoint(
 
 
 @func
-def velocity_along(
-    points: np.ndarray,
-    k: int,
-    here: Vec3,
-    limits: Limits,
-) -> Vec3:
+def velocity_along(points: np.ndarray, k: int, here: Vec3, limits: Limits) -> Vec3:
     """Compute the velocity along the leg to waypoint k, and back to that leg.
 
     A drone is slower the farther it is off the leg, beyond half_width.
@@ -298,11 +277,7 @@ def velocity_along(
 
 
 @func
-def speed_past(
-    points: np.ndarray,
-    k: int,
-    limits: Limits,
-) -> float:
+def speed_past(points: np.ndarray, k: int, limits: Limits) -> float:
     """Compute the speed with which waypoint k may be passed.
 
     All later corners can then be flown, and the last waypoint stops the drone.
@@ -326,11 +301,7 @@ def speed_past(
 
 
 @func
-def corner_speed(
-    cosine: float,
-    length: float,
-    limits: Limits,
-) -> float:
+def corner_speed(cosine: float, length: float, limits: Limits) -> float:
     """Compute the speed on the arc that rounds a corner between two legs.
 
     The arc that touches both legs has radius r, where r (1 / cos(theta / 2) - 1) is its distance
@@ -353,11 +324,7 @@ def corner_speed(
 
 
 @func
-def braking(
-    distance: float,
-    speed: float,
-    limits: Limits,
-) -> float:
+def braking(distance: float, speed: float, limits: Limits) -> float:
     """Compute the speed from which another one is reached in a distance.
 
     It is v where distance = v delay + (v^2 - speed^2) / (2 acceleration), within the limit.

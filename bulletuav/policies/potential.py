@@ -149,13 +149,7 @@ def repulsion(
 
 @func
 def _push(
-    result: np.ndarray,
-    w: int,
-    i: int,
-    away: Vec3,
-    radius: float,
-    scale: float,
-    field: Field,
+    result: np.ndarray, w: int, i: int, away: Vec3, radius: float, scale: float, field: Field
 ) -> None:
     """Add the push along `away` from a body's centre, whose surface is `radius` nearer."""
     length = math.sqrt(dot(away, away))
@@ -165,11 +159,7 @@ def _push(
 
 
 @func
-def strength(
-    distance: float,
-    scale: float,
-    field: Field,
-) -> float:
+def strength(distance: float, scale: float, field: Field) -> float:
     """Compute the speed away from a body, as the potential's derivative (Khatib 1986).
 
     It is -dU/drho of U = eta / 2 (1 / rho - 1 / rho0)^2 within rho0, where

@@ -198,12 +198,7 @@ class RacePilot(Policy):
     def _memory(self, name: str) -> np.ndarray:
         return self.aviary.scene.memory[name]
 
-    def _plan_start(
-        self,
-        w: int,
-        swarm: Swarm,
-        now: float,
-    ) -> None:
+    def _plan_start(self, w: int, swarm: Swarm, now: float) -> None:
         """Plan the lines of all drones of a world, which pass gates at the same points."""
         choice = None
         for i in range(self.aviary.num_drones):
@@ -212,49 +207,26 @@ class RacePilot(Policy):
                 choice = fastest_choice(self._way(w, i, now), self._limits, PRECISION)
             self._choose(w, i, choice, now)
 
-    def _plan_on(
-        self,
-        w: int,
-        i: int,
-        swarm: Swarm,
-        now: float,
-    ) -> None:
+    def _plan_on(self, w: int, i: int, swarm: Swarm, now: float) -> None:
         """Plan a plain line of one drone from where it is."""
         self._begin_at(w, i, swarm, now)
         left = min(LOOK, self._task.turns - int(self._first[w, i]))
         self._choose(w, i, usual_choice(left + 1), now)
 
-    def _begin_at(
-        self,
-        w: int,
-        i: int,
-        swarm: Swarm,
-        begin: float,
-    ) -> None:
+    def _begin_at(self, w: int, i: int, swarm: Swarm, begin: float) -> None:
         """Let a line begin at a time, s, where the drone is now."""
         self._begin[w, i] = begin
         self._start[w, i], self._speed[w, i] = swarm.position[w, i], swarm.velocity[w, i]
         self._first[w, i] = int(self._memory("passed")[w, i])
         self._time[w, i], self._count[w, i] = 0.0, 0
 
-    def _choose(
-        self,
-        w: int,
-        i: int,
-        choice: np.ndarray,
-        now: float,
-    ) -> None:
+    def _choose(self, w: int, i: int, choice: np.ndarray, now: float) -> None:
         """Keep a choice, and draw its line; each time it knows better when it comes to gates."""
         self._choice[w][i] = choice
         for _ in range(3):
             self._draw(w, i, now)
 
-    def _draw(
-        self,
-        w: int,
-        i: int,
-        now: float,
-    ) -> None:
+    def _draw(self, w: int, i: int, now: float) -> None:
         """Draw a line through gates where they are at the times of the line that is there."""
         line = line_of(self._way(w, i, now), self._choice[w][i], self._limits)
         count = len(line.time)
@@ -262,13 +234,7 @@ class RacePilot(Policy):
         self._time[w, i, :count], self._time[w, i, count:] = line.time, np.inf
         self._count[w, i] = count
 
-    def _way(
-        self,
-        w: int,
-        i: int,
-        now: float,
-        clear: float = CLEAR,
-    ) -> Way:
+    def _way(self, w: int, i: int, now: float, clear: float = CLEAR) -> Way:
         """Tell what a line has to pass."""
         first, course = int(self._first[w, i]), self._task.course
         turn = np.arange(first, min(first + LOOK, self._task.turns)) % course.gates
@@ -298,13 +264,7 @@ def _climbing(way: np.ndarray) -> np.ndarray:
 
 
 @func
-def piece_at(
-    time: np.ndarray,
-    w: int,
-    i: int,
-    last: int,
-    now: float,
-) -> tuple[int, float]:
+def piece_at(time: np.ndarray, w: int, i: int, last: int, now: float) -> tuple[int, float]:
     """Find the piece of a line that is flown at a time, and the share of it that is over then."""
     s = min(max(int(np.searchsorted(time[w, i, : last + 1], now, side="right")), 1), last)
     lapse = time[w, i, s] - time[w, i, s - 1]

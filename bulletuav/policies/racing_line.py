@@ -76,11 +76,7 @@ class Line(NamedTuple):
 
 @func
 def knot(
-    m: int,
-    choice: np.ndarray,
-    point: np.ndarray,
-    axis: np.ndarray,
-    room: np.ndarray,
+    m: int, choice: np.ndarray, point: np.ndarray, axis: np.ndarray, room: np.ndarray
 ) -> tuple[Vec3, Vec3]:
     """Compute where a line passes gate m, m, and in which direction."""
     # Spherical angles about the direction through the gate
@@ -105,11 +101,7 @@ def knot(
 
 @kernel
 def draw_line(
-    point: np.ndarray,
-    axis: np.ndarray,
-    room: np.ndarray,
-    choice: np.ndarray,
-    line: np.ndarray,
+    point: np.ndarray, axis: np.ndarray, room: np.ndarray, choice: np.ndarray, line: np.ndarray
 ) -> None:
     """Draw the curves between gates.
 
@@ -140,11 +132,7 @@ def draw_line(
 
 
 @func
-def along_line(
-    bend: float,
-    square: float,
-    limits: Limits,
-) -> float:
+def along_line(bend: float, square: float, limits: Limits) -> float:
     """Compute the acceleration that turning leaves for speeding up and braking, m/s^2.
 
     Args:
@@ -239,11 +227,7 @@ def time_line(
             velocity[s, k] *= share
 
 
-def line_of(
-    way: Way,
-    choice: np.ndarray,
-    limits: Limits,
-) -> Line:
+def line_of(way: Way, choice: np.ndarray, limits: Limits) -> Line:
     """Draw and time the line that chooses (6, M) as `ASIDE` and those after it tell."""
     count = (len(way.point) - 1) * SAMPLES + 1
     position, velocity, room = np.empty((3, count, 3))
@@ -258,11 +242,7 @@ def usual_choice(gates: int) -> np.ndarray:
     return np.repeat([[0.0], [0.0], [0.0], [0.0], [DIRECT], [DIRECT]], gates, axis=1)
 
 
-def fastest_choice(
-    way: Way,
-    limits: Limits,
-    precision: float = 1e-7,
-) -> np.ndarray:
+def fastest_choice(way: Way, limits: Limits, precision: float = 1e-7) -> np.ndarray:
     """Choose the fastest line through gates, by scipy's L-BFGS-B from the usual one.
 
     Args:

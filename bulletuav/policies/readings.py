@@ -30,12 +30,7 @@ class Readings:
         aviary: The worlds that are observed.
     """
 
-    def __init__(
-        self,
-        policy: str,
-        aviary: Aviary,
-        needed: tuple[str, ...],
-    ) -> None:
+    def __init__(self, policy: str, aviary: Aviary, needed: tuple[str, ...]) -> None:
         """Find the blocks.
 
         Args:

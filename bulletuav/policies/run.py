@@ -261,11 +261,7 @@ class RunConfig:
         return resolve(find_task(self.task), self._given).options
 
 
-def read_settings(
-    path: Path,
-    what: str,
-    trust: bool = False,
-) -> dict[str, Any]:
+def read_settings(path: Path, what: str, trust: bool = False) -> dict[str, Any]:
     """Read names and values from a YAML file that tells the version of its form.
 
     Args:

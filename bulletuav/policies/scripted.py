@@ -149,11 +149,7 @@ class Clump(Oracle):
     name = "clump"
 
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
     ) -> np.ndarray:
         """Choose a small ring about the best place; see `Placement.places`."""
         task = self.aviary.task

@@ -120,13 +120,7 @@ def _searched(name: str, given: Mapping[str, Any]) -> Range | Choices:
     return _range(name, **given)
 
 
-def _range(
-    name: str,
-    low: Any,
-    high: Any,
-    log: Any = False,
-    step: Any = None,
-) -> Range:
+def _range(name: str, low: Any, high: Any, log: Any = False, step: Any = None) -> Range:
     """Check and make a range."""
     if not isinstance(log, bool):
         raise ValueError(f"{name}: log is {shown(log)}: true or false is needed")
@@ -163,12 +157,7 @@ def with_values(run: RunConfig, values: Mapping[str, Any]) -> RunConfig:
     return RunConfig.of(settings)
 
 
-def _put(
-    settings: dict[str, Any],
-    path: list[str],
-    name: str,
-    value: Any,
-) -> None:
+def _put(settings: dict[str, Any], path: list[str], name: str, value: Any) -> None:
     """Put a value into dicts that stand in each other."""
     for key in path[:-1]:
         settings = settings.setdefault(key, {})

@@ -42,11 +42,7 @@ class StraightLine(Policy):
         return self.encoded(touch_down(velocity, way, scene.goal[..., 2], task))
 
 
-def preferred_velocity(
-    way: np.ndarray,
-    goal_velocity: np.ndarray,
-    max_speed: float,
-) -> np.ndarray:
+def preferred_velocity(way: np.ndarray, goal_velocity: np.ndarray, max_speed: float) -> np.ndarray:
     """Compute the velocities that lead straight to the goals, and with them.
 
     Args:

@@ -96,12 +96,7 @@ def scan(
 
 @func
 def pass_through(
-    grid: np.ndarray,
-    x: float,
-    y: float,
-    east: float,
-    north: float,
-    length: float,
+    grid: np.ndarray, x: float, y: float, east: float, north: float, length: float
 ) -> None:
     """Take evidence from the cells along a beam of `length` m, once from each."""
     last_a, last_b = -1, -1
@@ -116,11 +111,7 @@ def pass_through(
 
 
 @func
-def mark(
-    grid: np.ndarray,
-    x: float,
-    y: float,
-) -> None:
+def mark(grid: np.ndarray, x: float, y: float) -> None:
     """Note that something stands at a place, m."""
     a, b = math.floor(x / CELL), math.floor(y / CELL)
     if is_within(grid, a, b):
@@ -128,13 +119,7 @@ def mark(
 
 
 @func
-def join(
-    grid: np.ndarray,
-    x: float,
-    y: float,
-    east: float,
-    north: float,
-) -> None:
+def join(grid: np.ndarray, x: float, y: float, east: float, north: float) -> None:
     """Mark the way from one hit to another, (east, north) m off, if both are of one wall."""
     length = math.sqrt(east * east + north * north)
     if length <= SAME_WALL:
@@ -144,23 +129,14 @@ def join(
 
 
 @func
-def is_within(
-    grid: np.ndarray,
-    a: int,
-    b: int,
-) -> bool:
+def is_within(grid: np.ndarray, a: int, b: int) -> bool:
     """Tell whether a map has a cell."""
     is_inside: bool = 0 <= a < grid.shape[0] and 0 <= b < grid.shape[1]
     return is_inside
 
 
 @kernel
-def grow(
-    evidence: np.ndarray,
-    occupied: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-) -> None:
+def grow(evidence: np.ndarray, occupied: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
     """Write which cells are not flown through.
 
     These are those near evidence, and those that are not wholly in the airspace.

@@ -100,12 +100,7 @@ class SwarmFeatures:
     See `bulletuav.adapters.swarm_features.SwarmFeatures`.
     """
 
-    def __init__(
-        self,
-        layout: Layout,
-        layers: Mapping[str, Layers],
-        scale: float = 1.0,
-    ) -> None:
+    def __init__(self, layout: Layout, layers: Mapping[str, Layers], scale: float = 1.0) -> None:
         """Take the layers that others go through.
 
         Args:

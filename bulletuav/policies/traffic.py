@@ -238,11 +238,7 @@ def _near_buildings(
 
 @func
 def _nearest_surface(
-    here: Vec3,
-    stands: Buildings,
-    p: int,
-    low: Vec3,
-    high: Vec3,
+    here: Vec3, stands: Buildings, p: int, low: Vec3, high: Vec3
 ) -> tuple[Vec3, float]:
     """Find the normal of a piece's surface towards a point, and the distance, m.
 

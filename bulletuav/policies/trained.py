@@ -74,12 +74,7 @@ class Trained(SharedPolicy):
     unusual. A network that chooses among velocities flies where velocities are asked for, too.
     """
 
-    def __init__(
-        self,
-        aviary: Aviary,
-        config: RunConfig,
-        path: str | Path,
-    ) -> None:
+    def __init__(self, aviary: Aviary, config: RunConfig, path: str | Path) -> None:
         """Read the policy.
 
         Args:
@@ -119,12 +114,7 @@ class Trained(SharedPolicy):
         return self._choose_rows(rows)
 
 
-def _network(
-    aviary: Aviary,
-    config: RunConfig,
-    weights: Weights,
-    learned: Action,
-) -> Choose:
+def _network(aviary: Aviary, config: RunConfig, weights: Weights, learned: Action) -> Choose:
     """Build a run's network from its weights; raise ValueError where they do not fit."""
     observed = aviary.observer.space()
     given = widest_action_space(learned)

@@ -59,12 +59,7 @@ class TeamPolicies(Policy):
     actions = ()
     reads_swarm = True
 
-    def __init__(
-        self,
-        aviary: Aviary,
-        makers: Sequence[Maker],
-        teams: Sequence[str] = (),
-    ) -> None:
+    def __init__(self, aviary: Aviary, makers: Sequence[Maker], teams: Sequence[str] = ()) -> None:
         """Make the policies.
 
         Args:

@@ -32,22 +32,13 @@ class Voronoi(Avoidance):
 
     name = "voronoi"
 
-    def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
-    ) -> np.ndarray:
+    def avoid(self, traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
         """Compute `voronoi_velocities`; see `Avoidance.avoid`."""
         return voronoi_velocities(traffic, wish, rules)
 
 
 @allocating
-def voronoi_velocities(
-    traffic: Traffic,
-    wish: np.ndarray,
-    rules: Rules,
-) -> np.ndarray:
+def voronoi_velocities(traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
     """Compute the velocities nearest to the preferred ones that stay within the drones' cells.
 
     Whoever keeps its velocity is still in its cell after the time for braking.

@@ -33,11 +33,7 @@ class Voxels(NamedTuple):
 
 
 def voxels(
-    bounds: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    size: float,
-    clearance: float,
+    bounds: np.ndarray, low: np.ndarray, high: np.ndarray, size: float, clearance: float
 ) -> Voxels:
     """Make the map of an arena; cells that are not wholly in it are occupied.
 
@@ -109,12 +105,7 @@ def nearest_free(grid: Voxels, point: np.ndarray) -> Cell:
 
 
 @func
-def _offset(
-    grid: Voxels,
-    point: Vec3Like,
-    axis: int,
-    k: int,
-) -> float:
+def _offset(grid: Voxels, point: Vec3Like, axis: int, k: int) -> float:
     """Compute how far the centre of the k-th cell is from a point on one axis, m."""
     gap: float = grid.origin[axis] + grid.size * (k + 0.5) - point[axis]
     return gap
@@ -131,11 +122,7 @@ def cell_of(grid: Voxels, point: Vec3Like) -> Cell:
 
 
 @func
-def _index(
-    grid: Voxels,
-    point: Vec3Like,
-    axis: int,
-) -> int:
+def _index(grid: Voxels, point: Vec3Like, axis: int) -> int:
     """Find the index of the cell that holds a point, on one axis."""
     index: int = math.floor((point[axis] - grid.origin[axis]) / grid.size)
     return index
@@ -151,11 +138,7 @@ def _is_free(grid: Voxels, cell: Cell) -> bool:
 
 
 @kernel
-def is_clear(
-    grid: Voxels,
-    start: np.ndarray,
-    end: np.ndarray,
-) -> bool:
+def is_clear(grid: Voxels, start: np.ndarray, end: np.ndarray) -> bool:
     """Tell whether the segment between two points is in free cells only.
 
     J. Amanatides, A. Woo, A fast voxel traversal algorithm for ray tracing (1987).
@@ -197,12 +180,7 @@ def _next(index: int, last: int) -> int:
 
 @func
 def _crossing(
-    grid: Voxels,
-    start: np.ndarray,
-    end: np.ndarray,
-    cell: Cell,
-    last: Cell,
-    axis: int,
+    grid: Voxels, start: np.ndarray, end: np.ndarray, cell: Cell, last: Cell, axis: int
 ) -> float:
     """Compute the share of the segment before it leaves a cell on one axis.
 

@@ -80,13 +80,7 @@ class Barometer(Sensor):
         self._drift, self._pressure, self._height = np.zeros((3, *setup.shape))
         self._root = np.sqrt(setup.period)
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Begin an episode of one world: nothing has walked yet."""
         self._drift[world] = 0.0
 

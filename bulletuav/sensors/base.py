@@ -32,10 +32,7 @@ class Label(NamedTuple):
 
 
 def vector_labels(
-    name: str,
-    unit: str,
-    low: Iterable[float],
-    high: Iterable[float],
+    name: str, unit: str, low: Iterable[float], high: Iterable[float]
 ) -> tuple[Label, ...]:
     """Make the labels of x, y and z of a vector."""
     bounds = zip("xyz", low, high, strict=True)
@@ -226,11 +223,7 @@ class Sensor(ABC):
         return sensor
 
     def reset(  # noqa: B027
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
+        self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator
     ) -> None:
         """Begin a new episode of one world; by default nothing to do.
 

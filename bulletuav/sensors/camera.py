@@ -95,12 +95,7 @@ class Camera(Sensor):
                 if name in self.pictures:
                     self.pictures[name][w, i] = picture
 
-    def _cast(
-        self,
-        swarm: Swarm,
-        mask: np.ndarray,
-        due: np.ndarray,
-    ) -> None:
+    def _cast(self, swarm: Swarm, mask: np.ndarray, due: np.ndarray) -> None:
         """One batch of rays for all cameras."""
         where, who = due.T
         frames = np.array(

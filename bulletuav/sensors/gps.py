@@ -51,13 +51,7 @@ class Gps(Sensor):
         self._uniform = np.zeros(setup.shape)
         self._root = np.sqrt(setup.period)
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Take the first readings of a world; they do not fail."""
         self._drift[world] = 0
         normal = rng.standard_normal((self.setup.shape[1], 2, 3))
@@ -72,12 +66,7 @@ class Gps(Sensor):
             self._read(moment.after, flying, moment.rngs)
         return {"position": self.position.copy(), "velocity": self.velocity.copy()}
 
-    def _read(
-        self,
-        swarm: Swarm,
-        flying: np.ndarray,
-        rngs: Sequence[np.random.Generator],
-    ) -> None:
+    def _read(self, swarm: Swarm, flying: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
         for k in np.flatnonzero(flying).tolist():
             rngs[k].standard_normal(out=self._normal[k])
             rngs[k].random(out=self._uniform[k])

@@ -89,13 +89,7 @@ class Imperfect(Sensor):
         self._late = round(self._delay / setup.period)
         self._past: dict[str, np.ndarray] = {}  # (delay, W, N, ...), the latest first
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Begin an episode of the wrapped sensor."""
         self._share()
         self.sensor.reset(world, swarm, known, rng)
@@ -158,11 +152,7 @@ class Imperfect(Sensor):
         return values
 
     def _blurred(
-        self,
-        name: str,
-        reading: np.ndarray,
-        noise: np.ndarray,
-        error: np.ndarray,
+        self, name: str, reading: np.ndarray, noise: np.ndarray, error: np.ndarray
     ) -> np.ndarray:
         """Add noise to a reading, which keeps its type; pictures stay within their bounds."""
         if reading.dtype == bool or not noise.any():

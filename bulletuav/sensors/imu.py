@@ -26,11 +26,7 @@ MAX_BODY_RATE = 50.0
 
 @func
 def specific_force(
-    quaternion: Quat4Like,
-    before: Vec3Like,
-    after: Vec3Like,
-    period: float,
-    gravity: float,
+    quaternion: Quat4Like, before: Vec3Like, after: Vec3Like, period: float, gravity: float
 ) -> Vec3:
     """Compute what an accelerometer feels: R^T (a - g).
 
@@ -123,13 +119,7 @@ class Imu(Sensor):
         self.rates = self._reading[:, :, 1]
         self._normal = np.zeros((*setup.shape, 4, 3))  # for the two walks, then for the two noises
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Take the first readings of a world, whose drones flew steadily; biases are none yet."""
         self._bias[world] = 0
         self._draw(world, rng)
@@ -150,13 +140,7 @@ class Imu(Sensor):
         if any(scale[world].any() for scale in self._scales()):
             rng.standard_normal(out=self._normal[world])
 
-    def _take(
-        self,
-        worlds: np.ndarray,
-        before: Swarm,
-        after: Swarm,
-        root: float,
-    ) -> None:
+    def _take(self, worlds: np.ndarray, before: Swarm, after: Swarm, root: float) -> None:
         """Measure in `worlds`; `root` of the time in s that biases walked."""
         period, gravity = self.setup.period, self.setup.gravity
         scale = np.stack(self._scales(), axis=-1)

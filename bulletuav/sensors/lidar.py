@@ -111,10 +111,7 @@ class Lidar(Sensor):
         return ends, ranges[:, 0] < self._range
 
     def _blur(
-        self,
-        ranges: np.ndarray,
-        mask: np.ndarray,
-        rngs: Sequence[np.random.Generator],
+        self, ranges: np.ndarray, mask: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> None:
         """Add noise and losses to `ranges` (M, B) of the drones of `mask`."""
         where = np.nonzero(mask)[0]

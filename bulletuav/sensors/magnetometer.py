@@ -103,13 +103,7 @@ class Magnetometer(Sensor):
         self._field = MICROTESLA * magnetic_field(*self._place, self._year)
         self._iron, self._reading = np.zeros((2, *setup.shape, 3))
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Draw the constant errors of a world, if they are asked for."""
         scale = self.hard_iron[world]
         self._iron[world] = 0.0

@@ -33,11 +33,7 @@ MOST_DISTANCE, MOST_FLOW = 1000.0, 1000.0
 
 
 @func
-def angular_flow(
-    velocity: Vec3Like,
-    rates: Vec3Like,
-    distance: float,
-) -> tuple[float, float]:
+def angular_flow(velocity: Vec3Like, rates: Vec3Like, distance: float) -> tuple[float, float]:
     """Compute how the ground passes the middle of a picture that looks down.
 
     The flow is the angular velocity at which a drone that only turned would see the same.

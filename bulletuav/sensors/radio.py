@@ -102,13 +102,7 @@ class Radio(Sensor):
         known: np.ndarray = self._age <= MEMORY + self.delay[:, None, None]
         return known
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Begin an episode: all within range have heard of each other, as they are."""
         told = np.concatenate([known.position[world], known.velocity[world]], axis=-1)
         self._sent[:, world] = told

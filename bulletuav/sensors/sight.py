@@ -14,10 +14,7 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 def line_of_sight(
-    engine: Engine,
-    start: np.ndarray,
-    end: np.ndarray,
-    where: np.ndarray,
+    engine: Engine, start: np.ndarray, end: np.ndarray, where: np.ndarray
 ) -> np.ndarray:
     """Tell for pairs of points whether nothing but drones is in between.
 
@@ -65,10 +62,7 @@ def _links(
 
 
 def sights(
-    engine: Engine,
-    position: np.ndarray,
-    targets: np.ndarray,
-    mask: np.ndarray,
+    engine: Engine, position: np.ndarray, targets: np.ndarray, mask: np.ndarray
 ) -> np.ndarray:
     """Tell which targets drones see.
 
@@ -93,12 +87,7 @@ def sights(
     return seen
 
 
-def clearances(
-    engine: Engine,
-    swarm: Swarm,
-    mask: np.ndarray,
-    most: float,
-) -> np.ndarray:
+def clearances(engine: Engine, swarm: Swarm, mask: np.ndarray, most: float) -> np.ndarray:
     """Measure how near the nearest thing is: ground, building, obstacle, body or drone.
 
     Args:

@@ -154,12 +154,7 @@ class SensorSuite:
         """Whether what drones of one world measure leaves the readings of all others alone."""
         return all(type(sensor) is Gps for sensor in self.sensors.values())
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
+    def reset(self, world: int, swarm: Swarm, rng: np.random.Generator) -> None:
         """Begin a new episode of one world."""
         known = swarm
         for sensor in self.sensors.values():
@@ -228,9 +223,7 @@ class SensorSuite:
 
 
 def reading_labels(
-    sensors: Mapping[str, Sensor],
-    reading: str,
-    setup: SensorSetup,
+    sensors: Mapping[str, Sensor], reading: str, setup: SensorSetup
 ) -> tuple[Label, ...] | Image | None:
     """Tell what a reading is; None where no sensor has labels for it.
 

@@ -44,13 +44,7 @@ class Mobility(ABC):
         """Store an option as its check gave it, so that kernels see one type of it."""
         object.__setattr__(self, name, value)
 
-    def _check_number(
-        self,
-        name: str,
-        unit: str,
-        most: float,
-        above_zero: bool,
-    ) -> None:
+    def _check_number(self, name: str, unit: str, most: float, above_zero: bool) -> None:
         """Store an option as a float, and refuse one below 0 (or 0 itself) or above `most`."""
         given = getattr(self, name)
         value = finite(name, given, most=most)
@@ -102,13 +96,7 @@ class Mobility(ABC):
         """
 
     @abstractmethod
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """Draw where users are and how they move when an episode begins.
 
         Args:
@@ -183,11 +171,7 @@ class Walking(Mobility):
 
 
 def check_range(
-    name: str,
-    value: Any,
-    unit: str,
-    most: float,
-    above_zero: bool,
+    name: str, value: Any, unit: str, most: float, above_zero: bool
 ) -> tuple[float, float]:
     """Return an option that is a range, (low, high), as floats.
 
@@ -214,11 +198,7 @@ def random_headings(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.column_stack([cos(angle), sin(angle)])
 
 
-def standard_normals(
-    rng: Generators,
-    flying: np.ndarray,
-    *shape: int,
-) -> np.ndarray:
+def standard_normals(rng: Generators, flying: np.ndarray, *shape: int) -> np.ndarray:
     """Draw standard normal numbers for worlds that fly, each from its own generator.
 
     Args:

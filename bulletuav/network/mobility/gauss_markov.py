@@ -35,11 +35,7 @@ MAX_DEVIATIONS = 4.0
 
 @elementwise
 def gauss_markov(
-    value: float,
-    mean: float,
-    correlation: float,
-    deviation: float,
-    normal: float,
+    value: float, mean: float, correlation: float, deviation: float, normal: float
 ) -> float:
     """Return the next value of a Gauss-Markov process (Liang and Haas).
 
@@ -99,13 +95,7 @@ class GaussMarkov(Walking):
         mean = {"user_mean_velocity": (-MAX_VELOCITY, MAX_VELOCITY)}
         return super().bounds(ground) | mean
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """Draw random positions, and velocities of the stationary distribution.
 
         See `Mobility.start`.

@@ -34,12 +34,7 @@ class Ground:
         raster: Free cells of all layouts, for kernels.
     """
 
-    def __init__(
-        self,
-        cities: Sequence[City],
-        height: float = 1.5,
-        cell: float = 1.0,
-    ) -> None:
+    def __init__(self, cities: Sequence[City], height: float = 1.5, cell: float = 1.0) -> None:
         """Find the free cells of cities.
 
         Args:
@@ -81,12 +76,7 @@ class Ground:
         """Streets of each layout, see `_both_ways`."""
         return [_both_ways(city) for city in self._cities]
 
-    def places(
-        self,
-        rng: np.random.Generator,
-        layout: int,
-        count: int,
-    ) -> np.ndarray:
+    def places(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
         """Draw positions of users, uniform over the free cells.
 
         Args:
@@ -106,12 +96,7 @@ class Ground:
         # A position in each of them
         return self.raised(corner + rng.uniform(INSET, cell - INSET, (count, 2)))
 
-    def street_places(
-        self,
-        rng: np.random.Generator,
-        layout: int,
-        count: int,
-    ) -> np.ndarray:
+    def street_places(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
         """Draw places on the streets, uniform along them.
 
         Args:

@@ -103,13 +103,7 @@ class Hotspot(Walking):
             "user_heading": (-MAX_VELOCITY, MAX_VELOCITY),
         }
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """Draw random positions of users and hotspots, with random headings.
 
         See `Mobility.start`.

@@ -87,13 +87,7 @@ class Manhattan(Walking):
         """
         ground.graph  # noqa: B018 - made here, or refused
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """Draw positions that are uniform along the streets, see `Mobility.start`."""
         street = ground.street_places(rng, layout, count)
         speed = rng.uniform(*self.speed, count)
@@ -192,11 +186,7 @@ def advance(
 
 
 @func
-def street_length(
-    node: np.ndarray,
-    behind: int,
-    ahead: int,
-) -> float:
+def street_length(node: np.ndarray, behind: int, ahead: int) -> float:
     """Return the length of the street between two of the nodes (S, 2), m."""
     x = node[ahead, 0] - node[behind, 0]
     y = node[ahead, 1] - node[behind, 1]
@@ -241,12 +231,7 @@ def next_node(
 
 
 @func
-def turn(
-    place: np.ndarray,
-    before: int,
-    node: int,
-    ahead: int,
-) -> int:
+def turn(place: np.ndarray, before: int, node: int, ahead: int) -> int:
     """Tell how a way from one node to the next goes on to a third.
 
     Args:

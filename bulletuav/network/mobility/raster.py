@@ -60,12 +60,7 @@ def rasterise(cities: Sequence[City], cell: float) -> Raster:
 
 
 @allocating
-def block_outline(
-    free: np.ndarray,
-    outline: np.ndarray,
-    cell: float,
-    reach: float,
-) -> None:
+def block_outline(free: np.ndarray, outline: np.ndarray, cell: float, reach: float) -> None:
     """Mark the cells that are nearer than `MARGIN` m to a convex outline as not free, in place.
 
     A cell that is widened by the margin on all sides is clear of the outline if one side of either
@@ -118,12 +113,7 @@ def cell_of(coordinate: float, raster: Raster) -> int:
 
 
 @func
-def is_free(
-    raster: Raster,
-    layout: int,
-    column: int,
-    row: int,
-) -> bool:
+def is_free(raster: Raster, layout: int, column: int, row: int) -> bool:
     """Tell whether there is such a cell and it is free."""
     count = raster.free.shape[1]
     # One expression: with an early return numba counts references, which makes walks 4 times slower
@@ -131,11 +121,7 @@ def is_free(
 
 
 @func
-def clamp_to_cell(
-    coordinate: float,
-    index: int,
-    raster: Raster,
-) -> float:
+def clamp_to_cell(coordinate: float, index: int, raster: Raster) -> float:
     """Return an x or y (m), moved into its column or row where rounding left it outside."""
     line = index * raster.cell - raster.reach
     return min(max(coordinate, line + INSET), line + raster.cell - INSET)
@@ -143,12 +129,7 @@ def clamp_to_cell(
 
 @func
 def walk(
-    raster: Raster,
-    layout: int,
-    x: float,
-    y: float,
-    way_x: float,
-    way_y: float,
+    raster: Raster, layout: int, x: float, y: float, way_x: float, way_y: float
 ) -> tuple[float, float, float, int]:
     """Walk straight on through free cells, up to the first that is not free.
 
@@ -209,12 +190,7 @@ def walk(
 
 @func
 def bounce(
-    raster: Raster,
-    layout: int,
-    x: float,
-    y: float,
-    way_x: float,
-    way_y: float,
+    raster: Raster, layout: int, x: float, y: float, way_x: float, way_y: float
 ) -> tuple[float, float, float, float]:
     """Walk through free cells, turned at walls as light is by mirrors.
 

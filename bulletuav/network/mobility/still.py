@@ -17,13 +17,7 @@ class Still(Mobility):
 
     name: ClassVar[str] = "still"
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """Draw random positions, see `Mobility.start`."""
         return {"users": ground.places(rng, layout, count), "user_velocity": np.zeros((count, 2))}
 

@@ -78,13 +78,7 @@ class Waypoint(Walking):
             "user_pause": (0.0, MAX_TIME),
         }
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """Draw random positions, from which users set out when they first move.
 
         See `Mobility.start`.
@@ -204,12 +198,7 @@ def advance(
 
 @func
 def seen_place(
-    raster: Raster,
-    layout: int,
-    x: float,
-    y: float,
-    key: int,
-    drawn: int,
+    raster: Raster, layout: int, x: float, y: float, key: int, drawn: int
 ) -> tuple[float, float, int]:
     """Draw a place, uniform over the free ground in straight view of a user.
 
