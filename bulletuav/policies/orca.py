@@ -1,7 +1,9 @@
-"""Policy `orca`: optimal reciprocal collision avoidance in three dimensions.
+"""Policy `orca`: optimal reciprocal collision avoidance (ORCA) in three dimensions.
 
-J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-body collision avoidance (2011), with
-half-spaces for half-planes.
+Half-planes of the paper become half-spaces.
+
+References:
+    J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-body collision avoidance (2011).
 """
 
 import numpy as np
@@ -24,10 +26,10 @@ from bulletuav.registry import register
 
 @register("policy")
 class Orca(Avoidance):
-    """Flight towards the goal, as far as half-spaces of safe velocities permit.
+    """Flight to the goal within the ORCA half-spaces of collision-free velocities.
 
-    Other drones are trusted to do half of the avoiding. Obstacles (bounding spheres), buildings,
-    the ground and the arena's bounds do nothing of it.
+    Other drones are assumed to perform half of the avoidance. Obstacles (bounding spheres),
+    buildings, the ground and the bounds of the arena perform none.
     """
 
     name = "orca"
@@ -41,19 +43,19 @@ class Orca(Avoidance):
 def orca_velocities(traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
     """Compute the permitted velocities nearest to the preferred ones.
 
-    Where none is permitted, it is the one that violates the half-spaces least (section 5.3). All
-    drones count that could come too close within the horizon.
+    If no velocity is permitted, the result minimises the maximum violation (section 5.3). All
+    drones that could violate the separation within the horizon are considered.
 
     Args:
-        traffic: What drones know.
-        wish: (W, N, 3) velocities that they prefer, m/s.
-        rules: How they avoid.
+        traffic: The traffic around each drone.
+        wish: (W, N, 3) preferred velocities, m/s.
+        rules: Parameters of collision avoidance.
 
     Returns:
         (W, N, 3) velocities, m/s.
     """
     result = np.empty(wish.shape)
-    # Room for a half-space of each neighbour, each ball and each surface.
+    # One half-space for each neighbour, each sphere and each surface.
     others = traffic.known.shape[2]
     room = others + traffic.ball_radius.shape[2] + traffic.surface.shape[2]
     rows = np.empty((DEPTH, room, 4))
@@ -80,14 +82,14 @@ def _drones(
     w: int,
     i: int,
 ) -> int:
-    """Write the half-spaces of all drones that can matter; return how many there are."""
+    """Write the half-spaces of all drones within reach; return their number."""
     own = vec3(traffic.velocity, w, i)
     reach = rules.separation + 2.0 * rules.max_speed * rules.horizon
     count = 0
     for k in range(nearest_first(traffic, w, i, reach, near, distance)):
         gap = vec3(traffic.gap[w], i, near[k])
         other = vec3(traffic.other[w], i, near[k])
-        # Either drone does half.
+        # Reciprocal avoidance: each drone performs half.
         space = half_space(gap, own, other, rules.separation, rules, 0.5)
         count = add(rows, count, space, rules.max_speed)
     return count

@@ -1,7 +1,8 @@
 """Policy `voronoi`: buffered Voronoi cells in three dimensions.
 
-D. Zhou, Z. Wang, S. Bandyopadhyay, M. Schwager, Fast, on-line collision avoidance for dynamic
-vehicles using buffered Voronoi cells (2017).
+References:
+    D. Zhou, Z. Wang, S. Bandyopadhyay, M. Schwager, Fast, on-line collision avoidance for dynamic
+    vehicles using buffered Voronoi cells (2017).
 """
 
 import numpy as np
@@ -25,9 +26,9 @@ from bulletuav.registry import register
 
 @register("policy")
 class Voronoi(Avoidance):
-    """Flight to the point of the drone's own cell that is nearest to its goal.
+    """Flight to the point of the drone's buffered Voronoi cell nearest to its goal.
 
-    Velocities of other drones do not count. Whoever is held up turns to its right.
+    Velocities of other drones are ignored. A blocked drone turns right.
     """
 
     name = "voronoi"
@@ -39,20 +40,20 @@ class Voronoi(Avoidance):
 
 @allocating
 def voronoi_velocities(traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
-    """Compute the velocities nearest to the preferred ones that stay within the drones' cells.
+    """Compute the velocities nearest to the preferred ones that stay within the Voronoi cells.
 
-    Whoever keeps its velocity is still in its cell after the time for braking.
+    At a permitted velocity, a drone is still in its cell after the braking time.
 
     Args:
-        traffic: What drones know.
-        wish: (W, N, 3) velocities that they prefer, m/s.
-        rules: How they avoid.
+        traffic: The traffic around each drone.
+        wish: (W, N, 3) preferred velocities, m/s.
+        rules: Parameters of collision avoidance.
 
     Returns:
         (W, N, 3) velocities, m/s.
     """
     result = np.empty(wish.shape)
-    # Room for a half-space of each neighbour, each ball and each surface.
+    # One half-space for each neighbour, each sphere and each surface.
     others = traffic.known.shape[2]
     room = others + traffic.ball_radius.shape[2] + traffic.surface.shape[2]
     rows = np.empty((DEPTH, room, 4))
@@ -79,12 +80,11 @@ def _cell(
     w: int,
     i: int,
 ) -> int:
-    """Write the half-spaces of a drone's cell; return how many there are."""
+    """Write the half-spaces of a drone's cell; return their number."""
     # Others farther off cannot come into the way while it brakes
     reach = rules.separation + 2.0 * rules.max_speed * rules.braking
     count = 0
     for k in range(nearest_first(traffic, w, i, reach, near, distance)):
-        # A side for each, between the two
         space = cell_side(vec3(traffic.gap[w], i, near[k]), rules)
         count = add(rows, count, space, rules.max_speed)
     return count
@@ -92,13 +92,14 @@ def _cell(
 
 @func
 def cell_side(gap: Vec3, rules: Rules) -> HalfSpace:
-    """Compute the half-space of velocities that stay on the drone's side of another one.
+    """Compute the half-space of velocities that stay on the drone's side of the bisecting plane.
 
-    The side of the cell is half-way to the other one, less half the separation (definition 1).
+    The side of the buffered cell is half-way to the other drone, minus half the separation
+    (definition 1).
 
     Args:
-        gap: Way from the drone to the other one, m.
-        rules: How drones avoid.
+        gap: Offset from the drone to the other drone, m.
+        rules: Parameters of collision avoidance.
 
     Returns:
         Unit normal n and bound b, m/s, of n . v >= b.
