@@ -1,6 +1,7 @@
-"""What becomes of the tasks of one decision, in two compiled calls over arrays that stay.
+"""Processing of the tasks of one decision, in two compiled calls on preallocated arrays.
 
-The parts are those of `uplink`, `assignment`, `access`, `arrivals`, `server` and `service_stats`.
+The components are those of `uplink`, `assignment`, `access`, `arrivals`, `server` and
+`service_stats`.
 """
 
 from typing import NamedTuple
@@ -16,13 +17,13 @@ from bulletuav.network.service_stats import ServiceStats, count
 
 
 class Strategy(NamedTuple):
-    """Numbers by which users find their drones.
+    """Parameters of user association.
 
     Attributes:
         code: One of `bulletuav.network.assignment.STRATEGIES`.
         capacity: Computing capacity of a drone, cycles/s.
         demand: Demand of a task, cycles.
-        distance_weight: Weight of distance in `dtlcm_score`.
+        distance_weight: Weight of the distance in `dtlcm_score`.
     """
 
     code: int
@@ -32,7 +33,7 @@ class Strategy(NamedTuple):
 
 
 class Band(NamedTuple):
-    """Numbers of the band that users share; see `bulletuav.network.access.uplink_rates`."""
+    """Parameters of the shared band; see `bulletuav.network.access.uplink_rates`."""
 
     bandwidth: float
     noise: float
@@ -41,14 +42,14 @@ class Band(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """What tasks are made of; see `bulletuav.network.arrivals.spread`.
+    """Random numbers of the tasks; see `bulletuav.network.arrivals.make_tasks`.
 
     Attributes:
-        first: Bounds (W + 1,) of the worlds' tasks.
-        uniform: Random numbers; those behind the last task's do not count.
-        cumulative: Cumulative rates (U,) of users, 1/s.
-        low: Least size of a task, bit.
-        high: Greatest size, bit.
+        first: Offsets (W + 1,) of the tasks of each world.
+        uniform: Uniform random numbers; numbers after those of the last task are unused.
+        cumulative: Cumulative arrival rates (U,) of the users, 1/s.
+        low: Minimum size of a task, bit.
+        high: Maximum size of a task, bit.
     """
 
     first: np.ndarray
@@ -59,18 +60,18 @@ class Drawn(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """Numbers of the servers.
+    """Parameters of the edge servers.
 
     Attributes:
-        on_average: Whether tasks wait for as long as on average; see `serve_on_average`.
-        cycles_per_bit: Cycles that a bit takes to compute.
+        on_average: Whether waits are those of the steady-state queue; see `serve_steady_state`.
+        cycles_per_bit: Cycles per bit of a task.
         core_frequency: Frequency of a core, cycles/s.
-        cores: Cores of each drone.
-        arrival_rate: Tasks of each user, 1/s.
-        service_rate: Tasks that each core completes, 1/s.
-        deadline: Time from generation within which a task must complete, s.
+        cores: Number of cores of each drone.
+        arrival_rate: Arrival rate of each user, 1/s.
+        service_rate: Service rate of each core, 1/s.
+        deadline: Time from generation within which a task must be completed, s.
         dt: Length of the decision, s.
-        duration: Of an episode, s.
+        duration: Duration of an episode, s.
     """
 
     on_average: bool
@@ -97,18 +98,18 @@ def connect(
     serves: np.ndarray,
     rates: np.ndarray,
 ) -> None:
-    """Find who serves whom at which rate.
+    """Compute user association and uplink rates.
 
     Args:
-        strategy: How users find drones.
-        band: What they share.
+        strategy: Parameters of user association.
+        band: Parameters of the shared band.
         position: Positions (W, N, 3) of drones, m.
-        alive: Drones (W, N) that can serve, bool.
+        alive: Drones (W, N) that can serve users, bool.
         users: Positions (W, U, 3) of users, m.
-        power: Power (W, N, U) that drones receive from users, W.
-        utilisation: Share (W, N) of their time in which cores worked.
-        servers: Written: drone (W, U) of each user, or `NOBODY`.
-        serves: Written: 1 (W, N, U) where the drone serves the user, else 0.
+        power: Received power (W, N, U) of users at drones, W.
+        utilisation: Utilisation (W, N) of the cores, 0 to 1.
+        servers: Written: serving drone (W, U) of each user, or `NO_DRONE`.
+        serves: Written: 1 (W, N, U) if the drone serves the user, else 0.
         rates: Written: uplink rate (W, U) of each user, bit/s.
     """
     load = np.empty(utilisation.shape)
@@ -137,17 +138,17 @@ def work(
     time: np.ndarray,
     stats: ServiceStats,
 ) -> None:
-    """Compute the tasks of a decision, and enter what became of them into the statistics.
+    """Process the tasks of a decision, and update the statistics.
 
     Args:
-        drawn: What they are made of.
-        queue: Numbers of the servers.
-        servers: Drone (W, U) of each user, or `NOBODY`.
+        drawn: Random numbers of the tasks.
+        queue: Parameters of the edge servers.
+        servers: Serving drone (W, U) of each user, or `NO_DRONE`.
         rates: Uplink rate (W, U) of each user, bit/s.
-        link_free: Time (W, U) for which uplinks are still taken, s; changed unless on average.
-        core_free: The same (W, N, C) of cores.
-        time: Time (W,) since each world's reset, s.
-        stats: Statistics of the episode; changed.
+        link_free: Time (W, U) until which uplinks are busy, s; modified unless `on_average`.
+        core_free: Time (W, N, C) until which cores are busy, s; modified unless `on_average`.
+        time: Time (W,) since the reset of each world, s.
+        stats: Statistics of the episode; modified.
     """
     user, begin, bits = spread(
         drawn.first, drawn.uniform, drawn.cumulative, queue.dt, drawn.low, drawn.high
@@ -160,7 +161,7 @@ def work(
     else:
         limits = (queue.core_frequency, deadline, dt)
         served = serve(tasks, servers, rates, cycles, *limits, link_free, core_free)
-    # Tasks that are yet to come, as many as on average
+    # Expected number of tasks in the rest of the episode
     expected = np.empty(time.shape)
     for w in range(time.shape[0]):
         left = max(queue.duration - time[w], 0.0)

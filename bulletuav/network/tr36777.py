@@ -1,12 +1,13 @@
 """Path loss of 3GPP TR 36.777 for aerial terminals (UMi-AV and UMa-AV), in dB, and shadowing.
 
 Losses, line-of-sight probabilities and shadowing are those of tables B-1 to B-3. In this standard
-the drone is the terminal; here the user on the ground stands for the base. Drones up to
-`LOWEST_AERIAL` m are left to TR 38.901.
+the drone is the terminal; here the ground user takes the role of the base station. Drones up to
+`LOWEST_AERIAL` m use TR 38.901.
 
-All functions take numbers, or arrays that broadcast; kernels call them too. Their arguments are:
+All functions accept numbers or arrays that broadcast, and can be called from kernels. Their
+arguments are:
 
-- `ground_distance`: horizontal distance between drone and base, m;
+- `ground_distance`: horizontal distance between drone and base station, m;
 - `drone_height`, `base_height`: heights of the antennas above ground, m;
 - `frequency`: carrier frequency, GHz.
 """
@@ -28,7 +29,7 @@ from bulletuav.network.tr38901 import (
 )
 
 LOWEST_AERIAL = 22.5
-"""Height up to which TR 36.777 leaves drones to TR 38.901, m"""
+"""Height up to which TR 36.777 refers to TR 38.901, m"""
 
 
 @elementwise
@@ -74,7 +75,8 @@ def uma_av_nlos(
 ) -> float:
     """Return the path loss of UMa-AV without line of sight, dB; up to 22.5 m that of TR 38.901.
 
-    Above 100 m the standard has no blocked links. There the law of 100 m holds, by our choice.
+    Above 100 m the standard has no blocked links. There the formula is evaluated at 100 m (our
+    choice).
     """
     if drone_height <= LOWEST_AERIAL:
         return uma_nlos(ground_distance, base_height, drone_height, frequency)
@@ -86,7 +88,7 @@ def uma_av_nlos(
 
 @elementwise
 def umi_av_los_probability(ground_distance: float, drone_height: float) -> float:
-    """Return the probability of a line of sight in UMi-AV; up to 22.5 m that of TR 38.901."""
+    """Return the line-of-sight probability of UMi-AV; TR 38.901 up to 22.5 m."""
     if drone_height <= LOWEST_AERIAL:
         return umi_los_probability(ground_distance)
     log_height = log10(drone_height)
@@ -96,7 +98,7 @@ def umi_av_los_probability(ground_distance: float, drone_height: float) -> float
 
 @elementwise
 def uma_av_los_probability(ground_distance: float, drone_height: float) -> float:
-    """Return the probability of a line of sight in UMa-AV.
+    """Return the line-of-sight probability of UMa-AV.
 
     It is 1 for drones above 100 m, and that of TR 38.901 for drones up to 22.5 m.
     """
@@ -111,16 +113,17 @@ def uma_av_los_probability(ground_distance: float, drone_height: float) -> float
 
 @elementwise
 def shadowing(drone_height: float, low: float, high: float, decay: float, least: float) -> float:
-    """Return the standard deviation of the path loss about a model, dB.
-
-    Sources: TR 38.901, table 7.4.1-1; TR 36.777, table B-3.
+    """Return the standard deviation of the shadowing, dB.
 
     Args:
         drone_height: Height of the drone, m.
-        low: Standard deviation for drones up to 22.5 m, dB; this and the rest as in `Shadowing`.
-        high: Standard deviation above that, before it decays, dB.
-        decay: Rate at which it falls with height, 1/m.
-        least: Lowest standard deviation above 22.5 m, dB.
+        low: Standard deviation for drones up to 22.5 m, dB; all parameters as in `Shadowing`.
+        high: Standard deviation above 22.5 m before the decay, dB.
+        decay: Decay rate with height, 1/m.
+        least: Minimum standard deviation above 22.5 m, dB.
+
+    References:
+        TR 38.901, table 7.4.1-1; TR 36.777, table B-3.
     """
     if drone_height <= LOWEST_AERIAL:
         return low

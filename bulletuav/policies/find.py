@@ -95,8 +95,8 @@ class PolicySpec(NamedTuple):
         if not usable:
             raise ValueError(
                 f"policy {self.name!r} supports {' or '.join(self.actions)} actions, which "
-                f"dynamics {common.dynamics_name!r} does not accept: choose another policy, or dynamics "
-                f"'rigid_body' or 'bullet'"
+                f"dynamics {common.dynamics_name!r} does not accept: choose another policy, or "
+                f"dynamics 'rigid_body' or 'bullet'"
             )
         if "action" in whole or common.action in self.actions:
             return whole

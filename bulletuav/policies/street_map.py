@@ -146,8 +146,9 @@ def is_within(grid: np.ndarray, a: int, b: int) -> bool:
 
 @kernel
 def grow(evidence: np.ndarray, occupied: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-    """Compute the cells that paths must not cross: inflated obstacles, and the outside of the
-    airspace.
+    """Compute the cells that paths must not cross.
+
+    These are inflated obstacles, and cells that are not entirely in the airspace.
 
     Args:
         evidence: (X, Y) evidence of each cell.

@@ -81,7 +81,7 @@ def _cell(
     i: int,
 ) -> int:
     """Write the half-spaces of a drone's cell; return their number."""
-    # Others farther off cannot come into the way while it brakes
+    # Drones beyond this distance cannot be reached within the braking time
     reach = rules.separation + 2.0 * rules.max_speed * rules.braking
     count = 0
     for k in range(nearest_first(traffic, w, i, reach, near, distance)):
