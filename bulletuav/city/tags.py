@@ -1,8 +1,11 @@
-"""Heights of buildings from properties of features, as OpenStreetMap writes them.
+"""Building heights from feature properties (tags) of OpenStreetMap.
 
-The wiki of OpenStreetMap: Key:height, Key:min_height, Key:building:levels, Simple_3D_Buildings and
-Map_Features/Units. There heights are metres unless a unit is told, and reach from the ground to
-the top of the roof. Levels count those that a part in the air has below it.
+By the wiki of OpenStreetMap, heights are metres unless a unit is given, and range from the ground
+to the top of the roof. The levels of an elevated part include those below it.
+
+References:
+    OpenStreetMap wiki: Key:height, Key:min_height, Key:building:levels, Simple_3D_Buildings and
+    Map_Features/Units.
 """
 
 import math
@@ -15,9 +18,9 @@ from bulletuav.city.import_report import Notebook
 from bulletuav.errors import finite, shown
 
 LEVEL = 3.0
-"""Height of a level, m, as OSM Buildings 4.1 has it (METERS_PER_LEVEL)"""
+"""Height of a level, m, as in OSM Buildings 4.1 (METERS_PER_LEVEL)"""
 GUESS = 10.0
-"""Height of a building of which nothing is told, m, as OSM Buildings 4.1 has it (DEFAULT_HEIGHT)"""
+"""Height of a building without any information, m, as in OSM Buildings 4.1 (DEFAULT_HEIGHT)"""
 NEEDED = "metres above 0, or a default height, are needed"
 FOOT = 0.3048
 INCH = 0.0254
@@ -33,7 +36,7 @@ UNITS = {
     "feet": FOOT,
     "'": FOOT,
 }
-"""Metres in a unit of length"""
+"""Metres per unit of length"""
 LENGTH = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s*([a-z']*)", re.IGNORECASE)
 FEET_AND_INCHES = re.compile(r"(\d+)'\s*(\d+(?:\.\d+)?)\"")
 
@@ -63,7 +66,7 @@ def read_length(value: Any) -> tuple[float, str]:
 
 
 def _with_unit(text: str) -> float:
-    """Read a length with a unit or a decimal comma, m; NaN where it cannot be read."""
+    """Parse a length with a unit or a decimal comma, m; NaN if it is invalid."""
     if both := FEET_AND_INCHES.fullmatch(text.strip()):
         return float(both[1]) * FOOT + float(both[2]) * INCH
     found = LENGTH.fullmatch(text.strip())
@@ -73,24 +76,24 @@ def _with_unit(text: str) -> float:
 
 
 class HeightReader:
-    """Reader of the heights between which buildings are.
+    """Reader of the bottom and top heights of buildings.
 
     Attributes:
-        name: Property that tells the height.
-        default: Height of buildings that tell none, m; None for a guess.
-        notes: Where what is odd is noted.
+        name: Property with the height.
+        default: Height of buildings without this property, m; None for an estimate.
+        notes: Import notes.
     """
 
     def __init__(self, name: str, default: float | None, notes: Notebook) -> None:
-        """Check the property's name and the default.
+        """Validate the property name and the default.
 
         Args:
-            name: Property that tells the height.
-            default: Height of buildings that tell none, m; None for a guess.
-            notes: Where what is odd is noted.
+            name: Property with the height.
+            default: Height of buildings without this property, m; None for an estimate.
+            notes: Import notes.
 
         Raises:
-            ValueError: One cannot be.
+            ValueError: If an argument is invalid.
         """
         if not isinstance(name, str):
             raise ValueError(
@@ -103,29 +106,29 @@ class HeightReader:
         self.notes = notes
 
     def span(self, properties: Mapping[str, Any], where: str) -> tuple[float, float]:
-        """Return the heights above the ground, m, between which a building or part is.
+        """Return bottom and top of a building or part above the ground, m.
 
         Args:
-            properties: Of its feature.
+            properties: Properties of the feature.
             where: Name of the feature.
 
         Raises:
-            ValueError: What it tells is refused.
+            ValueError: If strict mode forbids a property.
         """
         bottom = self._bottom(properties, where)
-        # Tags of heights first, then of levels, then a guess
+        # Height tags first, then levels, then an estimate
         top = self._told(properties, where)
         if top is None:
             top = self._by_levels(properties, where)
         if top is None:
             top = self._without(properties, where)
-            # A guessed height is that of the building itself, from its underside
+            # An estimated height is measured from the underside
             if 0 <= bottom <= MOST_HEIGHT - top:
                 top += bottom
-        # An underside above the top is a mistake of somebody's
+        # An underside above the top is a data error
         if not 0 <= bottom <= top - LEAST_HEIGHT:
             self.notes.add(
-                "underside", where, f"its underside is {bottom:g} m up, its top {top:g} m"
+                "underside", where, f"its underside is at {bottom:g} m, its top at {top:g} m"
             )
             bottom = 0.0
         if bottom > 0:
@@ -133,11 +136,11 @@ class HeightReader:
         return bottom, top
 
     def _told(self, properties: Mapping[str, Any], where: str) -> float | None:
-        """Return the height that is told, m, if it can be."""
+        """Return the height of the height tag, m; None if missing or invalid."""
         value = properties.get(self.name)
         if value is None:
             return None
-        # A number that is none, or that no building can have, is told and not used
+        # Invalid and implausible values are noted and ignored
         length, oddity = read_length(value)
         if not 0 < length < math.inf:
             self.notes.add("unreadable", where, f"its {self.name} is {shown(value)}", NEEDED)
@@ -147,10 +150,10 @@ class HeightReader:
                 "unreadable",
                 where,
                 f"its {self.name} is {length:g} m",
-                f"from {LEAST_HEIGHT:g} to {MOST_HEIGHT:g} m is possible",
+                f"from {LEAST_HEIGHT:g} to {MOST_HEIGHT:g} m is supported",
             )
             return None
-        # Readable after a guess, such as a comma for a point
+        # Valid after an interpretation, such as a decimal comma
         if oddity:
             self.notes.add(
                 oddity, where, f"its {self.name} is {shown(value)}, taken as {length:g} m", NEEDED
@@ -158,7 +161,7 @@ class HeightReader:
         return length
 
     def _by_levels(self, properties: Mapping[str, Any], where: str) -> float | None:
-        """Return the height that the levels make, m, if they can be; strict readers do not ask."""
+        """Return the height estimated from levels, m; None if missing or in strict mode."""
         levels, _ = read_length(properties.get("building:levels"))
         if self.notes.strict or not levels > 0:
             return None
@@ -173,7 +176,7 @@ class HeightReader:
         return height
 
     def _without(self, properties: Mapping[str, Any], where: str) -> float:
-        """Return the height of a building that tells none, m."""
+        """Return the height of a building without information, m."""
         if self.default is not None:
             self.notes.add("default", where, f"it is taken as {self.default:g} m high")
             return self.default
@@ -193,6 +196,6 @@ class HeightReader:
 
 
 def _count(properties: Mapping[str, Any], name: str) -> float:
-    """Return a number of levels, 0 where none is told."""
+    """Return a number of levels, 0 if missing."""
     levels, _ = read_length(properties.get(name))
     return levels if levels > 0 else 0.0

@@ -66,7 +66,7 @@ class Shadowing(NamedTuple):
 
 
 class Validity(NamedTuple):
-    """Ranges of validity of a model; a range of zero width is the base station height of the standard.
+    """Ranges of validity; a range of zero width is the base station height of the standard.
 
     Attributes:
         source: Name of the standard, for messages.

@@ -28,10 +28,11 @@ def _dual_slope(
     intercept: float,
     slope: float,
 ) -> float:
-    """Return the dual-slope path loss with line of sight, dB: 40 dB per decade beyond the breakpoint.
+    """Return the dual-slope path loss with line of sight, dB.
 
-    The effective environment height is 1 m; antennas below count as at that height. For UMa the
-    standard randomises it for users above 13 m, which is not modelled here.
+    The slope is 40 dB per decade beyond the breakpoint. The effective environment height is 1 m;
+    antennas below count as at that height. For UMa the standard randomises it for users above 13 m,
+    which is not modelled here.
     """
     # Effective antenna heights
     base_above = max(base_height - 1.0, 0.0)
