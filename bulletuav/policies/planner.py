@@ -19,7 +19,7 @@ from bulletuav.policies.base import Policy
 from bulletuav.policies.landing import touch_down
 from bulletuav.policies.potential import make_field, repulsion
 from bulletuav.policies.straight import APPROACH
-from bulletuav.policies.voxels import Voxels, voxels
+from bulletuav.policies.voxels import Voxels, build_voxels
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
@@ -67,7 +67,7 @@ class PathFollower(Policy):
 
     actions = ("velocity", "velocity_increment")
     reads_swarm = True
-    remembers: ClassVar[tuple[str, ...]] = ("_way", "_count", "_next")
+    remembers: ClassVar[tuple[str, ...]] = ("_path", "_count", "_next")
 
     def __init__(self, aviary: Aviary) -> None:
         """Allocate maps and paths; see `Policy`."""
@@ -106,8 +106,8 @@ class PathFollower(Policy):
         push = repulsion(swarm.position, aviary.alive, no_balls, np.zeros(0), field)
         push = limit_norm(push, APPROACH * HALF_WIDTH)
         flown = limit_norm(wanted + push, speed)
-        way = aviary.scene.goal - swarm.position
-        return self.encoded(touch_down(flown, way, aviary.scene.goal[..., 2], aviary.task))
+        goal_offset = aviary.scene.goal - swarm.position
+        return self.encoded(touch_down(flown, goal_offset, aviary.scene.goal[..., 2], aviary.task))
 
     @abstractmethod
     def goals(self, swarm: Swarm) -> np.ndarray:
@@ -132,7 +132,7 @@ class PathFollower(Policy):
         if id(solids) not in self._grids:
             # Free cells have a clearance of HALF_WIDTH plus the radius of a drone.
             clearance = HALF_WIDTH + task.context.collision_radius + VOXEL_SIZE / 2
-            grid = voxels(
+            grid = build_voxels(
                 bounds=solids.bounds,
                 low=task.arena_low,
                 high=task.arena_high,
@@ -349,14 +349,14 @@ def leg(points: np.ndarray, k: int) -> tuple[Vec3, float]:
 
     The direction is zero if the leg is too short.
     """
-    way = plus(point(points, k), -1.0, point(points, k - 1))
-    length = math.sqrt(dot(way, way))
+    segment = plus(point(points, k), -1.0, point(points, k - 1))
+    length = math.sqrt(dot(segment, segment))
     # Waypoints may coincide
     scale = 1.0 / length if length > NO_WAY else 0.0
     direction = (
-        scale * way[0],
-        scale * way[1],
-        scale * way[2],
+        scale * segment[0],
+        scale * segment[1],
+        scale * segment[2],
     )
     return direction, length
 

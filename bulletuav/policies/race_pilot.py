@@ -91,7 +91,7 @@ class RacePilot(Policy):
         "_start",
         "_speed",
         "_first",
-        "_choice",
+        "_parameters",
         "_position",
         "_velocity",
         "_time",
@@ -256,9 +256,9 @@ class RacePilot(Policy):
         )
 
 
-def _climbing(way: np.ndarray) -> np.ndarray:
+def _climbing(offset: np.ndarray) -> np.ndarray:
     """Return the direction of a vector (3,), tilted upwards, for drones on the ground."""
-    steep = way + np.array((0.0, 0.0, 0.5 * math.sqrt(float((way**2).sum()))))
+    steep = offset + np.array((0.0, 0.0, 0.5 * math.sqrt(float((offset**2).sum()))))
     direction: np.ndarray = steep / math.sqrt(float((steep**2).sum()))
     return direction
 

@@ -60,7 +60,7 @@ class StreetPilot(Policy):
         "_goal",
         "_low",
         "_high",
-        "_way",
+        "_path",
         "_count",
         "_next",
         "_age",

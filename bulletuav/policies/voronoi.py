@@ -55,8 +55,8 @@ def voronoi_velocities(traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.n
     result = np.empty(wish.shape)
     # One half-space for each neighbour, each sphere and each surface.
     others = traffic.known.shape[2]
-    room = others + traffic.ball_radius.shape[2] + traffic.surface.shape[2]
-    rows = np.empty((DEPTH, room, 4))
+    capacity = others + traffic.ball_radius.shape[2] + traffic.surface.shape[2]
+    rows = np.empty((DEPTH, capacity, 4))
     spare = np.empty_like(rows)
     near = np.empty(others, np.int64)
     distance = np.empty(others)
@@ -105,5 +105,5 @@ def cell_side(gap: Vec3, rules: Rules) -> HalfSpace:
         Unit normal n and bound b, m/s, of n . v >= b.
     """
     ahead, distance = unit(gap, (1.0, 0.0, 0.0))
-    room = 0.5 * (distance - rules.separation)
-    return (-ahead[0], -ahead[1], -ahead[2]), -room / rules.braking
+    margin = 0.5 * (distance - rules.separation)
+    return (-ahead[0], -ahead[1], -ahead[2]), -margin / rules.braking

@@ -32,7 +32,7 @@ class Voxels(NamedTuple):
     size: float
 
 
-def voxels(
+def build_voxels(
     bounds: np.ndarray, low: np.ndarray, high: np.ndarray, size: float, clearance: float
 ) -> Voxels:
     """Build the voxel map of an arena; cells that are not entirely inside it are occupied.

@@ -10,7 +10,7 @@ import bulletuav.policies.planner as planner
 from bulletuav.geometry.solids import Solids
 from bulletuav.policies.astar import plan, shortened, shortest_path
 from bulletuav.policies.planner import Limits, Planner, braking, corner_speed, follow
-from bulletuav.policies.voxels import Voxels, is_clear, nearest_free, voxels
+from bulletuav.policies.voxels import Voxels, is_clear, nearest_free, build_voxels
 
 LIMITS = Limits(speed=15.0, acceleration=5.0, delay=0.6, half_width=2.0)
 NOTHING = np.zeros((0, 2, 3))
@@ -51,7 +51,7 @@ def test_cells_are_occupied_where_their_centre_is_too_near():
         [[(10, 12, 0), (20, 14, 9)], [(-50, 20, 3), (3, 21, 5)], [(27, 5, 8), (60, 6, 70)]], float
     )
     low, high = np.array((-2.0, 0, 0)), np.array((31.0, 28, 22))
-    grid = voxels(boxes, low, high, 2.0, 3.5)
+    grid = build_voxels(boxes, low, high, 2.0, 3.5)
     assert grid.occupied.shape == (18, 16, 13)  # whole cells in the arena, and the rim
     for cell in np.ndindex(grid.occupied.shape):
         centre = grid.origin + 2.0 * (np.array(cell) + 0.5)
@@ -62,13 +62,13 @@ def test_cells_are_occupied_where_their_centre_is_too_near():
 
 def test_the_ground_is_where_height_is_zero_even_in_deeper_or_higher_arenas():
     for bottom, lowest in ((-10.0, 5.0), (0.0, 5.0), (20.0, 21.0)):
-        grid = voxels(NOTHING, np.array((0, 0, bottom)), np.array((10, 10, bottom + 30)), 2.0, 3.5)
+        grid = build_voxels(NOTHING, np.array((0, 0, bottom)), np.array((10, 10, bottom + 30)), 2.0, 3.5)
         free = np.argwhere(~grid.occupied)[:, 2].min()
         assert grid.origin[2] + 2.0 * (free + 0.5) == lowest
 
 
 def test_an_arena_smaller_than_a_cell_has_no_way():
-    grid = voxels(NOTHING, np.array((0.0, 0, 5)), np.array((20.0, 20, 7)), 4.0, 1.0)
+    grid = build_voxels(NOTHING, np.array((0.0, 0, 5)), np.array((20.0, 20, 7)), 4.0, 1.0)
     assert plan(grid, np.array((1.0, 1, 6)), np.array((19.0, 1, 6))).shape == (0, 3)
 
 
@@ -150,7 +150,7 @@ def test_segments_through_edges_and_corners_end():
 
 def test_way_around_a_wall_keeps_clear_of_it():
     """A taut rope 3 m off its edges is the shortest; what cells of 2 m allow is a little longer."""
-    grid = voxels(WALL, LOW, HIGH, 2.0, 4.0)
+    grid = build_voxels(WALL, LOW, HIGH, 2.0, 4.0)
     start, goal = np.array((10.3, 20.1, 40.2)), np.array((90.2, 30.4, 39.7))
     way = plan(grid, start, goal)
     np.testing.assert_array_equal(way[[0, -1]], [start, goal])
@@ -166,7 +166,7 @@ def test_ways_through_random_cities_keep_clear(seed):
     rng = np.random.default_rng(seed)
     corner = np.append(rng.uniform(0, 90, (25, 2)), np.zeros((25, 1)), axis=1)
     boxes = np.stack([corner, corner + rng.uniform((4, 4, 10), (15, 15, 60), (25, 3))], axis=1)
-    grid = voxels(boxes, LOW, HIGH, 3.0, 3.5)
+    grid = build_voxels(boxes, LOW, HIGH, 3.0, 3.5)
     start, goal = (
         grid.origin + 3.0 * (np.array(nearest_free(grid, rng.uniform(LOW, HIGH))) + 0.4)
         for _ in range(2)
@@ -178,14 +178,14 @@ def test_ways_through_random_cities_keep_clear(seed):
 
 
 def test_in_sight_the_way_is_straight():
-    grid = voxels(WALL, LOW, HIGH, 2.0, 4.0)
+    grid = build_voxels(WALL, LOW, HIGH, 2.0, 4.0)
     start, goal = np.array((10.3, 80.1, 20.2)), np.array((90.2, 85.4, 39.7))
     np.testing.assert_array_equal(plan(grid, start, goal), [start, goal])
     np.testing.assert_array_equal(plan(grid, start, start), [start, start])
 
 
 def test_ends_near_walls_and_ground_are_joined_by_straight_legs():
-    grid = voxels(WALL, LOW, HIGH, 2.0, 4.0)
+    grid = build_voxels(WALL, LOW, HIGH, 2.0, 4.0)
     start, goal = np.array((39.5, 20.5, 30.5)), np.array((60.5, 20.5, 0.5))
     way = plan(grid, start, goal)
     np.testing.assert_array_equal(way[[0, -1]], [start, goal])
@@ -198,7 +198,7 @@ def test_no_way_into_a_closed_room():
     lid = [[(40.0, y, 0.0), (60.0, y + 2, 58.0)] for y in (40, 60)] + [
         [(x, 40.0, 0.0), (x + 2, 62.0, 58.0)] for x in (40, 60)
     ]
-    grid = voxels(np.array([*lid, [(40, 40, 50), (62, 62, 60)]]), LOW, HIGH, 2.0, 2.0)
+    grid = build_voxels(np.array([*lid, [(40, 40, 50), (62, 62, 60)]]), LOW, HIGH, 2.0, 2.0)
     assert plan(grid, np.array((10.0, 10, 10)), np.array((51.0, 51, 20))).shape == (0, 3)
     assert plan(grid, np.array((51.0, 51, 20)), np.array((10.0, 10, 10))).shape == (0, 3)
 
@@ -363,7 +363,7 @@ def test_planner_flies_around_the_block(aviary):
 @pytest.mark.parametrize("aviary", [{}], indirect=True)
 def test_city_is_looked_at_once_and_plans_last_until_a_reset(aviary, monkeypatch):
     looked, planned = [], []
-    monkeypatch.setattr(planner, "voxels", lambda **given: looked.append(given) or voxels(**given))
+    monkeypatch.setattr(planner, "build_voxels", lambda **given: looked.append(given) or build_voxels(**given))
     monkeypatch.setattr(planner, "plan", lambda *args: planned.append(args) or plan(*args))
     policy, observations = Planner(aviary), aviary.reset(seeds=0)
     aviary.alive[1, 3] = False

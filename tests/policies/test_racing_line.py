@@ -102,7 +102,7 @@ def test_lines_pass_gates_where_and_how_they_choose():
     assert (np.diff(line.time) > 0).all()
     for m in range(1, 4):
         off = axis[m] @ (line.position[m * SAMPLES] - way.point[m])
-        np.testing.assert_allclose(off, (0.0, *way.room[m] * choice[:2, m]), atol=1e-12)
+        np.testing.assert_allclose(off, (0.0, *way.clearance[m] * choice[:2, m]), atol=1e-12)
         turn, rise = choice[2:4, m]
         wanted = (np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise))
         seen = axis[m] @ (line.position[m * SAMPLES] - line.position[m * SAMPLES - 1])
@@ -113,7 +113,7 @@ def test_the_fastest_line_is_faster_and_straight_where_it_can_be():
     limits = Limits(10.0, 5.0, 0.1)
     way = straight_way(0.0, 10.0, 25.0)
     way.point[1, 1] = 0.4  # within the room: the straight line is free
-    free = way._replace(room=np.array((0.0, 0.5, 0.5)))
+    free = way._replace(clearance=np.array((0.0, 0.5, 0.5)))
     best, plain = line_of(straight_way(0.0, 25.0), usual_choice(2), limits), usual_choice(3)
     found = line_of(free, fastest_choice(free, limits), limits)
     assert found.time[-1] < line_of(free, plain, limits).time[-1]

@@ -19,10 +19,10 @@ def test_others_are_seen_from_the_drone():
     state = [(1, 2, 3, 4, 5, 6), (3, 2, 1, -1, 0, 0), (0, 0, 0, 1, 1, 1)]
     traffic = traffic_of(state, balls=[(5, 5, 5, 1, 0, 0, 2)], alive=[True, True, False])
     np.testing.assert_array_equal(traffic.known[0], [[0, 1, 0], [1, 0, 0], [0, 0, 0]])
-    np.testing.assert_array_equal(traffic.gap[0, 0, 1], (2, 0, -2))
-    np.testing.assert_array_equal(traffic.other[0, 0, 1], (-1, 0, 0))
+    np.testing.assert_array_equal(traffic.offset[0, 0, 1], (2, 0, -2))
+    np.testing.assert_array_equal(traffic.other_velocity[0, 0, 1], (-1, 0, 0))
     np.testing.assert_array_equal(traffic.goal[0, 1], (-3, -2, -1))
-    np.testing.assert_array_equal(traffic.ball[0, :, 0], [(4, 3, 2), (2, 3, 4), (5, 5, 5)])
+    np.testing.assert_array_equal(traffic.sphere[0, :, 0], [(4, 3, 2), (2, 3, 4), (5, 5, 5)])
     np.testing.assert_array_equal(traffic.ball_velocity[0, 2, 0], (1, 0, 0))
     np.testing.assert_array_equal(traffic.ball_radius[0], [[2], [2], [2]])
 

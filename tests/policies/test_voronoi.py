@@ -28,7 +28,7 @@ def test_drones_stay_in_their_cells(rng):
         return
     state = np.concatenate([place, rng.uniform(-5, 5, (7, 6))], axis=1)
     chosen = velocities(voronoi_velocities, state, RULES)
-    later = place + RULES.braking * chosen
+    later = place + RULES.braking_time * chosen
     apart = np.linalg.norm(later[:, None] - later, axis=-1)
     assert apart[~np.eye(7, dtype=bool)].min() >= RULES.separation - 1e-6
     # Nearer to the old place of nobody else than to their own one.
