@@ -14,7 +14,7 @@ from bulletuav.adapters.deployed import Deployed
 from bulletuav.files import replace_file
 from bulletuav.policies.layers import (
     Affine,
-    Choose,
+    Argmax,
     Clip,
     Dense,
     Layer,
@@ -22,8 +22,8 @@ from bulletuav.policies.layers import (
     Lookup,
     Relu,
     SquareRoot,
-    Swarm,
-    Symlog,
+    SwarmLayer,
+    SymlogLayer,
     Tanh,
     width_after,
 )
@@ -125,7 +125,7 @@ def _source(policy: Deployed, name: str, precision: str) -> str:
         widths.append(width)
     # Both buffers are as wide as the widest layer
     room = max(widths)
-    is_swarm = any(isinstance(layer, Swarm) for layer in policy.layers)
+    is_swarm = any(isinstance(layer, SwarmLayer) for layer in policy.layers)
     suffix = "f" if precision == "float" else ""
     # Two buffers: dense layers read one and write the other.
     return f"""/* {_comment(policy.about)}; see {name}.h */
@@ -331,15 +331,15 @@ def _others(kind: Fields, own: int, scale: str, place: int) -> str:
 LAYERS: dict[type[Layer], Callable[[Fields, int, int], str]] = {
     Clip: _clip,
     Affine: _affine,
-    Symlog: _symlog,
+    SymlogLayer: _symlog,
     Dense: _dense,
     Tanh: _tanh,
     Relu: _relu,
     SquareRoot: _square_root,
     LimitNorm: _limit_norm,
-    Choose: _choose,
+    Argmax: _choose,
     Lookup: _lookup,
-    Swarm: _swarm,
+    SwarmLayer: _swarm,
 }
 """What writes each kind of layer: of its fields, and of how many numbers it takes and gives"""
 

@@ -11,17 +11,17 @@ from bulletuav.errors import missing
 from bulletuav.files import whole_file
 from bulletuav.policies.layers import (
     Affine,
-    Choose,
+    Argmax,
     Clip,
     Dense,
+    EntityGroup,
     Layer,
     LimitNorm,
     Lookup,
-    Others,
     Relu,
     SquareRoot,
-    Swarm,
-    Symlog,
+    SwarmLayer,
+    SymlogLayer,
     Tanh,
 )
 from bulletuav.policies.swarm_features import LOOK_AHEAD, TINY
@@ -171,7 +171,7 @@ def _affine(
 def _symlog(
     graph: _Graph,
     value: str,
-    layer: Symlog,
+    layer: SymlogLayer,
 ) -> str:
     size = graph.add("Mul", graph.add("Abs", value), graph.constant(layer.scale))
     grown = graph.add("Log", graph.add("Add", size, graph.constant(1.0)))
@@ -225,7 +225,7 @@ def _limit_norm(
 def _choose(
     graph: _Graph,
     value: str,
-    layer: Choose,
+    layer: Argmax,
 ) -> str:
     return graph.add("ArgMax", value, axis=-1, keepdims=0)
 
@@ -241,7 +241,7 @@ def _lookup(
 def _swarm(
     graph: _Graph,
     value: str,
-    layer: Swarm,
+    layer: SwarmLayer,
 ) -> str:
     parts = []
     if len(layer.own):
@@ -262,19 +262,19 @@ def _columns(
 ) -> str:
     """Add compressed numbers of an observation."""
     return _symlog(
-        graph, graph.add("Gather", value, graph.constant(columns), axis=1), Symlog(scale)
+        graph, graph.add("Gather", value, graph.constant(columns), axis=1), SymlogLayer(scale)
     )
 
 
 def _each_other(
     graph: _Graph,
     value: str,
-    kind: Others,
-    layer: Swarm,
+    kind: EntityGroup,
+    layer: SwarmLayer,
 ) -> str:
     """Add what is made of each other of a kind, (drones, K, F); zeros for who is not there."""
     others = graph.add("Gather", value, graph.constant(kind.columns), axis=1)
-    parts = [_symlog(graph, others, Symlog(layer.scale))]
+    parts = [_symlog(graph, others, SymlogLayer(layer.scale))]
     if len(kind.motion):
         parts += _approach(graph, others, kind.motion)
     if len(layer.own):
@@ -315,20 +315,20 @@ def _approach(
     # In the scales that the trained network saw: log(1 + m), and time from 0 to 2
     grown = graph.add("Log", graph.add("Add", distance, graph.constant(1.0)))
     share = graph.add("Div", time, graph.constant(LOOK_AHEAD / 2))
-    return [_symlog(graph, place, Symlog(1.0)), grown, share]
+    return [_symlog(graph, place, SymlogLayer(1.0)), grown, share]
 
 
 LAYERS: dict[type[Layer], Callable[[_Graph, str, Any], str]] = {
     Clip: _clip,
     Affine: _affine,
-    Symlog: _symlog,
+    SymlogLayer: _symlog,
     Dense: _dense,
     Tanh: _tanh,
     Relu: _relu,
     SquareRoot: _square_root,
     LimitNorm: _limit_norm,
-    Choose: _choose,
+    Argmax: _choose,
     Lookup: _lookup,
-    Swarm: _swarm,
+    SwarmLayer: _swarm,
 }
 """What adds each kind of layer to a graph: of the value before it, to the name of the one after"""

@@ -16,8 +16,8 @@ from bulletuav.geometry.solids import Solids
 
 FLUSH = 1e-9
 """Relative tolerance of volumes within which a hull counts as a box"""
-LEAST_HEIGHT = 0.01
-MOST_HEIGHT = 2000.0
+MIN_HEIGHT = 0.01
+MAX_HEIGHT = 2000.0
 """Maximum height of a building, m: drones that do not fly are kept above"""
 REMEDY = "give the path of a .geojson, .json or .obj file"
 
@@ -84,10 +84,10 @@ def assemble(
     bottom = corners[:, 2].min()
     top = corners[:, 2].max()
     check_extent(path, low, high, side)
-    if not -TILE_PITCH < bottom <= top <= MOST_HEIGHT:
+    if not -TILE_PITCH < bottom <= top <= MAX_HEIGHT:
         raise ValueError(
             f"{path} has buildings from {bottom:g} to {top:g} m above ground: "
-            f"at most {MOST_HEIGHT:g} m is supported"
+            f"at most {MAX_HEIGHT:g} m is supported"
         )
     # Without a side, the centre of the pieces becomes the origin
     middle = np.zeros(3)

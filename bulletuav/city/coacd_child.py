@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 
-def serve(coacd: Any, meshes: BinaryIO, answers: BinaryIO, concavity: float) -> None:
+def decompose_meshes(coacd: Any, meshes: BinaryIO, answers: BinaryIO, concavity: float) -> None:
     """Decompose meshes until the input ends.
 
     Args:
@@ -78,4 +78,4 @@ if __name__ == "__main__":
     import coacd
 
     coacd.set_log_level("error")
-    serve(coacd, sys.stdin.buffer, pipe, float(sys.argv[1]))
+    decompose_meshes(coacd, sys.stdin.buffer, pipe, float(sys.argv[1]))

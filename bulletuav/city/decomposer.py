@@ -75,7 +75,7 @@ class Decomposer:
         is_done = threading.Event()
         limits: list[float] = []  # the exceeded limit
         arguments = (process, mesh, is_done, limits)
-        watch = threading.Thread(target=_end_late, args=arguments, daemon=True)
+        watch = threading.Thread(target=_kill_on_timeout, args=arguments, daemon=True)
         watch.start()
         code = 0
         found: list[np.ndarray] = []
@@ -88,7 +88,7 @@ class Decomposer:
             is_done.set()
         if not found:
             watch.join()
-            reason = f"took longer than {limits[0]:g} s" if limits else self._why(code)
+            reason = f"took longer than {limits[0]:g} s" if limits else self._exit_reason(code)
             self._end()
             raise ValueError(
                 f"{where}: CoACD, which splits meshes that are not convex, {reason}"
@@ -114,7 +114,7 @@ class Decomposer:
             )
         return self._process
 
-    def _why(self, code: int) -> str:
+    def _exit_reason(self, code: int) -> str:
         """Describe how the subprocess ended: by a signal, an error, or without pieces."""
         assert self._log is not None
         self._log.seek(0)
@@ -139,7 +139,7 @@ class Decomposer:
         self._process = self._log = None
 
 
-def _end_late(
+def _kill_on_timeout(
     process: "subprocess.Popen[bytes]", mesh: Mesh, is_done: threading.Event, limits: list[float]
 ) -> None:
     """Kill the subprocess if a mesh exceeds its time limit.

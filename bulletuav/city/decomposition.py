@@ -17,7 +17,9 @@ CHUNK = 64
 """Number of samples whose distances are computed together"""
 
 
-def split(mesh: Mesh, where: str, notes: Notebook, decompose: Decomposer) -> Iterator[np.ndarray]:
+def split_mesh(
+    mesh: Mesh, where: str, notes: Notebook, decompose: Decomposer
+) -> Iterator[np.ndarray]:
     """Split a mesh into convex pieces.
 
     Each closed component is one piece if it is convex. Upright prisms are cut exactly, all others

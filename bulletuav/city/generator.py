@@ -12,7 +12,7 @@ from bulletuav.compiled.functions import power
 from bulletuav.errors import choose, finite, shown
 from bulletuav.geometry.solids import Solids
 
-MOST_BLOCKS = 128
+MAX_BLOCKS = 128
 """Maximum number of blocks along a side"""
 BOULEVARDS = 0.2
 """Fraction of boulevards among the streets, at irregularity 1"""
@@ -100,9 +100,9 @@ def _blocks(side: float, pitch: float) -> int:
         raise ValueError(
             f"side is {side!r} m: two blocks need at least {2 * pitch:.4g} m; increase side or beta"
         )
-    if few > MOST_BLOCKS:
+    if few > MAX_BLOCKS:
         raise ValueError(
-            f"side is {side!r} m: at most {MOST_BLOCKS * pitch:.4g} m, {MOST_BLOCKS} blocks, "
+            f"side is {side!r} m: at most {MAX_BLOCKS * pitch:.4g} m, {MAX_BLOCKS} blocks, "
             f"are supported; decrease side or beta"
         )
     return min(few, few + 1, key=lambda count: abs(side / count - pitch))
@@ -150,20 +150,20 @@ def _buildings(
 
     # Covered fraction of each lot; the total covered area is not random
     fill = ground / areas.sum()
-    luck = rng.uniform(-1, 1, count)
-    luck -= np.average(luck, weights=areas)
-    share = fill + irregularity / 2 * min(fill, 1 - fill) * luck
+    noise = rng.uniform(-1, 1, count)
+    noise -= np.average(noise, weights=areas)
+    fraction = fill + irregularity / 2 * min(fill, 1 - fill) * noise
 
     # L-shaped buildings lack a corner, and have a larger rectangle
     chosen = rng.random(count) < ANGLED * irregularity
-    angled = chosen & (1 - share > NOTCH[0])
-    room = np.minimum(NOTCH[1], 1 - share) - NOTCH[0]
-    notch = angled * (NOTCH[0] + rng.random(count) * room)
+    angled = chosen & (1 - fraction > NOTCH[0])
+    margin = np.minimum(NOTCH[1], 1 - fraction) - NOTCH[0]
+    notch = angled * (NOTCH[0] + rng.random(count) * margin)
 
     # Length, width and position of the rectangles
     slim = 0.5 + 0.3 * irregularity * rng.uniform(-1, 1, count)
     powers = np.stack([slim, 1 - slim], axis=1)
-    extents = sizes * power((share / (1 - notch))[:, None], powers)
+    extents = sizes * power((fraction / (1 - notch))[:, None], powers)
     place = 0.5 + irregularity * (rng.random((count, 2)) - 0.5)
     corners = lots[:, 0] + (sizes - extents) * place
 

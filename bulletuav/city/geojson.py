@@ -16,7 +16,7 @@ from bulletuav.earth.geodesy import degree_lengths
 from bulletuav.errors import require_file, shown
 from bulletuav.parsing import read_json
 
-LEAST_AREA = 1e-18
+MIN_AREA = 1e-18
 """Minimum area of a footprint, square degrees or m^2"""
 
 OTHERS = ("Point", "MultiPoint", "LineString", "MultiLineString", "GeometryCollection")
@@ -161,7 +161,7 @@ def _shape(feature: Any, where: str, notes: Notebook) -> Any:
         notes.add("repaired", where, f"it is not a valid polygon: {reason}")
         shape = _polygons(shapely.make_valid(shape))
     # The repaired shape may be degenerate
-    if not np.isfinite(corners).all() or shape.area < LEAST_AREA:
+    if not np.isfinite(corners).all() or shape.area < MIN_AREA:
         notes.add(
             "skipped",
             where,
@@ -232,9 +232,9 @@ def _without_outlines(footprints: Sequence[Footprint], notes: Notebook) -> list[
         elif footprint.where in own:
             shapes = own[footprint.where]
             covered = shapely.union_all(shapes).intersection(footprint.shape).area
-            share = covered / footprint.shape.area
-            what = f"its {len(shapes)} parts cover {share:.0%} of it and replace it"
-            notes.add("outline" if share >= COVERED else "uncovered", footprint.where, what)
+            fraction = covered / footprint.shape.area
+            what = f"its {len(shapes)} parts cover {fraction:.0%} of it and replace it"
+            notes.add("outline" if fraction >= COVERED else "uncovered", footprint.where, what)
         else:
             left.append(footprint)
     return left

@@ -6,7 +6,7 @@ from bulletuav.compiled.kernel import kernel
 
 
 @kernel
-def join(part: np.ndarray, edges: np.ndarray) -> None:
+def connect_components(part: np.ndarray, edges: np.ndarray) -> None:
     """Compute connected components by union-find.
 
     Each node gets the minimum index in its component. SciPy has the same algorithm, but takes a

@@ -10,7 +10,7 @@ FIRST_SHOWN = 3
 """Number of notes of a kind that a listing names"""
 
 
-class Kind(NamedTuple):
+class NoteKind(NamedTuple):
     """Kind of import note.
 
     Attributes:
@@ -25,20 +25,20 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "skipped": Kind("without a usable shape, skipped", True, True),
-    "repaired": Kind("self-intersecting rings, repaired", True, True),
-    "unreadable": Kind("invalid heights, ignored", True, True),
-    "guessed": Kind("missing heights, estimated", True, True),
-    "levels": Kind("heights estimated from the number of levels", True, True),
-    "list": Kind("lists of heights, maximum used", True, True),
-    "underside": Kind("invalid undersides, put on the ground", True, True),
-    "hull": Kind("meshes that are not closed, replaced by their convex hulls", True, True),
-    "uncovered": Kind("outlines replaced by parts that cover less than 90 %", True, True),
-    "unit": Kind("heights with a unit or a decimal comma", False, True),
-    "default": Kind("missing heights, set to the default height", False, False),
-    "outline": Kind("outlines replaced by their parts", False, False),
-    "above": Kind("parts above the ground", False, False),
-    "moved": Kind("buildings put on the ground", False, False),
+    "skipped": NoteKind("without a usable shape, skipped", True, True),
+    "repaired": NoteKind("self-intersecting rings, repaired", True, True),
+    "unreadable": NoteKind("invalid heights, ignored", True, True),
+    "guessed": NoteKind("missing heights, estimated", True, True),
+    "levels": NoteKind("heights estimated from the number of levels", True, True),
+    "list": NoteKind("lists of heights, maximum used", True, True),
+    "underside": NoteKind("invalid undersides, put on the ground", True, True),
+    "hull": NoteKind("meshes that are not closed, replaced by their convex hulls", True, True),
+    "uncovered": NoteKind("outlines replaced by parts that cover less than 90 %", True, True),
+    "unit": NoteKind("heights with a unit or a decimal comma", False, True),
+    "default": NoteKind("missing heights, set to the default height", False, False),
+    "outline": NoteKind("outlines replaced by their parts", False, False),
+    "above": NoteKind("parts above the ground", False, False),
+    "moved": NoteKind("buildings put on the ground", False, False),
 }
 """Kinds of notes by name"""
 

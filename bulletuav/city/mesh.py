@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.city.graphs import join
+from bulletuav.city.graphs import connect_components
 from bulletuav.city.polygons import (
     SLIVER,
     area_of,
@@ -94,7 +94,9 @@ def components(mesh: Mesh) -> list[Mesh]:
     _, side = np.unique(np.sort(_sides(mesh), axis=1), axis=0, return_inverse=True)
     # Bipartite graph of triangles and edges
     part = np.arange(count + int(side.max()) + 1)
-    join(part, np.stack([np.repeat(np.arange(count), 3), count + side.ravel()], axis=1))
+    connect_components(
+        part, np.stack([np.repeat(np.arange(count), 3), count + side.ravel()], axis=1)
+    )
     part = part[:count]
     found = []
     for k in dict.fromkeys(part.tolist()):
@@ -115,13 +117,13 @@ def outward(mesh: Mesh) -> Mesh | None:
         The mesh, or None if it is not closed: an edge does not belong to exactly two triangles, or
         the surface is not orientable.
     """
-    ways: dict[tuple[int, ...], list[tuple[int, bool]]] = {}
+    edge_uses: dict[tuple[int, ...], list[tuple[int, bool]]] = {}
     for k, (begin, end) in enumerate(_sides(mesh).tolist()):
-        ways.setdefault((min(begin, end), max(begin, end)), []).append((k // 3, begin < end))
-    if any(len(pair) != 2 for pair in ways.values()):
+        edge_uses.setdefault((min(begin, end), max(begin, end)), []).append((k // 3, begin < end))
+    if any(len(pair) != 2 for pair in edge_uses.values()):
         return None
     neighbours: list[list[tuple[int, bool]]] = [[] for _ in mesh.triangles]
-    for (one, rises), (other, also) in ways.values():
+    for (one, rises), (other, also) in edge_uses.values():
         neighbours[one].append((other, rises == also))
         neighbours[other].append((one, rises == also))
     # Whether each triangle must be flipped relative to the first one
@@ -232,16 +234,16 @@ def _winding(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _distance(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the distances (K,) of points (K, 3) to the nearest of triangles (T, 3, 3), m."""
     start = corners[None]
-    way = np.roll(corners, -1, axis=1)[None] - start
+    edge = np.roll(corners, -1, axis=1)[None] - start
     offset = points[:, None, None] - start
     # Nearest point of each edge
-    square = np.maximum((way**2).sum(axis=-1), np.finfo(float).tiny)
-    along = np.clip((offset * way).sum(axis=-1) / square, 0, 1)
-    sides = np.linalg.norm(offset - along[..., None] * way, axis=-1).min(axis=-1)
+    square = np.maximum((edge**2).sum(axis=-1), np.finfo(float).tiny)
+    along = np.clip((offset * edge).sum(axis=-1) / square, 0, 1)
+    sides = np.linalg.norm(offset - along[..., None] * edge, axis=-1).min(axis=-1)
     # Distance to the plane if the point projects into the triangle
-    normal = np.cross(way[:, :, 0], way[:, :, 1])
+    normal = np.cross(edge[:, :, 0], edge[:, :, 1])
     length = np.maximum(np.linalg.norm(normal, axis=-1), FLAT)
-    left = (np.cross(way, offset) * normal[:, :, None]).sum(axis=-1)
+    left = (np.cross(edge, offset) * normal[:, :, None]).sum(axis=-1)
     plane = np.abs((offset[:, :, 0] * normal).sum(axis=-1)) / length
     over = (left >= 0).all(axis=-1) & (length > FLAT)
     nearest: np.ndarray = np.where(over, plane, sides).min(axis=1)

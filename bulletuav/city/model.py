@@ -72,10 +72,10 @@ class City:
         Pieces that begin at least 2 m above the ground do not count; the areas of other overlapping
         pieces are added.
         """
-        start, way = (ends[self.solids.bounds[:, 0, 2] < HEADROOM] for ends in self._walls)
+        start, edge = (ends[self.solids.bounds[:, 0, 2] < HEADROOM] for ends in self._walls)
         # Shoelace formula: twice the area of each footprint
-        forward = start[..., 0] * way[..., 1]
-        backward = start[..., 1] * way[..., 0]
+        forward = start[..., 0] * edge[..., 1]
+        backward = start[..., 1] * edge[..., 0]
         double = forward - backward
         return float(double.sum() / 2 / self.sides.prod())
 
@@ -116,10 +116,10 @@ class City:
         """
         plan = _plan(points)
         most = finite("most", most)
-        gap = np.full(plan[..., 0].size, most)
+        nearest = np.full(plan[..., 0].size, most)
         point, _, distance = self._near(plan.reshape(-1, 2), most)
-        np.minimum.at(gap, point, distance)
-        return gap.reshape(plan.shape[:-1])
+        np.minimum.at(nearest, point, distance)
+        return nearest.reshape(plan.shape[:-1])
 
     def roof(self, points: np.ndarray) -> np.ndarray:
         """Return the height of the highest roof above or below points.
@@ -200,29 +200,29 @@ class City:
         piece = close[other]
 
         # Exact distances
-        start, way = self._walls
-        distance = _distance(plan[point, None], start[piece], way[piece])
+        start, edge = self._walls
+        distance = _distance(plan[point, None], start[piece], edge[piece])
         near = distance <= reach
         return point[near], piece[near], distance[near]
 
 
-def _distance(point: np.ndarray, start: np.ndarray, way: np.ndarray) -> np.ndarray:
+def _distance(point: np.ndarray, start: np.ndarray, edge: np.ndarray) -> np.ndarray:
     """Return the distances (M,) from points (M, 1, 2) to convex polygons, 0 inside.
 
-    Polygon edges start at `start` and have vectors `way`, both (M, V, 2).
+    Polygon edges start at `start` and have vectors `edge`, both (M, V, 2).
     """
     offset = point - start
     # Interior points are to the left of all edges
-    left = way[..., 0] * offset[..., 1]
-    right = way[..., 1] * offset[..., 0]
+    left = edge[..., 0] * offset[..., 1]
+    right = edge[..., 1] * offset[..., 0]
     inside = (left >= right).all(axis=1)
     # Nearest point of each edge
-    square = np.maximum((way**2).sum(axis=-1), np.finfo(float).tiny)
-    along = (offset * way).sum(axis=-1)
-    share = np.clip(along / square, 0, 1)
-    away = offset - share[..., None] * way
-    gap = np.linalg.norm(away, axis=-1).min(axis=1)
-    return np.where(inside, 0.0, gap)
+    square = np.maximum((edge**2).sum(axis=-1), np.finfo(float).tiny)
+    along = (offset * edge).sum(axis=-1)
+    fraction = np.clip(along / square, 0, 1)
+    away = offset - fraction[..., None] * edge
+    nearest = np.linalg.norm(away, axis=-1).min(axis=1)
+    return np.where(inside, 0.0, nearest)
 
 
 def _padded(rows: Sequence[np.ndarray], columns: int) -> np.ndarray:

@@ -73,9 +73,9 @@ def p1410_los(
     density = np.sqrt(statistics.alpha * statistics.beta)
     count = np.floor(distance / 1000 * density)[..., None]
     passed = np.arange(count.max(initial=0))
-    share = (passed + 0.5) / np.maximum(count, 1)
+    fraction = (passed + 0.5) / np.maximum(count, 1)
     fall = (transmitter - receiver)[..., None]
-    height = transmitter[..., None] - share * fall
+    height = transmitter[..., None] - fraction * fall
     # Rayleigh distribution of the roofs
     lower = 1 - np.exp(-(height**2) / (2 * statistics.gamma**2))
     chance: np.ndarray = np.where(passed < count, lower, 1.0).prod(axis=-1)

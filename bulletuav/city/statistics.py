@@ -9,7 +9,7 @@ import numpy as np
 from bulletuav.city.model import City
 from bulletuav.errors import finite
 
-MOST = {"alpha": math.inf, "beta": 1e6, "gamma": 500.0}
+MAX_VALUES = {"alpha": math.inf, "beta": 1e6, "gamma": 500.0}
 """Maximum values; beyond these, buildings are smaller than drones or exceed the airspace"""
 
 
@@ -34,7 +34,7 @@ class Statistics:
     def __post_init__(self) -> None:
         given = dataclasses.asdict(self)
         for name, value in given.items():
-            checked = finite(name, value, most=MOST[name])
+            checked = finite(name, value, most=MAX_VALUES[name])
             object.__setattr__(self, name, checked)
         if not 0 < self.alpha < 1:
             raise ValueError(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bulletuav.city.graphs import join
+from bulletuav.city.graphs import connect_components
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +67,8 @@ def free_streets(
     nodes, edges = _lattice(stops, stops)
     start, end = nodes[edges].swapaxes(0, 1)
     # Points along each edge that are at most `margin` apart
-    share = np.linspace(0, 1, int(spacing / margin) + 2)[:, None, None]
-    points = start + share * (end - start)
+    fraction = np.linspace(0, 1, int(spacing / margin) + 2)[:, None, None]
+    points = start + fraction * (end - start)
     free = outdoors(points, margin).all(axis=0)
     if not free.any():
         raise ValueError(
@@ -92,9 +92,9 @@ def _lattice(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _connected(nodes: np.ndarray, edges: np.ndarray) -> Streets:
     """Return the largest connected component, with its nodes only."""
     part = np.arange(len(nodes))
-    join(part, edges)
+    connect_components(part, edges)
     # Both ends of an edge are in the same part
-    greatest = np.bincount(part).argmax()
-    kept = edges[part[edges[:, 0]] == greatest]
+    largest = np.bincount(part).argmax()
+    kept = edges[part[edges[:, 0]] == largest]
     used, renumbered = np.unique(kept, return_inverse=True)
     return Streets(nodes[used], renumbered.reshape(kept.shape))

@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from bulletuav.city.assembly import LEAST_HEIGHT, MOST_HEIGHT
+from bulletuav.city.assembly import MAX_HEIGHT, MIN_HEIGHT
 from bulletuav.city.import_report import Notebook
 from bulletuav.errors import finite, shown
 
@@ -100,7 +100,7 @@ class HeightReader:
                 f"height is {shown(name)}: the name of a property of the features is needed"
             )
         if default is not None:
-            default = finite("default_height", default, LEAST_HEIGHT, MOST_HEIGHT)
+            default = finite("default_height", default, MIN_HEIGHT, MAX_HEIGHT)
         self.name = name
         self.default = default
         self.notes = notes
@@ -117,16 +117,16 @@ class HeightReader:
         """
         bottom = self._bottom(properties, where)
         # Height tags first, then levels, then an estimate
-        top = self._told(properties, where)
+        top = self._tagged_height(properties, where)
         if top is None:
             top = self._by_levels(properties, where)
         if top is None:
-            top = self._without(properties, where)
+            top = self._default_height(properties, where)
             # An estimated height is measured from the underside
-            if 0 <= bottom <= MOST_HEIGHT - top:
+            if 0 <= bottom <= MAX_HEIGHT - top:
                 top += bottom
         # An underside above the top is a data error
-        if not 0 <= bottom <= top - LEAST_HEIGHT:
+        if not 0 <= bottom <= top - MIN_HEIGHT:
             self.notes.add(
                 "underside", where, f"its underside is at {bottom:g} m, its top at {top:g} m"
             )
@@ -135,7 +135,7 @@ class HeightReader:
             self.notes.add("above", where, f"it begins {bottom:g} m above the ground")
         return bottom, top
 
-    def _told(self, properties: Mapping[str, Any], where: str) -> float | None:
+    def _tagged_height(self, properties: Mapping[str, Any], where: str) -> float | None:
         """Return the height of the height tag, m; None if missing or invalid."""
         value = properties.get(self.name)
         if value is None:
@@ -145,12 +145,12 @@ class HeightReader:
         if not 0 < length < math.inf:
             self.notes.add("unreadable", where, f"its {self.name} is {shown(value)}", NEEDED)
             return None
-        if not LEAST_HEIGHT <= length <= MOST_HEIGHT:
+        if not MIN_HEIGHT <= length <= MAX_HEIGHT:
             self.notes.add(
                 "unreadable",
                 where,
                 f"its {self.name} is {length:g} m",
-                f"from {LEAST_HEIGHT:g} to {MOST_HEIGHT:g} m is supported",
+                f"from {MIN_HEIGHT:g} to {MAX_HEIGHT:g} m is supported",
             )
             return None
         # Valid after an interpretation, such as a decimal comma
@@ -169,13 +169,13 @@ class HeightReader:
         if not rise >= 0:
             rise = LEVEL * _count(properties, "roof:levels")
         height = LEVEL * levels + rise
-        if height > MOST_HEIGHT:
+        if height > MAX_HEIGHT:
             self.notes.add("unreadable", where, f"its {levels:g} levels would be {height:g} m high")
             return None
         self.notes.add("levels", where, f"its {levels:g} levels are taken as {height:g} m")
         return height
 
-    def _without(self, properties: Mapping[str, Any], where: str) -> float:
+    def _default_height(self, properties: Mapping[str, Any], where: str) -> float:
         """Return the height of a building without information, m."""
         if self.default is not None:
             self.notes.add("default", where, f"it is taken as {self.default:g} m high")

@@ -7,14 +7,14 @@ import numpy as np
 
 from bulletuav.city.assembly import REMEDY, assemble, check_flags
 from bulletuav.city.decomposer import Decomposer
-from bulletuav.city.decomposition import split
+from bulletuav.city.decomposition import split_mesh
 from bulletuav.city.import_report import Notebook
 from bulletuav.city.mesh import make_mesh
 from bulletuav.city.model import City
 from bulletuav.errors import choose, finite, read_file, require_file, shown
 
-MOST_SCALE = 1e9
-FARTHEST = 1e12
+MAX_SCALE = 1e9
+MAX_COORDINATE = 1e12
 """Maximum magnitude of numbers in files"""
 GROUND_LEVEL = 1e-3
 """Height of a model's lowest point, m, above which elevations count as absolute"""
@@ -38,7 +38,7 @@ def from_obj(
 
     Every object (every group, if there are no objects) is a building or a part of one. Objects
     whose names are equal up to `_piece_` form one building. Each convex component of an object is a
-    piece. Other closed meshes are split into convex pieces, see `decomposition.split`, which
+    piece. Other closed meshes are split into convex pieces, see `decomposition.split_mesh`, which
     requires the extra `city`. Meshes that are not closed are replaced by their convex hulls.
 
     Args:
@@ -68,7 +68,7 @@ def from_obj(
     choose("elevation", elevation, ELEVATIONS)
     vertices, faces = _faces(path)
     # To metres with z up
-    scale = finite("scale", scale, -MOST_SCALE, MOST_SCALE)
+    scale = finite("scale", scale, -MAX_SCALE, MAX_SCALE)
     points = scale * np.array(vertices).reshape(-1, 3)
     if y_up:
         points = points[:, [0, 2, 1]] * [1, -1, 1]
@@ -78,7 +78,7 @@ def from_obj(
         pieces = [
             (name.partition("_piece_")[0], piece)
             for name, own in faces.items()
-            for piece in split(make_mesh(points, own), f"object {name}", notes, decompose)
+            for piece in split_mesh(make_mesh(points, own), f"object {name}", notes, decompose)
         ]
     return assemble(path, _on_the_ground(pieces, elevation, notes), side, notes)
 
@@ -133,7 +133,9 @@ def _faces(path: Path) -> tuple[list[list[float]], dict[str, list[list[int]]]]:
 def _vertex(words: Sequence[str]) -> list[float]:
     if len(words) < 3:
         raise ValueError(f"not enough values: a vertex needs x, y and z, not {len(words)} numbers")
-    return [finite("a coordinate", float(word), -FARTHEST, FARTHEST) for word in words[:3]]
+    return [
+        finite("a coordinate", float(word), -MAX_COORDINATE, MAX_COORDINATE) for word in words[:3]
+    ]
 
 
 def _indices(words: Sequence[str], known: int) -> Iterator[int]:

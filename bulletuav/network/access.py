@@ -11,7 +11,7 @@ from bulletuav.network.link import capacity
 OFDMA, TDMA, SHARED = range(3)
 ACCESS = {"ofdma": OFDMA, "tdma": TDMA, "shared": SHARED}
 """Codes of the access schemes by name, see `uplink_rates`"""
-NOBODY = -1
+NO_DRONE = -1
 """Drone index of users that no drone serves"""
 
 
@@ -57,7 +57,7 @@ def uplink_rates(
         # Count the users of each drone
         count[:] = 0.0
         for j in range(users):
-            if assignment[w, j] != NOBODY:
+            if assignment[w, j] != NO_DRONE:
                 count[assignment[w, j]] += 1.0
         for i in range(drones):
             if count[i] == 0.0:
@@ -68,7 +68,7 @@ def uplink_rates(
             others = 0.0
             for j in range(users):
                 server = assignment[w, j]
-                if server == NOBODY:
+                if server == NO_DRONE:
                     continue
                 total += power[w, i, j]
                 if server != i:

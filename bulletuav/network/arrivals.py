@@ -74,7 +74,7 @@ class Arrivals:
         rng: Sequence[np.random.Generator | None],
         flying: np.ndarray,
         first: np.ndarray,
-        room: np.ndarray,
+        buffer: np.ndarray,
     ) -> np.ndarray:
         """Draw the random numbers of the tasks of one decision, see `make_tasks`.
 
@@ -83,7 +83,7 @@ class Arrivals:
             flying: Whether (W,) an episode of each world is running. Each such world draws from its
                 own generator.
             first: Offsets (W + 1,) of the tasks of each world, written.
-            room: Buffer for the numbers, written.
+            buffer: Buffer for the numbers, written.
 
         Returns:
             The buffer, or a larger one if there are more numbers.
@@ -96,11 +96,11 @@ class Arrivals:
             if count:
                 # Three numbers per task, and one for the interval after the last task
                 begin, used = used, used + 3 * count + 1
-                if used > len(room):
-                    room = np.concatenate([room[:begin], np.empty(2 * used - begin)])
-                room[begin:used] = generator.random(used - begin)
+                if used > len(buffer):
+                    buffer = np.concatenate([buffer[:begin], np.empty(2 * used - begin)])
+                buffer[begin:used] = generator.random(used - begin)
         first[:] = list(itertools.accumulate(counts))
-        return room
+        return buffer
 
 
 @func
@@ -120,7 +120,7 @@ def _first_above(ascending: np.ndarray, value: float) -> int:
 
 
 @allocating
-def spread(
+def make_tasks(
     first: np.ndarray,
     uniform: np.ndarray,
     cumulative: np.ndarray,

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, elementwise
-from bulletuav.network.access import NOBODY
+from bulletuav.network.access import NO_DRONE
 
 NEAREST, MAX_RATE, DTLCM = range(3)
 STRATEGIES = {"nearest": NEAREST, "max_rate": MAX_RATE, "dtlcm": DTLCM}
@@ -46,7 +46,7 @@ def dtlcm_score(
 
 
 @allocating
-def assign(
+def assign_users(
     strategy: int,
     position: np.ndarray,
     alive: np.ndarray,
@@ -74,7 +74,7 @@ def assign(
         Serving drone (W, U), or `NO_DRONE`.
     """
     worlds, drones, count = power.shape
-    chosen = np.full((worlds, count), NOBODY)
+    chosen = np.full((worlds, count), NO_DRONE)
     for w in range(worlds):
         for j in range(count):
             # Received power must be positive; distances and scores have no limit

@@ -6,7 +6,7 @@ from bulletuav.compiled.kernel import kernel
 
 
 @kernel
-def watch(
+def update_dwell_time(
     dwell_time: np.ndarray, mean: np.ndarray, sight: np.ndarray, alive: np.ndarray, period: float
 ) -> None:
     """Update dwell times and their means after a decision, in place.

@@ -10,10 +10,10 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating
 from bulletuav.network.access import uplink_rates
-from bulletuav.network.arrivals import Tasks, spread
-from bulletuav.network.assignment import assign
-from bulletuav.network.server import serve, serve_on_average
-from bulletuav.network.service_stats import ServiceStats, count
+from bulletuav.network.arrivals import Tasks, make_tasks
+from bulletuav.network.assignment import assign_users
+from bulletuav.network.server import serve_steady_state, serve_tasks
+from bulletuav.network.service_stats import ServiceStats, update_service_stats
 
 
 class Strategy(NamedTuple):
@@ -41,7 +41,7 @@ class Band(NamedTuple):
     activity: float
 
 
-class Drawn(NamedTuple):
+class TaskNumbers(NamedTuple):
     """Random numbers of the tasks; see `bulletuav.network.arrivals.make_tasks`.
 
     Attributes:
@@ -86,7 +86,7 @@ class Queue(NamedTuple):
 
 
 @allocating
-def connect(
+def associate_users(
     strategy: Strategy,
     band: Band,
     position: np.ndarray,
@@ -117,7 +117,7 @@ def connect(
         for i in range(utilisation.shape[1]):
             load[w, i] = utilisation[w, i] * strategy.capacity
     code, capacity, demand, weight = strategy
-    chosen = assign(code, position, alive, users, power, capacity, demand, load, weight)
+    chosen = assign_users(code, position, alive, users, power, capacity, demand, load, weight)
     bandwidth, noise, access, activity = band
     found = uplink_rates(power, chosen, bandwidth, noise, access, activity)
     for w in range(servers.shape[0]):
@@ -128,8 +128,8 @@ def connect(
 
 
 @allocating
-def work(
-    drawn: Drawn,
+def process_tasks(
+    drawn: TaskNumbers,
     queue: Queue,
     servers: np.ndarray,
     rates: np.ndarray,
@@ -150,21 +150,21 @@ def work(
         time: Time (W,) since the reset of each world, s.
         stats: Statistics of the episode; modified.
     """
-    user, begin, bits = spread(
+    user, begin, bits = make_tasks(
         drawn.first, drawn.uniform, drawn.cumulative, queue.dt, drawn.low, drawn.high
     )
     tasks = Tasks(drawn.first, user, begin, bits)
     cycles, deadline, dt = queue.cycles_per_bit, queue.deadline, queue.dt
     if queue.on_average:
         steady = (queue.cores, queue.arrival_rate, queue.service_rate, deadline, dt)
-        served = serve_on_average(tasks, servers, rates, core_free.shape[1], cycles, *steady)
+        served = serve_steady_state(tasks, servers, rates, core_free.shape[1], cycles, *steady)
     else:
         limits = (queue.core_frequency, deadline, dt)
-        served = serve(tasks, servers, rates, cycles, *limits, link_free, core_free)
+        served = serve_tasks(tasks, servers, rates, cycles, *limits, link_free, core_free)
     # Expected number of tasks in the rest of the episode
     expected = np.empty(time.shape)
     for w in range(time.shape[0]):
         left = max(queue.duration - time[w], 0.0)
         expected[w] = queue.arrival_rate * servers.shape[1] * left
     full_rate = queue.cores * queue.service_rate
-    count(served, stats, expected, deadline, queue.cores * dt, full_rate)
+    update_service_stats(served, stats, expected, deadline, queue.cores * dt, full_rate)

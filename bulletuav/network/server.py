@@ -56,7 +56,7 @@ class _Server(NamedTuple):
 
 
 @allocating
-def serve(
+def serve_tasks(
     tasks: Tasks,
     assignment: np.ndarray,
     uplink: np.ndarray,
@@ -108,19 +108,21 @@ def serve(
     remaining = np.empty((drones, cores))
     for w in range(worlds):
         link, core, taken = link_free[w], core_free[w], assignment[w]
-        _go_on(core, dt, served.busy[w], remaining)
+        _continue_work(core, dt, served.busy[w], remaining)
         arrived = served.arrived[w]
         count = _upload(tasks, w, taken, uplink[w], server, link, arrived, order, arrival)
         for k in range(count):
             task = order[k]
             i = taken[tasks.user[task]]
-            _compute(tasks, task, arrival[k], server, core[i], remaining[i], served, w, i)
+            _run_task(tasks, task, arrival[k], server, core[i], remaining[i], served, w, i)
         _carry_over(server, core, link, remaining, served, w)
     return served
 
 
 @func
-def _go_on(core_free: np.ndarray, dt: float, busy: np.ndarray, remaining: np.ndarray) -> None:
+def _continue_work(
+    core_free: np.ndarray, dt: float, busy: np.ndarray, remaining: np.ndarray
+) -> None:
     """Continue the work of earlier decisions on the cores (N, C) of one world."""
     for i in range(core_free.shape[0]):
         for j in range(core_free.shape[1]):
@@ -129,7 +131,7 @@ def _go_on(core_free: np.ndarray, dt: float, busy: np.ndarray, remaining: np.nda
 
 
 @func
-def _compute(
+def _run_task(
     tasks: Tasks,
     task: int,
     arrival: float,
@@ -278,7 +280,7 @@ def _upload(
 
 
 @allocating
-def serve_on_average(
+def serve_steady_state(
     tasks: Tasks,
     assignment: np.ndarray,
     uplink: np.ndarray,
@@ -293,7 +295,7 @@ def serve_on_average(
     """Serve the tasks of one decision with steady-state response times.
 
     The wait is that of the M/M/c queue in steady state under the offered load of a drone's users,
-    see `queueing`. Unlike in `serve`, tasks do not wait for earlier uploads of the same user, and
+    see `queueing`. Unlike in `serve_tasks`, tasks do not wait for uploads of the same user, and
     nothing is carried over. If the queue is unstable, no task completes, and the backlog is inf.
 
     Args:

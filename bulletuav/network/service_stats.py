@@ -45,7 +45,7 @@ class ServiceStats(NamedTuple):
 
 
 @kernel
-def count(
+def update_service_stats(
     served: Served,
     stats: ServiceStats,
     expected: np.ndarray,

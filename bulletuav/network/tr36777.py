@@ -18,8 +18,8 @@ from bulletuav.compiled.functions import exp, log10
 from bulletuav.compiled.kernel import elementwise
 from bulletuav.network.propagation import antenna_distance, free_space
 from bulletuav.network.tr38901 import (
-    CERTAIN_SIGHT,
-    fading_sight,
+    CERTAIN_LOS_DISTANCE,
+    decaying_los_probability,
     uma_los,
     uma_los_probability,
     uma_nlos,
@@ -92,8 +92,8 @@ def umi_av_los_probability(ground_distance: float, drone_height: float) -> float
     if drone_height <= LOWEST_AERIAL:
         return umi_los_probability(ground_distance)
     log_height = log10(drone_height)
-    certain = max(294.05 * log_height - 432.94, CERTAIN_SIGHT)
-    return fading_sight(ground_distance, certain, 233.98 * log_height - 0.95)
+    certain = max(294.05 * log_height - 432.94, CERTAIN_LOS_DISTANCE)
+    return decaying_los_probability(ground_distance, certain, 233.98 * log_height - 0.95)
 
 
 @elementwise
@@ -107,8 +107,8 @@ def uma_av_los_probability(ground_distance: float, drone_height: float) -> float
     if drone_height > 100.0:
         return 1.0
     log_height = log10(drone_height)
-    certain = max(460.0 * log_height - 700.0, CERTAIN_SIGHT)
-    return fading_sight(ground_distance, certain, 4300.0 * log_height - 3800.0)
+    certain = max(460.0 * log_height - 700.0, CERTAIN_LOS_DISTANCE)
+    return decaying_los_probability(ground_distance, certain, 4300.0 * log_height - 3800.0)
 
 
 @elementwise

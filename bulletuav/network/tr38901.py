@@ -15,7 +15,7 @@ from bulletuav.compiled.functions import exp, log10
 from bulletuav.compiled.kernel import elementwise, func
 from bulletuav.network.propagation import antenna_distance
 
-CERTAIN_SIGHT = 18.0
+CERTAIN_LOS_DISTANCE = 18.0
 """Horizontal distance up to which the line-of-sight probability is 1, m (table 7.4.2-1)"""
 
 
@@ -109,7 +109,7 @@ def uma_nlos(
 
 
 @func
-def fading_sight(ground_distance: float, certain: float, decay: float) -> float:
+def decaying_los_probability(ground_distance: float, certain: float, decay: float) -> float:
     """Return a line-of-sight probability that is 1 up to a distance and then decays.
 
     TR 38.901 and TR 36.777 use this form: s / d + exp(-d / decay) (1 - s / d).
@@ -121,14 +121,14 @@ def fading_sight(ground_distance: float, certain: float, decay: float) -> float:
     """
     if ground_distance <= certain:
         return 1.0
-    share = certain / ground_distance
-    return share + exp(-ground_distance / decay) * (1.0 - share)
+    fraction = certain / ground_distance
+    return fraction + exp(-ground_distance / decay) * (1.0 - fraction)
 
 
 @elementwise
 def umi_los_probability(ground_distance: float) -> float:
     """Return the line-of-sight probability of UMi street canyon."""
-    return fading_sight(ground_distance, CERTAIN_SIGHT, 36.0)
+    return decaying_los_probability(ground_distance, CERTAIN_LOS_DISTANCE, 36.0)
 
 
 @elementwise
@@ -138,6 +138,6 @@ def uma_los_probability(ground_distance: float, user_height: float) -> float:
     height_factor: float = (max(user_height - 13.0, 0.0) / 10.0) ** 1.5
     distance_factor = (ground_distance / 100.0) ** 3
     gain = 1.25 * height_factor * distance_factor * exp(-ground_distance / 150.0)
-    if ground_distance > CERTAIN_SIGHT:
-        return fading_sight(ground_distance, CERTAIN_SIGHT, 63.0) * (1.0 + gain)
+    if ground_distance > CERTAIN_LOS_DISTANCE:
+        return decaying_los_probability(ground_distance, CERTAIN_LOS_DISTANCE, 63.0) * (1.0 + gain)
     return 1.0

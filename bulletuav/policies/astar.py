@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func
-from bulletuav.policies.voxels import Cell, Voxels, is_clear, nearest_free
+from bulletuav.policies.voxels import Cell, Voxels, is_segment_free, nearest_free
 
 STEPS = np.array(
     [
@@ -30,7 +30,7 @@ UNREACHED = 2**62
 """Path length of a cell that the search has not reached"""
 
 
-def plan(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
+def plan_path(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """Find a short collision-free path between two points.
 
     A start or goal that is not in a free cell is connected by a straight segment to the centre of
@@ -44,7 +44,7 @@ def plan(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     Returns:
         (K, 3) waypoints including start and goal, m; (0, 3) if there is no path.
     """
-    if is_clear(grid, start, goal):
+    if is_segment_free(grid, start, goal):
         return np.stack([start, goal])
     if grid.occupied.all():
         return np.zeros((0, 3))
@@ -54,7 +54,7 @@ def plan(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     if len(cells) == 0:
         return np.zeros((0, 3))
     centres = grid.origin + grid.size * (cells + 0.5)
-    return shortened(grid, np.concatenate([start[None], centres, goal[None]]))
+    return shorten_path(grid, np.concatenate([start[None], centres, goal[None]]))
 
 
 @allocating
@@ -89,16 +89,16 @@ def shortest_path(occupied: np.ndarray, start: Cell, goal: Cell) -> np.ndarray:
     came_from = np.full(occupied.size, -1)
     first = _flat(start, shape)
     last = _flat(goal, shape)
-    left = _least_way(start, goal)
+    heuristic = _heuristic(start, goal)
     cost[first] = 0
     # Open set: estimated total cost, heuristic, flat index.
-    heap = [(left, left, first)]
+    heap = [(heuristic, heuristic, first)]
     while len(heap) > 0:
-        total, left, cell = heapq.heappop(heap)
+        total, heuristic, cell = heapq.heappop(heap)
         if cell == last:
             break
         # Stale entry: a shorter path to this cell was found after it was pushed.
-        if total - left > cost[cell]:
+        if total - heuristic > cost[cell]:
             continue
         for k in range(len(STEPS)):
             other = cell + offset[k]
@@ -106,9 +106,9 @@ def shortest_path(occupied: np.ndarray, start: Cell, goal: Cell) -> np.ndarray:
             if reached < cost[other] and not blocked[other]:
                 cost[other] = reached
                 came_from[other] = cell
-                left = _least_way(_cell(other, shape), goal)
-                heapq.heappush(heap, (reached + left, left, other))
-    return _traced(came_from, first, last, shape)
+                heuristic = _heuristic(_cell(other, shape), goal)
+                heapq.heappush(heap, (reached + heuristic, heuristic, other))
+    return _trace_path(came_from, first, last, shape)
 
 
 @func
@@ -124,14 +124,14 @@ def octile(x: int, y: int, z: int) -> int:
         The length, in cell edges times UNIT.
     """
     x, y, z = abs(x), abs(y), abs(z)
-    most = max(x, y, z)
-    least = min(x, y, z)
-    middle = x + y + z - most - least
-    return SPACE * least + FACE * (middle - least) + EDGE * (most - middle)
+    longest = max(x, y, z)
+    shortest = min(x, y, z)
+    middle = x + y + z - longest - shortest
+    return SPACE * shortest + FACE * (middle - shortest) + EDGE * (longest - middle)
 
 
 @func
-def _least_way(cell: Cell, goal: Cell) -> int:
+def _heuristic(cell: Cell, goal: Cell) -> int:
     return octile(
         goal[0] - cell[0],
         goal[1] - cell[1],
@@ -155,7 +155,7 @@ def _cell(index: int, shape: tuple[int, ...]) -> Cell:
 
 
 @allocating
-def _traced(came_from: np.ndarray, first: int, last: int, shape: tuple[int, ...]) -> np.ndarray:
+def _trace_path(came_from: np.ndarray, first: int, last: int, shape: tuple[int, ...]) -> np.ndarray:
     """Trace the path back from `last` to `first`; return (K, 3) cells, or (0, 3) if unreached."""
     # First pass: count the cells. Second pass: write them in reverse order.
     count = 1
@@ -174,7 +174,7 @@ def _traced(came_from: np.ndarray, first: int, last: int, shape: tuple[int, ...]
 
 
 @allocating
-def shortened(grid: Voxels, points: np.ndarray) -> np.ndarray:
+def shorten_path(grid: Voxels, points: np.ndarray) -> np.ndarray:
     """Remove waypoints that the line of sight makes unnecessary.
 
     From each kept waypoint, the path continues to the last waypoint that a free segment reaches.
@@ -191,9 +191,9 @@ def shortened(grid: Voxels, points: np.ndarray) -> np.ndarray:
     while k < len(points) - 1:
         # Search backwards for the last waypoint in sight.
         seen = len(points) - 1
-        while seen > k + 1 and not is_clear(grid, points[k], points[seen]):
+        while seen > k + 1 and not is_segment_free(grid, points[k], points[seen]):
             seen -= 1
         kept.append(seen)
         k = seen
-    left: np.ndarray = points[np.array(kept)]
-    return left
+    heuristic: np.ndarray = points[np.array(kept)]
+    return heuristic

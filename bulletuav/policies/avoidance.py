@@ -6,10 +6,10 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy
-from bulletuav.policies.half_spaces import Rules
+from bulletuav.policies.half_spaces import AvoidanceParameters
 from bulletuav.policies.landing import touch_down
 from bulletuav.policies.straight import preferred_velocity
-from bulletuav.policies.traffic import Clearance, Traffic, buildings, true_traffic
+from bulletuav.policies.traffic import ObstacleClearance, Traffic, tabulate_buildings, true_traffic
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
@@ -49,20 +49,20 @@ class Avoidance(Policy):
         speed = float(aviary.options.max_speed)
         body = float(task.context.collision_radius)
         # Collision shapes must not overlap, even if d_safe is smaller
-        self.rules = Rules(
+        self.parameters = AvoidanceParameters(
             separation=max(float(task.config.d_safe), 2 * body) + MARGIN,
             horizon=HORIZON,
-            braking=BRAKING,
-            recovery=RECOVERY,
+            braking_time=BRAKING,
+            recovery_time=RECOVERY,
             max_speed=speed,
         )
         # Surfaces within the braking distance from full speed are considered
-        self.clear = Clearance(body, MARGIN, BRAKING * speed + body + MARGIN)
+        self.clearance = ObstacleClearance(body, MARGIN, BRAKING * speed + body + MARGIN)
         # Bounding spheres of the obstacles, inflated by the drone's radius and the margin
         reach = [one.radius + body + MARGIN for one in task.obstacles()]
-        self._ball_radius = np.array(reach, dtype=float)
+        self._sphere_radius = np.array(reach, dtype=float)
         self.box = np.maximum(task.arena_low, LOWEST_CORNER), np.array(task.arena_high, dtype=float)
-        self._stands = buildings(task.layouts())
+        self._buildings = tabulate_buildings(task.layouts())
 
     def reset(self, mask: np.ndarray) -> None:
         """Do nothing: the policy is stateless."""
@@ -70,8 +70,10 @@ class Avoidance(Policy):
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Command the velocities of `avoid`; see `Policy.act`."""
         traffic = self.traffic(observations, swarm)
-        wish = preferred_velocity(traffic.goal, traffic.goal_velocity, self.rules.max_speed)
-        velocity = self.avoid(traffic, wish, self.rules)
+        preferred = preferred_velocity(
+            traffic.goal, traffic.goal_velocity, self.parameters.max_speed
+        )
+        velocity = self.avoid(traffic, preferred, self.parameters)
         task = self.aviary.task
         if task.lands:  # the height of the goals matters for landing only
             goal_height = self.goal_height(observations, traffic)
@@ -89,15 +91,17 @@ class Avoidance(Policy):
         return true_traffic(
             (swarm.position, swarm.velocity, aviary.alive),
             (scene.goal, scene.goal_velocity),
-            (scene.obstacle, scene.obstacle_velocity, self._ball_radius),
+            (scene.obstacle, scene.obstacle_velocity, self._sphere_radius),
             self.box,
             scene.layout,
-            self._stands,
-            self.clear,
+            self._buildings,
+            self.clearance,
         )
 
     @abstractmethod
-    def avoid(self, traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
+    def avoid(
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
+    ) -> np.ndarray:
         """Choose collision-free velocities.
 
         Args:

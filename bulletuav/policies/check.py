@@ -35,8 +35,8 @@ def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> 
     spec = find_policy(policy, task)
     usual = {"action": spec.actions[0]} if spec.actions else {}
     given = {**usual, **options}
-    one = _flown(policy, task, given)
-    k = _first_difference(one, _flown(policy, task, given))
+    one = _fly(policy, task, given)
+    k = _first_difference(one, _fly(policy, task, given))
     if k is not None:
         raise ValueError(
             f"policy {spec.name!r} acts differently at decision {k} of two flights from the "
@@ -45,7 +45,7 @@ def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> 
     if given.get("contacts") == "bullet":  # this mode has no snapshots
         return
     # The same flight, with a new policy object that continues from the snapshot
-    k = _first_difference(one, _flown(policy, task, given, anew=True))
+    k = _first_difference(one, _fly(policy, task, given, replace=True))
     if k is not None:
         raise ValueError(
             f"policy {spec.name!r} acts differently at decision {k} after its state was restored "
@@ -59,10 +59,10 @@ def _first_difference(one: list[np.ndarray], other: list[np.ndarray]) -> int | N
     return next((k for k, (mine, theirs) in pairs if not np.array_equal(mine, theirs)), None)
 
 
-def _flown(
-    policy: Any, task: TaskSource, options: dict[str, Any], anew: bool = False
+def _fly(
+    policy: Any, task: TaskSource, options: dict[str, Any], replace: bool = False
 ) -> list[np.ndarray]:
-    """Fly with a fixed seed; return the actions. `anew`: a new policy continues from a snapshot."""
+    """Fly with a fixed seed; return the actions. `replace`: continue in a new policy object."""
     spec = find_policy(policy, task)
     aviary = Aviary(task, NUM_WORLDS, **{"seed": SEED, **options})
     try:
@@ -77,7 +77,7 @@ def _flown(
             if k == SAVED and options.get("contacts") != "bullet":
                 # Every flight continues from the snapshot; flights differ in the policy object only
                 snapshot, memory = aviary.save_state(), pilot.memory()
-                if anew:
+                if replace:
                     pilot = spec(aviary)
                     pilot.reset(np.ones(NUM_WORLDS, dtype=bool))
                     pilot.restore(memory)

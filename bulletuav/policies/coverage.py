@@ -11,22 +11,22 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.coverage_geometry import (
+    assign_greedily,
+    assign_optimally,
     best_responses,
-    distances,
     farthest_first,
     greedy_coverage,
     kmeans,
-    matched,
-    nearest_left,
-    ring,
+    pairwise_distances,
+    ring_positions,
 )
 from bulletuav.policies.planner import PathFollower
 from bulletuav.policies.potential import INFLUENCE
-from bulletuav.policies.voxels import cell_of, nearest_free
+from bulletuav.policies.voxels import nearest_free, voxel_of
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm
 
-HIGHEST = 0.93
+MAX_HEIGHT_FRACTION = 0.93
 """Height of the first drone as a fraction of the ceiling; the rest is a margin for gusts"""
 STEP_DOWN = 0.01
 """Height difference between consecutive drones as a fraction of the ceiling, so that their paths
@@ -56,7 +56,7 @@ class Placement(PathFollower):
 
     Attributes:
         height: (N,) hover height of each drone, m.
-        apart: Minimum distance between hover positions if space permits, m.
+        min_spacing: Minimum distance between hover positions if space permits, m.
     """
 
     remembers = (*PathFollower.remembers, "_place", "_placed", "_targets")
@@ -79,9 +79,9 @@ class Placement(PathFollower):
             )
         super().__init__(aviary)
         steps_down = np.arange(shape[1]) % STEPS
-        self.height = task.arena_high[2] * (HIGHEST - STEP_DOWN * steps_down)
+        self.height = task.arena_high[2] * (MAX_HEIGHT_FRACTION - STEP_DOWN * steps_down)
         separation = getattr(task.config, "min_separation", 0.0)
-        self.apart = float(max(separation, INFLUENCE * task.config.d_safe))
+        self.min_spacing = float(max(separation, INFLUENCE * task.config.d_safe))
         self._every = max(1, round(PERIOD * aviary.options.decision_hz))
         self._place = np.zeros((*shape, 3))
         # Inputs of the last placement: living drones, and targets (infinite if inactive).
@@ -98,15 +98,17 @@ class Placement(PathFollower):
         # Worlds in which an episode starts, a drone was lost, or targets moved.
         started = alive & (self._count == 0)
         lost = alive != self._placed
-        anew = (started | lost).any(axis=1)
+        reset = (started | lost).any(axis=1)
         moved = (targets != self._targets).any(axis=(1, 2))
         moved &= aviary.steps % self._every == 0
-        settle = (anew | moved) & alive.any(axis=1)
-        for w in np.flatnonzero(settle).tolist():
-            self._settle(w, swarm.position[w], targets[w], bool(anew[w]))
+        outdated = (reset | moved) & alive.any(axis=1)
+        for w in np.flatnonzero(outdated).tolist():
+            self._update_places(w, swarm.position[w], targets[w], bool(reset[w]))
         return self._place
 
-    def _settle(self, w: int, position: np.ndarray, targets: np.ndarray, anew: bool) -> None:
+    def _update_places(
+        self, w: int, position: np.ndarray, targets: np.ndarray, reset: bool
+    ) -> None:
         """Update the hover positions of world w, and drop the paths to positions that moved."""
         self._placed[w] = self.aviary.alive[w]
         self._targets[w] = targets
@@ -114,31 +116,31 @@ class Placement(PathFollower):
         counts = np.isfinite(targets[:, 0])
         # Without active targets, drones hover where they are.
         flat = position[flying, :2]
-        before = None if anew else self._place[w, flying, :2]
+        previous = None if reset else self._place[w, flying, :2]
         if counts.any():
-            flat = self.places(w, targets[counts], flat, before)
+            flat = self.places(w, targets[counts], flat, previous)
         high = np.column_stack([flat, self.height[flying]])
-        place = np.array([self._free(w, over) for over in high])
+        place = np.array([self._nearest_free_position(w, over) for over in high])
         # Ignore small displacements.
         move = np.linalg.norm(place - self._place[w, flying], axis=1)
-        away = anew | (move > TOLERANCE)
+        away = reset | (move > TOLERANCE)
         self._place[w, flying[away]] = place[away]
         self._count[w, flying[away]] = 0
 
-    def _free(self, w: int, place: np.ndarray) -> np.ndarray:
+    def _nearest_free_position(self, w: int, place: np.ndarray) -> np.ndarray:
         """Return the position (3,), m, or the centre of the nearest free cell if it is occupied."""
-        grid = self._grid(w)
+        grid = self._voxel_map(w)
         if grid.occupied.all():
             return place
         cell = nearest_free(grid, place)
-        if cell == cell_of(grid, place):
+        if cell == voxel_of(grid, place):
             return place
         middle: np.ndarray = grid.origin + grid.size * (np.array(cell) + 0.5)
         return middle
 
     @abstractmethod
     def places(
-        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
         """Choose the hover positions of the K living drones of a world.
 
@@ -146,7 +148,7 @@ class Placement(PathFollower):
             w: Index of the world.
             targets: (M, 3) active targets, at least one, m.
             position: (K, 2) positions of the drones, m.
-            before: (K, 2) previous hover positions, m; None for the first placement and after the
+            previous: (K, 2) previous hover positions, m; None for the first placement and after the
                 loss of a drone.
 
         Returns:
@@ -161,22 +163,22 @@ class Centroid(Placement):
     name = "centroid"
 
     def places(
-        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
         """Assign the ring positions with the minimum total distance; see `Placement.places`."""
         task = self.aviary.task
-        circle = ring(
+        circle = ring_positions(
             centre=targets[:, :2].mean(axis=0),
             count=len(position),
-            apart=self.apart,
+            min_spacing=self.min_spacing,
             low=task.arena_low[:2],
             high=task.arena_high[:2],
         )
-        return matched(circle, position)
+        return assign_optimally(circle, position)
 
 
 @register("policy")
-class Hotspot(Placement):
+class HotspotPolicy(Placement):
     """Hover above hotspots.
 
     The first hotspot is the target with the most other targets within HOTSPOT, the next is the
@@ -187,16 +189,20 @@ class Hotspot(Placement):
     name = "hotspot"
 
     def places(
-        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
         """Choose one hotspot per drone; see `Placement.places`."""
         points = targets[:, :2]
-        distance = distances(points, points)
+        distance = pairwise_distances(points, points)
         near = (distance <= HOTSPOT).astype(float)
         hotspots = greedy_coverage(
-            serves=near, distance=distance, places=points, count=len(position), apart=self.apart
+            service=near,
+            distance=distance,
+            places=points,
+            count=len(position),
+            min_spacing=self.min_spacing,
         )
-        return nearest_left(points[hotspots], position)
+        return assign_greedily(points[hotspots], position)
 
 
 @register("policy")
@@ -209,12 +215,12 @@ class KMeans(Placement):
     name = "kmeans"
 
     def places(
-        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
         """Assign the means with the minimum total distance; see `Placement.places`."""
         points = targets[:, :2]
-        start = farthest_first(points, len(position)) if before is None else before
-        return matched(kmeans(points, start), position)
+        start = farthest_first(points, len(position)) if previous is None else previous
+        return assign_optimally(kmeans(points, start), position)
 
 
 @register("policy")
@@ -229,7 +235,7 @@ class Oracle(Placement):
     name = "oracle"
 
     def places(
-        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
         """Choose positions greedily at first, then improve them; see `Placement.places`.
 
@@ -237,25 +243,25 @@ class Oracle(Placement):
         other drones do.
         """
         count = len(position)
-        known = position if before is None else before
-        tried = np.concatenate([known, self._grid_places(w)])
-        serves = self._served(w, tried, targets)
-        if before is None:
+        known = position if previous is None else previous
+        candidates = np.concatenate([known, self._grid_places(w)])
+        service = self._service_quality(w, candidates, targets)
+        if previous is None:
             chosen = greedy_coverage(
-                serves=serves,
-                distance=distances(tried, targets[:, :2]),
-                places=tried,
+                service=service,
+                distance=pairwise_distances(candidates, targets[:, :2]),
+                places=candidates,
                 count=count,
-                apart=self.apart,
+                min_spacing=self.min_spacing,
             )
-            return matched(tried[chosen], position)
-        kept = best_responses(serves, tried, np.arange(count), self.apart)
-        places: np.ndarray = tried[kept]
+            return assign_optimally(candidates[chosen], position)
+        kept = best_responses(service, candidates, np.arange(count), self.min_spacing)
+        places: np.ndarray = candidates[kept]
         return places
 
     def _grid_places(self, w: int) -> np.ndarray:
         """Return the centres (C, 2) of free cells on a regular grid over the city, m."""
-        grid = self._grid(w)
+        grid = self._voxel_map(w)
         layer = int((self.height.min() - grid.origin[2]) // grid.size)
         free = ~grid.occupied[:, :, layer]
         step = math.ceil((max(free.shape) - 2) / GRID)
@@ -265,7 +271,7 @@ class Oracle(Placement):
         middles: np.ndarray = grid.origin[:2] + grid.size * (kept + 0.5)
         return middles
 
-    def _served(self, w: int, places: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    def _service_quality(self, w: int, places: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Return the service quality (C, M), 0 to 1, of targets (M, 3) from positions (C, 2)."""
         start = np.insert(places, 2, self.height.min(), axis=1)
         from_places = np.repeat(start, len(targets), axis=0)

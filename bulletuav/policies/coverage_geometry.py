@@ -9,11 +9,11 @@ import numpy as np
 
 from bulletuav.compiled.functions import cos, sin
 
-ROUNDS = 100
+MAX_ITERATIONS = 100
 """Maximum number of Lloyd iterations; about ten are usually enough"""
 
 
-def distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+def pairwise_distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Compute the pairwise distances (M, K) between points (M, 2) and others (K, 2), m."""
     from scipy.spatial.distance import cdist  # lazy: slow to import
 
@@ -21,8 +21,8 @@ def distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     return found
 
 
-def ring(
-    centre: np.ndarray, count: int, apart: float, low: np.ndarray, high: np.ndarray
+def ring_positions(
+    centre: np.ndarray, count: int, min_spacing: float, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
     """Compute evenly spaced positions on a circle, the first one east of the centre.
 
@@ -32,7 +32,7 @@ def ring(
     Args:
         centre: (2,) centre of the circle, m.
         count: Number of positions.
-        apart: Distance between neighbours, m.
+        min_spacing: Distance between neighbours, m.
         low: (2,) lower corner of the rectangle, m.
         high: (2,) upper corner of the rectangle, m.
 
@@ -43,7 +43,7 @@ def ring(
     radius = 0.0
     if count > 1:
         largest = 0.5 * float((high - low).min())
-        radius = min(0.5 * apart / sin(math.pi / count), largest)
+        radius = min(0.5 * min_spacing / sin(math.pi / count), largest)
     angle = 2 * np.pi * np.arange(count) / count
     circle = np.stack([cos(angle), sin(angle)], axis=1)
     middle = np.clip(centre, low + radius, high - radius)
@@ -65,10 +65,10 @@ def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
         (count, 2) selected points, m.
     """
     mean = points.mean(axis=0)
-    from_mean = distances(points, mean[None])
+    from_mean = pairwise_distances(points, mean[None])
     taken = [int(from_mean.argmin())]
     while len(taken) < count:
-        from_taken = distances(points, points[taken])
+        from_taken = pairwise_distances(points, points[taken])
         taken.append(int(from_taken.min(axis=1).argmax()))
     return points[taken]
 
@@ -86,8 +86,8 @@ def kmeans(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
     Returns:
         (K, 2) centres, m; the centre of an empty cluster does not move.
     """
-    for _ in range(ROUNDS):
-        nearest = distances(points, centres).argmin(axis=1)
+    for _ in range(MAX_ITERATIONS):
+        nearest = pairwise_distances(points, centres).argmin(axis=1)
         member = nearest == np.arange(len(centres))[:, None]
         # Sum in the order of the points, so that the result is reproducible.
         count = member.sum(axis=1, keepdims=True)
@@ -102,7 +102,7 @@ def kmeans(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
 
 
 def greedy_coverage(
-    serves: np.ndarray, distance: np.ndarray, places: np.ndarray, count: int, apart: float
+    service: np.ndarray, distance: np.ndarray, places: np.ndarray, count: int, min_spacing: float
 ) -> np.ndarray:
     """Select positions greedily, each time the one with the largest marginal gain in service.
 
@@ -117,36 +117,36 @@ def greedy_coverage(
         set functions (1978).
 
     Args:
-        serves: (C, U) service quality of each target from each position, 0 to 1.
+        service: (C, U) service quality of each target from each position, 0 to 1.
         distance: (C, U) distance between positions and targets, m.
         places: (C, 2) candidate positions, m.
         count: Number of positions to select.
-        apart: Minimum distance between positions, m.
+        min_spacing: Minimum distance between positions, m.
 
     Returns:
         (count,) indices of the selected positions.
     """
     taken: list[int] = []
-    room = np.full(len(places), apart)
-    served = np.zeros(serves.shape[1])
+    spacing = np.full(len(places), min_spacing)
+    served = np.zeros(service.shape[1])
     while len(taken) < count:
         # All targets are served as well as possible: start again.
-        if not (serves > served).any():
+        if not (service > served).any():
             served[:] = 0.0
-        adds = np.maximum(serves - served, 0.0)
+        gain = np.maximum(service - served, 0.0)
         # Sort by spacing, then by gain, then by distance.
-        ways = (adds * distance).sum(axis=1)
-        order = np.lexsort((ways, -adds.sum(axis=1), -room))
+        weighted_distance = (gain * distance).sum(axis=1)
+        order = np.lexsort((weighted_distance, -gain.sum(axis=1), -spacing))
         best = int(order[0])
         taken.append(best)
-        served = np.maximum(served, serves[best])
-        from_best = distances(places, places[best][None])
-        room = np.minimum(room, from_best[:, 0])
+        served = np.maximum(served, service[best])
+        from_best = pairwise_distances(places, places[best][None])
+        spacing = np.minimum(spacing, from_best[:, 0])
     return np.array(taken)
 
 
 def best_responses(
-    serves: np.ndarray, places: np.ndarray, taken: np.ndarray, apart: float
+    service: np.ndarray, places: np.ndarray, taken: np.ndarray, min_spacing: float
 ) -> np.ndarray:
     """Move each drone in turn to its best position, given the positions of all others.
 
@@ -154,10 +154,10 @@ def best_responses(
     broken by distance, so a drone stays unless another position is strictly better.
 
     Args:
-        serves: (C, U) service quality of each target from each position, 0 to 1.
+        service: (C, U) service quality of each target from each position, 0 to 1.
         places: (C, 2) candidate positions, m.
         taken: (K,) index of the current position of each drone.
-        apart: Minimum distance between positions, m.
+        min_spacing: Minimum distance between positions, m.
 
     Returns:
         (K,) indices of the new positions.
@@ -166,18 +166,18 @@ def best_responses(
     for i, here in enumerate(taken):
         # Marginal gain over the other drones.
         others = np.delete(taken, i)
-        served = serves[others].max(axis=0, initial=0.0)
-        adds = np.maximum(serves - served, 0.0).sum(axis=1)
-        from_others = distances(places, places[others])
-        room = from_others.min(axis=1, initial=apart)
+        served = service[others].max(axis=0, initial=0.0)
+        gain = np.maximum(service - served, 0.0).sum(axis=1)
+        from_others = pairwise_distances(places, places[others])
+        spacing = from_others.min(axis=1, initial=min_spacing)
         # Sort by spacing, then by gain, then by distance.
-        ways = distances(places, places[here][None])
-        order = np.lexsort((ways[:, 0], -adds, -room))
+        weighted_distance = pairwise_distances(places, places[here][None])
+        order = np.lexsort((weighted_distance[:, 0], -gain, -spacing))
         taken[i] = order[0]
     return taken
 
 
-def matched(places: np.ndarray, position: np.ndarray) -> np.ndarray:
+def assign_optimally(places: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Assign positions to drones with the minimum sum of distances, so that no two paths cross.
 
     References:
@@ -192,12 +192,12 @@ def matched(places: np.ndarray, position: np.ndarray) -> np.ndarray:
     """
     from scipy.optimize import linear_sum_assignment  # lazy: slow to import
 
-    _, chosen = linear_sum_assignment(distances(position, places))
+    _, chosen = linear_sum_assignment(pairwise_distances(position, places))
     given: np.ndarray = places[chosen]
     return given
 
 
-def nearest_left(places: np.ndarray, position: np.ndarray) -> np.ndarray:
+def assign_greedily(places: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Assign to each drone in turn the nearest unassigned position.
 
     Args:
@@ -208,7 +208,7 @@ def nearest_left(places: np.ndarray, position: np.ndarray) -> np.ndarray:
         (K, 2) hover position of each drone, m.
     """
     taken: list[int] = []
-    for row in distances(position, places):
+    for row in pairwise_distances(position, places):
         row[taken] = np.inf
         taken.append(int(row.argmin()))
     return places[taken]

@@ -49,7 +49,7 @@ class FleeWeighted(Game):
         there = self.aviary.alive[:, None, :, None]
         push = np.where(there, -ways / distance**3, 0.0).sum(axis=2)
         low, high = self.box
-        body = self.clear.body
+        body = self.clearance.body
         push += 1 / np.maximum(swarm.position - low, body) ** 2
         push -= 1 / np.maximum(high - swarm.position, body) ** 2
         return self.full(push)

@@ -11,11 +11,11 @@ from bulletuav.compiled.functions import log, log1p
 from bulletuav.compiled.kernel import kernel
 from bulletuav.sensors.sight import AHEAD
 
-LINE_OF_SIGHT = 2.0
+LOS_EXPONENT = 2.0
 """Path loss exponent of task `mec` for users in line of sight"""
-BLOCKED = 3.19
+NLOS_EXPONENT = 3.19
 """Path loss exponent of task `mec` for users without line of sight"""
-FAR = 100.0
+POSITION_SCALE = 100.0
 """Scale of positions, m"""
 Layers = Sequence[tuple[np.ndarray, np.ndarray]]
 """Weights (outputs, inputs) and biases (outputs,) of dense layers"""
@@ -90,7 +90,7 @@ class UserFeatures:
         self._layers = layers
         weights, _ = layers[0]
         self.num_drones = (weights.shape[1] - 4 - len(AHEAD)) // 2
-        self._ways = np.array(list(AHEAD.values()))
+        self._offsets = np.array(list(AHEAD.values()))
 
     def sizes(self, count: int) -> list[int]:
         """Split the length of an observation into the lengths of its blocks.
@@ -129,16 +129,16 @@ class UserFeatures:
         sight = sight.reshape(count, -1, num_users).transpose(0, 2, 1)
         ahead = ahead.reshape(count, -1, num_users).transpose(0, 2, 1)
         # Path gain of each user at each drone, own drone first, and at positions around it.
-        ways = np.concatenate([users, users - others[:, None]], axis=2)
-        now = log_gain(ways, sight)
+        offsets = np.concatenate([users, users - others[:, None]], axis=2)
+        now = log_path_gain(offsets, sight)
         here = now[..., :1]
         elsewhere = now[..., 1:].max(axis=2, keepdims=True)
         lead = here - elsewhere
-        gain = log_gain(users - self._ways, ahead) - here
+        gain = log_path_gain(users - self._offsets, ahead) - here
         # Scale all inputs to the order of 1.
         known = np.concatenate(
             [
-                users[:, :, 0] / FAR,
+                users[:, :, 0] / POSITION_SCALE,
                 now / 2 + 6,
                 sight,
                 lead / 2,
@@ -150,10 +150,10 @@ class UserFeatures:
             known = np.maximum(dense(known, weight, bias), 0)
         each = known.sum(axis=1) / np.sqrt(users.shape[1])
         flat = others.reshape(count, -1)
-        return np.concatenate([own / FAR, flat / FAR, each], axis=1)
+        return np.concatenate([own / POSITION_SCALE, flat / POSITION_SCALE, each], axis=1)
 
 
-def log_gain(offset: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def log_path_gain(offset: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Compute the natural logarithm of the path gain relative to a distance of 1 m.
 
     See `log_distance` in `bulletuav.network.pathloss`.
@@ -167,6 +167,6 @@ def log_gain(offset: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """
     distance = np.sqrt((offset * offset).sum(axis=-1))
     # In single precision, as in training.
-    exponent = np.where(seen > 0.5, np.float32(LINE_OF_SIGHT), np.float32(BLOCKED))
+    exponent = np.where(seen > 0.5, np.float32(LOS_EXPONENT), np.float32(NLOS_EXPONENT))
     gain: np.ndarray = -exponent * log(distance + 1)
     return gain

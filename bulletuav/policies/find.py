@@ -17,7 +17,7 @@ from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunC
 from bulletuav.policies.trained import TRUST, SharedPolicy, Trained, actions_given
 from bulletuav.policies.versus import (
     VERSUS,
-    Rows,
+    RowsFunction,
     RowsPolicy,
     TeamPolicies,
     Versus,
@@ -28,7 +28,7 @@ from bulletuav.registry import find, names, require_declared
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.version import CONSTANTS
 
-PolicySource = str | Path | type[Policy] | Versus | Rows
+PolicySource = str | Path | type[Policy] | Versus | RowsFunction
 """Name, `module:Name`, file, folder or class of a policy; one policy per team; or a function"""
 NEEDED = ("name", "actions", "reads_swarm")
 """Attributes that every policy class defines"""

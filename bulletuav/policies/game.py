@@ -8,9 +8,9 @@ from bulletuav.control.actions import limit_norm
 from bulletuav.control.actions.base import limit_each
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.avoidance import MARGIN, Avoidance
-from bulletuav.policies.half_spaces import Rules
+from bulletuav.policies.half_spaces import AvoidanceParameters
 from bulletuav.policies.mvp import mvp_velocities
-from bulletuav.policies.traffic import Clearance, Traffic
+from bulletuav.policies.traffic import ObstacleClearance, Traffic
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
@@ -37,35 +37,39 @@ class Game(Avoidance):
         fastest = float(aviary.options.max_speed)
         limit = task.speed_limit
         self.speed = np.full(aviary.num_drones, fastest) if limit is None else limit.astype(float)
-        self.rules = Rules(
+        self.parameters = AvoidanceParameters(
             separation=2 * body + MARGIN,
             horizon=HORIZON,
-            braking=HORIZON,
-            recovery=HORIZON,
+            braking_time=HORIZON,
+            recovery_time=HORIZON,
             max_speed=fastest,
         )
-        self.clear = Clearance(body, MARGIN, HORIZON * fastest + body + MARGIN)
+        self.clearance = ObstacleClearance(body, MARGIN, HORIZON * fastest + body + MARGIN)
         self._own = task.team[:, None] == task.team
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Command the collision-free velocities nearest to `velocities`; see `Policy.act`."""
         traffic = self.traffic(observations, swarm)
-        wish = limit_norm(self.velocities(swarm), self.rules.max_speed)
-        limit_each(wish, self.speed)
-        return self.encoded(self.avoid(traffic, wish, self.rules))
+        preferred = limit_norm(self.velocities(swarm), self.parameters.max_speed)
+        limit_each(preferred, self.speed)
+        return self.encoded(self.avoid(traffic, preferred, self.parameters))
 
-    def avoid(self, traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
+    def avoid(
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
+    ) -> np.ndarray:
         """Resolve conflicts among teammates with `mvp_velocities`; see `Avoidance.avoid`."""
-        return mvp_velocities(traffic._replace(known=traffic.known & self._own), wish, rules)
+        return mvp_velocities(
+            traffic._replace(known=traffic.known & self._own), preferred, parameters
+        )
 
     @abstractmethod
     def velocities(self, swarm: Swarm) -> np.ndarray:
         """Return the preferred velocities, (W, N, 3) m/s, which are then clipped to `speed`."""
 
-    def full(self, way: np.ndarray) -> np.ndarray:
-        """Return full-speed velocities (W, N, 3) along `way` (W, N, 3); zero for zero vectors."""
-        length = np.linalg.norm(way, axis=-1, keepdims=True)
-        fastest: np.ndarray = self.speed[:, None] * way / np.maximum(length, 1e-9)
+    def full(self, direction: np.ndarray) -> np.ndarray:
+        """Return full-speed velocities (W, N, 3) along `direction`; zero for zero vectors."""
+        length = np.linalg.norm(direction, axis=-1, keepdims=True)
+        fastest: np.ndarray = self.speed[:, None] * direction / np.maximum(length, 1e-9)
         return fastest
 
     def opponents(self) -> np.ndarray:

@@ -15,24 +15,24 @@ from bulletuav.compiled.functions import cos, sin
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.closest_approach import keep_nearest
 from bulletuav.geometry.rotation import Vec3, cross, dot, plus, vec3
-from bulletuav.policies.linear_program import best_velocity, write
+from bulletuav.policies.linear_program import solve_velocity, write_half_space
 from bulletuav.policies.traffic import Traffic
 
-SLIGHT_TURN = 0.05
+SYMMETRY_BREAKING_TURN = 0.05
 """Right turn of every preferred velocity, rad; without it, exactly head-on drones would only
 stop"""
-MOST_TURN = 1.4
+MAX_TURN = 1.4
 """Right turn of a fully blocked preferred velocity, rad: 80 degrees, nearly along a wall"""
-NO_TURN = 1e-9
+MIN_TURN = 1e-9
 """Minimum angle that is turned, rad"""
-NO_DIRECTION = 1e-9
+MIN_NORM = 1e-9
 """Minimum length of a vector that has a direction, m or m/s"""
 
 HalfSpace = tuple[Vec3, float]
 """Unit normal n and bound b, m/s, of the velocities v with n . v >= b"""
 
 
-class Rules(NamedTuple):
+class AvoidanceParameters(NamedTuple):
     """Parameters of collision avoidance.
 
     Attributes:
@@ -46,22 +46,22 @@ class Rules(NamedTuple):
 
     separation: float
     horizon: float
-    braking: float
-    recovery: float
+    braking_time: float
+    recovery_time: float
     max_speed: float
 
 
 @func
-def add(rows: np.ndarray, count: int, space: HalfSpace, max_speed: float) -> int:
+def add_half_space(rows: np.ndarray, count: int, space: HalfSpace, max_speed: float) -> int:
     """Append a half-space unless it contains all permitted velocities; return the new count."""
     if space[1] <= -max_speed:
         return count
-    write(rows, 0, count, space[0], space[1])
+    write_half_space(rows, 0, count, space[0], space[1])
     return count + 1
 
 
 @kernel
-def nearest_first(
+def find_nearest_drones(
     traffic: Traffic, w: int, i: int, reach: float, near: np.ndarray, distance: np.ndarray
 ) -> int:
     """Find the known drones within a distance of drone i, sorted by distance.
@@ -81,15 +81,17 @@ def nearest_first(
     for k in range(near.size):
         if traffic.known[w, i, k]:
             # Squared distances have the same order, and need no square root
-            gap = vec3(traffic.gap[w], i, k)
-            square = dot(gap, gap)
+            offset = vec3(traffic.offset[w], i, k)
+            square = dot(offset, offset)
             if square <= reach * reach:
                 found = keep_nearest(near, distance, found, k, square)
     return found
 
 
 @kernel
-def unyielding(rows: np.ndarray, count: int, traffic: Traffic, rules: Rules, w: int, i: int) -> int:
+def add_obstacle_half_spaces(
+    rows: np.ndarray, count: int, traffic: Traffic, parameters: AvoidanceParameters, w: int, i: int
+) -> int:
     """Append the half-spaces of spheres and surfaces, for which the drone takes all responsibility.
 
     Args:
@@ -104,25 +106,30 @@ def unyielding(rows: np.ndarray, count: int, traffic: Traffic, rules: Rules, w: 
         The new number of half-spaces.
     """
     own = vec3(traffic.velocity, w, i)
-    for k in range(traffic.ball_radius.shape[2]):
+    for k in range(traffic.sphere_radius.shape[2]):
         # Unused rows have radius 0.
-        radius = traffic.ball_radius[w, i, k]
+        radius = traffic.sphere_radius[w, i, k]
         if radius > 0.0:
-            gap = vec3(traffic.ball[w], i, k)
-            other = vec3(traffic.ball_velocity[w], i, k)
-            space = half_space(gap, own, other, radius, rules, 1.0)
-            count = add(rows, count, space, rules.max_speed)
+            offset = vec3(traffic.sphere[w], i, k)
+            other_velocity = vec3(traffic.sphere_velocity[w], i, k)
+            space = orca_half_space(offset, own, other_velocity, radius, parameters, 1.0)
+            count = add_half_space(rows, count, space, parameters.max_speed)
     # At a permitted velocity, the drone does not reach a surface within the braking time.
     for k in range(traffic.surface.shape[2]):
         n = vec3(traffic.surface[w], i, k)
-        bound = -traffic.surface[w, i, k, 3] / rules.braking
-        count = add(rows, count, (n, bound), rules.max_speed)
+        bound = -traffic.surface[w, i, k, 3] / parameters.braking_time
+        count = add_half_space(rows, count, (n, bound), parameters.max_speed)
     return count
 
 
 @func
-def half_space(
-    gap: Vec3, own: Vec3, other: Vec3, radius: float, rules: Rules, share: float
+def orca_half_space(
+    offset: Vec3,
+    own: Vec3,
+    other_velocity: Vec3,
+    radius: float,
+    parameters: AvoidanceParameters,
+    responsibility: float,
 ) -> HalfSpace:
     """Compute the ORCA half-space of velocities that avoid a body.
 
@@ -132,45 +139,45 @@ def half_space(
     (equations 5 and 6).
 
     Args:
-        gap: Offset from the drone to the body, m.
+        offset: Offset from the drone to the body, m.
         own: Velocity of the drone, m/s.
-        other: Velocity of the body, m/s.
+        other_velocity: Velocity of the body, m/s.
         radius: Distance between centres to maintain, m.
-        rules: Parameters of collision avoidance.
-        share: Fraction of the avoidance that the drone performs.
+        parameters: Parameters of collision avoidance.
+        responsibility: Fraction of the avoidance that the drone performs.
 
     Returns:
         Unit normal n and bound b, m/s, of n . v >= b.
     """
     # An existing violation is resolved within the recovery time; others are avoided for tau.
-    relative = plus(own, -1.0, other)
-    inside = dot(gap, gap) <= radius * radius
-    time = rules.recovery if inside else rules.horizon
+    relative = plus(own, -1.0, other_velocity)
+    inside = dot(offset, offset) <= radius * radius
+    time = parameters.recovery_time if inside else parameters.horizon
     # Offset of the relative velocity from the centre of the truncating ball.
-    w = plus(relative, -1.0 / time, gap)
-    back = dot(w, gap)
+    w = plus(relative, -1.0 / time, offset)
+    back = dot(w, offset)
     on_ball = back < 0.0 and back * back > radius * radius * dot(w, w)
     if inside or on_ball:
         # Project on the truncating ball.
-        away = (-gap[0], -gap[1], -gap[2])
-        n, size = unit(w, away)
+        away = (-offset[0], -offset[1], -offset[2])
+        n, size = direction_and_length(w, away)
         depth = radius / time - size
     else:
-        n, depth = _leg(gap, relative, radius)
-    return n, dot(n, own) + share * depth
+        n, depth = _project_on_cone(offset, relative, radius)
+    return n, dot(n, own) + responsibility * depth
 
 
 @func
-def _leg(gap: Vec3, relative: Vec3, radius: float) -> tuple[Vec3, float]:
+def _project_on_cone(offset: Vec3, relative: Vec3, radius: float) -> tuple[Vec3, float]:
     """Project the relative velocity on the cone of the velocity obstacle.
 
     Returns the outward normal there, and the depth of the velocity below the surface, m/s.
     """
     # The component perpendicular to the axis of the cone points to the nearest side.
-    axis, distance = unit(gap, (1.0, 0.0, 0.0))
+    axis, distance = direction_and_length(offset, (1.0, 0.0, 0.0))
     sideways = plus(relative, -dot(relative, axis), axis)
     # In an exactly head-on conflict, both drones turn right.
-    aside, _ = unit(sideways, right_of(axis))
+    aside, _ = direction_and_length(sideways, horizontal_right(axis))
     # Sine of the half-angle of the cone.
     sine = radius / distance
     inwards = (-sine * axis[0], -sine * axis[1], -sine * axis[2])
@@ -179,7 +186,7 @@ def _leg(gap: Vec3, relative: Vec3, radius: float) -> tuple[Vec3, float]:
 
 
 @func
-def right_of(way: Vec3) -> Vec3:
+def horizontal_right(way: Vec3) -> Vec3:
     """Compute the horizontal direction to the right of a vector.
 
     The right of a vector straight up is north, that of a vector straight down is south. Two drones
@@ -187,48 +194,48 @@ def right_of(way: Vec3) -> Vec3:
     """
     level = cross(way, (0.0, 0.0, 1.0))
     upright = cross(way, (1.0, 0.0, 0.0))
-    right, _ = unit(level, upright)
+    right, _ = direction_and_length(level, upright)
     return right
 
 
 @func
-def turned(wish: Vec3, angle: float) -> Vec3:
+def turn_right(preferred: Vec3, angle: float) -> Vec3:
     """Rotate a velocity to the right by an angle, rad."""
-    size = math.sqrt(dot(wish, wish))
-    if size <= NO_DIRECTION:
-        return wish
+    size = math.sqrt(dot(preferred, preferred))
+    if size <= MIN_NORM:
+        return preferred
     cosine = cos(angle)
-    ahead = (cosine * wish[0], cosine * wish[1], cosine * wish[2])
-    return plus(ahead, size * sin(angle), right_of(wish))
+    ahead = (cosine * preferred[0], cosine * preferred[1], cosine * preferred[2])
+    return plus(ahead, size * sin(angle), horizontal_right(preferred))
 
 
 @func
-def turn_of(wish: Vec3, given: Vec3) -> float:
+def choose_turn(preferred: Vec3, permitted: Vec3) -> float:
     """Compute the right turn of a preferred velocity from the part of it that is blocked.
 
     Drones in a symmetric conflict block each other. If all drones turn right, they pass around each
     other.
 
     Args:
-        wish: Preferred velocity, m/s.
-        given: Permitted velocity nearest to the preferred one, m/s.
+        preferred: Preferred velocity, m/s.
+        permitted: Permitted velocity nearest to the preferred one, m/s.
 
     Returns:
         The angle, rad: 0 if the preferred velocity is permitted, MAX_TURN if it is fully blocked.
     """
-    square = dot(wish, wish)
-    if square <= NO_DIRECTION:
+    square = dot(preferred, preferred)
+    if square <= MIN_NORM:
         return 0.0
-    lost = 1.0 - dot(given, wish) / square
-    return MOST_TURN * min(max(lost, 0.0), 1.0)
+    lost = 1.0 - dot(permitted, preferred) / square
+    return MAX_TURN * min(max(lost, 0.0), 1.0)
 
 
 @func
-def unit(vector: Vec3, otherwise: Vec3) -> tuple[Vec3, float]:
+def direction_and_length(vector: Vec3, otherwise: Vec3) -> tuple[Vec3, float]:
     """Return direction and length of a vector; the direction of `otherwise` if it is too short."""
     length = math.sqrt(dot(vector, vector))
     # Callers need a direction for zero vectors, too, such as at the goal
-    chosen = vector if length > NO_DIRECTION else otherwise
+    chosen = vector if length > MIN_NORM else otherwise
     size = math.sqrt(dot(chosen, chosen))
     direction = (
         chosen[0] / size,
@@ -239,26 +246,26 @@ def unit(vector: Vec3, otherwise: Vec3) -> tuple[Vec3, float]:
 
 
 @kernel
-def going_round(
-    rows: np.ndarray, spare: np.ndarray, count: int, wish: Vec3, max_speed: float
+def solve_with_right_turn(
+    rows: np.ndarray, scratch: np.ndarray, count: int, preferred: Vec3, max_speed: float
 ) -> Vec3:
     """Find the best permitted velocity; turn right by as much as the preferred one is blocked.
 
     Args:
         rows: (DEPTH, M, 4) half-spaces in rows[0, :count]; the rest is a work buffer.
-        spare: Work buffer with the shape of `rows`.
+        scratch: Work buffer with the shape of `rows`.
         count: Number of half-spaces.
-        wish: Preferred velocity, m/s.
+        preferred: Preferred velocity, m/s.
         max_speed: Speed limit, m/s.
 
     Returns:
         The velocity, m/s.
     """
     # A small right turn breaks the symmetry of head-on conflicts
-    first = turned(wish, SLIGHT_TURN)
-    best = best_velocity(rows, spare, count, first, max_speed)
-    angle = turn_of(first, best)
+    first = turn_right(preferred, SYMMETRY_BREAKING_TURN)
+    best = solve_velocity(rows, scratch, count, first, max_speed)
+    angle = choose_turn(first, best)
     # Solve again for a preferred velocity farther to the right
-    if angle > NO_TURN:
-        best = best_velocity(rows, spare, count, turned(first, angle), max_speed)
+    if angle > MIN_TURN:
+        best = solve_velocity(rows, scratch, count, turn_right(first, angle), max_speed)
     return best

@@ -7,11 +7,11 @@ import numpy as np
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus, point, vec3
 
-NO_LENGTH = 1e-9
+MIN_NORM = 1e-9
 """Minimum length of a vector that has a direction, m"""
-SIDES = 6
+NUM_FACES = 6
 """Number of faces of a box"""
-PIECE = 4
+NUM_CORNERS = 4
 """Number of corners of the initial square of a face"""
 
 
@@ -19,13 +19,13 @@ PIECE = 4
 def direction(vector: Vec3Like) -> Vec3:
     """Normalise a vector; return east for a zero vector."""
     length = math.sqrt(dot(vector, vector))
-    if length < NO_LENGTH:
+    if length < MIN_NORM:
         return 1.0, 0.0, 0.0
     return vector[0] / length, vector[1] / length, vector[2] / length
 
 
 @func
-def constant_bearing(way: Vec3Like, other: Vec3Like, speed: float) -> Vec3:
+def constant_bearing(offset: Vec3Like, other: Vec3Like, speed: float) -> Vec3:
     """Compute the velocity that intercepts a target with constant velocity as soon as possible.
 
     The component perpendicular to the line of sight equals that of the target, so that the bearing
@@ -37,7 +37,7 @@ def constant_bearing(way: Vec3Like, other: Vec3Like, speed: float) -> Vec3:
         N. Shneydor, Missile Guidance and Pursuit (1998), section 4.2.
 
     Args:
-        way: Offset from the drone to the target, m.
+        offset: Offset from the drone to the target, m.
         other: Velocity of the target, m/s.
         speed: Speed of the drone, m/s.
 
@@ -45,7 +45,7 @@ def constant_bearing(way: Vec3Like, other: Vec3Like, speed: float) -> Vec3:
         The velocity with norm `speed`, m/s.
     """
     # Component of the target velocity perpendicular to the line of sight
-    ahead = direction(way)
+    ahead = direction(offset)
     across = plus(other, -dot(other, ahead), ahead)
     square = speed * speed - dot(across, across)
     # The perpendicular speed of the target exceeds the speed of the drone
@@ -55,7 +55,7 @@ def constant_bearing(way: Vec3Like, other: Vec3Like, speed: float) -> Vec3:
 
 
 @kernel
-def _cut(polygon: np.ndarray, count: int, normal: Vec3, bound: float, out: np.ndarray) -> int:
+def _clip(polygon: np.ndarray, count: int, normal: Vec3, bound: float, out: np.ndarray) -> int:
     """Clip a convex polygon by the half-space normal . x <= bound.
 
     References:
@@ -92,7 +92,7 @@ def _cut(polygon: np.ndarray, count: int, normal: Vec3, bound: float, out: np.nd
 
 
 @kernel
-def _middle(polygon: np.ndarray, count: int) -> Vec3:
+def _centroid(polygon: np.ndarray, count: int) -> Vec3:
     """Compute the area-weighted centroid of a convex polygon."""
     total, result = 0.0, (0.0, 0.0, 0.0)
     first = point(polygon, 0)
@@ -105,7 +105,7 @@ def _middle(polygon: np.ndarray, count: int) -> Vec3:
         total += area
         result = plus(plus(result, area / 3.0, one), area / 3.0, two)
     # Degenerate polygon: a line or a point
-    if total < NO_LENGTH * NO_LENGTH:
+    if total < MIN_NORM * MIN_NORM:
         return first
     return plus(first, 1.0 / total, result)
 
@@ -128,8 +128,8 @@ def shared_face(
     """
     here = (place[0], place[1], place[2])
     other = point(others, k)
-    polygon = np.empty((PIECE + SIDES + others.shape[0], 3))
-    spare = np.empty_like(polygon)
+    polygon = np.empty((NUM_CORNERS + NUM_FACES + others.shape[0], 3))
+    scratch = np.empty_like(polygon)
     # Square in the bisecting plane, larger than the box.
     ahead = direction(minus(other, here))
     middle = plus(here, 0.5, minus(other, here))
@@ -139,29 +139,29 @@ def shared_face(
     size = 0.0
     for axis in range(3):
         size += high[axis] - low[axis]
-    for corner in range(PIECE):
+    for corner in range(NUM_CORNERS):
         x = size if corner in (0, 3) else -size
         y = size if corner < 2 else -size
         at = plus(plus(middle, x, one), y, two)
         for axis in range(3):
             polygon[corner, axis] = at[axis]
-    count = PIECE
+    count = NUM_CORNERS
     # Clip to the box.
     for axis in range(3):
         up = (1.0 * (axis == 0), 1.0 * (axis == 1), 1.0 * (axis == 2))
         down = (-up[0], -up[1], -up[2])
-        count = _cut(polygon, count, up, high[axis], spare)
-        count = _cut(spare, count, down, -low[axis], polygon)
+        count = _clip(polygon, count, up, high[axis], scratch)
+        count = _clip(scratch, count, down, -low[axis], polygon)
     # Clip to the points that are nearer to these two points than to any other.
     for j in range(others.shape[0]):
         if j != k:
             away = minus(point(others, j), here)
             bound = dot(away, plus(here, 0.5, away))
-            count = _cut(polygon, count, away, bound, spare)
-            polygon, spare = spare, polygon
+            count = _clip(polygon, count, away, bound, scratch)
+            polygon, scratch = scratch, polygon
     if count < 3:
         return False, middle
-    return True, _middle(polygon, count)
+    return True, _centroid(polygon, count)
 
 
 @allocating
@@ -182,8 +182,8 @@ def interception(
     result = np.empty(place.shape)
     for w in range(place.shape[0]):
         for i in range(place.shape[1]):
-            way = minus(vec3(goal, w, i), vec3(place, w, i))
-            wanted = constant_bearing(way, vec3(goal_velocity, w, i), speed[i])
+            offset = minus(vec3(goal, w, i), vec3(place, w, i))
+            wanted = constant_bearing(offset, vec3(goal_velocity, w, i), speed[i])
             for axis in range(3):
                 result[w, i, axis] = wanted[axis]
     return result

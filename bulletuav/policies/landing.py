@@ -14,13 +14,13 @@ LOW = 5.0
 
 
 def touch_down(
-    velocity: np.ndarray, way: np.ndarray, goal_height: np.ndarray, task: Task[TaskConfig]
+    velocity: np.ndarray, goal_offset: np.ndarray, goal_height: np.ndarray, task: Task[TaskConfig]
 ) -> np.ndarray:
     """Enforce a minimum descent speed for drones close above a goal on the ground.
 
     Args:
         velocity: (W, N, 3) commanded velocities, m/s.
-        way: (W, N, 3) offsets to the goals, m.
+        goal_offset: (W, N, 3) offsets to the goals, m.
         goal_height: (W, N) heights of the goals above ground, m.
         task: The task; velocities change only if its drones land.
 
@@ -30,7 +30,9 @@ def touch_down(
     if not task.lands:
         return velocity
     is_down = goal_height <= np.array(task.context.standing_height)
-    is_near = (way[..., 0] ** 2 + way[..., 1] ** 2 <= NEAR**2) & (way[..., 2] >= -LOW)
+    is_near = (goal_offset[..., 0] ** 2 + goal_offset[..., 1] ** 2 <= NEAR**2) & (
+        goal_offset[..., 2] >= -LOW
+    )
     result: np.ndarray = velocity.copy()
     fall = np.minimum(velocity[..., 2], -DESCENT)
     result[..., 2] = np.where(is_down & is_near, fall, velocity[..., 2])

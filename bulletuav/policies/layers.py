@@ -35,7 +35,7 @@ class Affine(NamedTuple):
     offset: np.ndarray
 
 
-class Symlog(NamedTuple):
+class SymlogLayer(NamedTuple):
     """Apply the symmetric logarithm sign(x) ln(1 + scale |x|) to each number."""
 
     scale: float
@@ -71,7 +71,7 @@ class LimitNorm(NamedTuple):
     most: float
 
 
-class Choose(NamedTuple):
+class Argmax(NamedTuple):
     """Return the index of the largest number, the first one in case of ties."""
 
 
@@ -85,7 +85,7 @@ class Lookup(NamedTuple):
     rows: np.ndarray
 
 
-class Others(NamedTuple):
+class EntityGroup(NamedTuple):
     """Entities of one kind, such as neighbours, in an observation.
 
     Attributes:
@@ -100,7 +100,7 @@ class Others(NamedTuple):
     layers: tuple[Dense, ...]
 
 
-class Swarm(NamedTuple):
+class SwarmLayer(NamedTuple):
     """Extract permutation-invariant swarm features, see `bulletuav.policies.swarm_features`.
 
     Attributes:
@@ -110,12 +110,22 @@ class Swarm(NamedTuple):
     """
 
     own: np.ndarray
-    kinds: tuple[Others, ...]
+    kinds: tuple[EntityGroup, ...]
     scale: float
 
 
 Layer = (
-    Clip | Affine | Symlog | Dense | Tanh | Relu | SquareRoot | LimitNorm | Choose | Lookup | Swarm
+    Clip
+    | Affine
+    | SymlogLayer
+    | Dense
+    | Tanh
+    | Relu
+    | SquareRoot
+    | LimitNorm
+    | Argmax
+    | Lookup
+    | SwarmLayer
 )
 """A layer of any type"""
 
@@ -129,8 +139,8 @@ def width_after(layer: Layer, width: int) -> int:
     """
     if isinstance(layer, Dense):
         return len(layer.bias)
-    if isinstance(layer, Swarm):
+    if isinstance(layer, SwarmLayer):
         return len(layer.own) + sum(2 * len(kind.layers[-1].bias) for kind in layer.kinds)
-    if isinstance(layer, Choose):
+    if isinstance(layer, Argmax):
         return 1
     return layer.rows.shape[1] if isinstance(layer, Lookup) else width

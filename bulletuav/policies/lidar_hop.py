@@ -5,7 +5,7 @@ import numpy as np
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy
-from bulletuav.policies.readings import CEILING_ROOM, Readings, goal_offset
+from bulletuav.policies.readings import CEILING_MARGIN, Readings, decode_goal_offset
 from bulletuav.policies.straight import APPROACH
 from bulletuav.policies.street_map import level_beams
 from bulletuav.registry import register
@@ -43,18 +43,20 @@ class LidarHop(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Fly to the goal, or climb if the path is blocked; see `Policy.act`."""
-        told = self.readings(observations)
-        offset = goal_offset(told["goal"])
+        readings = self.readings(observations)
+        offset = decode_goal_offset(readings["goal"])
         flat = np.linalg.norm(offset[..., :2], axis=-1, keepdims=True)
         towards = offset[..., :2] / np.maximum(flat, 1e-9)
         # Obstacles on beams towards the goal, nearer than the goal.
         cosine = towards @ self._directions.T
-        near = told["lidar"][..., self._chosen] < np.minimum(BLOCKED, flat)
+        near = readings["lidar"][..., self._chosen] < np.minimum(BLOCKED, flat)
         blocked = ((cosine > CONE) & near).any(axis=-1)
         # Fly level until above the goal, then descend, so as not to descend onto an obstacle.
         wanted = np.zeros(offset.shape)
         wanted[..., :2] = np.where(blocked[..., None], 0.0, offset[..., :2])
         over = flat[..., 0] < BLOCKED
         wanted[..., 2] = np.where(over & ~blocked, offset[..., 2], 0.0)
-        wanted[..., 2] = np.where(blocked, told["room"][..., 2] - CEILING_ROOM, wanted[..., 2])
+        wanted[..., 2] = np.where(
+            blocked, readings["room"][..., 2] - CEILING_MARGIN, wanted[..., 2]
+        )
         return self.encoded(limit_norm(APPROACH * wanted, SPEED))

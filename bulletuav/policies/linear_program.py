@@ -23,14 +23,14 @@ from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 
 DEPTH = 4
 """Number of depths: space, plane, line, point"""
-ROUNDING = 1e-9
+TOLERANCE = 1e-9
 """Tolerance of half-spaces, m/s"""
 PARALLEL = 1e-8
 """Sine of the angle below which two half-spaces count as parallel"""
 
 
 @func
-def write(rows: np.ndarray, depth: int, k: int, vector: Vec3, bound: float) -> bool:
+def write_half_space(rows: np.ndarray, depth: int, k: int, vector: Vec3, bound: float) -> bool:
     """Write the half-space vector . v >= bound, normalised.
 
     Args:
@@ -51,32 +51,34 @@ def write(rows: np.ndarray, depth: int, k: int, vector: Vec3, bound: float) -> b
 
 
 @func
-def missing(rows: np.ndarray, depth: int, k: int, v: Vec3) -> float:
+def violation(rows: np.ndarray, depth: int, k: int, v: Vec3) -> float:
     """Return the violation of half-space k by velocity v, m/s; negative inside."""
     n = vec3(rows, depth, k)
-    lack: float = rows[depth, k, 3] - dot(n, v)
-    return lack
+    value: float = rows[depth, k, 3] - dot(n, v)
+    return value
 
 
 @func
-def within(wanted: Vec3, centre: Vec3, radius: float, linear: bool) -> Vec3:
+def project_on_ball(target: Vec3, centre: Vec3, radius: float, linear: bool) -> Vec3:
     """Find the point of a ball nearest to a target, or the farthest point in a direction.
 
     Args:
-        wanted: The target; if `linear`, the direction, of any length.
+        target: The target; if `linear`, the direction, of any length.
         centre: Centre of the ball.
         radius: Radius of the ball.
         linear: Whether the objective is a direction.
     """
-    way = wanted if linear else plus(wanted, -1.0, centre)
-    length = math.sqrt(dot(way, way))
-    if length <= ROUNDING or (length <= radius and not linear):
-        return centre if linear else wanted
-    return plus(centre, radius / length, way)
+    direction = target if linear else plus(target, -1.0, centre)
+    length = math.sqrt(dot(direction, direction))
+    if length <= TOLERANCE or (length <= radius and not linear):
+        return centre if linear else target
+    return plus(centre, radius / length, direction)
 
 
 @func
-def descend(rows: np.ndarray, frame: np.ndarray, depth: int, k: int, linear: bool) -> int:
+def restrict_to_boundary(
+    rows: np.ndarray, frame: np.ndarray, depth: int, k: int, linear: bool
+) -> int:
     """Restrict the problem of a depth to the boundary of its half-space k, one depth lower.
 
     Args:
@@ -102,49 +104,49 @@ def descend(rows: np.ndarray, frame: np.ndarray, depth: int, k: int, linear: boo
     # Intersect the earlier half-spaces with the boundary.
     count = 0
     # At a point there are no directions left; a non-zero normal is a rounding error.
-    to_point = depth == DEPTH - 2
+    is_point = depth == DEPTH - 2
     for j in range(k):
         other = vec3(rows, depth, j)
         # Component of the other normal within the boundary
-        share = dot(other, n)
-        rest = rows[depth, j, 3] - share * bound
-        within_boundary = plus(other, -share, n)
-        has_direction = write(rows, depth + 1, count, within_boundary, rest)
-        if has_direction and not to_point:
+        cosine = dot(other, n)
+        rest = rows[depth, j, 3] - cosine * bound
+        within_boundary = plus(other, -cosine, n)
+        has_direction = write_half_space(rows, depth + 1, count, within_boundary, rest)
+        if has_direction and not is_point:
             count += 1
         # Parallel, and the boundary is outside of it
-        elif rest > ROUNDING:
+        elif rest > TOLERANCE:
             return -1
     # Intersect the ball with the boundary, and project the objective on it.
     centre = plus(centre, height, n)
-    wanted = vec3(frame, depth, 1)
-    wanted = plus(wanted, (0.0 if linear else bound) - dot(n, wanted), n)
+    target = vec3(frame, depth, 1)
+    target = plus(target, (0.0 if linear else bound) - dot(n, target), n)
     cut_radius = math.sqrt(radius * radius - height * height)
-    pose(frame, depth + 1, wanted, centre, cut_radius)
+    write_problem(frame, depth + 1, target, centre, cut_radius)
     return count
 
 
 @func
-def pose(frame: np.ndarray, depth: int, wanted: Vec3, centre: Vec3, radius: float) -> None:
+def write_problem(frame: np.ndarray, depth: int, target: Vec3, centre: Vec3, radius: float) -> None:
     """Write the ball and the objective of a depth."""
     for axis in range(3):
         frame[depth, 0, axis] = centre[axis]
-        frame[depth, 1, axis] = wanted[axis]
+        frame[depth, 1, axis] = target[axis]
     frame[depth, 0, 3] = radius
 
 
 @func
-def start(frame: np.ndarray, depth: int, linear: bool) -> Vec3:
+def ball_optimum(frame: np.ndarray, depth: int, linear: bool) -> Vec3:
     """Find the optimum in the ball of a depth, without half-spaces."""
-    wanted = vec3(frame, depth, 1)
+    target = vec3(frame, depth, 1)
     centre = vec3(frame, depth, 0)
     radius = frame[depth, 0, 3]
-    return within(wanted, centre, radius, linear)
+    return project_on_ball(target, centre, radius, linear)
 
 
 @allocating
-def nearest(
-    rows: np.ndarray, count: int, wanted: Vec3, radius: float, linear: bool
+def solve_linear_program(
+    rows: np.ndarray, count: int, target: Vec3, radius: float, linear: bool
 ) -> tuple[int, Vec3]:
     """Solve the incremental linear program in a ball around the origin.
 
@@ -155,7 +157,7 @@ def nearest(
     Args:
         rows: (DEPTH, M, 4) half-spaces in rows[0, :count]; the rest is a work buffer.
         count: Number of half-spaces.
-        wanted: Target point; if `linear`, the direction to maximise.
+        target: Target point; if `linear`, the direction to maximise.
         radius: Radius of the ball.
         linear: Whether the objective is a direction.
 
@@ -168,31 +170,31 @@ def nearest(
     k = np.zeros(DEPTH, np.int64)
     depth = 0
     counts[0] = count
-    pose(frame, 0, wanted, (0.0, 0.0, 0.0), radius)
-    best = above = start(frame, 0, linear)
+    write_problem(frame, 0, target, (0.0, 0.0, 0.0), radius)
+    best = above = ball_optimum(frame, 0, linear)
     while True:
         if k[depth] == counts[depth]:
             # All half-spaces of this depth are satisfied: return to the depth above.
             if depth == 0:
                 return count, best
             depth -= 1
-        elif missing(rows, depth, k[depth], best) > ROUNDING:
+        elif violation(rows, depth, k[depth], best) > TOLERANCE:
             # This half-space is violated: continue on its boundary.
             if depth == 0:
                 above = best
-            counts[depth + 1] = descend(rows, frame, depth, k[depth], linear)
+            counts[depth + 1] = restrict_to_boundary(rows, frame, depth, k[depth], linear)
             if counts[depth + 1] < 0:
                 return k[0], above
             depth += 1
             k[depth] = 0
-            best = start(frame, depth, linear)
+            best = ball_optimum(frame, depth, linear)
             continue
         k[depth] += 1
 
 
 @kernel
-def least_violation(
-    rows: np.ndarray, spare: np.ndarray, count: int, begin: int, best: Vec3, radius: float
+def minimize_violation(
+    rows: np.ndarray, scratch: np.ndarray, count: int, first: int, best: Vec3, radius: float
 ) -> Vec3:
     """Find the velocity that minimises the maximum violation of the half-spaces.
 
@@ -201,9 +203,9 @@ def least_violation(
 
     Args:
         rows: (DEPTH, M, 4) half-spaces in rows[0, :count].
-        spare: Work buffer with the shape of `rows`.
+        scratch: Work buffer with the shape of `rows`.
         count: Number of half-spaces.
-        begin: Number of leading half-spaces that `best` satisfies.
+        first: Number of leading half-spaces that `best` satisfies.
         best: Optimum in those half-spaces, m/s.
         radius: Speed limit, m/s.
 
@@ -212,8 +214,8 @@ def least_violation(
     """
     # Maximum violation so far.
     worst = 0.0
-    for i in range(begin, count):
-        if missing(rows, 0, i, best) <= worst + ROUNDING:
+    for i in range(first, count):
+        if violation(rows, 0, i, best) <= worst + TOLERANCE:
             continue
         # Half-spaces in which no earlier half-space is violated more than this one.
         n = vec3(rows, 0, i)
@@ -222,17 +224,17 @@ def least_violation(
         for j in range(i):
             other = vec3(rows, 0, j)
             difference = plus(other, -1.0, n)
-            if write(spare, 0, fewer, difference, rows[0, j, 3] - bound):
+            if write_half_space(scratch, 0, fewer, difference, rows[0, j, 3] - bound):
                 fewer += 1
         # Reduce the violation of this half-space as far as these permit.
-        _, best = nearest(spare, fewer, n, radius, True)
-        worst = missing(rows, 0, i, best)
+        _, best = solve_linear_program(scratch, fewer, n, radius, True)
+        worst = violation(rows, 0, i, best)
     return best
 
 
 @kernel
-def best_velocity(
-    rows: np.ndarray, spare: np.ndarray, count: int, wanted: Vec3, max_speed: float
+def solve_velocity(
+    rows: np.ndarray, scratch: np.ndarray, count: int, target: Vec3, max_speed: float
 ) -> Vec3:
     """Find the permitted velocity nearest to a preferred one.
 
@@ -241,15 +243,15 @@ def best_velocity(
 
     Args:
         rows: (DEPTH, M, 4) half-spaces in rows[0, :count]; the rest is a work buffer.
-        spare: Work buffer with the shape of `rows`.
+        scratch: Work buffer with the shape of `rows`.
         count: Number of half-spaces.
-        wanted: Preferred velocity, m/s.
+        target: Preferred velocity, m/s.
         max_speed: Speed limit, m/s.
 
     Returns:
         The velocity, m/s.
     """
-    met, best = nearest(rows, count, wanted, max_speed, False)
-    if met == count:
+    satisfied, best = solve_linear_program(rows, count, target, max_speed, False)
+    if satisfied == count:
         return best
-    return least_violation(rows, spare, count, met, best, max_speed)
+    return minimize_violation(rows, scratch, count, satisfied, best, max_speed)

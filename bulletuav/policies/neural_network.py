@@ -15,8 +15,8 @@ from safetensors.numpy import load_file
 from bulletuav.compiled.functions import tanh
 from bulletuav.errors import reason_of
 from bulletuav.policies.features import Layers, UserFeatures, dense, symlog
-from bulletuav.policies.layers import Affine, Choose, Clip, Dense, Layer, Relu, Symlog, Tanh
-from bulletuav.policies.swarm_features import SwarmFeatures, find_layout
+from bulletuav.policies.layers import Affine, Argmax, Clip, Dense, Layer, Relu, SymlogLayer, Tanh
+from bulletuav.policies.swarm_features import NumpySwarmFeatures, find_layout
 from bulletuav.sensors.base import Label
 
 LOW = "action.low"
@@ -177,7 +177,9 @@ class Network:
             raise ValueError(f"{LOW} must be below {HIGH}")
         self._users = UserFeatures(of_users) if of_users else None
         is_swarm = kind == "swarm"
-        self._swarm = SwarmFeatures(find_layout(labels), of_others, scale) if is_swarm else None
+        self._swarm = (
+            NumpySwarmFeatures(find_layout(labels), of_others, scale) if is_swarm else None
+        )
 
     @property
     def shape(self) -> str:
@@ -230,8 +232,8 @@ class Network:
             return best[:, None]
         low, high = self._bounds
         if self._actor.squashed:
-            share = 0.5 * (tanh(values) + 1)
-            squashed: np.ndarray = low + share * (high - low)
+            fraction = 0.5 * (tanh(values) + 1)
+            squashed: np.ndarray = low + fraction * (high - low)
             return squashed
         clipped: np.ndarray = np.clip(values, low, high)
         return clipped
@@ -245,7 +247,7 @@ class Network:
         if self._users is not None:
             raise ValueError("features 'user_sum' cannot be exported: train with features 'symlog'")
         # Features first, if there are any
-        layers: list[Layer] = [] if self._scale is None else [Symlog(self._scale)]
+        layers: list[Layer] = [] if self._scale is None else [SymlogLayer(self._scale)]
         layers += [] if self._swarm is None else [self._swarm.layer()]
         # Dense layers with an activation between each two
         between = Tanh() if self._actor.activation is _tanh else Relu()
@@ -253,7 +255,7 @@ class Network:
             layers += [between, Dense(weight, bias)] if k else [Dense(weight, bias)]
         # Choices have no bounds, and clipped actions no squashing
         if self._bounds is None:
-            return [*layers, Choose()]
+            return [*layers, Argmax()]
         low, high = (bound.astype(float) for bound in self._bounds)
         if not self._actor.squashed:
             return [*layers, Clip(low, high)]

@@ -10,17 +10,17 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.avoidance import Avoidance
-from bulletuav.policies.half_spaces import Rules
+from bulletuav.policies.half_spaces import AvoidanceParameters
 from bulletuav.policies.mvp import ModifiedVoltagePotential
 from bulletuav.policies.orca import Orca
-from bulletuav.policies.traffic import Traffic, buildings, surfaces
+from bulletuav.policies.traffic import Traffic, find_surfaces, tabulate_buildings
 from bulletuav.policies.voronoi import Voronoi
 from bulletuav.registry import register
 from bulletuav.tasks.observations.neighbours import PER_NEIGHBOUR, PER_OBSTACLE
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
-NOTHING_STANDS = buildings(())
+NO_BUILDINGS = tabulate_buildings(())
 """Empty table of buildings, which are not observed"""
 
 
@@ -69,24 +69,26 @@ class Observed(Avoidance):
         # The box of the arena only: buildings are not observed
         if "position" in seen:
             nowhere = np.full(len(zeros), -1)
-            surface = surfaces(seen["position"], self.box, nowhere, NOTHING_STANDS, self.clear)
+            surface = find_surfaces(
+                seen["position"], self.box, nowhere, NO_BUILDINGS, self.clearance
+            )
         # Other drones are observed relative to the own drone
         own = seen.get("velocity", zeros)
-        gap, relative = _others(seen, shape)
-        ball = seen.get("obstacles", zeros[..., :0]).reshape(*shape, -1, PER_OBSTACLE)
+        offset, relative = _others(seen, shape)
+        sphere = seen.get("obstacles", zeros[..., :0]).reshape(*shape, -1, PER_OBSTACLE)
         # Unused slots have radius 0
-        radius = ball[..., 7]
-        keep = radius + self.clear.body + self.clear.margin
+        radius = sphere[..., 7]
+        keep = radius + self.clearance.body + self.clearance.margin
         return Traffic(
             velocity=own,
             goal=_goal(seen),
             goal_velocity=seen.get("goal_velocity", zeros),
-            gap=gap,
-            other=relative + own[:, :, None],
-            known=np.any(gap != 0, axis=-1),
-            ball=ball[..., 1:4].copy(),
-            ball_velocity=ball[..., 4:7] + own[:, :, None],
-            ball_radius=np.where(radius > 0, keep, 0.0),
+            offset=offset,
+            other_velocity=relative + own[:, :, None],
+            known=np.any(offset != 0, axis=-1),
+            sphere=sphere[..., 1:4].copy(),
+            sphere_velocity=sphere[..., 4:7] + own[:, :, None],
+            sphere_radius=np.where(radius > 0, keep, 0.0),
             surface=surface,
         )
 
@@ -120,8 +122,8 @@ def _goal(seen: dict[str, np.ndarray]) -> np.ndarray:
     if "goal_offset" in seen:
         return seen["goal_offset"]
     goal = seen["goal"]
-    way: np.ndarray = goal[..., :3] * goal[..., 3:]
-    return way
+    goal_offset: np.ndarray = goal[..., :3] * goal[..., 3:]
+    return goal_offset
 
 
 def _others(seen: dict[str, np.ndarray], shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -145,9 +147,11 @@ class StraightObserved(Observed):
     name = "straight_observed"
     needed = (("goal_offset", "goal"),)
 
-    def avoid(self, traffic: Traffic, wish: np.ndarray, rules: Rules) -> np.ndarray:
+    def avoid(
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
+    ) -> np.ndarray:
         """Return the preferred velocities."""
-        return wish
+        return preferred
 
 
 @register("policy")

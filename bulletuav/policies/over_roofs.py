@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy
-from bulletuav.policies.readings import Readings, climb, goal_offset
+from bulletuav.policies.readings import Readings, cruise_height_difference, decode_goal_offset
 from bulletuav.policies.straight import APPROACH
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
@@ -43,13 +43,13 @@ class OverRoofs(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Climb, cruise or descend; see `Policy.act`."""
-        told = self.readings(observations)
-        offset = goal_offset(told["goal"])
-        wanted = crossing(offset, climb(offset, told["room"]))
+        readings = self.readings(observations)
+        offset = decode_goal_offset(readings["goal"])
+        wanted = next_phase(offset, cruise_height_difference(offset, readings["room"]))
         return self.encoded(limit_norm(APPROACH * wanted, self.aviary.options.max_speed))
 
 
-def crossing(offset: np.ndarray, rise: np.ndarray) -> np.ndarray:
+def next_phase(offset: np.ndarray, rise: np.ndarray) -> np.ndarray:
     """Return the offset to the end of the current flight phase: climb, cruise or descent.
 
     Args:

@@ -14,7 +14,7 @@ from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 from bulletuav.geometry.solids import Solids
-from bulletuav.policies.astar import plan
+from bulletuav.policies.astar import plan_path
 from bulletuav.policies.base import Policy
 from bulletuav.policies.landing import touch_down
 from bulletuav.policies.potential import make_field, repulsion
@@ -34,11 +34,11 @@ ACCELERATION = 5.0
 DELAY = 0.6
 """Time from a decision until the velocity is reached, s; a Hummingbird then rounds right angles
 within HALF_WIDTH at up to 20 m/s"""
-NO_WAY = 1e-9
+MIN_LEG_LENGTH = 1e-9
 """Minimum length of a leg that has a direction, m"""
 
 
-class Limits(NamedTuple):
+class PathLimits(NamedTuple):
     """Limits for flight along paths.
 
     Attributes:
@@ -76,7 +76,7 @@ class PathFollower(Policy):
         # Maps by the id of the solids; keeping the solids alive keeps their ids unique.
         self._grids: dict[int, tuple[Solids, Voxels]] = {}
         # Waypoints, m; their number, 0 before planning; and the index of the current one.
-        self._way = np.zeros((*shape, 2, 3))
+        self._path = np.zeros((*shape, 2, 3))
         self._count = np.zeros(shape, dtype=np.int64)
         self._next = np.ones(shape, dtype=np.int64)
 
@@ -92,13 +92,13 @@ class PathFollower(Policy):
         aviary = self.aviary
         speed = float(aviary.options.max_speed)
         goal = self.goals(swarm)
-        without_way = aviary.alive & (self._count == 0)
-        for w, i in np.argwhere(without_way).tolist():
-            way = self._plan(w, swarm.position[w, i], goal[w, i])
-            self._keep(w, i, way)
-        limits = Limits(speed, ACCELERATION, DELAY, HALF_WIDTH)
-        wanted, self._next = follow(
-            swarm.position, swarm.velocity, self._way, self._count, self._next, limits
+        without_path = aviary.alive & (self._count == 0)
+        for w, i in np.argwhere(without_path).tolist():
+            path = self._plan(w, swarm.position[w, i], goal[w, i])
+            self._store_path(w, i, path)
+        limits = PathLimits(speed, ACCELERATION, DELAY, HALF_WIDTH)
+        wanted, self._next = follow_paths(
+            swarm.position, swarm.velocity, self._path, self._count, self._next, limits
         )
         # Repulsion from other drones.
         no_balls = np.zeros((len(aviary.alive), 0, 3))
@@ -122,10 +122,10 @@ class PathFollower(Policy):
 
     def _plan(self, w: int, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Plan a path; return (K, 3) waypoints, m, or a straight segment if there is no path."""
-        way = plan(self._grid(w), start, goal)
-        return way if len(way) else np.stack([start, goal])
+        path = plan_path(self._voxel_map(w), start, goal)
+        return path if len(path) else np.stack([start, goal])
 
-    def _grid(self, w: int) -> Voxels:
+    def _voxel_map(self, w: int) -> Voxels:
         """Return the voxel map of a world, and build it on first use."""
         solids = self.aviary.solids(w)
         task = self.aviary.task
@@ -142,21 +142,21 @@ class PathFollower(Policy):
             self._grids[id(solids)] = solids, grid
         return self._grids[id(solids)][1]
 
-    def _keep(self, w: int, i: int, way: np.ndarray) -> None:
+    def _store_path(self, w: int, i: int, path: np.ndarray) -> None:
         """Store the path of a drone, which flies to its second waypoint first."""
         # Enlarge the buffer for longer paths.
-        more = len(way) - self._way.shape[2]
+        more = len(path) - self._path.shape[2]
         if more > 0:
-            worlds, drones, _, axes = self._way.shape
-            room = np.zeros((worlds, drones, more, axes))
-            self._way = np.concatenate([self._way, room], axis=2)
-        self._way[w, i, : len(way)] = way
-        self._count[w, i] = len(way)
+            worlds, drones, _, axes = self._path.shape
+            padding = np.zeros((worlds, drones, more, axes))
+            self._path = np.concatenate([self._path, padding], axis=2)
+        self._path[w, i, : len(path)] = path
+        self._count[w, i] = len(path)
         self._next[w, i] = 1
 
 
 @register("policy")
-class Planner(PathFollower):
+class PathPlanner(PathFollower):
     """Flight to the goals of the task, which may be static or jump."""
 
     name = "planner"
@@ -177,20 +177,20 @@ class Planner(PathFollower):
 
 
 @allocating
-def follow(
+def follow_paths(
     position: np.ndarray,
     velocity: np.ndarray,
-    way: np.ndarray,
+    path: np.ndarray,
     count: np.ndarray,
     target: np.ndarray,
-    limits: Limits,
+    limits: PathLimits,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute velocities along paths.
 
     Args:
         position: (W, N, 3) positions of the drones, m.
         velocity: (W, N, 3) velocities of the drones, m/s.
-        way: (W, N, K, 3) waypoints, m.
+        path: (W, N, K, 3) waypoints, m.
         count: (W, N) number of waypoints of each drone; 0 for no path.
         target: (W, N) index of the current waypoint of each drone.
         limits: Limits for flight along paths.
@@ -206,7 +206,7 @@ def follow(
             if count[w, i] > 0:
                 here = vec3(position, w, i)
                 moving = vec3(velocity, w, i)
-                points = way[w, i, : count[w, i]]
+                points = path[w, i, : count[w, i]]
                 target[w, i] = next_waypoint(points, target[w, i], here, moving, limits)
                 wanted = velocity_along(points, target[w, i], here, limits)
                 for axis in range(3):
@@ -215,7 +215,9 @@ def follow(
 
 
 @func
-def next_waypoint(points: np.ndarray, k: int, here: Vec3, velocity: Vec3, limits: Limits) -> int:
+def next_waypoint(
+    points: np.ndarray, k: int, here: Vec3, velocity: Vec3, limits: PathLimits
+) -> int:
     """Return the index of the waypoint to fly to.
 
     This is the first waypoint from k on that is neither passed within the delay nor nearly reached,
@@ -229,19 +231,19 @@ def next_waypoint(points: np.ndarray, k: int, here: Vec3, velocity: Vec3, limits
         limits: Limits for flight along paths.
     """
     while k < len(points) - 1:
-        direction, _ = leg(points, k)
+        direction, _ = leg_direction(points, k)
         # Remaining distance along the leg, and distance flown within the delay.
-        gap = plus(point(points, k), -1.0, here)
-        left = dot(gap, direction)
+        offset = plus(waypoint_at(points, k), -1.0, here)
+        remaining = dot(offset, direction)
         flown_by_then = limits.delay * dot(velocity, direction)
-        if left > max(flown_by_then, 0.5 * limits.half_width):
+        if remaining > max(flown_by_then, 0.5 * limits.half_width):
             break
         k += 1
     return k
 
 
 @func
-def velocity_along(points: np.ndarray, k: int, here: Vec3, limits: Limits) -> Vec3:
+def velocity_along(points: np.ndarray, k: int, here: Vec3, limits: PathLimits) -> Vec3:
     """Compute the velocity along the leg to waypoint k, with a correction towards the leg.
 
     Beyond half_width, the speed decreases with the distance from the leg.
@@ -255,18 +257,18 @@ def velocity_along(points: np.ndarray, k: int, here: Vec3, limits: Limits) -> Ve
     Returns:
         The velocity, m/s.
     """
-    direction, _ = leg(points, k)
-    gap = plus(point(points, k), -1.0, here)
+    direction, _ = leg_direction(points, k)
+    offset = plus(waypoint_at(points, k), -1.0, here)
     # Remaining distance along the leg, and offset to the leg.
-    left = dot(gap, direction)
-    aside = plus(gap, -left, direction)
+    remaining = dot(offset, direction)
+    aside = plus(offset, -remaining, direction)
     # Limited by the corners ahead, and at the end by the approach of policy `straight`.
-    speed = braking(left, speed_past(points, k, limits), limits)
+    speed = braking_speed(remaining, max_passing_speed(points, k, limits), limits)
     if k == len(points) - 1:
-        speed = min(speed, APPROACH * left)
+        speed = min(speed, APPROACH * remaining)
     # Slow down away from the path, and return to it.
-    off_way = math.sqrt(dot(aside, aside))
-    speed *= limits.half_width / max(limits.half_width, off_way)
+    deviation = math.sqrt(dot(aside, aside))
+    speed *= limits.half_width / max(limits.half_width, deviation)
     back = (
         APPROACH * aside[0],
         APPROACH * aside[1],
@@ -276,7 +278,7 @@ def velocity_along(points: np.ndarray, k: int, here: Vec3, limits: Limits) -> Ve
 
 
 @func
-def speed_past(points: np.ndarray, k: int, limits: Limits) -> float:
+def max_passing_speed(points: np.ndarray, k: int, limits: PathLimits) -> float:
     """Compute the maximum speed at waypoint k.
 
     At this speed, all later corners can be flown and the drone can stop at the last waypoint.
@@ -292,15 +294,15 @@ def speed_past(points: np.ndarray, k: int, limits: Limits) -> float:
     speed = 0.0
     # Backward pass from the end of the path.
     for j in range(len(points) - 2, k - 1, -1):
-        before, arrival = leg(points, j)
-        after, departure = leg(points, j + 1)
+        before, arrival = leg_direction(points, j)
+        after, departure = leg_direction(points, j + 1)
         corner = corner_speed(dot(before, after), min(arrival, departure), limits)
-        speed = min(corner, braking(departure, speed, limits))
+        speed = min(corner, braking_speed(departure, speed, limits))
     return speed
 
 
 @func
-def corner_speed(cosine: float, length: float, limits: Limits) -> float:
+def corner_speed(cosine: float, length: float, limits: PathLimits) -> float:
     """Compute the speed on the arc that rounds a corner between two legs.
 
     The arc that is tangent to both legs has radius r. Its distance from the corner is r (1 /
@@ -323,7 +325,7 @@ def corner_speed(cosine: float, length: float, limits: Limits) -> float:
 
 
 @func
-def braking(distance: float, speed: float, limits: Limits) -> float:
+def braking_speed(distance: float, speed: float, limits: PathLimits) -> float:
     """Compute the maximum speed from which a lower speed is reached within a distance.
 
     The speed v satisfies distance = v delay + (v^2 - speed^2) / (2 acceleration), and is limited to
@@ -344,15 +346,15 @@ def braking(distance: float, speed: float, limits: Limits) -> float:
 
 
 @func
-def leg(points: np.ndarray, k: int) -> tuple[Vec3, float]:
+def leg_direction(points: np.ndarray, k: int) -> tuple[Vec3, float]:
     """Compute direction and length, m, of the leg that ends at waypoint k.
 
     The direction is zero if the leg is too short.
     """
-    segment = plus(point(points, k), -1.0, point(points, k - 1))
+    segment = plus(waypoint_at(points, k), -1.0, waypoint_at(points, k - 1))
     length = math.sqrt(dot(segment, segment))
     # Waypoints may coincide
-    scale = 1.0 / length if length > NO_WAY else 0.0
+    scale = 1.0 / length if length > MIN_LEG_LENGTH else 0.0
     direction = (
         scale * segment[0],
         scale * segment[1],
@@ -362,6 +364,6 @@ def leg(points: np.ndarray, k: int) -> tuple[Vec3, float]:
 
 
 @func
-def point(points: np.ndarray, k: int) -> Vec3:
+def waypoint_at(points: np.ndarray, k: int) -> Vec3:
     """Return points[k] (3,) as a tuple."""
     return points[k, 0], points[k, 1], points[k, 2]

@@ -14,11 +14,11 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy
 from bulletuav.policies.racing_line import (
     SAMPLES,
-    Limits,
-    Way,
-    fastest_choice,
-    line_of,
-    usual_choice,
+    GatePath,
+    RacingLimits,
+    default_parameters,
+    make_line,
+    optimize_line,
 )
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
@@ -27,44 +27,44 @@ from bulletuav.tasks.race import Race
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm
 
-MOST = STANDARD_GRAVITY * float(tan(MAX_TILT))
+MAX_ACCELERATION = STANDARD_GRAVITY * float(tan(MAX_TILT))
 """Horizontal acceleration of a level drone at the maximum tilt of its controller, m/s^2"""
 DRAG = 0.42
 """Rotor drag of the racer at this tilt: deceleration per speed, 1/s"""
-SHARE, FREE = 0.9, 0.9
+ACCELERATION_FRACTION, REFERENCE_CLEARANCE = 0.9, 0.9
 """Fraction of that acceleration for lines through gates with the reference clearance to each
 side, m; narrower gates use less, as a reserve for corrections"""
-SPEED = 0.98
+SPEED_FRACTION = 0.98
 """Fraction of max_speed for lines"""
-CLEAR = 0.4
+FRAME_MARGIN = 0.4
 """Margin between a drone's shape and the frames, m"""
-ROUND = 0.7
+ROUND_OPENING_FRACTION = 0.7
 """Size of the square inside a round opening, as a fraction of the opening"""
 PRECISION = 1e-4
 """Tolerance of the line optimisation; see `optimize_line`"""
-LOOK = 12
+PLANNED_GATES = 12
 """Number of gates in one plan"""
-EXTEND = 3
+REPLAN_GATES = 3
 """Number of gates before the end of a line at which planning continues"""
 LEAD_IN = 0.1
 """Time before the start of its line at which a drone spins up its rotors and tilts, s"""
 HEADWAY = 0.7
 """Time between the starts of consecutive drones, s"""
-LOST = 2.0
+MAX_DEVIATION = 2.0
 """Distance from its line at which a drone plans a new line, m"""
-LATE = 0.1
+MISSED_AFTER = 0.1
 """Delay after which a gate counts as missed, s"""
-PULL = 2.0
+TRACKING_GAIN = 2.0
 """Gain from distance to correction speed, 1/s"""
-SLIP = 0.2
+DELAY_FRACTION = 0.2
 """Fraction of the delay of a drone by which its line is delayed in each decision"""
-SLOW = 2.0
+MIN_DELAY_SPEED = 2.0
 """Minimum speed for the computation of delays, m/s"""
-REST = 1.0
+WAITING_SPEED = 1.0
 """Downward speed of drones that wait for their start, m/s"""
-LOOP = (0.3, 0.2)
+VELOCITY_LOOP = (0.3, 0.2)
 """Lag of the velocity loop, s, and look-ahead of its acceleration, s: tilting takes time"""
-LOOPS: Mapping[str, tuple[float, float]] = MappingProxyType(
+VELOCITY_LOOPS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "single_integrator": (0.0, 0.05),
         "double_integrator": (0.25, 0.05),
@@ -111,22 +111,29 @@ class RacePilot(Policy):
                 f"another policy"
             )
         self._task, self._radius = aviary.task, aviary.task.context.collision_radius
-        free = min(SHARE, SHARE * (aviary.task.course.narrowest / 2 - self._radius) / FREE)
-        self._limits = Limits(SPEED * aviary.options.max_speed, free * MOST, DRAG)
-        self._loop = LOOPS.get(aviary.options.dynamics, LOOP)
+        free = min(
+            ACCELERATION_FRACTION,
+            ACCELERATION_FRACTION
+            * (aviary.task.course.narrowest / 2 - self._radius)
+            / REFERENCE_CLEARANCE,
+        )
+        self._limits = RacingLimits(
+            SPEED_FRACTION * aviary.options.max_speed, free * MAX_ACCELERATION, DRAG
+        )
+        self._loop = VELOCITY_LOOPS.get(aviary.options.dynamics, VELOCITY_LOOP)
         shape = aviary.alive.shape
         # Plans: start times, start states, first gates, and line parameters.
         self._begin = np.zeros(shape)
         self._start, self._speed = np.zeros((2, *shape, 3))
         self._first = np.zeros(shape, dtype=np.int64)
-        self._choice = [[usual_choice(1)] * shape[1] for _ in range(shape[0])]
+        self._parameters = [[default_parameters(1)] * shape[1] for _ in range(shape[0])]
         # Points of the lines and their number, 0 before planning.
-        points = LOOK * SAMPLES + 1
+        points = PLANNED_GATES * SAMPLES + 1
         self._position, self._velocity = np.zeros((2, *shape, points, 3))
         self._time = np.zeros((*shape, points))
         self._count = np.zeros(shape, dtype=np.int64)
         # Current commands: velocities to command, velocities of the line, and offsets to the line.
-        self._wanted, self._flow, self._off = np.zeros((3, *shape, 3))
+        self._wanted, self._line_velocity, self._line_offset = np.zeros((3, *shape, 3))
 
     def reset(self, mask: np.ndarray) -> None:
         """Drop the lines of the worlds in `mask` (W,)."""
@@ -141,18 +148,20 @@ class RacePilot(Policy):
             self._plan_start(w, swarm, now[w])
         if self._task.config.gate_motion:  # delayed lines meet the gates at other positions
             for w, i in np.argwhere(aviary.alive).tolist():
-                self._draw(w, i, now[w])
+                self._update_line(w, i, now[w])
         # Plan a new line for drones that are far from their lines, or near the end
-        self._look_up(swarm, now)
+        self._evaluate_lines(swarm, now)
         lost = np.argwhere(aviary.alive & self._is_lost(now)).tolist()
         for w, i in lost:
-            self._plan_on(w, i, swarm, now[w])
+            self._replan(w, i, swarm, now[w])
         if lost:
-            self._look_up(swarm, now)
+            self._evaluate_lines(swarm, now)
         # Delay lines of drones that fall behind; stay on the start block until the own start
-        self._wait(now)
-        velocity = limit_norm(self._wanted + PULL * self._off, aviary.options.max_speed)
-        velocity[now[:, None] < self._begin - LEAD_IN] = (0.0, 0.0, -REST)
+        self._delay_lines(now)
+        velocity = limit_norm(
+            self._wanted + TRACKING_GAIN * self._line_offset, aviary.options.max_speed
+        )
+        velocity[now[:, None] < self._begin - LEAD_IN] = (0.0, 0.0, -WAITING_SPEED)
         return self.encoded(velocity)
 
     def fastest(self, w: int, swarm: Swarm) -> float:
@@ -166,33 +175,33 @@ class RacePilot(Policy):
             w: Index of the world.
             swarm: The state of all drones, right after a reset.
         """
-        limits = Limits(self.aviary.options.max_speed, MOST, DRAG)
-        self._begin_at(w, 0, swarm, 0.0)
-        way = self._way(w, 0, 0.0, clear=0.0)
-        return float(line_of(way, fastest_choice(way, limits), limits).time[-1])
+        limits = RacingLimits(self.aviary.options.max_speed, MAX_ACCELERATION, DRAG)
+        self._start_line(w, 0, swarm, 0.0)
+        path = self._gate_path(w, 0, 0.0, clear=0.0)
+        return float(make_line(path, optimize_line(path, limits), limits).time[-1])
 
-    def _look_up(self, swarm: Swarm, now: np.ndarray) -> None:
+    def _evaluate_lines(self, swarm: Swarm, now: np.ndarray) -> None:
         """Evaluate the lines at times (W,), s."""
         lines = (self._position, self._velocity, self._time, self._count)
-        outputs = (self._wanted, self._flow, self._off)
-        look_up(*lines, now[:, None] - self._begin, swarm.position, *self._loop, *outputs)
+        outputs = (self._wanted, self._line_velocity, self._line_offset)
+        evaluate_lines(*lines, now[:, None] - self._begin, swarm.position, *self._loop, *outputs)
 
-    def _wait(self, now: np.ndarray) -> None:
+    def _delay_lines(self, now: np.ndarray) -> None:
         """Delay the lines of drones that fall behind."""
-        square = np.maximum((self._flow**2).sum(axis=-1), SLOW**2)
-        behind = (self._off * self._flow).sum(axis=-1) / square
-        self._begin += np.where(now[:, None] >= self._begin, SLIP * behind, 0.0)
+        square = np.maximum((self._line_velocity**2).sum(axis=-1), MIN_DELAY_SPEED**2)
+        behind = (self._line_offset * self._line_velocity).sum(axis=-1) / square
+        self._begin += np.where(now[:, None] >= self._begin, DELAY_FRACTION * behind, 0.0)
 
     def _is_lost(self, now: np.ndarray) -> np.ndarray:
         """Return which drones left their line, missed a gate or near its end, (W, N) bool."""
         passed = self._memory("passed").astype(np.int64)
-        along = now[:, None] - self._begin
+        elapsed = now[:, None] - self._begin
         times = self._time[..., SAMPLES::SAMPLES]
-        due = self._first + (times < along[..., None] - LATE).sum(axis=-1)
+        due = self._first + (times < elapsed[..., None] - MISSED_AFTER).sum(axis=-1)
         planned = self._first + (self._count - 1) // SAMPLES
-        ends = (planned - passed < EXTEND) & (planned < self._task.turns)
-        is_off = (self._off**2).sum(axis=-1) > LOST**2
-        lost: np.ndarray = (is_off | ends | (passed < due)) & (along >= 0)
+        ends = (planned - passed < REPLAN_GATES) & (planned < self._task.turns)
+        is_off = (self._line_offset**2).sum(axis=-1) > MAX_DEVIATION**2
+        lost: np.ndarray = (is_off | ends | (passed < due)) & (elapsed >= 0)
         return lost
 
     def _memory(self, name: str) -> np.ndarray:
@@ -200,44 +209,44 @@ class RacePilot(Policy):
 
     def _plan_start(self, w: int, swarm: Swarm, now: float) -> None:
         """Plan the lines of all drones of a world, with the same line parameters."""
-        choice = None
+        parameters = None
         for i in range(self.aviary.num_drones):
-            self._begin_at(w, i, swarm, now + LEAD_IN + HEADWAY * i)
-            if choice is None:
-                choice = fastest_choice(self._way(w, i, now), self._limits, PRECISION)
-            self._choose(w, i, choice, now)
+            self._start_line(w, i, swarm, now + LEAD_IN + HEADWAY * i)
+            if parameters is None:
+                parameters = optimize_line(self._gate_path(w, i, now), self._limits, PRECISION)
+            self._set_parameters(w, i, parameters, now)
 
-    def _plan_on(self, w: int, i: int, swarm: Swarm, now: float) -> None:
+    def _replan(self, w: int, i: int, swarm: Swarm, now: float) -> None:
         """Plan a line with default parameters from the current state of a drone."""
-        self._begin_at(w, i, swarm, now)
-        left = min(LOOK, self._task.turns - int(self._first[w, i]))
-        self._choose(w, i, usual_choice(left + 1), now)
+        self._start_line(w, i, swarm, now)
+        left = min(PLANNED_GATES, self._task.turns - int(self._first[w, i]))
+        self._set_parameters(w, i, default_parameters(left + 1), now)
 
-    def _begin_at(self, w: int, i: int, swarm: Swarm, begin: float) -> None:
+    def _start_line(self, w: int, i: int, swarm: Swarm, begin: float) -> None:
         """Start a line at a time, s, from the current state of the drone."""
         self._begin[w, i] = begin
         self._start[w, i], self._speed[w, i] = swarm.position[w, i], swarm.velocity[w, i]
         self._first[w, i] = int(self._memory("passed")[w, i])
         self._time[w, i], self._count[w, i] = 0.0, 0
 
-    def _choose(self, w: int, i: int, choice: np.ndarray, now: float) -> None:
+    def _set_parameters(self, w: int, i: int, parameters: np.ndarray, now: float) -> None:
         """Set the line parameters, and compute the line; iterate on the times at the gates."""
-        self._choice[w][i] = choice
+        self._parameters[w][i] = parameters
         for _ in range(3):
-            self._draw(w, i, now)
+            self._update_line(w, i, now)
 
-    def _draw(self, w: int, i: int, now: float) -> None:
+    def _update_line(self, w: int, i: int, now: float) -> None:
         """Compute a line through the gates at their positions at the times of the current line."""
-        line = line_of(self._way(w, i, now), self._choice[w][i], self._limits)
+        line = make_line(self._gate_path(w, i, now), self._parameters[w][i], self._limits)
         count = len(line.time)
         self._position[w, i, :count], self._velocity[w, i, :count] = line.position, line.velocity
         self._time[w, i, :count], self._time[w, i, count:] = line.time, np.inf
         self._count[w, i] = count
 
-    def _way(self, w: int, i: int, now: float, clear: float = CLEAR) -> Way:
+    def _gate_path(self, w: int, i: int, now: float, clear: float = FRAME_MARGIN) -> GatePath:
         """Return the gates that a line passes, at their predicted positions."""
         first, course = int(self._first[w, i]), self._task.course
-        turn = np.arange(first, min(first + LOOK, self._task.turns)) % course.gates
+        turn = np.arange(first, min(first + PLANNED_GATES, self._task.turns)) % course.gates
         axis, phase = self._memory("gate_axis")[w], self._memory("gate_phase")[w]
         # Replace the current displacement of swinging gates by the predicted one.
         times = self._begin[w, i] + self._time[w, i, SAMPLES::SAMPLES][: len(turn)]
@@ -245,18 +254,18 @@ class RacePilot(Policy):
         later, _ = course.swing(times, axis[turn][:, None], phase[turn][:, None])
         middle = (self._memory("gate")[w] - swung[0])[turn] + later[:, 0]
         start, speed = self._start[w, i], math.sqrt(float((self._speed[w, i] ** 2).sum()))
-        ahead = self._speed[w, i] / speed if speed > 1.0 else _climbing(middle[0] - start)
+        ahead = self._speed[w, i] / speed if speed > 1.0 else _tilted_up(middle[0] - start)
         free = self._memory("gate_size")[w, turn] / 2 - self._radius - clear
-        free = np.where(course.sides[turn] > SIDES["square"], ROUND * free, free)
-        return Way(
+        free = np.where(course.sides[turn] > SIDES["square"], ROUND_OPENING_FRACTION * free, free)
+        return GatePath(
             point=np.concatenate([start[None], middle]),
             axis=np.concatenate([np.stack([ahead] * 3)[None], axis[turn]]),
-            room=np.insert(np.maximum(free, 0.0), 0, 0.0),
+            clearance=np.insert(np.maximum(free, 0.0), 0, 0.0),
             first_speed=speed,
         )
 
 
-def _climbing(offset: np.ndarray) -> np.ndarray:
+def _tilted_up(offset: np.ndarray) -> np.ndarray:
     """Return the direction of a vector (3,), tilted upwards, for drones on the ground."""
     steep = offset + np.array((0.0, 0.0, 0.5 * math.sqrt(float((offset**2).sum()))))
     direction: np.ndarray = steep / math.sqrt(float((steep**2).sum()))
@@ -264,7 +273,7 @@ def _climbing(offset: np.ndarray) -> np.ndarray:
 
 
 @func
-def piece_at(time: np.ndarray, w: int, i: int, last: int, now: float) -> tuple[int, float]:
+def segment_at(time: np.ndarray, w: int, i: int, last: int, now: float) -> tuple[int, float]:
     """Return the segment of a line at a time, and the elapsed fraction of the segment."""
     s = min(max(int(np.searchsorted(time[w, i, : last + 1], now, side="right")), 1), last)
     lapse = time[w, i, s] - time[w, i, s - 1]
@@ -272,18 +281,18 @@ def piece_at(time: np.ndarray, w: int, i: int, last: int, now: float) -> tuple[i
 
 
 @kernel
-def look_up(
+def evaluate_lines(
     line: np.ndarray,
     velocity: np.ndarray,
     time: np.ndarray,
     count: np.ndarray,
-    along: np.ndarray,
+    elapsed: np.ndarray,
     position: np.ndarray,
     lag: float,
     ahead: float,
     wanted: np.ndarray,
-    flow: np.ndarray,
-    off: np.ndarray,
+    line_velocity: np.ndarray,
+    line_offset: np.ndarray,
 ) -> None:
     """Evaluate the lines: the offset of each drone from its line, and the velocity to command.
 
@@ -295,13 +304,13 @@ def look_up(
         velocity: (W, N, K, 3) velocities at the points, m/s.
         time: (W, N, K) times at the points, s.
         count: (W, N) number of points.
-        along: (W, N) time since the start of the line, s.
+        elapsed: (W, N) time since the start of the line, s.
         position: (W, N, 3) positions of the drones, m.
         lag: Lag of the velocity loop, s.
         ahead: Look-ahead of the acceleration, s.
         wanted: (W, N, 3) velocities to command, m/s; written.
-        flow: (W, N, 3) velocities of the lines, m/s; written.
-        off: (W, N, 3) offsets from the drones to the lines, m; written.
+        line_velocity: (W, N, 3) velocities of the lines, m/s; written.
+        line_offset: (W, N, 3) offsets from the drones to the lines, m; written.
     """
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
@@ -310,16 +319,18 @@ def look_up(
             if last < 1:
                 continue
             # Segments at the current time, and later for the acceleration
-            now = max(along[w, i], 0.0)
-            s, share = piece_at(time, w, i, last, now)
-            t, part = piece_at(time, w, i, last, now + 2.0 * ahead)
+            now = max(elapsed[w, i], 0.0)
+            s, fraction = segment_at(time, w, i, last, now)
+            t, later_fraction = segment_at(time, w, i, last, now + 2.0 * ahead)
             for k in range(3):
                 # Offset to the interpolated point
                 here = line[w, i, s, k]
-                off[w, i, k] = here + share * (line[w, i, s + 1, k] - here) - position[w, i, k]
+                line_offset[w, i, k] = (
+                    here + fraction * (line[w, i, s + 1, k] - here) - position[w, i, k]
+                )
                 # Velocity now and later; their difference is the feed-forward acceleration
                 speed, later = velocity[w, i, s, k], velocity[w, i, t, k]
-                speed += share * (velocity[w, i, s + 1, k] - speed)
-                later += part * (velocity[w, i, t + 1, k] - later)
-                flow[w, i, k] = speed
+                speed += fraction * (velocity[w, i, s + 1, k] - speed)
+                later += later_fraction * (velocity[w, i, t + 1, k] - later)
+                line_velocity[w, i, k] = speed
                 wanted[w, i, k] = speed + lag * (later - speed) / (2.0 * ahead)

@@ -19,21 +19,21 @@ from bulletuav.geometry.rotation import Vec3, dot, minus
 
 SAMPLES = 24
 """Number of points of a line per gate"""
-NO_LENGTH = 1e-9
+MIN_NORM = 1e-9
 """Minimum length of a vector that has a direction, m"""
-TINY = 1e-12
+EPSILON = 1e-12
 """Offset that prevents divisions by 0"""
-ASIDE, HIGH, TURN, RISE, COMES, LEAVES = range(6)
+LATERAL, VERTICAL, YAW, PITCH, TANGENT_IN, TANGENT_OUT = range(6)
 """Rows of the line parameters of each gate: offsets in the opening to the left and up, as
 fractions of the clearance; yaw and pitch of the direction relative to the gate, rad; and
 lengths of the incoming and outgoing tangents, as fractions of the distance between gates"""
-DIRECT = 1.15
+DEFAULT_TANGENT = 1.15
 """Default length of tangents; the better one of 1 and 1.15 on 30 random tracks"""
 BOUNDS = ((-1.0, 1.0), (-1.0, 1.0), (-0.8, 0.8), (-0.8, 0.8), (0.15, 2.5), (0.15, 2.5))
 """Lower and upper bound of each parameter"""
 
 
-class Limits(NamedTuple):
+class RacingLimits(NamedTuple):
     """Limits of speed profiles.
 
     Attributes:
@@ -47,23 +47,23 @@ class Limits(NamedTuple):
     drag: float
 
 
-class Way(NamedTuple):
+class GatePath(NamedTuple):
     """Start and gates of a line.
 
     Attributes:
         point: (M, 3) start, then centres of the gates in order, m.
         axis: (M, 3, 3) axes of the gates; the x axis of the start is its direction.
-        room: (M,) maximum distance of the line from the centre to each side, m; 0 at the start.
+        clearance: (M,) maximum distance of the line from the centre, m; 0 at the start.
         first_speed: Speed at the start, m/s.
     """
 
     point: np.ndarray
     axis: np.ndarray
-    room: np.ndarray
+    clearance: np.ndarray
     first_speed: float
 
 
-class Line(NamedTuple):
+class RacingLine(NamedTuple):
     """A line with its times, at K = (M - 1) SAMPLES + 1 points.
 
     Attributes:
@@ -78,14 +78,14 @@ class Line(NamedTuple):
 
 
 @func
-def knot(
-    m: int, choice: np.ndarray, point: np.ndarray, axis: np.ndarray, room: np.ndarray
+def gate_knot(
+    m: int, parameters: np.ndarray, point: np.ndarray, axis: np.ndarray, clearance: np.ndarray
 ) -> tuple[Vec3, Vec3]:
     """Return the point where a line passes gate m, m, and its direction there."""
     # Spherical angles relative to the direction of the gate
-    turn, rise = choice[TURN, m], choice[RISE, m]
+    turn, rise = parameters[YAW, m], parameters[PITCH, m]
     ahead, left, up = cos(turn) * cos(rise), sin(turn) * cos(rise), sin(rise)
-    aside, high = room[m] * choice[ASIDE, m], room[m] * choice[HIGH, m]
+    aside, high = clearance[m] * parameters[LATERAL, m], clearance[m] * parameters[VERTICAL, m]
     # Axes of the gate: through it, to the left, up
     x, y, z = (axis[m, 0, 0], axis[m, 0, 1], axis[m, 0, 2]), axis[m, 1], axis[m, 2]
     # Offset from the centre within the clearance
@@ -103,24 +103,31 @@ def knot(
 
 
 @kernel
-def draw_line(
-    point: np.ndarray, axis: np.ndarray, room: np.ndarray, choice: np.ndarray, line: np.ndarray
+def evaluate_line(
+    point: np.ndarray,
+    axis: np.ndarray,
+    clearance: np.ndarray,
+    parameters: np.ndarray,
+    line: np.ndarray,
 ) -> None:
     """Evaluate the cubic Hermite curves between gates.
 
     Args:
         point: (M, 3) see `GatePath`, m.
         axis: (M, 3, 3) see `GatePath`.
-        room: (M,) see `GatePath`, m.
-        choice: (6, M) line parameters, see `LATERAL`.
+        clearance: (M,) see `GatePath`, m.
+        parameters: (6, M) line parameters, see `LATERAL`.
         line: (K, 3) points, m; written.
     """
     for m in range(point.shape[0] - 1):
-        here, along = knot(m, choice, point, axis, room)
-        there, onward = knot(m + 1, choice, point, axis, room)
-        gap = minus(there, here)
-        length = math.sqrt(dot(gap, gap))
-        leaving, coming = length * choice[LEAVES, m], length * choice[COMES, m + 1]
+        here, along = gate_knot(m, parameters, point, axis, clearance)
+        there, onward = gate_knot(m + 1, parameters, point, axis, clearance)
+        offset = minus(there, here)
+        length = math.sqrt(dot(offset, offset))
+        leaving, coming = (
+            length * parameters[TANGENT_OUT, m],
+            length * parameters[TANGENT_IN, m + 1],
+        )
         for s in range(SAMPLES + 1):
             u = s / SAMPLES
             # Hermite basis polynomials.
@@ -135,38 +142,38 @@ def draw_line(
 
 
 @func
-def along_line(bend: float, square: float, limits: Limits) -> float:
+def tangential_acceleration(curvature: float, squared_speed: float, limits: RacingLimits) -> float:
     """Compute the tangential acceleration that remains in a turn, m/s^2.
 
     Args:
-        bend: Curvature, 1/m.
-        square: Squared speed, m^2/s^2.
+        curvature: Curvature, 1/m.
+        squared_speed: Squared speed, m^2/s^2.
         limits: Limits of the acceleration.
     """
-    total, across = limits.acceleration, bend * square
+    total, across = limits.acceleration, curvature * squared_speed
     return math.sqrt(max(total * total - across * across, 0.0))
 
 
 @func
-def fastest_square(bend: float, limits: Limits) -> float:
+def max_squared_speed(curvature: float, limits: RacingLimits) -> float:
     """Compute the square of the maximum steady speed in a curve, m^2/s^2.
 
     The acceleration turns the velocity and compensates the drag: (bend v^2)^2 + (drag v)^2 equals
     its square.
     """
     drag = limits.drag**2
-    turn = 2.0 * bend * limits.acceleration
+    turn = 2.0 * curvature * limits.acceleration
     # Root of a quadratic equation, in a form that is valid for zero curvature, too.
-    root = 2.0 * limits.acceleration**2 / (drag + math.sqrt(drag * drag + turn * turn) + TINY)
+    root = 2.0 * limits.acceleration**2 / (drag + math.sqrt(drag * drag + turn * turn) + EPSILON)
     return min(root, limits.speed**2)
 
 
 @kernel
-def time_line(
+def compute_speed_profile(
     line: np.ndarray,
     count: int,
     first_speed: float,
-    limits: Limits,
+    limits: RacingLimits,
     time: np.ndarray,
     velocity: np.ndarray,
     scratch: np.ndarray,
@@ -182,38 +189,44 @@ def time_line(
         velocity: (K, 3) velocities at the points, m/s; written.
         scratch: (K, 3) work buffer.
     """
-    length, bend, square = scratch[:, 0], scratch[:, 1], scratch[:, 2]
+    length, curvature, squared_speed = scratch[:, 0], scratch[:, 1], scratch[:, 2]
     # Lengths and directions of the segments; directions are stored in `velocity`.
     for s in range(count - 1):
         total = 0.0
         for k in range(3):
             velocity[s, k] = line[s + 1, k] - line[s, k]
             total += velocity[s, k] ** 2
-        length[s] = max(math.sqrt(total), NO_LENGTH)
+        length[s] = max(math.sqrt(total), MIN_NORM)
         for k in range(3):
             velocity[s, k] /= length[s]
     # Curvature, the change of direction over length, limits the speed.
     for s in range(count):
-        bend[s] = 0.0
+        curvature[s] = 0.0
         if 0 < s < count - 1:
             change = 0.0
             for k in range(3):
                 change += (velocity[s, k] - velocity[s - 1, k]) ** 2
-            bend[s] = 2.0 * math.sqrt(change) / (length[s] + length[s - 1])
-        square[s] = fastest_square(bend[s], limits)
+            curvature[s] = 2.0 * math.sqrt(change) / (length[s] + length[s - 1])
+        squared_speed[s] = max_squared_speed(curvature[s], limits)
     # Forward pass: accelerate with the remaining tangential acceleration. Backward pass: brake.
-    square[0] = min(square[0], first_speed**2)
+    squared_speed[0] = min(squared_speed[0], first_speed**2)
     for s in range(count - 1):
-        gain = along_line(bend[s], square[s], limits) - limits.drag * math.sqrt(square[s])
-        square[s + 1] = min(square[s + 1], square[s] + 2.0 * gain * length[s])
+        gain = tangential_acceleration(
+            curvature[s], squared_speed[s], limits
+        ) - limits.drag * math.sqrt(squared_speed[s])
+        squared_speed[s + 1] = min(squared_speed[s + 1], squared_speed[s] + 2.0 * gain * length[s])
     for s in range(count - 1, 0, -1):
-        gain = along_line(bend[s], square[s], limits) + limits.drag * math.sqrt(square[s])
-        square[s - 1] = min(square[s - 1], square[s] + 2.0 * gain * length[s - 1])
+        gain = tangential_acceleration(
+            curvature[s], squared_speed[s], limits
+        ) + limits.drag * math.sqrt(squared_speed[s])
+        squared_speed[s - 1] = min(
+            squared_speed[s - 1], squared_speed[s] + 2.0 * gain * length[s - 1]
+        )
     time[0] = 0.0
     for s in range(count - 1):
-        both = math.sqrt(square[s]) + math.sqrt(square[s + 1])
+        both = math.sqrt(squared_speed[s]) + math.sqrt(squared_speed[s + 1])
         # The mean speed is exact for a constant acceleration
-        time[s + 1] = time[s] + 2.0 * length[s] / max(both, NO_LENGTH)
+        time[s + 1] = time[s] + 2.0 * length[s] / max(both, MIN_NORM)
     # Velocities along the mean of the adjacent directions.
     for k in range(3):
         velocity[count - 1, k] = velocity[count - 2, k]
@@ -224,31 +237,33 @@ def time_line(
             if 0 < s < count - 1:
                 velocity[s, k] += velocity[s - 1, k]
             total += velocity[s, k] ** 2
-        share = math.sqrt(square[s] / max(total, NO_LENGTH))
+        factor = math.sqrt(squared_speed[s] / max(total, MIN_NORM))
         for k in range(3):
-            velocity[s, k] *= share
+            velocity[s, k] *= factor
 
 
-def line_of(way: Way, choice: np.ndarray, limits: Limits) -> Line:
+def make_line(path: GatePath, parameters: np.ndarray, limits: RacingLimits) -> RacingLine:
     """Compute a line and its speed profile from line parameters (6, M), see `LATERAL`."""
-    count = (len(way.point) - 1) * SAMPLES + 1
+    count = (len(path.point) - 1) * SAMPLES + 1
     position, velocity, scratch = np.empty((3, count, 3))
     time = np.empty(count)
-    draw_line(way.point, way.axis, way.room, choice, position)
-    time_line(position, count, way.first_speed, limits, time, velocity, scratch)
-    return Line(position, time, velocity)
+    evaluate_line(path.point, path.axis, path.clearance, parameters, position)
+    compute_speed_profile(position, count, path.first_speed, limits, time, velocity, scratch)
+    return RacingLine(position, time, velocity)
 
 
-def usual_choice(gates: int) -> np.ndarray:
+def default_parameters(gates: int) -> np.ndarray:
     """Return the default line parameters (6, M): centres and directions of the gates."""
-    return np.repeat([[0.0], [0.0], [0.0], [0.0], [DIRECT], [DIRECT]], gates, axis=1)
+    return np.repeat(
+        [[0.0], [0.0], [0.0], [0.0], [DEFAULT_TANGENT], [DEFAULT_TANGENT]], gates, axis=1
+    )
 
 
-def fastest_choice(way: Way, limits: Limits, precision: float = 1e-7) -> np.ndarray:
+def optimize_line(path: GatePath, limits: RacingLimits, precision: float = 1e-7) -> np.ndarray:
     """Optimise the line parameters for minimum time with scipy's L-BFGS-B, from the default ones.
 
     Args:
-        way: Start and gates of the line.
+        path: Start and gates of the line.
         limits: Limits of speed and acceleration.
         precision: Relative improvement of the time at which the optimisation stops.
 
@@ -257,10 +272,10 @@ def fastest_choice(way: Way, limits: Limits, precision: float = 1e-7) -> np.ndar
     """
     from scipy.optimize import minimize  # lazy: slow to import
 
-    first = usual_choice(len(way.point))
+    first = default_parameters(len(path.point))
 
     def duration(numbers: np.ndarray) -> float:
-        return float(line_of(way, numbers.reshape(first.shape), limits).time[-1])
+        return float(make_line(path, numbers.reshape(first.shape), limits).time[-1])
 
     bounds = [side for side in BOUNDS for _ in range(first.shape[1])]
     settings = {"ftol": precision}

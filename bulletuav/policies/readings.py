@@ -8,11 +8,11 @@ import numpy as np
 from bulletuav.envs.aviary import Aviary
 from bulletuav.tasks.observations.observer import Observation
 
-CEILING_ROOM = 2.5
+CEILING_MARGIN = 2.5
 """Margin below the ceiling, m: for wind, and for the overshoot of braking"""
-OVER_GOAL = 50.0
+MAX_HEIGHT_ABOVE_GOAL = 50.0
 """Maximum cruise height above the goal, m"""
-REMEDY: Mapping[str, str] = MappingProxyType(
+BLOCK_CONTENTS: Mapping[str, str] = MappingProxyType(
     {
         "goal": "direction and distance of the goal",
         "velocity": "its velocity",
@@ -48,7 +48,7 @@ class Readings:
             if name not in shown:
                 known = ",".join([*shown, name])
                 raise ValueError(
-                    f"policy {policy!r} reads block {name!r}, {REMEDY[name]}, which is not "
+                    f"policy {policy!r} reads block {name!r}, {BLOCK_CONTENTS[name]}, which is not "
                     f"observed: set observation={known!r}"
                 )
 
@@ -63,7 +63,7 @@ class Readings:
         """
         observer = self.aviary.observer
         blocks = observer.split(observations)
-        told: dict[str, np.ndarray] = {}
+        readings: dict[str, np.ndarray] = {}
         for name in self._needed:
             numbers = np.asarray(blocks[name], dtype=float)
             if self.aviary.options.normalise:
@@ -71,17 +71,17 @@ class Readings:
                 low = np.array([label.low for label in labels])
                 high = np.array([label.high for label in labels])
                 numbers = (low + high) / 2 + numbers * (high - low) / 2
-            told[name] = numbers
-        return told
+            readings[name] = numbers
+        return readings
 
 
-def goal_offset(goal: np.ndarray) -> np.ndarray:
+def decode_goal_offset(goal: np.ndarray) -> np.ndarray:
     """Compute offsets to the goal (W, N, 3), m, from directions and distances (W, N, 4)."""
     offset: np.ndarray = goal[..., :3] * goal[..., 3:]
     return offset
 
 
-def climb(offset: np.ndarray, room: np.ndarray) -> np.ndarray:
+def cruise_height_difference(offset: np.ndarray, room: np.ndarray) -> np.ndarray:
     """Compute the height difference to the cruise height.
 
     The cruise height is CEILING_MARGIN below the ceiling, at most MAX_HEIGHT_ABOVE_GOAL above the
@@ -94,4 +94,4 @@ def climb(offset: np.ndarray, room: np.ndarray) -> np.ndarray:
     Returns:
         (W, N) height difference, m; negative if the drone is too high.
     """
-    return np.minimum(room[..., 2] - CEILING_ROOM, offset[..., 2] + OVER_GOAL)
+    return np.minimum(room[..., 2] - CEILING_MARGIN, offset[..., 2] + MAX_HEIGHT_ABOVE_GOAL)

@@ -286,7 +286,7 @@ def read_settings(path: Path, what: str, trust: bool = False) -> dict[str, Any]:
         )
     _require_version(path, values)
     if not trust:
-        _refuse_modules(path, values)
+        _forbid_modules(path, values)
     return {name: value for name, value in values.items() if name != "version"}
 
 
@@ -345,7 +345,7 @@ def plain_value(value: Any) -> Any:
     return [plain_value(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-def _refuse_modules(path: Path, value: Any) -> None:
+def _forbid_modules(path: Path, value: Any) -> None:
     """Check that a file names no module, as importing a module runs its code.
 
     Raises:
@@ -353,10 +353,10 @@ def _refuse_modules(path: Path, value: Any) -> None:
     """
     if isinstance(value, Mapping):
         for one in value.values():
-            _refuse_modules(path, one)
+            _forbid_modules(path, one)
     elif isinstance(value, list):
         for one in value:
-            _refuse_modules(path, one)
+            _forbid_modules(path, one)
     elif isinstance(value, str) and MODULE_NAME.fullmatch(value):
         raise ValueError(
             f"{path} names {shown(value)}, whose module would be imported: if you trust its "

@@ -12,7 +12,7 @@ from bulletuav.conflict.measures import offsets
 from bulletuav.control.actions import limit_norm
 from bulletuav.policies.base import Policy
 from bulletuav.policies.coverage import Oracle
-from bulletuav.policies.coverage_geometry import ring
+from bulletuav.policies.coverage_geometry import ring_positions
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
@@ -44,7 +44,7 @@ class Scripted(Policy):
 
 
 @register("policy")
-class Stay(Scripted):
+class StayPolicy(Scripted):
     """Stay in place from the start."""
 
     name = "stay"
@@ -79,7 +79,7 @@ class Dive(Scripted):
 
 
 @register("policy")
-class Leave(Scripted):
+class LeavePolicy(Scripted):
     """Fly out of the arena through the nearest wall."""
 
     name = "leave"
@@ -89,9 +89,11 @@ class Leave(Scripted):
         task = self.aviary.task
         level = swarm.position[..., :2]
         # Distances to the west, south, east and north walls.
-        gaps = np.concatenate([level - task.arena_low[:2], task.arena_high[:2] - level], axis=-1)
+        distances = np.concatenate(
+            [level - task.arena_low[:2], task.arena_high[:2] - level], axis=-1
+        )
         walls = np.array([[-1.0, 0, 0], [0, -1, 0], [1, 0, 0], [0, 1, 0]])
-        fastest: np.ndarray = walls[gaps.argmin(axis=-1)] * self.aviary.options.max_speed
+        fastest: np.ndarray = walls[distances.argmin(axis=-1)] * self.aviary.options.max_speed
         return fastest
 
 
@@ -149,11 +151,11 @@ class Clump(Oracle):
     name = "clump"
 
     def places(
-        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
         """Return a small ring around the best position; see `Placement.places`."""
         task = self.aviary.task
-        tried = self._grid_places(w)
-        best = tried[self._served(w, tried, targets).sum(axis=1).argmax()]
+        candidates = self._grid_places(w)
+        best = candidates[self._service_quality(w, candidates, targets).sum(axis=1).argmax()]
         low, high = task.arena_low[:2], task.arena_high[:2]
-        return ring(best, len(position), 3 * task.config.d_safe, low, high)
+        return ring_positions(best, len(position), 3 * task.config.d_safe, low, high)

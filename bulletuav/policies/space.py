@@ -81,7 +81,7 @@ def parse_space(values: Mapping[str, Any]) -> Space:
     Raises:
         ValueError: If a name is not a setting of a run, or a range is invalid.
     """
-    space = {name: _searched(name, one) for name, one in _leaves(values)}
+    space = {name: _parse_range(name, one) for name, one in _leaves(values)}
     if not space:
         raise ValueError(
             "the search space is empty: name settings and ranges, such as model.gamma=0.9:0.999"
@@ -106,7 +106,7 @@ def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield from _leaves(one, f"{prefix}{name}.")
 
 
-def _searched(name: str, given: Mapping[str, Any]) -> Range | Choices:
+def _parse_range(name: str, given: Mapping[str, Any]) -> Range | Choices:
     """Parse one range or set of choices."""
     known = ("choices",) if "choices" in given else ("low", "high", "log", "step")
     for key in given:
@@ -155,11 +155,11 @@ def with_values(run: RunConfig, values: Mapping[str, Any]) -> RunConfig:
         if first == "model" and len(rest) > 1:
             # Keep the defaults next to a nested setting of the algorithm.
             settings["model"].setdefault(rest[0], plain_value(run.settings.get(rest[0], {})))
-        _put(settings, [first, *rest], name, value)
+        _set_nested(settings, [first, *rest], name, value)
     return RunConfig.of(settings)
 
 
-def _put(settings: dict[str, Any], path: list[str], name: str, value: Any) -> None:
+def _set_nested(settings: dict[str, Any], path: list[str], name: str, value: Any) -> None:
     """Set a value in nested dicts."""
     for key in path[:-1]:
         settings = settings.setdefault(key, {})

@@ -36,21 +36,23 @@ class StraightLine(Policy):
         options = self.aviary.options
         if options.action == "target_position":
             return self.encoded(scene.goal)
-        way = scene.goal - swarm.position
-        velocity = preferred_velocity(way, scene.goal_velocity, options.max_speed)
+        goal_offset = scene.goal - swarm.position
+        velocity = preferred_velocity(goal_offset, scene.goal_velocity, options.max_speed)
         task = self.aviary.task
-        return self.encoded(touch_down(velocity, way, scene.goal[..., 2], task))
+        return self.encoded(touch_down(velocity, goal_offset, scene.goal[..., 2], task))
 
 
-def preferred_velocity(way: np.ndarray, goal_velocity: np.ndarray, max_speed: float) -> np.ndarray:
+def preferred_velocity(
+    goal_offset: np.ndarray, goal_velocity: np.ndarray, max_speed: float
+) -> np.ndarray:
     """Compute preferred velocities: straight to the goals, plus the velocities of the goals.
 
     Args:
-        way: (W, N, 3) offsets to the goals, m.
+        goal_offset: (W, N, 3) offsets to the goals, m.
         goal_velocity: (W, N, 3) velocities of the goals, m/s.
         max_speed: Speed limit, m/s.
 
     Returns:
         (W, N, 3) velocities, m/s.
     """
-    return limit_norm(APPROACH * way + goal_velocity, max_speed)
+    return limit_norm(APPROACH * goal_offset + goal_velocity, max_speed)

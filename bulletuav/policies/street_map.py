@@ -22,7 +22,7 @@ EVIDENCE = 12
 SAME_WALL = 8.0
 """Maximum distance between hits of neighbouring beams on the same wall, m; less than the width
 of streets"""
-ROOM = 2
+INFLATION = 2
 """Inflation of occupied cells, cells: 4 m, of which 2.6 m are free space"""
 
 
@@ -51,13 +51,13 @@ def level_beams(aviary: Aviary) -> tuple[np.ndarray, np.ndarray]:
 
 
 @kernel
-def scan(
+def update_maps(
     evidence: np.ndarray,
     place: np.ndarray,
     ranges: np.ndarray,
     directions: np.ndarray,
     reach: float,
-    looks: np.ndarray,
+    updates: np.ndarray,
 ) -> None:
     """Update the maps with range measurements.
 
@@ -67,12 +67,12 @@ def scan(
         ranges: (W, N, B) ranges of the beams, m.
         directions: (B, 2) unit vectors of the beams, in angular order.
         reach: Range of a beam without a hit, m.
-        looks: (W, N) bool, which drones update their map.
+        updates: (W, N) bool, which drones update their map.
     """
     beams = len(directions)
-    for w in range(looks.shape[0]):
-        for i in range(looks.shape[1]):
-            if not looks[w, i]:
+    for w in range(updates.shape[0]):
+        for i in range(updates.shape[1]):
+            if not updates[w, i]:
                 continue
             grid = evidence[w, i]
             x, y = place[w, i, 0], place[w, i, 1]
@@ -80,24 +80,24 @@ def scan(
             for b in range(beams):
                 # Stop one cell before the hit, which belongs to the obstacle
                 free = ranges[w, i, b] - CELL
-                pass_through(grid, x, y, directions[b, 0], directions[b, 1], free)
+                clear_beam(grid, x, y, directions[b, 0], directions[b, 1], free)
             # Mark the hits, and the lines between neighbouring hits.
             for b in range(beams):
                 if ranges[w, i, b] >= reach:
                     continue
                 x_end = x + ranges[w, i, b] * directions[b, 0]
                 y_end = y + ranges[w, i, b] * directions[b, 1]
-                mark(grid, x_end, y_end)
+                mark_cell(grid, x_end, y_end)
                 # Neighbouring hits that are close to each other are on one wall
                 other = (b + 1) % beams
                 if ranges[w, i, other] < reach:
                     x_other = x + ranges[w, i, other] * directions[other, 0]
                     y_other = y + ranges[w, i, other] * directions[other, 1]
-                    join(grid, x_end, y_end, x_other - x_end, y_other - y_end)
+                    mark_segment(grid, x_end, y_end, x_other - x_end, y_other - y_end)
 
 
 @func
-def pass_through(
+def clear_beam(
     grid: np.ndarray, x: float, y: float, east: float, north: float, length: float
 ) -> None:
     """Decrement the evidence of each cell along a beam of `length` m once."""
@@ -112,7 +112,7 @@ def pass_through(
 
 
 @func
-def mark(grid: np.ndarray, x: float, y: float) -> None:
+def mark_cell(grid: np.ndarray, x: float, y: float) -> None:
     """Mark the cell at a position, m, as occupied."""
     a, b = math.floor(x / CELL), math.floor(y / CELL)
     if is_within(grid, a, b):
@@ -120,7 +120,7 @@ def mark(grid: np.ndarray, x: float, y: float) -> None:
 
 
 @func
-def join(grid: np.ndarray, x: float, y: float, east: float, north: float) -> None:
+def mark_segment(grid: np.ndarray, x: float, y: float, east: float, north: float) -> None:
     """Mark the segment between two hits as occupied, if they are on the same wall.
 
     Args:
@@ -134,7 +134,7 @@ def join(grid: np.ndarray, x: float, y: float, east: float, north: float) -> Non
     if length <= SAME_WALL:
         steps = int(length / (0.5 * CELL)) + 1
         for k in range(1, steps):
-            mark(grid, x + east * k / steps, y + north * k / steps)
+            mark_cell(grid, x + east * k / steps, y + north * k / steps)
 
 
 @func
@@ -145,7 +145,7 @@ def is_within(grid: np.ndarray, a: int, b: int) -> bool:
 
 
 @kernel
-def grow(evidence: np.ndarray, occupied: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+def inflate(evidence: np.ndarray, occupied: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
     """Compute the cells that paths must not cross.
 
     These are inflated obstacles, and cells that are not entirely in the airspace.
@@ -168,8 +168,8 @@ def grow(evidence: np.ndarray, occupied: np.ndarray, low: np.ndarray, high: np.n
         for b in range(evidence.shape[1]):
             if evidence[a, b] == 0:
                 continue
-            for da in range(-ROOM, ROOM + 1):
-                for db in range(-ROOM, ROOM + 1):
-                    near = da * da + db * db <= ROOM * ROOM
+            for da in range(-INFLATION, INFLATION + 1):
+                for db in range(-INFLATION, INFLATION + 1):
+                    near = da * da + db * db <= INFLATION * INFLATION
                     if near and is_within(evidence, a + da, b + db):
                         occupied[a + da + 1, b + db + 1, 1] = True

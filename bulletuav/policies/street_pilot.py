@@ -13,13 +13,13 @@ import numpy as np
 
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
-from bulletuav.policies.astar import plan
+from bulletuav.policies.astar import plan_path
 from bulletuav.policies.base import Policy
 from bulletuav.policies.over_roofs import ABOVE_GOAL, LEVEL
-from bulletuav.policies.planner import ACCELERATION, DELAY, HALF_WIDTH, Limits, follow
-from bulletuav.policies.readings import Readings, climb, goal_offset
+from bulletuav.policies.planner import ACCELERATION, DELAY, HALF_WIDTH, PathLimits, follow_paths
+from bulletuav.policies.readings import Readings, cruise_height_difference, decode_goal_offset
 from bulletuav.policies.straight import APPROACH
-from bulletuav.policies.street_map import CELL, grow, level_beams, scan
+from bulletuav.policies.street_map import CELL, inflate, level_beams, update_maps
 from bulletuav.policies.voxels import Voxels
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
@@ -86,7 +86,7 @@ class StreetPilot(Policy):
         self._goal = np.zeros((*shape, 2))
         self._low = np.zeros((*shape, 2))
         self._high = np.zeros((*shape, 2))
-        self._way = np.zeros((*shape, WAYPOINTS, 3))
+        self._path = np.zeros((*shape, WAYPOINTS, 3))
         self._count = np.zeros(shape, dtype=np.int64)
         self._next = np.ones(shape, dtype=np.int64)
         self._age = np.zeros(len(aviary.alive), dtype=np.int64)
@@ -98,18 +98,18 @@ class StreetPilot(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Update the map, plan, and follow the path; see `Policy.act`."""
-        told = self.readings(observations)
-        offset = goal_offset(told["goal"])
-        rise = climb(offset, told["room"])
-        self._reckon(offset[..., :2], told)
+        readings = self.readings(observations)
+        offset = decode_goal_offset(readings["goal"])
+        rise = cruise_height_difference(offset, readings["room"])
+        self._update_position(offset[..., :2], readings)
         # Obstacles at other heights are ignored.
         is_level = np.abs(rise) < LEVEL
         far = np.linalg.norm(offset[..., :2], axis=-1) > ABOVE_GOAL
-        ranges = told["lidar"][..., self._chosen]
+        ranges = readings["lidar"][..., self._chosen]
         reach = self.aviary.task.context.max_range
         # Ranges are stored as float32, so subtract a tolerance from the maximum range.
         alive = self.aviary.alive
-        scan(
+        update_maps(
             self._evidence,
             self._place,
             ranges,
@@ -123,14 +123,14 @@ class StreetPilot(Policy):
             self._plan(w, i)
         self._age += 1
         # Follow the path, with repulsion from near obstacles and height control
-        wanted = self._along(told["velocity"])
+        wanted = self._path_velocity(readings["velocity"])
         wanted[far & ~is_level, :2] = 0.0
         wanted[..., :2] += self._push(ranges, offset)
         wanted = limit_norm(wanted, min(SPEED, float(self.aviary.options.max_speed)))
         wanted[..., 2] = APPROACH * np.where(far, rise, offset[..., 2])
         return self.encoded(limit_norm(wanted, float(self.aviary.options.max_speed)))
 
-    def _reckon(self, offset: np.ndarray, told: dict[str, np.ndarray]) -> None:
+    def _update_position(self, offset: np.ndarray, readings: dict[str, np.ndarray]) -> None:
         """Update the positions by dead reckoning, and from offsets to the goal (W, N, 2), m."""
         is_new = self._age == 0
         # The map extends MARGIN beyond start and goal.
@@ -140,11 +140,11 @@ class StreetPilot(Policy):
         self._low[is_new] = -np.inf
         self._high[is_new] = np.inf
         old = ~is_new
-        moved = self._place + told["velocity"][..., :2] * self.aviary.task.context.period
+        moved = self._place + readings["velocity"][..., :2] * self.aviary.task.context.period
         moved += TRUST * (self._goal - offset - moved)
         self._place[old] = moved[old]
         # Bounds of the airspace, once within range.
-        room = told["room"]
+        room = readings["room"]
         reach = self.aviary.task.context.max_range - 1e-3
         for axis in range(2):
             here = self._place[..., axis]
@@ -156,27 +156,27 @@ class StreetPilot(Policy):
 
     def _plan(self, w: int, i: int) -> None:
         """Plan the path of a drone; clear a map without a path."""
-        grow(self._evidence[w, i], self._occupied, self._low[w, i], self._high[w, i])
+        inflate(self._evidence[w, i], self._occupied, self._low[w, i], self._high[w, i])
         origin = np.array([-CELL, -CELL, -1.5 * CELL])
         start, goal = np.append(self._place[w, i], 0.0), np.append(self._goal[w, i], 0.0)
-        way = plan(Voxels(self._occupied, origin, CELL), start, goal)
-        if not len(way):
+        path = plan_path(Voxels(self._occupied, origin, CELL), start, goal)
+        if not len(path):
             self._evidence[w, i] = 0
-            way = np.stack([start, goal])
-        way = way[:WAYPOINTS]
-        way[:, 2] = 0.0
-        self._way[w, i, : len(way)] = way
-        self._count[w, i] = len(way)
+            path = np.stack([start, goal])
+        path = path[:WAYPOINTS]
+        path[:, 2] = 0.0
+        self._path[w, i, : len(path)] = path
+        self._count[w, i] = len(path)
         self._next[w, i] = 1
 
-    def _along(self, velocity: np.ndarray) -> np.ndarray:
+    def _path_velocity(self, velocity: np.ndarray) -> np.ndarray:
         """Return horizontal velocities (W, N, 3) along the paths, m/s."""
         speed = min(SPEED, float(self.aviary.options.max_speed))
-        limits = Limits(speed, ACCELERATION, DELAY, HALF_WIDTH)
+        limits = PathLimits(speed, ACCELERATION, DELAY, HALF_WIDTH)
         zero = np.zeros((*self._count.shape, 1))
         place = np.concatenate([self._place, zero], axis=-1)
         level = np.concatenate([velocity[..., :2], zero], axis=-1)
-        wanted, self._next = follow(place, level, self._way, self._count, self._next, limits)
+        wanted, self._next = follow_paths(place, level, self._path, self._count, self._next, limits)
         return wanted
 
     def _push(self, ranges: np.ndarray, offset: np.ndarray) -> np.ndarray:

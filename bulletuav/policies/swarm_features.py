@@ -11,12 +11,12 @@ import numpy as np
 
 from bulletuav.compiled.functions import log1p
 from bulletuav.policies.features import Layers, dense, symlog
-from bulletuav.policies.layers import Dense, Others, Swarm
+from bulletuav.policies.layers import Dense, EntityGroup, SwarmLayer
 from bulletuav.sensors.base import Label
 
-OTHERS = ("neighbour", "intruder", "other", "opponent", "teammate", "obstacle", "target")
+ENTITY_WORDS = ("neighbour", "intruder", "other", "opponent", "teammate", "obstacle", "target")
 """Words by which labels name interchangeable entities"""
-NUMBERED = re.compile(rf"({'|'.join(OTHERS)}) (\d+)\b ?(.*)")
+NUMBERED = re.compile(rf"({'|'.join(ENTITY_WORDS)}) (\d+)\b ?(.*)")
 """Label of a number of an entity: the word, the index of the entity, and the quantity"""
 LOOK_AHEAD = 10.0
 """Maximum time to the closest point of approach in the features, s"""
@@ -26,7 +26,7 @@ TINY = 1e-3
 """Squared speed that regularises divisions, (m/s)^2; negligible in flight"""
 
 
-class Kind(NamedTuple):
+class EntityKind(NamedTuple):
     """Entities of one kind, such as neighbours, in an observation.
 
     Attributes:
@@ -39,7 +39,7 @@ class Kind(NamedTuple):
     motion: tuple[int, ...]
 
 
-class Layout(NamedTuple):
+class ObservationLayout(NamedTuple):
     """Layout of an observation: which numbers describe which entities.
 
     Attributes:
@@ -48,7 +48,7 @@ class Layout(NamedTuple):
     """
 
     own: tuple[int, ...]
-    kinds: Mapping[str, Kind]
+    kinds: Mapping[str, EntityKind]
 
     def inputs(self, word: str) -> int:
         """Return the number of inputs of the layers of a kind."""
@@ -56,7 +56,7 @@ class Layout(NamedTuple):
         return len(kind.columns[0]) + APPROACH * bool(kind.motion) + len(self.own)
 
 
-def find_layout(labels: Sequence[Label]) -> Layout:
+def find_layout(labels: Sequence[Label]) -> ObservationLayout:
     """Find which numbers of an observation describe which entity.
 
     Args:
@@ -82,8 +82,8 @@ def find_layout(labels: Sequence[Label]) -> Layout:
     for word, ones in places.items():
         first = min(ones)
         columns = tuple(tuple(ones[number]) for number in sorted(ones))
-        kinds[word] = Kind(columns, _motion(quantities[word][first]))
-    return Layout(tuple(own), kinds)
+        kinds[word] = EntityKind(columns, _motion(quantities[word][first]))
+    return ObservationLayout(tuple(own), kinds)
 
 
 def _motion(quantities: Sequence[str]) -> tuple[int, ...]:
@@ -94,13 +94,15 @@ def _motion(quantities: Sequence[str]) -> tuple[int, ...]:
     return tuple(quantities.index(name) for name in wanted)
 
 
-class SwarmFeatures:
+class NumpySwarmFeatures:
     """Swarm features from trained layers.
 
-    See `bulletuav.adapters.swarm_features.SwarmFeatures`.
+    See `bulletuav.adapters.swarm_features.NumpySwarmFeatures`.
     """
 
-    def __init__(self, layout: Layout, layers: Mapping[str, Layers], scale: float = 1.0) -> None:
+    def __init__(
+        self, layout: ObservationLayout, layers: Mapping[str, Layers], scale: float = 1.0
+    ) -> None:
         """Set the layers that encode entities.
 
         Args:
@@ -118,17 +120,17 @@ class SwarmFeatures:
                 raise ValueError(f"features of each {word} expect {known} numbers, not {inputs}")
         self._layout, self._layers, self._scale = layout, layers, scale
 
-    def layer(self) -> Swarm:
+    def layer(self) -> SwarmLayer:
         """Return the features as a layer, for export to other formats."""
         kinds = tuple(
-            Others(
+            EntityGroup(
                 np.array(kind.columns),
                 np.array(kind.motion, dtype=int),
                 tuple(Dense(weight, bias) for weight, bias in self._layers[word]),
             )
             for word, kind in self._layout.kinds.items()
         )
-        return Swarm(np.array(self._layout.own, dtype=int), kinds, self._scale)
+        return SwarmLayer(np.array(self._layout.own, dtype=int), kinds, self._scale)
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Compute features.

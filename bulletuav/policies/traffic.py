@@ -18,7 +18,7 @@ from bulletuav.geometry.solids import Solids
 
 FACES = 6
 """Number of faces of the arena, the first rows of surfaces"""
-NO_DIRECTION = 1e-9
+MIN_NORM = 1e-9
 """Minimum length of a vector that has a direction, m"""
 
 
@@ -42,12 +42,12 @@ class Traffic(NamedTuple):
     velocity: np.ndarray
     goal: np.ndarray
     goal_velocity: np.ndarray
-    gap: np.ndarray
-    other: np.ndarray
+    offset: np.ndarray
+    other_velocity: np.ndarray
     known: np.ndarray
-    ball: np.ndarray
-    ball_velocity: np.ndarray
-    ball_radius: np.ndarray
+    sphere: np.ndarray
+    sphere_velocity: np.ndarray
+    sphere_radius: np.ndarray
     surface: np.ndarray
 
 
@@ -69,7 +69,7 @@ class Buildings(NamedTuple):
     planes: np.ndarray
 
 
-class Clearance(NamedTuple):
+class ObstacleClearance(NamedTuple):
     """Distances that drones maintain to static obstacles.
 
     Attributes:
@@ -83,7 +83,7 @@ class Clearance(NamedTuple):
     reach: float
 
 
-def buildings(layouts: Sequence[Solids]) -> Buildings:
+def tabulate_buildings(layouts: Sequence[Solids]) -> Buildings:
     """Build the table of the building pieces in all layouts."""
     bounds = np.concatenate([np.zeros((0, 2, 3)), *(solids.bounds for solids in layouts)])
     last = np.cumsum([len(solids.bounds) for solids in layouts], dtype=np.int64)
@@ -113,62 +113,71 @@ def buildings(layouts: Sequence[Solids]) -> Buildings:
 def true_traffic(
     swarm: tuple[np.ndarray, np.ndarray, np.ndarray],
     goals: tuple[np.ndarray, np.ndarray],
-    balls: tuple[np.ndarray, np.ndarray, np.ndarray],
+    spheres: tuple[np.ndarray, np.ndarray, np.ndarray],
     box: tuple[np.ndarray, np.ndarray],
     layout: np.ndarray,
-    stands: Buildings,
-    clear: Clearance,
+    buildings: Buildings,
+    clearance: ObstacleClearance,
 ) -> Traffic:
     """Compute the traffic around each drone from the true state.
 
     Args:
         swarm: Positions (W, N, 3), m, velocities (W, N, 3), m/s, and (W, N) bool, which drones fly.
         goals: Positions and velocities (W, N, 3) of the goals.
-        balls: Positions and velocities (W, K, 3) of spheres, and the distances (K,) to maintain, m.
+        spheres: Positions and velocities (W, K, 3) of spheres, and distances (K,) to maintain, m.
         box: Lower and upper corner (3,) of the arena, m.
         layout: (W,) layout of each world; negative for none.
-        stands: Buildings of all layouts.
-        clear: Distances to static obstacles.
+        buildings: Buildings of all layouts.
+        clearance: Distances to static obstacles.
     """
     position, velocity, alive = swarm
     worlds, drones = alive.shape
-    count = balls[2].size
-    way = np.empty((worlds, drones, 3))
-    gap = np.empty((worlds, drones, drones, 3))
-    other = np.empty((worlds, drones, drones, 3))
+    count = spheres[2].size
+    goal_offset = np.empty((worlds, drones, 3))
+    offset = np.empty((worlds, drones, drones, 3))
+    other_velocity = np.empty((worlds, drones, drones, 3))
     known = np.empty((worlds, drones, drones), np.bool_)
-    ball = np.empty((worlds, drones, count, 3))
-    ball_velocity = np.empty((worlds, drones, count, 3))
-    ball_radius = np.empty((worlds, drones, count))
+    sphere = np.empty((worlds, drones, count, 3))
+    sphere_velocity = np.empty((worlds, drones, count, 3))
+    sphere_radius = np.empty((worlds, drones, count))
     for w in range(worlds):
         for i in range(drones):
             for axis in range(3):
                 here = position[w, i, axis]
-                way[w, i, axis] = goals[0][w, i, axis] - here
+                goal_offset[w, i, axis] = goals[0][w, i, axis] - here
                 # Other drones, then spheres.
                 for j in range(drones):
-                    gap[w, i, j, axis] = position[w, j, axis] - here
-                    other[w, i, j, axis] = velocity[w, j, axis]
+                    offset[w, i, j, axis] = position[w, j, axis] - here
+                    other_velocity[w, i, j, axis] = velocity[w, j, axis]
                 for k in range(count):
-                    ball[w, i, k, axis] = balls[0][w, k, axis] - here
-                    ball_velocity[w, i, k, axis] = balls[1][w, k, axis]
+                    sphere[w, i, k, axis] = spheres[0][w, k, axis] - here
+                    sphere_velocity[w, i, k, axis] = spheres[1][w, k, axis]
             for j in range(drones):
                 known[w, i, j] = alive[w, i] and alive[w, j] and i != j
             for k in range(count):
-                ball_radius[w, i, k] = balls[2][k]
-    surface = surfaces(position, box, layout, stands, clear)
+                sphere_radius[w, i, k] = spheres[2][k]
+    surface = find_surfaces(position, box, layout, buildings, clearance)
     return Traffic(
-        velocity, way, goals[1], gap, other, known, ball, ball_velocity, ball_radius, surface
+        velocity,
+        goal_offset,
+        goals[1],
+        offset,
+        other_velocity,
+        known,
+        sphere,
+        sphere_velocity,
+        sphere_radius,
+        surface,
     )
 
 
 @allocating
-def surfaces(
+def find_surfaces(
     position: np.ndarray,
     box: tuple[np.ndarray, np.ndarray],
     layout: np.ndarray,
-    stands: Buildings,
-    clear: Clearance,
+    buildings: Buildings,
+    clearance: ObstacleClearance,
 ) -> np.ndarray:
     """Find the faces of a box around drones, and the nearest surfaces of buildings.
 
@@ -176,8 +185,8 @@ def surfaces(
         position: (W, N, 3) positions, m.
         box: Lower and upper corner (3,) of the box, m.
         layout: (W,) layout of each world; negative for none.
-        stands: Buildings of all layouts.
-        clear: Distances to static obstacles.
+        buildings: Buildings of all layouts.
+        clearance: Distances to static obstacles.
 
     Returns:
         (W, N, P, 4) surfaces, as in `Traffic`.
@@ -188,7 +197,7 @@ def surfaces(
     rows = 0
     for w in range(worlds):
         for i in range(drones):
-            rows = max(rows, _near_buildings(nothing, position, layout, stands, clear, w, i))
+            rows = max(rows, _near_buildings(nothing, position, layout, buildings, clearance, w, i))
     result = np.zeros((worlds, drones, FACES + rows, 4))
     result[..., 3] = np.inf
     for w in range(worlds):
@@ -197,10 +206,10 @@ def surfaces(
                 # Inward normals of the lower and the upper face.
                 here = position[w, i, axis]
                 result[w, i, 2 * axis, axis] = 1.0
-                result[w, i, 2 * axis, 3] = here - box[0][axis] - clear.body
+                result[w, i, 2 * axis, 3] = here - box[0][axis] - clearance.body
                 result[w, i, 2 * axis + 1, axis] = -1.0
-                result[w, i, 2 * axis + 1, 3] = box[1][axis] - here - clear.body
-            _near_buildings(result[w, i, FACES:], position, layout, stands, clear, w, i)
+                result[w, i, 2 * axis + 1, 3] = box[1][axis] - here - clearance.body
+            _near_buildings(result[w, i, FACES:], position, layout, buildings, clearance, w, i)
     return result
 
 
@@ -209,8 +218,8 @@ def _near_buildings(
     out: np.ndarray,
     position: np.ndarray,
     layout: np.ndarray,
-    stands: Buildings,
-    clear: Clearance,
+    buildings: Buildings,
+    clearance: ObstacleClearance,
     w: int,
     i: int,
 ) -> int:
@@ -219,25 +228,25 @@ def _near_buildings(
         return 0
     here = vec3(position, w, i)
     count = 0
-    for p in range(stands.layout[layout[w], 0], stands.layout[layout[w], 1]):
+    for p in range(buildings.layout[layout[w], 0], buildings.layout[layout[w], 1]):
         # The bounding box is a fast test of the distance
-        low = point(stands.low, p)
-        high = point(stands.high, p)
-        if distance_from_box(here, low, high) > clear.reach:
+        low = point(buildings.low, p)
+        high = point(buildings.high, p)
+        if distance_from_box(here, low, high) > clearance.reach:
             continue
         # Count all pieces, so that the caller can allocate the rows
         if count < out.shape[0]:
-            n, distance = _nearest_surface(here, stands, p, low, high)
+            n, distance = _nearest_surface(here, buildings, p, low, high)
             for axis in range(3):
                 out[count, axis] = n[axis]
-            out[count, 3] = distance - clear.body - clear.margin
+            out[count, 3] = distance - clearance.body - clearance.margin
         count += 1
     return count
 
 
 @func
 def _nearest_surface(
-    here: Vec3, stands: Buildings, p: int, low: Vec3, high: Vec3
+    here: Vec3, buildings: Buildings, p: int, low: Vec3, high: Vec3
 ) -> tuple[Vec3, float]:
     """Return the normal of a piece's surface towards a point, and the distance, m.
 
@@ -246,7 +255,7 @@ def _nearest_surface(
     """
     best = (0.0, 0.0, 1.0)
     distance = -np.inf
-    if stands.planes[p, 0] == stands.planes[p, 1]:
+    if buildings.planes[p, 0] == buildings.planes[p, 1]:
         # A box: the nearest point; inside the box the distance is 0
         nearest = (
             min(max(here[0], low[0]), high[0]),
@@ -255,12 +264,12 @@ def _nearest_surface(
         )
         away = minus(here, nearest)
         distance = math.sqrt(dot(away, away))
-        if distance > NO_DIRECTION:
+        if distance > MIN_NORM:
             best = (away[0] / distance, away[1] / distance, away[2] / distance)
     # A hull: signed distances to its faces are negative inside
-    for f in range(stands.planes[p, 0], stands.planes[p, 1]):
-        n = point(stands.plane, f)
-        height = dot(n, here) - stands.plane[f, 3]
+    for f in range(buildings.planes[p, 0], buildings.planes[p, 1]):
+        n = point(buildings.plane, f)
+        height = dot(n, here) - buildings.plane[f, 3]
         if height > distance:
             best = n
             distance = height

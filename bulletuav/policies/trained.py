@@ -28,7 +28,7 @@ SB3_POLICY = "bulletuav.adapters.sb3_policy"
 """Module of the PyTorch networks; imported lazily, as it needs an extra"""
 VELOCITY = "velocity"
 """Action type that policies with discrete choices among velocities support, too"""
-Choose = Callable[[Any], np.ndarray]
+RowsToActions = Callable[[Any], np.ndarray]
 """Function from M rows of observations, or a dict of such arrays, to M rows of actions"""
 
 
@@ -115,7 +115,7 @@ class Trained(SharedPolicy):
         return self._choose_rows(rows)
 
 
-def _network(aviary: Aviary, config: RunConfig, weights: Weights, learned: Action) -> Choose:
+def _network(aviary: Aviary, config: RunConfig, weights: Weights, learned: Action) -> RowsToActions:
     """Build the network of a run from its weights; raise ValueError if they do not match."""
     observed = aviary.observer.space()
     given = widest_action_space(learned)
@@ -132,7 +132,7 @@ def _network(aviary: Aviary, config: RunConfig, weights: Weights, learned: Actio
             labels=aviary.observer.labels,
             weights=weights,
         )
-        return cast(Choose, network)
+        return cast(RowsToActions, network)
     plain = Network(weights, config.algo, settings, aviary.observer.labels)
     if isinstance(given, Discrete):
         size, unit = int(given.n), "choices"

@@ -15,7 +15,7 @@ from bulletuav.vehicle.swarm import Swarm
 
 VERSUS = " vs "
 """Separator between the policies of teams in a name, as in "lead vs flee" (both names)"""
-Rows = Callable[[Any], np.ndarray]
+RowsFunction = Callable[[Any], np.ndarray]
 """Function from M rows of observations, or a dict of such arrays, to M rows of actions"""
 Maker = Callable[[Aviary], Policy]
 """Function or class that creates a policy for an aviary"""
@@ -130,7 +130,7 @@ class RowsPolicy(SharedPolicy):
     weights.
     """
 
-    def __init__(self, aviary: Aviary, function: Rows) -> None:
+    def __init__(self, aviary: Aviary, function: RowsFunction) -> None:
         """Set the function; see `Policy`."""
         super().__init__(aviary)
         self._function = function

@@ -81,36 +81,36 @@ def nearest_free(grid: Voxels, point: np.ndarray) -> Cell:
     Returns:
         The cell; in case of ties the one with the lowest indices.
     """
-    x, y, z = cell_of(grid, point)
+    x, y, z = voxel_of(grid, point)
     if _is_free(grid, (x, y, z)):
         return x, y, z
-    least = math.inf
+    closest = math.inf
     best = (0, 0, 0)
     for x in range(grid.occupied.shape[0]):
         for y in range(grid.occupied.shape[1]):
             for z in range(grid.occupied.shape[2]):
                 if not grid.occupied[x, y, z]:
                     # Offsets of the cell's centre from the point
-                    gap = (
+                    offset = (
                         _offset(grid, point, 0, x),
                         _offset(grid, point, 1, y),
                         _offset(grid, point, 2, z),
                     )
-                    square = dot(gap, gap)
-                    if square < least:
-                        least = square
+                    square = dot(offset, offset)
+                    if square < closest:
+                        closest = square
                         best = (x, y, z)
     return best
 
 
 @func
 def _offset(grid: Voxels, point: Vec3Like, axis: int, k: int) -> float:
-    gap: float = grid.origin[axis] + grid.size * (k + 0.5) - point[axis]
-    return gap
+    offset: float = grid.origin[axis] + grid.size * (k + 0.5) - point[axis]
+    return offset
 
 
 @func
-def cell_of(grid: Voxels, point: Vec3Like) -> Cell:
+def voxel_of(grid: Voxels, point: Vec3Like) -> Cell:
     """Return the cell that contains a point, m; out of range for points outside the map."""
     return (
         _index(grid, point, 0),
@@ -135,7 +135,7 @@ def _is_free(grid: Voxels, cell: Cell) -> bool:
 
 
 @kernel
-def is_clear(grid: Voxels, start: np.ndarray, end: np.ndarray) -> bool:
+def is_segment_free(grid: Voxels, start: np.ndarray, end: np.ndarray) -> bool:
     """Return True if the segment between two points crosses free cells only.
 
     References:
@@ -146,8 +146,8 @@ def is_clear(grid: Voxels, start: np.ndarray, end: np.ndarray) -> bool:
         start: (3,) one end, m.
         end: (3,) the other end, m.
     """
-    cell = cell_of(grid, start)
-    last = cell_of(grid, end)
+    cell = voxel_of(grid, start)
+    last = voxel_of(grid, end)
     if not _is_free(grid, cell):
         return False
     if not _is_free(grid, last):
@@ -186,5 +186,5 @@ def _crossing(
         return math.inf
     is_ahead = last[axis] > cell[axis]
     face = grid.origin[axis] + grid.size * (cell[axis] + is_ahead)
-    share: float = (face - start[axis]) / (end[axis] - start[axis])
-    return share
+    fraction: float = (face - start[axis]) / (end[axis] - start[axis])
+    return fraction

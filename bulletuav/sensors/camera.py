@@ -105,7 +105,9 @@ class Camera(Sensor):
         eye = swarm.position[where, drone] + self._radius[drone, None] * frames[:, 0]
         start = np.repeat(eye, len(self._rays), axis=0)
         end = start + (self._rays @ frames).reshape(-1, 3)
-        share = self.engine.cast_rays(start, end, np.repeat(where, len(self._rays)), (swarm, mask))
-        self.pictures["ray_depth"][where, drone] = FAR * share.reshape(
+        fraction = self.engine.cast_rays(
+            start, end, np.repeat(where, len(self._rays)), (swarm, mask)
+        )
+        self.pictures["ray_depth"][where, drone] = FAR * fraction.reshape(
             -1, *self.setup.camera_size[::-1]
         )

@@ -10,7 +10,7 @@ from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm
 
-VELOCITY_SHARE = 0.1
+VELOCITY_FRACTION = 0.1
 """1/s; error of the velocity, which is measured by Doppler shift, per position error"""
 
 
@@ -61,7 +61,7 @@ class Gps(Sensor):
         normal = rng.standard_normal((self.setup.shape[1], 2, 3))
         errors = self.noise[world][:, None, None] * normal
         self.position[world] = swarm.position[world] + errors[:, 0]
-        self.velocity[world] = swarm.velocity[world] + VELOCITY_SHARE * errors[:, 1]
+        self.velocity[world] = swarm.velocity[world] + VELOCITY_FRACTION * errors[:, 1]
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Take the next readings in the worlds that executed a decision."""
@@ -81,4 +81,4 @@ class Gps(Sensor):
         comes = moves & (self._uniform >= self.dropout)[..., None]
         position = swarm.position + self._drift + errors[:, :, 0]
         np.copyto(self.position, position, where=comes)
-        np.copyto(self.velocity, swarm.velocity + VELOCITY_SHARE * errors[:, :, 1], where=comes)
+        np.copyto(self.velocity, swarm.velocity + VELOCITY_FRACTION * errors[:, :, 1], where=comes)

@@ -9,9 +9,9 @@ from bulletuav.errors import finite, shown
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm
 
-MOST_DELAY = 10.0
+MAX_DELAY = 10.0
 """Maximum delay, s"""
-MOST = {"noise": 1e6, "loss": 1.0}
+MAX_VALUES = {"noise": 1e6, "loss": 1.0}
 """Maximum noise and loss"""
 
 
@@ -62,17 +62,17 @@ class Imperfect(Sensor):
         self._keys: dict[str, str] = {}
         own: dict[str, Uncertain] = {}
         for what, given in (("noise", noise), ("loss", loss)):
-            usual = finite(what, given, 0.0, MOST[what])
+            usual = finite(what, given, 0.0, MAX_VALUES[what])
             # The public name is always "uwb_noise", even if the sensor has another prefix.
             key = f"{sensor.name}_{what}".removeprefix(sensor.prefix)
             if key not in sensor.uncertain:
-                own[key] = Uncertain(0.0, MOST[what], usual)
+                own[key] = Uncertain(0.0, MAX_VALUES[what], usual)
                 self._keys[what] = key
             elif usual:
                 raise ValueError(f"sensor {sensor.name!r} has its own {what}: set it there")
         self.uncertain = {**sensor.uncertain, **own}  # type: ignore[misc]
         self._rate = None if rate is None else finite("rate", rate, least=1e-3)
-        self._delay = finite("delay", delay, 0.0, MOST_DELAY)
+        self._delay = finite("delay", delay, 0.0, MAX_DELAY)
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
         """Return the labels of the wrapped sensor."""
@@ -91,7 +91,7 @@ class Imperfect(Sensor):
 
     def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Reset the wrapped sensor in one world."""
-        self._share()
+        self._pass_parameters()
         self.sensor.reset(world, swarm, known, rng)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
@@ -99,23 +99,23 @@ class Imperfect(Sensor):
 
         Each world draws from its own generator if its noise or loss is above 0.
         """
-        self._share()
+        self._pass_parameters()
         true = self.sensor.measure(moment)
-        noise, loss = self._own("noise"), self._own("loss")
+        noise, loss = self._parameter("noise"), self._parameter("loss")
         due = moment.mask & (moment.steps % self._every == 0)[:, None]
         uncertain = np.any((noise > 0) | (loss > 0), axis=1)[:, None]
         drawing = moment._replace(mask=due & uncertain)
-        normal, luck = drawing.draw(sum(_width(one) for one in true.values()))
+        normal, chance = drawing.draw(sum(_width(one) for one in true.values()))
         # At a reset, the first sample is never lost, and fills the whole delay line.
         fresh = moment.mask & (moment.steps == 0)[:, None]
-        comes = fresh | (due & (luck >= loss))
+        comes = fresh | (due & (chance >= loss))
         flown = np.any(moment.mask, axis=1)
         late: dict[str, np.ndarray] = {}
         used = 0
         for name, reading in true.items():
             error = normal[..., used : used + _width(reading)].reshape(reading.shape)
             used += _width(reading)
-            measured = self._blurred(name, reading, noise, error)
+            measured = self._add_noise(name, reading, noise, error)
             if name not in self._past:
                 self._past[name] = np.stack([reading] * (self._late + 1))
             # Advance the delay line only in worlds that measure.
@@ -139,19 +139,19 @@ class Imperfect(Sensor):
         """Return the bounds of the wrapped sensor's state."""
         return self.sensor.kept_bounds()
 
-    def _share(self) -> None:
+    def _pass_parameters(self) -> None:
         """Pass the drawn parameters to the wrapped sensor."""
         for key in self.sensor.uncertain:
             setattr(self.sensor, key, getattr(self, key))
 
-    def _own(self, what: str) -> np.ndarray:
+    def _parameter(self, what: str) -> np.ndarray:
         """Return noise or loss, (W, N)."""
         if what not in self._keys:
             return np.zeros(self.setup.shape)
         values: np.ndarray = getattr(self, self._keys[what])
         return values
 
-    def _blurred(
+    def _add_noise(
         self, name: str, reading: np.ndarray, noise: np.ndarray, error: np.ndarray
     ) -> np.ndarray:
         """Add noise to a reading; preserve its type, and clip images to their bounds."""

@@ -86,13 +86,13 @@ class Lidar(Sensor):
         noise or dropout is above 0.
         """
         swarm, mask = moment.after, moment.mask
-        start, end, world = cast(
+        start, end, world = make_rays(
             swarm.position, swarm.quaternion, mask, self._directions, self._range, self._turns
         )
-        share = self.engine.cast_rays(start, end, world, (swarm, mask))
-        ranges = self._range * share.reshape(-1, len(self._directions))
+        fraction = self.engine.cast_rays(start, end, world, (swarm, mask))
+        ranges = self._range * fraction.reshape(-1, len(self._directions))
         if np.count_nonzero(self.noise) or np.count_nonzero(self.dropout):
-            self._blur(ranges, mask, moment.rngs)
+            self._add_errors(ranges, mask, moment.rngs)
         self.ranges[mask] = ranges
         return {"lidar": self.ranges.copy()}
 
@@ -107,12 +107,12 @@ class Lidar(Sensor):
             (M, 2, 3) start and end points, m, and (M,) bool, whether the beams hit something.
         """
         where = (swarm.position, swarm.quaternion, mask)
-        start, end, _ = cast(*where, self._directions, 1.0, self._turns)
+        start, end, _ = make_rays(*where, self._directions, 1.0, self._turns)
         ranges = self.ranges[mask].reshape(-1, 1)
         ends = np.stack([start, start + ranges * (end - start)], axis=1)
         return ends, ranges[:, 0] < self._range
 
-    def _blur(
+    def _add_errors(
         self, ranges: np.ndarray, mask: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> None:
         """Add noise and dropouts to `ranges` (M, B) of the drones in `mask`."""
@@ -120,17 +120,17 @@ class Lidar(Sensor):
         shape = self.ranges.shape[1:]
         for w in np.unique(where).tolist():
             error = rngs[w].standard_normal(shape)
-            luck = rngs[w].random(shape)
+            chance = rngs[w].random(shape)
             noise = self.noise[w, mask[w], None]
             dropout = self.dropout[w, mask[w], None]
             true = ranges[where == w]
             noisy = np.clip(true + noise * error[mask[w]], 0.0, self._range)
             seen = np.where(true < self._range, noisy, self._range)
-            ranges[where == w] = np.where(luck[mask[w]] < dropout, self._range, seen)
+            ranges[where == w] = np.where(chance[mask[w]] < dropout, self._range, seen)
 
 
 @allocating
-def cast(
+def make_rays(
     position: np.ndarray,
     quaternion: np.ndarray,
     mask: np.ndarray,

@@ -14,11 +14,11 @@ from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm, get
 
-NEAREST, FASTEST = 0.08, 7.4
+MIN_DISTANCE, DEFAULT_MAX_FLOW = 0.08, 7.4
 """m, rad/s; minimum distance and maximum flow of a PMW3901 (PixArt's datasheet, as in PX4)"""
-FARTHEST = 4.0
+DEFAULT_MAX_DISTANCE = 4.0
 """m; range of a VL53L1x (ST's datasheet)"""
-TILTED = 45.0
+DEFAULT_MAX_TILT = 45.0
 """deg; maximum tilt at which PX4 uses range finders and flow (`range_cos_max_tilt`)"""
 NOISE = 0.09
 """rad/s; over good ground at 100 Hz: 0.43 counts, each of 0.1 of 35 pixels in 0.717 rad
@@ -28,7 +28,7 @@ Source: Crazyflie firmware, flowdeck_v1v2.c (fitted to flights) and mm_flow.c.
 RANGE_NOISE = 0.0025
 """m; near the ground, see `range_deviation`"""
 LOG_80 = 4.382026634673881
-MOST_DISTANCE, MOST_FLOW = 1000.0, 1000.0
+MAX_DISTANCE, MAX_FLOW = 1000.0, 1000.0
 """m, rad/s; upper bounds of the limits"""
 
 
@@ -171,10 +171,10 @@ class OpticalFlow(Sensor):
 
     def __init__(
         self,
-        min_distance: float = NEAREST,
-        max_distance: float = FARTHEST,
-        max_flow: float = FASTEST,
-        max_tilt: float = TILTED,
+        min_distance: float = MIN_DISTANCE,
+        max_distance: float = DEFAULT_MAX_DISTANCE,
+        max_flow: float = DEFAULT_MAX_FLOW,
+        max_tilt: float = DEFAULT_MAX_TILT,
     ) -> None:
         """Set the limits of the sensor.
 
@@ -188,9 +188,9 @@ class OpticalFlow(Sensor):
             ValueError: If a limit is not finite or out of bounds, or min_distance is not below
                 max_distance.
         """
-        self._nearest = finite("min_distance", min_distance, 1e-3, MOST_DISTANCE)
-        self._reach = finite("max_distance", max_distance, 1e-3, MOST_DISTANCE)
-        self._fastest = finite("max_flow", max_flow, 1e-3, MOST_FLOW)
+        self._nearest = finite("min_distance", min_distance, 1e-3, MAX_DISTANCE)
+        self._reach = finite("max_distance", max_distance, 1e-3, MAX_DISTANCE)
+        self._fastest = finite("max_flow", max_flow, 1e-3, MAX_FLOW)
         self._tilt = finite("max_tilt", max_tilt, 0.0, 90.0)
         if self._nearest >= self._reach:
             raise ValueError(
@@ -224,9 +224,9 @@ class OpticalFlow(Sensor):
         swarm, mask = moment.after, moment.mask
         scales = (self.noise, self.range_noise, self.dropout)
         uncertain = np.any([scale > 0 for scale in scales], axis=(0, 2))
-        normal, luck = moment._replace(mask=mask & uncertain[:, None]).draw(3)
+        normal, chance = moment._replace(mask=mask & uncertain[:, None]).draw(3)
         true = self._true_distance(swarm, mask)
-        fails = luck < self.dropout
+        fails = chance < self.dropout
         error = self.noise[..., None] * normal[..., :2]
         _measure(swarm, mask, true, self._limits, error, fails, self._flow)
         deviation = self.range_noise * range_deviation(true, self._reach)

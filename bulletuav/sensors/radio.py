@@ -16,14 +16,14 @@ MEMORY = 1.0
 
 
 @kernel
-def _hear(
+def _deliver_messages(
     sent: np.ndarray,
     earlier: np.ndarray,
     between: float,
     position: np.ndarray,
     range_: float,
     loss: float,
-    luck: np.ndarray,
+    chance: np.ndarray,
     flying: np.ndarray,
     delay: float,
     period: float,
@@ -44,7 +44,7 @@ def _hear(
             square = 0.0
             for k in range(3):
                 square += (position[j, k] - position[i, k]) ** 2
-            if square > range_ * range_ or (luck[i, j] < loss and not start):
+            if square > range_ * range_ or (chance[i, j] < loss and not start):
                 continue
             # State of the sender `delay` ago, interpolated between two decisions.
             for k in range(6):
@@ -146,15 +146,15 @@ class Radio(Sensor):
         # The delayed state lies between two stored states: whole steps and fraction
         steps, between = divmod(self.delay[world] / self.setup.period, 1)
         # One number per pair, flying or not, so that the sequence does not depend on the mask
-        luck = rng.random((len(flying), len(flying)))
-        _hear(
+        chance = rng.random((len(flying), len(flying)))
+        _deliver_messages(
             self._sent[int(steps), world],
             self._sent[int(steps) + 1, world],
             between,
             position,
             self.range[world],
             self.loss[world],
-            luck,
+            chance,
             flying,
             self.delay[world],
             self.setup.period,

@@ -30,12 +30,14 @@ def line_of_sight(
     Returns:
         (M,) bool.
     """
-    rises = (np.sign(end - start) @ [3, 1, 9] > 0)[:, None]
-    return engine.cast_rays(np.where(rises, end, start), np.where(rises, start, end), where) >= 1
+    descends = (np.sign(end - start) @ [3, 1, 9] > 0)[:, None]
+    return (
+        engine.cast_rays(np.where(descends, end, start), np.where(descends, start, end), where) >= 1
+    )
 
 
 @kernel
-def _links(
+def _list_rays(
     position: np.ndarray,
     targets: np.ndarray,
     mask: np.ndarray,
@@ -78,7 +80,7 @@ def sights(
     count = targets.shape[1]
     rays = np.count_nonzero(mask) * count
     start, end, where = np.empty((rays, 3)), np.empty((rays, 3)), np.empty(rays, dtype=np.int64)
-    _links(position, targets, mask, start, end, where)
+    _list_rays(position, targets, mask, start, end, where)
     free = engine.cast_rays(start, end, where) >= 1
     if rays == mask.size * count:  # no drone is masked
         return free.reshape(*mask.shape, count)
@@ -87,21 +89,21 @@ def sights(
     return seen
 
 
-def clearances(engine: Engine, swarm: Swarm, mask: np.ndarray, most: float) -> np.ndarray:
+def clearances(engine: Engine, swarm: Swarm, mask: np.ndarray, max_distance: float) -> np.ndarray:
     """Compute the distance to the nearest object: ground, building, obstacle, body or drone.
 
     Args:
         engine: The engine, whose scenery is read and not modified.
         swarm: Poses of the drones.
         mask: (W, N) drones to measure; others are ignored as objects, too.
-        most: Maximum distance, m.
+        max_distance: Maximum distance, m.
 
     Returns:
         (W, N) distance between collision shapes, m, to 1e-6; negative if shapes overlap. It is
         `max_distance` if nothing is nearer, and for drones outside `mask`.
     """
     poses = swarm.position, swarm.quaternion
-    return measure_clearance(engine.scenery, *poses, mask, most, make_room())
+    return measure_clearance(engine.scenery, *poses, mask, max_distance, make_room())
 
 
 AHEAD = {
@@ -114,7 +116,7 @@ AHEAD = {
 
 
 @register("sensor")
-class Sight(Sensor):
+class SightSensor(Sensor):
     """Line of sight from each drone to each target of the task; drones do not occlude."""
 
     name = "sight"
@@ -165,7 +167,7 @@ class SightAhead(Sensor):
 
 
 @register("sensor")
-class Clearance(Sensor):
+class ClearanceSensor(Sensor):
     """Distance of each drone's collision shape to the nearest object; see `clearances`."""
 
     name = "clearance"
@@ -182,6 +184,6 @@ class Clearance(Sensor):
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Measure the clearance of the drones in the mask."""
         mask = moment.mask
-        most = self.setup.max_range
-        self._distance[mask] = clearances(self.engine, moment.after, mask, most)[mask]
+        max_distance = self.setup.max_range
+        self._distance[mask] = clearances(self.engine, moment.after, mask, max_distance)[mask]
         return {"clearance": self._distance.copy()}

@@ -216,7 +216,7 @@ def standard_normals(rng: Generators, flying: np.ndarray, *shape: int) -> np.nda
 
 
 def stream_keys(rng: Generators, flying: np.ndarray) -> np.ndarray:
-    """Draw a key of a counter-based random stream for each world that flies, see `uniform`.
+    """Draw a key of a counter-based random stream for each world that flies, see `stream_uniform`.
 
     One step consumes a single number of the generator, independent of how many numbers users need.
 
@@ -244,7 +244,7 @@ def _flying_generators(
 
 
 @func
-def uniform(key: int, index: int) -> float:
+def stream_uniform(key: int, index: int) -> float:
     """Return a number of a counter-based random stream, uniform in [0, 1).
 
     The generator is SplitMix64; the constants of its 64-bit mixer are by D. Stafford (variant 13).

@@ -123,7 +123,7 @@ class GaussMarkov(Walking):
         # One normal number for each user and axis
         noise = standard_normals(rng, flying, *velocity.shape[1:])
         correlation = exp(-dt / self.correlation_time)
-        advance(
+        advance_gauss_markov(
             state["users"],
             velocity,
             state["user_mean_velocity"],
@@ -138,7 +138,7 @@ class GaussMarkov(Walking):
 
 
 @kernel
-def advance(
+def advance_gauss_markov(
     users: np.ndarray,
     velocity: np.ndarray,
     mean: np.ndarray,

@@ -40,7 +40,7 @@ SHORT = 1e-12
 
 @register("mobility")
 @dataclass(frozen=True)
-class Hotspot(Walking):
+class HotspotMobility(Walking):
     """Hotspot mobility model.
 
     Each user belongs to a hotspot and walks with its own constant speed along its heading vector.
@@ -139,7 +139,7 @@ class Hotspot(Walking):
         drift(state["hotspots"], state["hotspot_velocity"], ground.raster, layout, flying, dt)
         # Draw only for worlds that fly, so that paused worlds stay reproducible
         noise = standard_normals(rng, flying, *state["user_heading"].shape[1:])
-        advance(
+        advance_hotspot_users(
             state["users"],
             state["user_velocity"],
             state["user_heading"],
@@ -194,7 +194,7 @@ def drift(
 
 
 @kernel
-def advance(
+def advance_hotspot_users(
     users: np.ndarray,
     velocity: np.ndarray,
     heading: np.ndarray,

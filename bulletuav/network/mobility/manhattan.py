@@ -20,7 +20,7 @@ from bulletuav.network.mobility.base import (
     State,
     Walking,
     stream_keys,
-    uniform,
+    stream_uniform,
 )
 from bulletuav.network.mobility.ground import OFF_GRID, Graph, Ground
 from bulletuav.network.mobility.raster import length
@@ -114,7 +114,7 @@ class Manhattan(Walking):
         rng: Generators,
     ) -> None:
         """Advance users as `move`."""
-        advance(
+        advance_manhattan(
             state["users"],
             state["user_velocity"],
             state["user_speed"],
@@ -129,7 +129,7 @@ class Manhattan(Walking):
 
 
 @kernel
-def advance(
+def advance_manhattan(
     users: np.ndarray,
     velocity: np.ndarray,
     speed: np.ndarray,
@@ -171,7 +171,7 @@ def advance(
             # Continue on the next street at every passed node
             while along >= extent:
                 along -= extent
-                chance = uniform(key[w], drawn)
+                chance = stream_uniform(key[w], drawn)
                 following = next_node(graph, layout[w], behind, ahead, turns, chance)
                 behind = ahead
                 ahead = following

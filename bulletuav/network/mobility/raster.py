@@ -110,7 +110,7 @@ def length(x: float, y: float) -> float:
 
 
 @func
-def cell_of(coordinate: float, raster: Raster) -> int:
+def cell_index(coordinate: float, raster: Raster) -> int:
     """Return the column of an x coordinate, or the row of a y coordinate, m."""
     return math.floor((coordinate + raster.reach) / raster.cell)
 
@@ -131,8 +131,8 @@ def clamp_to_cell(coordinate: float, index: int, raster: Raster) -> float:
 
 
 @func
-def walk(
-    raster: Raster, layout: int, x: float, y: float, way_x: float, way_y: float
+def move_straight(
+    raster: Raster, layout: int, x: float, y: float, dx: float, dy: float
 ) -> tuple[float, float, float, int]:
     """Move straight through free cells, up to the first cell that is not free.
 
@@ -144,8 +144,8 @@ def walk(
         layout: Index of the layout.
         x: Start position, m.
         y: Start position, m.
-        way_x: Displacement along x if nothing blocks the move, m.
-        way_y: Displacement along y if nothing blocks the move, m.
+        dx: Displacement along x if nothing blocks the move, m.
+        dy: Displacement along y if nothing blocks the move, m.
 
     Returns:
         x and y of the end, m, in the last free cell; the completed fraction of the move; and the
@@ -153,46 +153,46 @@ def walk(
         that starts outside free cells is not executed: fraction 0 and axis -1.
     """
     # No move from inside a wall
-    column = cell_of(x, raster)
-    row = cell_of(y, raster)
+    column = cell_index(x, raster)
+    row = cell_index(y, raster)
     if not is_free(raster, layout, column, row):
         return x, y, 0.0, -1
     # Fractions of the move at the next column and the next row
-    east = 1 if way_x > 0.0 else -1
-    north = 1 if way_y > 0.0 else -1
+    east = 1 if dx > 0.0 else -1
+    north = 1 if dy > 0.0 else -1
     next_x = np.inf
     next_y = np.inf
-    if way_x != 0.0:
-        next_x = ((column + max(east, 0)) * raster.cell - raster.reach - x) / way_x
-    if way_y != 0.0:
-        next_y = ((row + max(north, 0)) * raster.cell - raster.reach - y) / way_y
-    share = 1.0
+    if dx != 0.0:
+        next_x = ((column + max(east, 0)) * raster.cell - raster.reach - x) / dx
+    if dy != 0.0:
+        next_y = ((row + max(north, 0)) * raster.cell - raster.reach - y) / dy
+    fraction = 1.0
     stopped = -1
     # Traverse the cells until one is not free
     while min(next_x, next_y) < 1.0:
         if next_x <= next_y:
             if not is_free(raster, layout, column + east, row):
-                share = next_x
+                fraction = next_x
                 stopped = 0
                 break
             column += east
-            next_x += raster.cell / abs(way_x)
+            next_x += raster.cell / abs(dx)
         else:
             if not is_free(raster, layout, column, row + north):
-                share = next_y
+                fraction = next_y
                 stopped = 1
                 break
             row += north
-            next_y += raster.cell / abs(way_y)
+            next_y += raster.cell / abs(dy)
     # Rounding may have moved the end outside its cell
-    end_x = clamp_to_cell(x + share * way_x, column, raster)
-    end_y = clamp_to_cell(y + share * way_y, row, raster)
-    return end_x, end_y, share, stopped
+    end_x = clamp_to_cell(x + fraction * dx, column, raster)
+    end_y = clamp_to_cell(y + fraction * dy, row, raster)
+    return end_x, end_y, fraction, stopped
 
 
 @func
 def bounce(
-    raster: Raster, layout: int, x: float, y: float, way_x: float, way_y: float
+    raster: Raster, layout: int, x: float, y: float, dx: float, dy: float
 ) -> tuple[float, float, float, float]:
     """Move through free cells with specular reflections at walls.
 
@@ -201,8 +201,8 @@ def bounce(
         layout: Index of the layout.
         x: Start position, m.
         y: Start position, m.
-        way_x: Displacement along x if nothing blocks the move, m.
-        way_y: Displacement along y if nothing blocks the move, m.
+        dx: Displacement along x if nothing blocks the move, m.
+        dy: Displacement along y if nothing blocks the move, m.
 
     Returns:
         x and y of the end, m; and for each axis -1 if the direction is reversed, else 1.
@@ -212,11 +212,11 @@ def bounce(
     left = 1.0
     stopped = 0
     while stopped >= 0 and left > 0.0:
-        x, y, share, stopped = walk(
-            raster, layout, x, y, left * turned_x * way_x, left * turned_y * way_y
+        x, y, fraction, stopped = move_straight(
+            raster, layout, x, y, left * turned_x * dx, left * turned_y * dy
         )
         # Continue with the rest of the move, reflected at the wall
-        left *= 1.0 - share
+        left *= 1.0 - fraction
         if stopped == 0:
             turned_x = -turned_x
         elif stopped == 1:

@@ -21,10 +21,10 @@ from bulletuav.network.mobility.base import (
     Walking,
     check_range,
     stream_keys,
-    uniform,
+    stream_uniform,
 )
 from bulletuav.network.mobility.ground import Ground
-from bulletuav.network.mobility.raster import Raster, cell_of, is_free, length, walk
+from bulletuav.network.mobility.raster import Raster, cell_index, is_free, length, move_straight
 from bulletuav.registry import register
 
 MAX_TRIES = 100
@@ -109,7 +109,7 @@ class Waypoint(Walking):
         rng: Generators,
     ) -> None:
         """Advance users as `move`."""
-        advance(
+        advance_waypoint(
             state["users"],
             state["user_velocity"],
             state["user_goal"],
@@ -125,7 +125,7 @@ class Waypoint(Walking):
 
 
 @kernel
-def advance(
+def advance_waypoint(
     users: np.ndarray,
     velocity: np.ndarray,
     goal: np.ndarray,
@@ -172,7 +172,7 @@ def advance(
                     pause[w, i] -= spent
                 elif gap == 0.0:
                     # Pause is over: draw the next waypoint, or wait if none is visible
-                    aim[0], aim[1], drawn = seen_place(
+                    aim[0], aim[1], drawn = draw_visible_position(
                         raster, layout[w], place[0], place[1], key[w], drawn
                     )
                     if aim[0] == place[0] and aim[1] == place[1]:
@@ -187,8 +187,10 @@ def advance(
                     spent = gap / speed[w, i]
                     place[0] = aim[0]
                     place[1] = aim[1]
-                    speed[w, i] = slowest + (fastest - slowest) * uniform(key[w], drawn)
-                    pause[w, i] = shortest + (longest - shortest) * uniform(key[w], drawn + 1)
+                    speed[w, i] = slowest + (fastest - slowest) * stream_uniform(key[w], drawn)
+                    pause[w, i] = shortest + (longest - shortest) * stream_uniform(
+                        key[w], drawn + 1
+                    )
                     drawn += 2
                 left -= spent
             # Velocity towards the waypoint; zero at the waypoint
@@ -201,7 +203,7 @@ def advance(
 
 
 @func
-def seen_place(
+def draw_visible_position(
     raster: Raster, layout: int, x: float, y: float, key: int, drawn: int
 ) -> tuple[float, float, int]:
     """Draw a position, uniformly over the free ground in direct view of a user.
@@ -220,11 +222,11 @@ def seen_place(
     """
     # Rejection sampling over the whole ground
     for _ in range(MAX_TRIES):
-        new_x = raster.sides[layout, 0] * (uniform(key, drawn) - 0.5)
-        new_y = raster.sides[layout, 1] * (uniform(key, drawn + 1) - 0.5)
+        new_x = raster.sides[layout, 0] * (stream_uniform(key, drawn) - 0.5)
+        new_y = raster.sides[layout, 1] * (stream_uniform(key, drawn + 1) - 0.5)
         drawn += 2
-        if is_free(raster, layout, cell_of(new_x, raster), cell_of(new_y, raster)):
-            end_x, end_y, share, _ = walk(raster, layout, x, y, new_x - x, new_y - y)
-            if share == 1.0:
+        if is_free(raster, layout, cell_index(new_x, raster), cell_index(new_y, raster)):
+            end_x, end_y, fraction, _ = move_straight(raster, layout, x, y, new_x - x, new_y - y)
+            if fraction == 1.0:
                 return end_x, end_y, drawn
     return x, y, drawn
