@@ -232,8 +232,8 @@ def _square_root(f: Fields, width: int, given: int) -> str:
 def _limit_norm(f: Fields, width: int, given: int) -> str:
     return f"""    y[0] = 0;
 {_each("y[0] += x[i] * x[i];", width)}    y[0] = F(sqrt)(y[0]);
-    if (y[0] > {f["most"]}) {{
-    {_each(f"x[i] *= {f['most']} / y[0];", width)}    }}
+    if (y[0] > {f["max_norm"]}) {{
+    {_each(f"x[i] *= {f['max_norm']} / y[0];", width)}    }}
 """
 
 

@@ -216,7 +216,7 @@ def _limit_norm(
     value: str,
     layer: LimitNorm,
 ) -> str:
-    most = graph.constant(layer.most)
+    most = graph.constant(layer.max_norm)
     norm = graph.add("ReduceL2", value, axes=[-1], keepdims=1)
     share = graph.add("Div", most, graph.add("Max", norm, most))
     return graph.add("Mul", value, share)

@@ -15,13 +15,13 @@ class NoteKind(NamedTuple):
 
     Attributes:
         meaning: Description in the plural.
-        mends: Whether the city differs from the file, so that a warning is raised.
-        refused: Whether `strict=True` raises an error.
+        is_repair: Whether the city differs from the file, so that a warning is raised.
+        is_error: Whether `strict=True` raises an error.
     """
 
     meaning: str
-    mends: bool
-    refused: bool
+    is_repair: bool
+    is_error: bool
 
 
 KINDS = {
@@ -108,7 +108,7 @@ class ImportReport:
         mended = [
             f"{count} {KINDS[kind].meaning} ({self.first(kind)[0]}{', ...' * (count > 1)})"
             for kind, count in self.counts.items()
-            if KINDS[kind].mends
+            if KINDS[kind].is_repair
         ]
         return "; ".join(mended)
 
@@ -147,7 +147,7 @@ class Notebook:
         Raises:
             ValueError: If strict mode forbids this kind of note.
         """
-        if self.strict and KINDS[kind].refused:
+        if self.strict and KINDS[kind].is_error:
             message = f"{what}: {needed}" if needed else what
             raise ValueError(f"{self.path}, {where}: {message}")
         self.notes.append(Note(kind, where, what))

@@ -101,23 +101,23 @@ class City:
         free[point] = False
         return free.reshape(plan.shape[:-1])
 
-    def clearance(self, points: np.ndarray, most: float) -> np.ndarray:
+    def clearance(self, points: np.ndarray, max_distance: float) -> np.ndarray:
         """Return the horizontal distances from points to the nearest footprint.
 
         Args:
             points: (..., 2 or 3) points, m; z is ignored.
-            most: Maximum distance, m.
+            max_distance: Maximum distance, m.
 
         Returns:
-            (...,) distances, m: 0 above a footprint, at most `most`.
+            (...,) distances, m: 0 above a footprint, at most `max_distance`.
 
         Raises:
             ValueError: If the points are not finite numbers of that shape.
         """
         plan = _plan(points)
-        most = finite("most", most)
-        nearest = np.full(plan[..., 0].size, most)
-        point, _, distance = self._near(plan.reshape(-1, 2), most)
+        max_distance = finite("max_distance", max_distance)
+        nearest = np.full(plan[..., 0].size, max_distance)
+        point, _, distance = self._near(plan.reshape(-1, 2), max_distance)
         np.minimum.at(nearest, point, distance)
         return nearest.reshape(plan.shape[:-1])
 

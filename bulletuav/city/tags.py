@@ -42,14 +42,14 @@ FEET_AND_INCHES = re.compile(r"(\d+)'\s*(\d+(?:\.\d+)?)\"")
 
 
 def read_length(value: Any) -> tuple[float, str]:
-    r"""Read a length.
+    r"""Parse a length.
 
     Args:
         value: A number of metres, a text such as "12 m", "40 ft", "7'4\"" or "12;14", or a list.
 
     Returns:
-        The length, m, NaN where it cannot be read; of a list the greatest. Then the kind of note
-        that it is worth: "" for a number, "unit", "list" or "unreadable".
+        The length, m, NaN if it is invalid; the maximum of a list. Then the kind of import note:
+        "" for a number, "unit", "list" or "unreadable".
     """
     if isinstance(value, str) and ";" in value:
         value = value.split(";")
@@ -58,7 +58,7 @@ def read_length(value: Any) -> tuple[float, str]:
         known = [length for length in flat if not math.isnan(length)]
         return (max(known), "list") if known else (math.nan, "unreadable")
     try:
-        # Some write heights as texts
+        # Some files contain heights as strings
         return finite("length", float(value) if isinstance(value, str) else value), ""
     except ValueError:
         length = _with_unit(value) if isinstance(value, str) else math.nan

@@ -56,13 +56,13 @@ class Shadowing(NamedTuple):
         high: Standard deviation above 22.5 m before the decay exp(-`decay` h) with the height h,
             dB.
         decay: Decay rate, 1/m.
-        least: Minimum standard deviation above 22.5 m, dB.
+        minimum: Minimum standard deviation above 22.5 m, dB.
     """
 
     low: float
     high: float
     decay: float = 0.0
-    least: float = 0.0
+    minimum: float = 0.0
 
 
 class Validity(NamedTuple):
@@ -164,7 +164,7 @@ PATHLOSS_MODELS = {
     "umi_av": PathLossModel(
         los=umi_av_los,
         nlos=umi_av_nlos,
-        shadowing_los=Shadowing(low=4.0, high=5.0, decay=0.01, least=2.0),
+        shadowing_los=Shadowing(low=4.0, high=5.0, decay=0.01, minimum=2.0),
         shadowing_nlos=Shadowing(low=7.82, high=8.0),
         validity=UMI_AV,
     ),

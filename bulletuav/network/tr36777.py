@@ -112,7 +112,7 @@ def uma_av_los_probability(ground_distance: float, drone_height: float) -> float
 
 
 @elementwise
-def shadowing(drone_height: float, low: float, high: float, decay: float, least: float) -> float:
+def shadowing(drone_height: float, low: float, high: float, decay: float, minimum: float) -> float:
     """Return the standard deviation of the shadowing, dB.
 
     Args:
@@ -120,11 +120,11 @@ def shadowing(drone_height: float, low: float, high: float, decay: float, least:
         low: Standard deviation for drones up to 22.5 m, dB; all parameters as in `Shadowing`.
         high: Standard deviation above 22.5 m before the decay, dB.
         decay: Decay rate with height, 1/m.
-        least: Minimum standard deviation above 22.5 m, dB.
+        minimum: Minimum standard deviation above 22.5 m, dB.
 
     References:
         TR 38.901, table 7.4.1-1; TR 36.777, table B-3.
     """
     if drone_height <= LOWEST_AERIAL:
         return low
-    return max(high * exp(-decay * drone_height), least)
+    return max(high * exp(-decay * drone_height), minimum)

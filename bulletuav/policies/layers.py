@@ -68,7 +68,7 @@ class SquareRoot(NamedTuple):
 class LimitNorm(NamedTuple):
     """Scale a vector with a norm above `max_norm` to that norm."""
 
-    most: float
+    max_norm: float
 
 
 class Argmax(NamedTuple):

@@ -282,10 +282,10 @@ def _dense(weights: Weights, name: str) -> Layers:
         raise ValueError(f"the file lacks {error.args[0]}") from None
 
 
-def _kinds(weights: Weights, begin: str) -> dict[str, Layers]:
-    """Return the layer stacks whose names start with `begin`, by the word that follows."""
-    found = {name.removeprefix(begin).split(".")[0] for name in weights if name.startswith(begin)}
-    return {word: _dense(weights, f"{begin}{word}") for word in sorted(found)}
+def _kinds(weights: Weights, prefix: str) -> dict[str, Layers]:
+    """Return the layer stacks whose names start with `prefix`, by the word that follows."""
+    found = {name.removeprefix(prefix).split(".")[0] for name in weights if name.startswith(prefix)}
+    return {word: _dense(weights, f"{prefix}{word}") for word in sorted(found)}
 
 
 def _require_chain(layers: Layers) -> None:

@@ -87,7 +87,7 @@ class RacePilot(Policy):
     actions = ("velocity",)
     reads_swarm = True
     remembers = (
-        "_begin",
+        "_start_time",
         "_start",
         "_speed",
         "_first",
@@ -123,7 +123,7 @@ class RacePilot(Policy):
         self._loop = VELOCITY_LOOPS.get(aviary.options.dynamics, VELOCITY_LOOP)
         shape = aviary.alive.shape
         # Plans: start times, start states, first gates, and line parameters.
-        self._begin = np.zeros(shape)
+        self._start_time = np.zeros(shape)
         self._start, self._speed = np.zeros((2, *shape, 3))
         self._first = np.zeros(shape, dtype=np.int64)
         self._parameters = [[default_parameters(1)] * shape[1] for _ in range(shape[0])]
@@ -161,7 +161,7 @@ class RacePilot(Policy):
         velocity = limit_norm(
             self._wanted + TRACKING_GAIN * self._line_offset, aviary.options.max_speed
         )
-        velocity[now[:, None] < self._begin - LEAD_IN] = (0.0, 0.0, -WAITING_SPEED)
+        velocity[now[:, None] < self._start_time - LEAD_IN] = (0.0, 0.0, -WAITING_SPEED)
         return self.encoded(velocity)
 
     def fastest(self, w: int, swarm: Swarm) -> float:
@@ -184,18 +184,20 @@ class RacePilot(Policy):
         """Evaluate the lines at times (W,), s."""
         lines = (self._position, self._velocity, self._time, self._count)
         outputs = (self._wanted, self._line_velocity, self._line_offset)
-        evaluate_lines(*lines, now[:, None] - self._begin, swarm.position, *self._loop, *outputs)
+        evaluate_lines(
+            *lines, now[:, None] - self._start_time, swarm.position, *self._loop, *outputs
+        )
 
     def _delay_lines(self, now: np.ndarray) -> None:
         """Delay the lines of drones that fall behind."""
         square = np.maximum((self._line_velocity**2).sum(axis=-1), MIN_DELAY_SPEED**2)
         behind = (self._line_offset * self._line_velocity).sum(axis=-1) / square
-        self._begin += np.where(now[:, None] >= self._begin, DELAY_FRACTION * behind, 0.0)
+        self._start_time += np.where(now[:, None] >= self._start_time, DELAY_FRACTION * behind, 0.0)
 
     def _is_lost(self, now: np.ndarray) -> np.ndarray:
         """Return which drones left their line, missed a gate or near its end, (W, N) bool."""
         passed = self._memory("passed").astype(np.int64)
-        elapsed = now[:, None] - self._begin
+        elapsed = now[:, None] - self._start_time
         times = self._time[..., SAMPLES::SAMPLES]
         due = self._first + (times < elapsed[..., None] - MISSED_AFTER).sum(axis=-1)
         planned = self._first + (self._count - 1) // SAMPLES
@@ -222,9 +224,9 @@ class RacePilot(Policy):
         left = min(PLANNED_GATES, self._task.turns - int(self._first[w, i]))
         self._set_parameters(w, i, default_parameters(left + 1), now)
 
-    def _start_line(self, w: int, i: int, swarm: Swarm, begin: float) -> None:
+    def _start_line(self, w: int, i: int, swarm: Swarm, start_time: float) -> None:
         """Start a line at a time, s, from the current state of the drone."""
-        self._begin[w, i] = begin
+        self._start_time[w, i] = start_time
         self._start[w, i], self._speed[w, i] = swarm.position[w, i], swarm.velocity[w, i]
         self._first[w, i] = int(self._memory("passed")[w, i])
         self._time[w, i], self._count[w, i] = 0.0, 0
@@ -249,7 +251,7 @@ class RacePilot(Policy):
         turn = np.arange(first, min(first + PLANNED_GATES, self._task.turns)) % course.gates
         axis, phase = self._memory("gate_axis")[w], self._memory("gate_phase")[w]
         # Replace the current displacement of swinging gates by the predicted one.
-        times = self._begin[w, i] + self._time[w, i, SAMPLES::SAMPLES][: len(turn)]
+        times = self._start_time[w, i] + self._time[w, i, SAMPLES::SAMPLES][: len(turn)]
         swung, _ = course.swing(np.array([now]), axis[None], phase[None])
         later, _ = course.swing(times, axis[turn][:, None], phase[turn][:, None])
         middle = (self._memory("gate")[w] - swung[0])[turn] + later[:, 0]

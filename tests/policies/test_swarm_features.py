@@ -7,7 +7,7 @@ from gymnasium.spaces import Box
 from scipy.optimize import minimize_scalar
 
 import bulletuav
-from bulletuav.adapters.swarm_features import NumpySwarmFeatures as Learned
+from bulletuav.adapters.swarm_features import SwarmFeatures as Learned
 from bulletuav.policies.neural_network import Network
 from bulletuav.policies.swarm_features import EntityKind, NumpySwarmFeatures, find_layout
 from bulletuav.sensors.base import Label, vector_labels
