@@ -110,7 +110,7 @@ def test_onnx_does_what_the_policy_does(policy, precision, tmp_path):
 
 
 def test_what_has_no_form_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="features 'user_sum' have no form"):
+    with pytest.raises(ValueError, match="features 'user_sum' cannot be exported"):
         deployed(shipped("mec"))
     config = RunConfig("crossing", options={"action": "velocity_increment"})
     (tmp_path / "run.yaml").write_text(config.text())

@@ -238,7 +238,7 @@ def streets_of(streets):
         (lambda: streets_of(NO_STREETS), "'own' has no streets"),
         (
             lambda: streets_of(Streets(np.zeros((3, 2)), np.array([[1, 2]]))),
-            "'own' has a street of no length at node 1",
+            "'own' has a street of zero length at node 1",
         ),
     ],
 )

@@ -385,7 +385,7 @@ def test_worlds_draw_from_their_own_generators_alone():
         ({"rates": 3.0}, r"shape \(\)"),
         ({"rates": "many"}, "rates are not numbers"),
         ({"dt": 0.0}, "dt is 0.0: seconds above 0"),
-        ({"bits": (2.0, 1.0)}, "ascending order"),
+        ({"bits": (2.0, 1.0)}, "low <= high"),
         ({"bits": (0.0, 1.0)}, "above 0"),
         ({"bits": 5.0}, "bits is 5.0: a list or tuple"),
     ],

@@ -359,7 +359,7 @@ def test_policy_keeps_off_buildings(fly, dynamics):
 def test_policy_gives_velocities_only():
     with pytest.raises(
         ValueError,
-        match="policy 'orca' gives velocity or velocity_increment actions, not 'rotor': "
+        match="policy 'orca' supports velocity or velocity_increment actions, not 'rotor': "
         "choose action='velocity'",
     ):
         Orca(bulletuav.Aviary("crossing", action="rotor"))

@@ -189,5 +189,5 @@ def test_a_pilot_that_is_pushed_off_its_line_plans_anew():
 
 def test_the_pilot_flies_races_alone():
     aviary = bulletuav.Aviary("crossing", dynamics="point_mass")
-    with pytest.raises(ValueError, match="flies task 'race', not 'crossing'"):
+    with pytest.raises(ValueError, match="supports task 'race', not 'crossing'"):
         find_policy("race_pilot")(aviary)

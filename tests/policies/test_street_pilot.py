@@ -184,7 +184,7 @@ def test_form_and_scale_of_observations_change_nothing(put, kind):
 def test_a_block_that_is_not_observed_is_told_with_the_remedy(put, kind, block):
     kept = [one for one in ("velocity", "goal", "room", "lidar") if one != block]
     aviary = put(WALL, [(-30, 5, 10)], [(60, 0, 10)], observation=kept)
-    with pytest.raises(ValueError, match=f"reads block '{block}'.*choose observation='.*{block}'"):
+    with pytest.raises(ValueError, match=f"reads block '{block}'.*set observation='.*{block}'"):
         kind(aviary)
 
 
@@ -194,7 +194,7 @@ def test_level_beams_are_needed(put):
     assert chosen.tolist() == [4, 5, 6, 7]
     np.testing.assert_allclose(directions, COMPASS, atol=1e-15)
     aviary = put(WALL, [(-30, 5, 10)], [(60, 0, 10)], lidar_elevations=(-45.0,))
-    with pytest.raises(ValueError, match="choose lidar_elevations=0"):
+    with pytest.raises(ValueError, match="set lidar_elevations=0"):
         level_beams(aviary)
 
 

@@ -129,11 +129,9 @@ def test_the_closest_approach_is_the_least_distance_on_the_way():
 def test_layers_for_other_numbers_are_refused():
     layer = learned(2)
     layers = {"neighbour": flown(layer, 2)._layers["neighbour"]}
-    with pytest.raises(
-        ValueError, match="features of each target take 0 numbers, and here they are 6"
-    ):
+    with pytest.raises(ValueError, match="features of each target expect 0 numbers, not 6"):
         NumpySwarmFeatures(find_layout(labels(2)), layers)
-    with pytest.raises(ValueError, match="features of each neighbour take 15 numbers, and here"):
+    with pytest.raises(ValueError, match="features of each neighbour expect 15 numbers"):
         Network(
             {
                 "action_net.weight": np.ones((1, 3)),

@@ -167,11 +167,11 @@ def test_users_count_whatever_their_order():
         ),
         (
             lambda w: {**w, "action_net.weight": np.zeros((3, 7), np.float32)},
-            "does not fit the one before it",
+            "does not match the layer before",
         ),
         (
             lambda w: {**w, "action_net.bias": np.zeros((3, 1), np.float32)},
-            "does not fit the one before it",
+            "does not match the layer before",
         ),
         (lambda w: {**w, "action_net.bias": np.full(3, np.nan, np.float32)}, "not finite"),
         (
