@@ -184,7 +184,7 @@ def test_a_task_of_which_parts_were_forgotten_altogether():
         ({"reward": {"far": near}}, r"reward has 'far': .*; \(term, weight\) is needed"),
         ({"reward": {"far": ("distanse", 1.0)}}, "unknown reward 'distanse': did you mean"),
         ({"observation": ("velocity", "uwb")}, "unknown observation block 'uwb'"),
-        ({"sensors": (Uwb(), Uwb())}, "sensors has 'uwb' twice: give each a name of its own"),
+        ({"sensors": (Uwb(), Uwb())}, "sensors has 'uwb' twice: unique names are needed"),
         (
             {"sensors": (Uwb(),), "randomization": {"uwb_noize": 0.1}},
             "unknown randomization 'uwb_noize': did you mean 'uwb_noise'",

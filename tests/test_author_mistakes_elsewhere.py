@@ -34,7 +34,7 @@ def test_what_is_right_passes():
 
 
 HIGH = Label("high", "m", 0.0, 500.0)
-GAVE = "measure of sensor 'uwb' gave"
+GAVE = "measure of sensor 'uwb' returned"
 
 
 class Nameless(Sensor):
@@ -51,7 +51,7 @@ def heights(moment):
 @pytest.mark.parametrize(
     ("sensor", "message"),
     [
-        (wrong(Uwb, numbers=())(), "sensor 'uwb' .* no labels .*`numbers`, one Label for each"),
+        (wrong(Uwb, numbers=())(), "sensor 'uwb' .* no labels .*`numbers`, one Label per number"),
         (
             measuring(lambda moment: {"uwb": np.zeros(3)}),
             rf"{GAVE} an array \(3,\) as 'uwb': \(2, 3\)",
@@ -236,14 +236,17 @@ def pushes_drones(position):
     [
         (
             acting(lambda position: position[0]),
-            r"'still' gave an array \(8, 3\): an array \(3, 8, 3\)",
+            r"'still' returned an array \(8, 3\): an array \(3, 8, 3\)",
         ),
-        (acting(lambda position: position * np.nan), "'still' gave .*: finite numbers are needed"),
-        (acting(lambda position: None), "act of policy 'still' gave None: an array"),
+        (
+            acting(lambda position: position * np.nan),
+            "'still' returned .*: finite numbers are needed",
+        ),
+        (acting(lambda position: None), "act of policy 'still' returned None: an array"),
         (acting(lambda position: GLOBAL.uniform(-1, 1, position.shape)), "acts differently at dec"),
         (
             acting(pushes_drones),
-            "policy 'still' changes the swarm that it is shown: work on a copy",
+            "policy 'still' modifies the swarm state in place: work on a copy",
         ),
         (5, "policy is 5: a name, module:Name, a run's folder"),
     ],

@@ -359,9 +359,9 @@ FILES = {
     "scaled.obj": (CUBE, {"scale": 1e4}, "less than 4096 m"),
     "more.obj": (CUBE, {"scale": 1e300}, "scale is 1e"),
     "wide.obj": (CUBE, {"side": 1e300}, r"side is 1e\+300 m: less than 4096 m"),
-    "high.obj": (CUBE.replace(" 10\n", " 9000\n"), {}, "from 0 to 9000 m up"),
-    "face.obj": (CUBE + "f\n", {}, "line 11 cannot be read: a face has three corners"),
-    "words.obj": (CUBE + "f a b c\n", {}, "line 11 cannot be read: 'a' is no number of a vertex"),
+    "high.obj": (CUBE.replace(" 10\n", " 9000\n"), {}, "from 0 to 9000 m above ground"),
+    "face.obj": (CUBE + "f\n", {}, "line 11 cannot be read: a face needs at least three corners"),
+    "words.obj": (CUBE + "f a b c\n", {}, "line 11 cannot be read: 'a' is not a vertex index"),
     "flags.obj": (CUBE, {"y_up": 1}, "y_up is 1: True or False"),
     "flags.geojson": (
         collection(square(0, 0)),

@@ -179,7 +179,7 @@ class OfConfig(Still):
 )
 def test_flights_of_a_policy_of_another_task_name_what_it_needs(policy, said, tmp_path):
     """Wherever it flies: in evaluations, datasets and recordings."""
-    told = f"{policy.name}' needs {said}.*: task 'hover' observes .*; fly the policy in the task"
+    told = f"{policy.name}' needs {said}.*: task 'hover' observes .*; use the task"
     with pytest.raises(ValueError, match=told):
         bulletuav.evaluate("hover", policy, episodes=1, **FLY)
     with pytest.raises(ValueError, match=told):

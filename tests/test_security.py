@@ -89,7 +89,7 @@ def test_a_poisoned_model_is_refused_before_anything_of_it_runs(
         policy = "."
     poisoned_zip(tmp_path / "model.zip", poison)
     refused(
-        [*COMMANDS[command], policy, "--out", "out"], capsys, "can run any code when it is read"
+        [*COMMANDS[command], policy, "--out", "out"], capsys, "can execute code when it is read"
     )
     assert not sprung.exists()
     with pytest.raises(SystemExit):  # it is no whole model, but is read: that the test can fail

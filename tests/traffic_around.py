@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from bulletuav.policies.traffic import Clearance, Traffic, buildings, true_traffic
+from bulletuav.policies.traffic import ObstacleClearance, Traffic, tabulate_buildings, true_traffic
 
 OPEN = (np.full(3, -np.inf), np.full(3, np.inf))
-TOUCH = Clearance(body=0.0, margin=0.0, reach=100.0)
+TOUCH = ObstacleClearance(body=0.0, margin=0.0, reach=100.0)
 
 
 def traffic_of(state, balls=(), box=OPEN, solids=None, alive=None, clear=TOUCH) -> Traffic:
@@ -19,7 +19,7 @@ def traffic_of(state, balls=(), box=OPEN, solids=None, alive=None, clear=TOUCH) 
         (ball[None, :, :3].copy(), ball[None, :, 3:6].copy(), ball[:, 6].copy()),
         tuple(np.array(corner, float) for corner in box),
         np.array([-1 if solids is None else 0]),
-        buildings(() if solids is None else (solids,)),
+        tabulate_buildings(() if solids is None else (solids,)),
         clear,
     )
 

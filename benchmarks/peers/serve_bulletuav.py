@@ -16,7 +16,7 @@ from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.gymnasium import CentralAviary
-from bulletuav.sensors.lidar import cast, make_beams
+from bulletuav.sensors.lidar import make_beams, make_rays
 from bulletuav.tasks.lidar_navigation import LidarNavigation
 from bulletuav.vehicle.airframes import load_airframe
 
@@ -197,7 +197,9 @@ def beams_alone(worlds: int):
     azimuth = np.radians([beam.azimuth for beam in make_beams(CITY["num_beams"], (0.0,))])
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
     swarm = aviary.swarm
-    rays = cast(swarm.position, swarm.quaternion, everyone, directions, CITY["max_range"], True)
+    rays = make_rays(
+        swarm.position, swarm.quaternion, everyone, directions, CITY["max_range"], True
+    )
     return in_c(engine, *rays), worlds
 
 

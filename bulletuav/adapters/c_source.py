@@ -14,7 +14,7 @@ from bulletuav.adapters.deployed import Deployed
 from bulletuav.files import replace_file
 from bulletuav.policies.layers import (
     Affine,
-    Choose,
+    Argmax,
     Clip,
     Dense,
     Layer,
@@ -22,8 +22,8 @@ from bulletuav.policies.layers import (
     Lookup,
     Relu,
     SquareRoot,
-    Swarm,
-    Symlog,
+    SwarmLayer,
+    SymlogLayer,
     Tanh,
     width_after,
 )
@@ -124,7 +124,7 @@ def _source(policy: Deployed, name: str, precision: str) -> str:
         widths.append(width)
     # Both buffers have the width of the widest layer
     buffer_size = max(widths)
-    is_swarm = any(isinstance(layer, Swarm) for layer in policy.layers)
+    is_swarm = any(isinstance(layer, SwarmLayer) for layer in policy.layers)
     suffix = "f" if precision == "float" else ""
     # Two buffers: dense layers read from one and write to the other
     return f"""/* {_comment(policy.about)}; see {name}.h */
@@ -231,8 +231,8 @@ def _square_root(f: Fields, width: int, given: int) -> str:
 def _limit_norm(f: Fields, width: int, given: int) -> str:
     return f"""    y[0] = 0;
 {_each("y[0] += x[i] * x[i];", width)}    y[0] = F(sqrt)(y[0]);
-    if (y[0] > {f["most"]}) {{
-    {_each(f"x[i] *= {f['most']} / y[0];", width)}    }}
+    if (y[0] > {f["max_norm"]}) {{
+    {_each(f"x[i] *= {f['max_norm']} / y[0];", width)}    }}
 """
 
 
@@ -330,15 +330,15 @@ def _others(kind: Fields, own: int, scale: str, place: int) -> str:
 LAYERS: dict[type[Layer], Callable[[Fields, int, int], str]] = {
     Clip: _clip,
     Affine: _affine,
-    Symlog: _symlog,
+    SymlogLayer: _symlog,
     Dense: _dense,
     Tanh: _tanh,
     Relu: _relu,
     SquareRoot: _square_root,
     LimitNorm: _limit_norm,
-    Choose: _choose,
+    Argmax: _choose,
     Lookup: _lookup,
-    Swarm: _swarm,
+    SwarmLayer: _swarm,
 }
 """Functions that write the C code of each type of layer, from fields, input and output width"""
 

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from bulletuav.errors import missing_extra
-from bulletuav.policies.features import BLOCKED, FAR, LINE_OF_SIGHT
+from bulletuav.policies.features import LOS_EXPONENT, NLOS_EXPONENT, POSITION_SCALE
 from bulletuav.sensors.sight import AHEAD
 
 try:
@@ -126,7 +126,7 @@ class UserSum(BaseFeaturesExtractor):
         # All inputs are scaled to the order of 1
         known = torch.cat(
             [
-                users[:, :, 0] / FAR,
+                users[:, :, 0] / POSITION_SCALE,
                 now / 2 + 6,
                 sight,
                 lead / 2,
@@ -137,7 +137,7 @@ class UserSum(BaseFeaturesExtractor):
         # Sum over users, scaled by the root of their number
         each = self.each(known).sum(1) / math.sqrt(num_users)
         flat = others.flatten(1)
-        return torch.cat([own / FAR, flat / FAR, each], 1)
+        return torch.cat([own / POSITION_SCALE, flat / POSITION_SCALE, each], 1)
 
 
 def log_path_gain(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
@@ -152,5 +152,5 @@ def log_path_gain(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
     Returns:
         (...) natural logarithms.
     """
-    exponent = torch.where(seen > 0.5, LINE_OF_SIGHT, BLOCKED)
+    exponent = torch.where(seen > 0.5, LOS_EXPONENT, NLOS_EXPONENT)
     return -exponent * torch.log(offset.norm(dim=-1) + 1)

@@ -11,17 +11,17 @@ from bulletuav.errors import missing_extra
 from bulletuav.files import whole_file
 from bulletuav.policies.layers import (
     Affine,
-    Choose,
+    Argmax,
     Clip,
     Dense,
+    EntityGroup,
     Layer,
     LimitNorm,
     Lookup,
-    Others,
     Relu,
     SquareRoot,
-    Swarm,
-    Symlog,
+    SwarmLayer,
+    SymlogLayer,
     Tanh,
 )
 from bulletuav.policies.swarm_features import LOOK_AHEAD, TINY
@@ -150,7 +150,7 @@ def _affine(graph: _Graph, value: str, layer: Affine) -> str:
     return graph.add("Add", scaled, graph.constant(layer.offset))
 
 
-def _symlog(graph: _Graph, value: str, layer: Symlog) -> str:
+def _symlog(graph: _Graph, value: str, layer: SymlogLayer) -> str:
     size = graph.add("Mul", graph.add("Abs", value), graph.constant(layer.scale))
     grown = graph.add("Log", graph.add("Add", size, graph.constant(1.0)))
     return graph.add("Mul", graph.add("Sign", value), grown)
@@ -174,13 +174,13 @@ def _square_root(graph: _Graph, value: str, layer: SquareRoot) -> str:
 
 
 def _limit_norm(graph: _Graph, value: str, layer: LimitNorm) -> str:
-    most = graph.constant(layer.most)
+    most = graph.constant(layer.max_norm)
     norm = graph.add("ReduceL2", value, axes=[-1], keepdims=1)
     share = graph.add("Div", most, graph.add("Max", norm, most))
     return graph.add("Mul", value, share)
 
 
-def _choose(graph: _Graph, value: str, layer: Choose) -> str:
+def _choose(graph: _Graph, value: str, layer: Argmax) -> str:
     return graph.add("ArgMax", value, axis=-1, keepdims=0)
 
 
@@ -188,7 +188,7 @@ def _lookup(graph: _Graph, value: str, layer: Lookup) -> str:
     return graph.add("Gather", graph.constant(layer.rows), value)
 
 
-def _swarm(graph: _Graph, value: str, layer: Swarm) -> str:
+def _swarm(graph: _Graph, value: str, layer: SwarmLayer) -> str:
     parts = []
     if len(layer.own):
         parts.append(_columns(graph, value, layer.own, layer.scale))
@@ -203,14 +203,14 @@ def _swarm(graph: _Graph, value: str, layer: Swarm) -> str:
 def _columns(graph: _Graph, value: str, columns: np.ndarray, scale: float) -> str:
     """Add the symlog of some columns of an observation."""
     return _symlog(
-        graph, graph.add("Gather", value, graph.constant(columns), axis=1), Symlog(scale)
+        graph, graph.add("Gather", value, graph.constant(columns), axis=1), SymlogLayer(scale)
     )
 
 
-def _each_other(graph: _Graph, value: str, kind: Others, layer: Swarm) -> str:
+def _each_other(graph: _Graph, value: str, kind: EntityGroup, layer: SwarmLayer) -> str:
     """Add the features of each other of a kind, (drones, K, F); zeros for absent ones."""
     others = graph.add("Gather", value, graph.constant(kind.columns), axis=1)
-    parts = [_symlog(graph, others, Symlog(layer.scale))]
+    parts = [_symlog(graph, others, SymlogLayer(layer.scale))]
     if len(kind.motion):
         parts += _approach(graph, others, kind.motion)
     if len(layer.own):
@@ -247,20 +247,20 @@ def _approach(graph: _Graph, others: str, motion: np.ndarray) -> list[str]:
     # Scales of the trained network: log(1 + m), and time from 0 to 2
     grown = graph.add("Log", graph.add("Add", distance, graph.constant(1.0)))
     share = graph.add("Div", time, graph.constant(LOOK_AHEAD / 2))
-    return [_symlog(graph, place, Symlog(1.0)), grown, share]
+    return [_symlog(graph, place, SymlogLayer(1.0)), grown, share]
 
 
 LAYERS: dict[type[Layer], Callable[[_Graph, str, Any], str]] = {
     Clip: _clip,
     Affine: _affine,
-    Symlog: _symlog,
+    SymlogLayer: _symlog,
     Dense: _dense,
     Tanh: _tanh,
     Relu: _relu,
     SquareRoot: _square_root,
     LimitNorm: _limit_norm,
-    Choose: _choose,
+    Argmax: _choose,
     Lookup: _lookup,
-    Swarm: _swarm,
+    SwarmLayer: _swarm,
 }
 """Functions that add each type of layer to a graph, from the name of its input to its output"""

@@ -5,7 +5,7 @@ from typing import Any
 from gymnasium.spaces import Box
 
 from bulletuav.errors import missing_extra
-from bulletuav.policies.swarm_features import LOOK_AHEAD, TINY, Layout
+from bulletuav.policies.swarm_features import LOOK_AHEAD, TINY, ObservationLayout
 
 try:
     import torch
@@ -28,7 +28,7 @@ class SwarmFeatures(BaseFeaturesExtractor):
     """
 
     def __init__(
-        self, observation_space: Box, layout: Layout, size: int = 32, scale: float = 1.0
+        self, observation_space: Box, layout: ObservationLayout, size: int = 32, scale: float = 1.0
     ) -> None:
         """Make the layers.
 

@@ -1,4 +1,4 @@
-"""Cities of convex pieces: generated or imported; their streets, queries, pictures and files.
+"""Cities of convex pieces, generated or imported, with streets, queries, images and files.
 
 Generated cities have the statistics of Recommendation ITU-R P.1410.
 """

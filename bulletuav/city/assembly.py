@@ -1,4 +1,4 @@
-"""What all importers of cities share: from convex pieces to a checked city."""
+"""Assembly of a validated city from convex pieces, shared by all importers."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,36 +15,31 @@ from bulletuav.errors import finite, naming, shown
 from bulletuav.geometry.solids import Solids
 
 FLUSH = 1e-9
-"""Relative difference of area or volume below which a shape fills its hull, or a hull its box"""
-LEAST_HEIGHT = 0.01
-MOST_HEIGHT = 2000.0
-"""Of a building, m: drones that do not fly are kept higher up"""
+"""Relative tolerance of volumes within which a hull counts as a box"""
+MIN_HEIGHT = 0.01
+MAX_HEIGHT = 2000.0
+"""Maximum height of a building, m: drones that do not fly are kept above"""
 REMEDY = "give the path of a .geojson, .json or .obj file"
 
 
 def check_flags(**flags: Any) -> None:
-    """Raise ValueError for a keyword argument that is neither True nor False."""
+    """Raise ValueError for a keyword argument that is not a bool."""
     for name, value in flags.items():
         if not isinstance(value, bool):
             raise ValueError(f"{name} is {shown(value)}: True or False is needed")
 
 
-def check_extent(
-    path: Path,
-    low: np.ndarray,
-    high: np.ndarray,
-    side: float | None,
-) -> None:
-    """Refuse a city that is larger than the room of a world, before anything is made of it.
+def check_extent(path: Path, low: np.ndarray, high: np.ndarray, side: float | None) -> None:
+    """Check that a city is smaller than a world.
 
     Args:
         path: File, for the message.
-        low: (2,) least x and y of the buildings, m.
-        high: (2,) greatest x and y, m.
-        side: Of the city's square, m, where it is given.
+        low: (2,) minimum x and y of the buildings, m.
+        high: (2,) maximum x and y of the buildings, m.
+        side: Side of the city's square, m; None for that of the buildings.
 
     Raises:
-        ValueError: The side, or what the buildings cover, is too large.
+        ValueError: If the side, or the extent of the buildings, is too large.
     """
     if side is not None:
         extent = finite("side", side)
@@ -55,57 +50,56 @@ def check_extent(
     if extent >= TILE_PITCH:
         raise ValueError(
             f"{what} {extent:.6g} m: less than {TILE_PITCH:g} m is needed, "
-            f"where other worlds begin; cut a part out of the file, or check its unit"
+            f"the pitch of worlds; crop the file, or check its unit"
         )
 
 
 def assemble(
-    path: Path,
-    pieces: Sequence[tuple[str, np.ndarray]],
-    side: float | None,
-    notes: Notebook,
+    path: Path, pieces: Sequence[tuple[str, np.ndarray]], side: float | None, notes: Notebook
 ) -> City:
-    """Make a city of convex pieces.
+    """Assemble a city from convex pieces.
 
     Args:
-        path: File, whose name the city gets.
-        pieces: Of each the name of its building, and points (V, 3) whose hull it is, m.
-        side: Of the city's square about the origin, m; None for the smallest square about the
-            middle of the pieces, which becomes the origin.
-        notes: What was done to get them; the city gets its report.
+        path: File, whose stem is the name of the city.
+        pieces: Name of the building and points (V, 3), m, of each piece; the piece is their convex
+            hull.
+        side: Side of the city's square around the origin, m; None for the smallest square around
+            the pieces, whose centre becomes the origin.
+        notes: Import notes, which become the report of the city.
 
     Returns:
         The city, with streets on its free ground. Boxes come first among its pieces.
 
     Raises:
-        ValueError: There are no pieces, one has no volume, they do not fit, or nothing is free.
+        ValueError: If there are no pieces, a piece has no volume, the pieces do not fit into the
+            square, or there is no free ground.
     """
     if not pieces:
         mended = notes.report().summary()
-        raise ValueError(f"{path} holds no buildings" + (mended and f": {mended}"))
-    # How far the pieces reach, which must fit into a world
+        raise ValueError(f"{path} contains no buildings" + (mended and f": {mended}"))
+    # The extent of the pieces must fit into a world
     corners = np.concatenate([points for _, points in pieces])
     low = corners[:, :2].min(axis=0)
     high = corners[:, :2].max(axis=0)
     bottom = corners[:, 2].min()
     top = corners[:, 2].max()
     check_extent(path, low, high, side)
-    if not -TILE_PITCH < bottom <= top <= MOST_HEIGHT:
+    if not -TILE_PITCH < bottom <= top <= MAX_HEIGHT:
         raise ValueError(
-            f"{path} has buildings from {bottom:g} to {top:g} m up: "
-            f"at most {MOST_HEIGHT:g} m is possible"
+            f"{path} has buildings from {bottom:g} to {top:g} m above ground: "
+            f"at most {MAX_HEIGHT:g} m is supported"
         )
-    # Without a side, the middle of the pieces becomes the origin
+    # Without a side, the centre of the pieces becomes the origin
     middle = np.zeros(3)
     if side is None:
         side = float((high - low).max())
         middle[:2] = (low + high) / 2
     elif max(*-low, *high) > side / 2:
         raise ValueError(
-            f"{path} does not fit into a side of {side!r} m: x, y go from {low} to {high} m"
+            f"{path} does not fit into a side of {side!r} m: x, y range from {low} to {high} m"
         )
 
-    # Boxes along the axes first, other hulls after them
+    # Axis-aligned boxes first, then other hulls
     hulls = [_hull(points - middle, f"{path}: {name}") for name, points in pieces]
     is_box = np.array([filled for _, filled in hulls])
     order = np.argsort(~is_box, kind="stable")
@@ -113,12 +107,12 @@ def assemble(
     others = tuple(points for points, filled in hulls if not filled)
     solids = Solids(np.array(boxes).reshape(-1, 2, 3), others)
 
-    # Buildings are numbered as they come in the file
+    # Buildings are numbered in the order of the file
     buildings = dict.fromkeys(name for name, _ in pieces)
     number = {name: k for k, name in enumerate(buildings)}
     building = np.array([number[name] for name, _ in pieces])[order]
 
-    # Streets are found by asking the city what is free
+    # Streets are generated on the free ground
     no_nodes = np.zeros((0, 2))
     no_edges = np.zeros((0, 2), dtype=int)
     no_streets = Streets(no_nodes, no_edges)
@@ -129,8 +123,8 @@ def assemble(
 
 
 def _hull(points: np.ndarray, where: str) -> tuple[np.ndarray, bool]:
-    """Return the corners of the hull of points (V, 3), and whether it is a box along the axes."""
-    from scipy.spatial import ConvexHull, QhullError  # which takes long to import
+    """Return the corners of the hull of points (V, 3), and whether it is an axis-aligned box."""
+    from scipy.spatial import ConvexHull, QhullError  # lazy: slow to import
 
     try:
         hull = ConvexHull(points)

@@ -1,12 +1,12 @@
-"""Convex decompositions in a process of their own, which `decomposer.Decomposer` starts and feeds.
+"""Convex decomposition in a subprocess, started and fed by `decomposer.Decomposer`.
 
-CoACD is native code that a hostile mesh can make crash, loop or fill the memory. This file is run
-by its path, so that the process imports NumPy and CoACD alone.
+CoACD is native code that a malformed mesh can cause to crash, hang or exhaust the memory. This file
+is executed by its path, so that the process imports NumPy and CoACD only.
 
-The process reads a mesh from standard input: two int64, V and T; corners (V, 3) float64;
-triangles (T, 3) int32. It answers on standard output: one int64, the number of pieces; an int64
-with the number of corners of each; and the corners of all, (sum, 3) float64. It goes on until the
-input ends.
+The process reads meshes from standard input: two int64, V and T; corners (V, 3) float64; triangles
+(T, 3) int32. It writes results to standard output: one int64, the number of pieces; an int64 with
+the number of corners of each piece; and the corners of all pieces, (sum, 3) float64. It stops at
+the end of the input.
 """
 
 import contextlib
@@ -19,19 +19,14 @@ from typing import Any, BinaryIO
 import numpy as np
 
 
-def serve(
-    coacd: Any,
-    meshes: BinaryIO,
-    answers: BinaryIO,
-    concavity: float,
-) -> None:
-    """Split meshes until there are no more.
+def decompose_meshes(coacd: Any, meshes: BinaryIO, answers: BinaryIO, concavity: float) -> None:
+    """Decompose meshes until the input ends.
 
     Args:
-        coacd: The module.
-        meshes: Where meshes are read from.
-        answers: Where pieces are written to.
-        concavity: Threshold of CoACD, a fraction of the mesh's size.
+        coacd: The CoACD module.
+        meshes: Input stream of meshes.
+        answers: Output stream of pieces.
+        concavity: Concavity threshold of CoACD, a fraction of the mesh's size.
     """
     while header := meshes.read(16):
         count, faces = np.frombuffer(header, np.int64)
@@ -46,23 +41,23 @@ def serve(
         answers.flush()
 
 
-def limit_memory(most: int) -> None:
-    """Limit the memory of this process, in bytes, on systems that can."""
+def limit_memory(size: int) -> None:
+    """Limit the memory of this process, in bytes, on systems that support limits."""
     with contextlib.suppress(ImportError, ValueError, OSError):
         import resource
 
         _, hard = resource.getrlimit(resource.RLIMIT_AS)
-        soft = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        soft = size if hard == resource.RLIM_INFINITY else min(size, hard)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def end_with_parent(period: float = 1.0) -> None:
-    """End this process when its parent has ended, whatever it is doing.
+    """Terminate this process when its parent has terminated.
 
-    A parent that is killed cannot end it, and a call of native code may take forever.
+    A killed parent cannot terminate the process, and a call of native code may never return.
 
     Args:
-        period: Time between two checks, s.
+        period: Time between checks, s.
     """
     parent = os.getppid()
 
@@ -76,11 +71,11 @@ def end_with_parent(period: float = 1.0) -> None:
 
 if __name__ == "__main__":
     end_with_parent()
-    # What CoACD prints goes where errors go, as standard output carries the pieces
+    # Redirect CoACD's prints to standard error, as standard output carries the pieces
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     limit_memory(int(sys.argv[2]))
     import coacd
 
     coacd.set_log_level("error")
-    serve(coacd, sys.stdin.buffer, pipe, float(sys.argv[1]))
+    decompose_meshes(coacd, sys.stdin.buffer, pipe, float(sys.argv[1]))

@@ -1,4 +1,4 @@
-"""The process that splits meshes by CoACD, with limits on its time and memory."""
+"""Subprocess that decomposes meshes with CoACD, with limits on time and memory."""
 
 import contextlib
 import importlib.util
@@ -17,78 +17,78 @@ from bulletuav.city.mesh import Mesh, find_crossing
 from bulletuav.errors import GIB, missing_extra, total_memory
 
 CHILD = Path(__file__).with_name("coacd_child.py")
-"""Program of the process"""
+"""Program of the subprocess"""
 CONCAVITY = 0.05
-"""Threshold of CoACD, its default: a fraction of the mesh's size"""
+"""Concavity threshold of CoACD, its default: a fraction of the mesh's size"""
 MAX_SECONDS = 600.0
-"""Time that one mesh may take"""
+"""Time limit per mesh, s"""
 MAX_SECONDS_CROSSING = 60.0
-"""The same of a mesh that crosses itself, of which CoACD may never make pieces"""
+"""Time limit for self-intersecting meshes, s, for which CoACD may never finish"""
 MIN_MEMORY = 2 * GIB
-"""Bytes that the process may always take; on larger machines half of the memory"""
+"""Minimum memory limit of the subprocess, bytes; half of the memory on larger machines"""
 REMEDY = (
-    "repair the mesh in a modelling program, so that it is closed and no faces cross; or split it "
-    "into convex objects by hand, NAME_piece_1, NAME_piece_2, ...; or leave it out"
+    "repair the mesh in a modelling program, so that it is closed and no faces intersect; or split "
+    "it into convex objects by hand, NAME_piece_1, NAME_piece_2, ...; or remove it"
 )
 
 
 class Decomposer:
-    """Splits meshes into convex pieces by CoACD: a context manager.
+    """Context manager that decomposes meshes into convex pieces with CoACD.
 
-    CoACD is native code: it crashes on some meshes, and takes forever on others. It runs in another
-    process, which starts with the first mesh and splits all of them. The process is started by
-    `subprocess`, not forked, so that threads of this process do no harm.
+    CoACD is native code that crashes on some meshes and hangs on others. It runs in a subprocess,
+    which starts with the first mesh and decomposes all meshes. The subprocess is started by
+    `subprocess`, not forked, so that it is independent of the threads of this process.
 
-    CoACD returns the same pieces on any number of threads.
+    The results of CoACD do not depend on the number of threads.
     """
 
     def __init__(self) -> None:
-        """Start nothing yet."""
+        """Initialise without a subprocess."""
         self._process: subprocess.Popen[bytes] | None = None
         self._log: IO[bytes] | None = None
 
     def __enter__(self) -> Self:
-        """Start nothing yet."""
+        """Return self; the subprocess starts with the first mesh."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the process, also in the middle of a mesh."""
+        """Terminate the subprocess, even during a decomposition."""
         self._end()
 
     def __call__(self, mesh: Mesh, where: str) -> list[np.ndarray]:
-        """Split a mesh.
+        """Decompose a mesh into convex pieces.
 
         Args:
-            mesh: A closed mesh, whose triangles face outwards.
+            mesh: A closed mesh with outward triangles.
             where: File and object, for the message.
 
         Returns:
             Points (V, 3) of each piece, m.
 
         Raises:
-            ImportError: CoACD is not installed.
-            ValueError: CoACD does not split this mesh, crashes, or needs too much time or memory.
+            ImportError: If CoACD is not installed.
+            ValueError: If CoACD fails on this mesh, crashes, or exceeds the time or memory limit.
         """
-        # CoACD works on a mesh that is about the origin
+        # CoACD needs a mesh that is centred at the origin
         middle = mesh.points.mean(axis=0)
         process = self._started()
         is_done = threading.Event()
-        limits: list[float] = []  # the one that it has passed
+        limits: list[float] = []  # the exceeded limit
         arguments = (process, mesh, is_done, limits)
-        watch = threading.Thread(target=_end_late, args=arguments, daemon=True)
+        watch = threading.Thread(target=_kill_on_timeout, args=arguments, daemon=True)
         watch.start()
         code = 0
         found: list[np.ndarray] = []
         try:
             _send(process, mesh._replace(points=mesh.points - middle))
             found = _receive(process)
-        except (OSError, EOFError):  # it has closed its end
+        except (OSError, EOFError):  # the subprocess closed its pipe
             code = process.wait()
         finally:
             is_done.set()
         if not found:
             watch.join()
-            reason = f"took longer than {limits[0]:g} s" if limits else self._why(code)
+            reason = f"took longer than {limits[0]:g} s" if limits else self._exit_reason(code)
             self._end()
             raise ValueError(
                 f"{where}: CoACD, which splits meshes that are not convex, {reason}"
@@ -97,16 +97,16 @@ class Decomposer:
         return [points + middle for points in found]
 
     def _started(self) -> "subprocess.Popen[bytes]":
-        """Return the process, which is started if there is none."""
+        """Return the subprocess; start it if necessary."""
         if self._process is None:
             if importlib.util.find_spec("coacd") is None:
                 raise missing_extra("splitting a mesh that is not convex", "city")
             self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by _end
-            most = max(MIN_MEMORY, total_memory() // 2)
-            # The process finds the same packages as this one; -P: nothing beside its own file
+            limit = max(MIN_MEMORY, total_memory() // 2)
+            # The subprocess has the same import path; -P excludes the folder of its own file
             path = os.pathsep.join(filter(None, sys.path))
             self._process = subprocess.Popen(
-                [sys.executable, "-P", str(CHILD), repr(CONCAVITY), str(most)],
+                [sys.executable, "-P", str(CHILD), repr(CONCAVITY), str(limit)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._log,
@@ -114,16 +114,14 @@ class Decomposer:
             )
         return self._process
 
-    def _why(self, code: int) -> str:
-        """Describe how the process has ended: by a signal, an error, or with no pieces."""
+    def _exit_reason(self, code: int) -> str:
+        """Describe how the subprocess ended: by a signal, an error, or without pieces."""
         assert self._log is not None
         self._log.seek(0)
         text = self._log.read().decode(errors="replace").strip()
         last = f" ({text.splitlines()[-1][:200]})" if text else ""
         if "bad_alloc" in text or "MemoryError" in text:
-            return (
-                f"needs more total_memory than {max(MIN_MEMORY, total_memory() // 2) / GIB:.3g} GiB"
-            )
+            return f"needs more memory than {max(MIN_MEMORY, total_memory() // 2) / GIB:.3g} GiB"
         if code >= 0:
             return "failed" + last if code else "returned no pieces"
         with contextlib.suppress(ValueError):
@@ -131,10 +129,9 @@ class Decomposer:
         return f"crashed with signal {-code}{last}"
 
     def _end(self) -> None:
-        """End the process."""
         if self._process is not None:
             self._process.kill()
-            # Waits, and closes the pipes
+            # Wait, and close the pipes
             with contextlib.suppress(OSError, ValueError):
                 self._process.communicate()
         if self._log is not None:
@@ -142,21 +139,20 @@ class Decomposer:
         self._process = self._log = None
 
 
-def _end_late(
-    process: "subprocess.Popen[bytes]",
-    mesh: Mesh,
-    is_done: threading.Event,
-    limits: list[float],
+def _kill_on_timeout(
+    process: "subprocess.Popen[bytes]", mesh: Mesh, is_done: threading.Event, limits: list[float]
 ) -> None:
-    """Kill the process when a mesh takes too long, sooner if it crosses itself.
+    """Kill the subprocess if a mesh exceeds its time limit.
+
+    The limit is shorter for self-intersecting meshes.
 
     Args:
-        process: The process.
-        mesh: What it splits.
-        is_done: Set when it has ended, or has answered.
-        limits: The time that it has taken, s, is added if it is killed.
+        process: The subprocess.
+        mesh: The mesh.
+        is_done: Set when the subprocess has ended or answered.
+        limits: The exceeded limit, s, is appended if the subprocess is killed.
     """
-    # Most meshes take less than the shorter limit: nothing is searched in them
+    # Most meshes finish within the shorter limit, so the search for intersections is delayed
     limit = min(MAX_SECONDS_CROSSING, MAX_SECONDS)
     if is_done.wait(limit):
         return
@@ -170,7 +166,6 @@ def _end_late(
 
 
 def _send(process: "subprocess.Popen[bytes]", mesh: Mesh) -> None:
-    """Write a mesh to the process."""
     assert process.stdin is not None
     sizes = np.array([len(mesh.points), len(mesh.triangles)], np.int64)
     process.stdin.write(sizes.tobytes())
@@ -180,7 +175,6 @@ def _send(process: "subprocess.Popen[bytes]", mesh: Mesh) -> None:
 
 
 def _receive(process: "subprocess.Popen[bytes]") -> list[np.ndarray]:
-    """Read the pieces from the process."""
     (count,) = np.frombuffer(_read(process, 8), np.int64)
     sizes = np.frombuffer(_read(process, 8 * int(count)), np.int64)
     points = np.frombuffer(_read(process, 24 * int(sizes.sum()))).reshape(-1, 3)
@@ -188,7 +182,7 @@ def _receive(process: "subprocess.Popen[bytes]") -> list[np.ndarray]:
 
 
 def _read(process: "subprocess.Popen[bytes]", size: int) -> bytes:
-    """Read bytes from the process. Raises EOFError where it has ended."""
+    """Read bytes from the subprocess; raise EOFError if it has ended."""
     assert process.stdout is not None
     content = process.stdout.read(size)
     if len(content) < size:
@@ -197,9 +191,9 @@ def _read(process: "subprocess.Popen[bytes]", size: int) -> bytes:
 
 
 def _crossing(mesh: Mesh) -> str:
-    """Name a place where the mesh crosses itself, the usual reason; empty where none is found."""
+    """Describe a self-intersection of the mesh, the usual cause; empty if none is found."""
     place = find_crossing(mesh)
     if place is None:
         return ""
     x, y, z = place.tolist()
-    return f"; its faces cross each other, such as at ({x:.6g}, {y:.6g}, {z:.6g}) m"
+    return f"; its faces intersect each other, for example at ({x:.6g}, {y:.6g}, {z:.6g}) m"

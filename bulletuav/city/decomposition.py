@@ -1,4 +1,4 @@
-"""Meshes of buildings in convex pieces."""
+"""Convex decomposition of building meshes."""
 
 from collections.abc import Iterator
 
@@ -10,39 +10,38 @@ from bulletuav.city.import_report import Notebook, Split
 from bulletuav.city.mesh import Mesh, components, outside, outward, prism_pieces, volume
 
 FILLED = 1e-4
-"""Share of a hull that may be missing in a mesh that counts as convex"""
+"""Relative volume difference to the hull up to which a mesh counts as convex"""
 SAMPLES = 300
-"""Samples of the surface of each piece, beside its corners"""
+"""Number of surface samples per piece, besides its corners"""
 CHUNK = 64
-"""Samples whose distances are found together"""
+"""Number of samples whose distances are computed together"""
 
 
-def split(
-    mesh: Mesh,
-    where: str,
-    notes: Notebook,
-    decompose: Decomposer,
+def split_mesh(
+    mesh: Mesh, where: str, notes: Notebook, decompose: Decomposer
 ) -> Iterator[np.ndarray]:
-    """Split what a mesh holds into convex pieces.
+    """Split a mesh into convex pieces.
 
-    Each closed component is one piece where it is convex. Upright prisms are cut exactly, all
-    others by CoACD: X. Wei, M. Liu, Z. Ling and H. Su, "Approximate convex decomposition for 3D
-    meshes with collision-aware concavity and tree search", ACM Trans. Graph. 41 (2022).
-    Components that are not closed are filled to their hulls.
+    Each closed component is one piece if it is convex. Upright prisms are cut exactly, all others
+    by CoACD. Components that are not closed are replaced by their convex hulls.
 
     Args:
         mesh: The mesh.
         where: Name of its object.
-        notes: Where errors and fillings are noted.
-        decompose: Splits by CoACD, in a process that objects of a file share.
+        notes: Import notes for errors and replacements.
+        decompose: CoACD decomposer, shared by the objects of a file.
 
     Yields:
-        Points (V, 3), m, whose hull is a piece.
+        Points (V, 3), m, whose convex hull is a piece.
 
     Raises:
-        ImportError: CoACD is needed, and not installed.
-        ValueError: What is to be filled or left out is refused, a mesh is larger than a world, or
-            CoACD does not split it.
+        ImportError: If CoACD is required, and not installed.
+        ValueError: If a strict import would have to replace or skip a mesh, a mesh is larger than a
+            world, or CoACD fails.
+
+    References:
+        X. Wei, M. Liu, Z. Ling and H. Su, "Approximate convex decomposition for 3D meshes with
+        collision-aware concavity and tree search", ACM Trans. Graph. 41 (2022).
     """
     parts = components(mesh)
     hulls = [_hull_volume(part.points) for part in parts]
@@ -52,7 +51,7 @@ def split(
     flat = [part.points for part, hull in zip(parts, hulls, strict=True) if hull == 0]
     if parts and not flat:
         return
-    # Walls that share no corners are a building by themselves, but rubbish beside one
+    # Disconnected flat walls form a building together; next to solid components they are skipped
     walls = np.concatenate([np.zeros((0, 3)), *flat])
     if not any(hulls) and _hull_volume(walls) > 0:
         notes.add("hull", where, "its mesh is not closed")
@@ -62,13 +61,9 @@ def split(
 
 
 def _split_component(
-    mesh: Mesh,
-    hull: float,
-    where: str,
-    notes: Notebook,
-    decompose: Decomposer,
+    mesh: Mesh, hull: float, where: str, notes: Notebook, decompose: Decomposer
 ) -> Iterator[np.ndarray]:
-    """Split a mesh, whose hull has a volume, m^3, into convex pieces."""
+    """Split a mesh with a hull volume, m^3, into convex pieces."""
     closed = outward(mesh)
     if closed is None:
         notes.add("hull", where, "its mesh is not closed")
@@ -80,7 +75,7 @@ def _split_component(
         yield mesh.points
     else:
         pieces = prism_pieces(closed, filled) or decompose(closed, f"{notes.path}, {where}")
-        # CoACD returns flat pieces of some meshes that cross themselves
+        # CoACD returns flat pieces for some self-intersecting meshes
         sizes = [_hull_volume(piece) for piece in pieces]
         pieces = [piece for piece, size in zip(pieces, sizes, strict=True) if size > 0]
         if not pieces:
@@ -91,8 +86,8 @@ def _split_component(
 
 
 def _hull_volume(points: np.ndarray) -> float:
-    """Return the volume of the hull of points (V, 3), m^3; 0 of what spans none."""
-    from scipy.spatial import ConvexHull, QhullError  # which takes long to import
+    """Return the volume of the convex hull of points (V, 3), m^3; 0 if degenerate."""
+    from scipy.spatial import ConvexHull, QhullError  # lazy: slow to import
 
     try:
         return float(ConvexHull(points).volume)
@@ -101,14 +96,14 @@ def _hull_volume(points: np.ndarray) -> float:
 
 
 def _outside_in_chunks(mesh: Mesh, piece: np.ndarray) -> np.ndarray:
-    """Return the distances (K,) of samples of a piece's surface from a mesh, outside of it, m."""
+    """Return the outside distances (K,) of a piece's surface samples from a mesh, m."""
     samples = _surface_samples(piece)
     chunks = np.array_split(samples, len(samples) // CHUNK + 1)
     return np.concatenate([outside(mesh, chunk) for chunk in chunks])
 
 
 def _surface_samples(piece: np.ndarray) -> np.ndarray:
-    """Return the corners of a hull and points (K, 3) spread over its surface, always the same."""
+    """Return the corners of a hull and samples (K, 3) of its surface, deterministic."""
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(piece)

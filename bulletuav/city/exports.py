@@ -1,4 +1,4 @@
-"""A city as a Wavefront OBJ file."""
+"""Export of a city as a Wavefront OBJ file."""
 
 from pathlib import Path
 
@@ -8,14 +8,14 @@ from bulletuav.geometry.solids import obj_lines
 
 
 def write_obj(city: City, path: str | Path) -> None:
-    """Write a city as a Wavefront OBJ file: metres, z up, faces turn left.
+    """Write a city as a Wavefront OBJ file in metres, z up, with counter-clockwise faces.
 
-    Every convex piece is an object `building_K_piece_P`. Coordinates keep all their digits, so
-    `imports.from_obj` with the city's side reads the same pieces.
+    Each convex piece is an object `building_K_piece_P`. Coordinates are written with full
+    precision, so `imports.from_obj` with the city's side reads identical pieces.
 
     Args:
-        city: What is written.
-        path: The file, replaced where there is one.
+        city: The city.
+        path: The file, which is replaced if it exists.
     """
     about = (
         f"# city {city.name}: {city.sides[0]:g} m x {city.sides[1]:g} m about the origin; "

@@ -1,4 +1,4 @@
-"""Cities with the statistics of ITU-R P.1410 on a grid of streets, regular or not."""
+"""Generator of cities with ITU-R P.1410 statistics on a regular or irregular street grid."""
 
 import math
 from collections.abc import Sequence
@@ -12,16 +12,16 @@ from bulletuav.compiled.functions import power
 from bulletuav.errors import find_choice, finite, shown
 from bulletuav.geometry.solids import Solids
 
-MOST_BLOCKS = 128
-"""Blocks along a side"""
+MAX_BLOCKS = 128
+"""Maximum number of blocks along a side"""
 BOULEVARDS = 0.2
-"""Share of the streets, at irregularity 1"""
+"""Fraction of boulevards among the streets, at irregularity 1"""
 PARKS = 0.3
-"""Share of parks, at irregularity 1: this times the share of a block's side that is street"""
+"""Fraction of parks, at irregularity 1, per fraction of a block's side that is street"""
 ANGLED = 0.5
-"""Share of L-shaped buildings, at irregularity 1"""
+"""Fraction of L-shaped buildings, at irregularity 1"""
 NOTCH = (0.1, 0.3)
-"""Least and greatest share that an L-shaped building lacks of its rectangle"""
+"""Minimum and maximum fraction of its rectangle that an L-shaped building lacks"""
 
 
 def generate(
@@ -30,28 +30,29 @@ def generate(
     rng: np.random.Generator,
     irregularity: float = 0.0,
 ) -> City:
-    """Generate a city of one of `KINDS`, or of statistics of one's own.
+    """Generate a city of one of `KINDS`, or with custom statistics.
 
-    Each side is cut into that whole number of blocks whose size is nearest to what beta asks for.
-    A block holds one building, of boxes along x and y. The built-up share of the ground is alpha
-    exactly. Heights are Rayleigh distributed with no floor: a few buildings are very low.
+    Each side is divided into the number of blocks whose size is nearest to the one given by beta. A
+    block contains one building, made of axis-aligned boxes. The built-up fraction of the ground is
+    exactly alpha. Heights are Rayleigh distributed without a lower bound: a few buildings are very
+    low.
 
     At `irregularity` 0 buildings are square and centred. Towards 1 they vary in size, shape and
-    place, up to half of them are L-shaped (two boxes), and some blocks are parks. Up to a fifth of
-    the streets are boulevards; the others may be down to half as wide as in a regular grid of such
-    blocks, not less.
+    position, up to half of them are L-shaped (two boxes), and some blocks are parks. Up to a fifth
+    of the streets are boulevards; the others have at least half the width of those in a regular
+    grid of such blocks.
 
     Args:
         kind: Name of one of `KINDS`, or the statistics.
-        side: Of the square that the city covers, or its lengths along x and y, m.
-        rng: Source of all random numbers.
+        side: Side of the square city, or its lengths along x and y, m.
+        rng: Random generator.
         irregularity: From 0 to 1.
 
     Returns:
         The city, with streets between its blocks.
 
     Raises:
-        ValueError: The kind is unknown, the side is less than two blocks or too many, or the
+        ValueError: If the kind is unknown, the side is less than two blocks or too long, or the
             irregularity is not in [0, 1].
     """
     if not isinstance(rng, np.random.Generator):
@@ -68,7 +69,7 @@ def generate(
         finite("side", one) for one in (side if isinstance(side, tuple) else (side, side))
     )
 
-    # Blocks, smaller where parks take some of them
+    # Blocks, smaller if some of them are parks
     parks = PARKS * irregularity * (1 - math.sqrt(statistics.alpha))
     pitch = statistics.pitch * math.sqrt(1 - parks)
     counts = tuple(_blocks(one, pitch) for one in sides)
@@ -88,22 +89,21 @@ def generate(
 
 
 def _lines(side: float, count: int) -> np.ndarray:
-    """Return where `count` blocks along a side begin and end, m."""
+    """Return the boundaries of `count` blocks along a side, m."""
     return np.linspace(-side / 2, side / 2, count + 1)
 
 
 def _blocks(side: float, pitch: float) -> int:
-    """Return how many blocks of about `pitch` m go along a side."""
+    """Return the number of blocks of about `pitch` m along a side."""
     few = int(finite("side", side) / pitch)
     if few < 2:
         raise ValueError(
-            f"side is {side!r} m: two blocks need at least {2 * pitch:.4g} m; "
-            f"give that, or a greater beta"
+            f"side is {side!r} m: two blocks need at least {2 * pitch:.4g} m; increase side or beta"
         )
-    if few > MOST_BLOCKS:
+    if few > MAX_BLOCKS:
         raise ValueError(
-            f"side is {side!r} m: at most {MOST_BLOCKS * pitch:.4g} m, {MOST_BLOCKS} blocks, "
-            f"are made; give that, or a smaller beta"
+            f"side is {side!r} m: at most {MAX_BLOCKS * pitch:.4g} m, {MAX_BLOCKS} blocks, "
+            f"are supported; decrease side or beta"
         )
     return min(few, few + 1, key=lambda count: abs(side / count - pitch))
 
@@ -115,19 +115,19 @@ def _lots(
     rng: np.random.Generator,
     irregularity: float,
 ) -> np.ndarray:
-    """Return (blocks, 2, 2) low and high corner, m, of the ground that may be built on.
+    """Return lower and upper corner (blocks, 2, 2), m, of the building lots.
 
-    Boulevards take less from it than narrow streets add: there is always enough for alpha, parks
-    taken out.
+    Boulevards remove less ground than narrow streets add, so that there is always enough for alpha,
+    even with parks.
     """
     low: list[np.ndarray] = []
     high: list[np.ndarray] = []
     for side, count in zip(sides, counts, strict=True):
         width = side / count * math.sqrt(alpha)
         street = side / count - width
-        # Half of a street's width, for the lines of this axis
+        # Half the width of each street along this axis
         half = np.full(count + 1, (1 - irregularity / 2) * street / 2)
-        # No block lies between two boulevards
+        # No block is adjacent to two boulevards
         apart = np.arange(1 + rng.integers(2), count, 2)
         boulevards = int(BOULEVARDS * irregularity * (count - 1))
         wide = rng.permutation(apart)[:boulevards]
@@ -141,36 +141,33 @@ def _lots(
 
 
 def _buildings(
-    ground: float,
-    lots: np.ndarray,
-    rng: np.random.Generator,
-    irregularity: float,
+    ground: float, lots: np.ndarray, rng: np.random.Generator, irregularity: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return boxes (P, 2, 3) without height that cover `ground` m^2, and their lots (P,)."""
     count = len(lots)
     sizes = lots[:, 1] - lots[:, 0]
     areas = sizes.prod(axis=1)
 
-    # Share of its lot that a building covers; what is covered in all does not depend on luck
+    # Covered fraction of each lot; the total covered area is not random
     fill = ground / areas.sum()
-    luck = rng.uniform(-1, 1, count)
-    luck -= np.average(luck, weights=areas)
-    share = fill + irregularity / 2 * min(fill, 1 - fill) * luck
+    noise = rng.uniform(-1, 1, count)
+    noise -= np.average(noise, weights=areas)
+    fraction = fill + irregularity / 2 * min(fill, 1 - fill) * noise
 
-    # Some lack a corner, and have the greater rectangle for it
+    # L-shaped buildings lack a corner, and have a larger rectangle
     chosen = rng.random(count) < ANGLED * irregularity
-    angled = chosen & (1 - share > NOTCH[0])
-    room = np.minimum(NOTCH[1], 1 - share) - NOTCH[0]
-    notch = angled * (NOTCH[0] + rng.random(count) * room)
+    angled = chosen & (1 - fraction > NOTCH[0])
+    margin = np.minimum(NOTCH[1], 1 - fraction) - NOTCH[0]
+    notch = angled * (NOTCH[0] + rng.random(count) * margin)
 
-    # Length, width and place of the rectangles
+    # Length, width and position of the rectangles
     slim = 0.5 + 0.3 * irregularity * rng.uniform(-1, 1, count)
     powers = np.stack([slim, 1 - slim], axis=1)
-    extents = sizes * power((share / (1 - notch))[:, None], powers)
+    extents = sizes * power((fraction / (1 - notch))[:, None], powers)
     place = 0.5 + irregularity * (rng.random((count, 2)) - 0.5)
     corners = lots[:, 0] + (sizes - extents) * place
 
-    # Rectangles have the first arm alone
+    # Rectangles consist of the first arm only
     mirrored = rng.random((count, 2)) < 0.5
     arms = _arms(np.sqrt(notch), mirrored)
     plan = corners[:, None, None] + extents[:, None, None] * arms
@@ -181,10 +178,10 @@ def _buildings(
 
 
 def _arms(notch: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
-    """Return (B, 2, 2, 2) low and high corner of the two boxes of an L in the unit square.
+    """Return the corners (B, 2, 2, 2) of the two boxes of an L in the unit square.
 
-    A corner is missing that is `notch` (B,) long each way; `mirrored` (B, 2) tells whether it is at
-    the low x and low y.
+    The missing corner is a square of side `notch` (B,); `mirrored` (B, 2) moves it to low x and low
+    y.
     """
     zero = np.zeros_like(notch)
     one = np.ones_like(notch)

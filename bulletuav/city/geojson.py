@@ -1,4 +1,4 @@
-"""Cities from GeoJSON files: footprints of buildings with heights."""
+"""Import of cities from GeoJSON files: building footprints with heights."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -16,22 +16,22 @@ from bulletuav.earth.geodesy import degree_lengths
 from bulletuav.errors import require_file, shown
 from bulletuav.parsing import read_json
 
-LEAST_AREA = 1e-18
-"""Square degrees, or m^2, below which a footprint is a point"""
+MIN_AREA = 1e-18
+"""Minimum area of a footprint, square degrees or m^2"""
 
 OTHERS = ("Point", "MultiPoint", "LineString", "MultiLineString", "GeometryCollection")
-"""Kinds of geometries that are no footprints"""
+"""Geometry types that are not footprints"""
 COVERED = 0.9
-"""Share of an outline that parts must cover not to leave a hole worth a warning"""
+"""Minimum fraction of an outline that its parts must cover to avoid a warning"""
 
 
 class Footprint(NamedTuple):
-    """What stands on a polygon.
+    """Footprint of a building or building part.
 
     Attributes:
         where: Name of its feature.
-        building: Name of the building that it belongs to.
-        properties: Of its feature.
+        building: Name of the building.
+        properties: Properties of the feature.
         shape: Shapely Polygon or MultiPolygon.
     """
 
@@ -42,7 +42,7 @@ class Footprint(NamedTuple):
 
     @property
     def is_part(self) -> bool:
-        """Whether it is a part of a building, as OpenStreetMap calls it."""
+        """Whether the feature is a building part in the sense of OpenStreetMap."""
         return self.properties.get("building:part") not in (None, False, "no")
 
 
@@ -54,44 +54,43 @@ def from_geojson(
     metres: bool = False,
     strict: bool = False,
 ) -> City:
-    """Read a city from a FeatureCollection of footprints, each of them a building.
+    """Read a city from a FeatureCollection of building footprints.
 
     Footprints are Polygons or MultiPolygons. They are cut into convex pieces; courtyards stay open.
-    Coordinates are degrees of longitude and latitude (RFC 7946). They are projected about the
-    middle of all footprints such that meridians and the middle parallel keep their length. It needs
-    the extra `city`.
+    Coordinates are degrees of longitude and latitude (RFC 7946). They are projected around the
+    centre of all footprints such that meridians and the central parallel keep their length. The
+    function requires the extra `city`.
 
-    Properties are read as OpenStreetMap writes them. A height may have a unit ("40 ft"); of a list
-    ("12;14") the highest counts. Without a height, `building:levels` and `roof:levels` tell it, 3 m
-    each. `min_height`, or `building:min_level`, is the height of the underside. Where features
-    with `building:part` are in an outline, they count in its place.
+    Properties are read as OpenStreetMap defines them. A height may have a unit ("40 ft"); of a list
+    ("12;14") the maximum is used. Without a height, `building:levels` and `roof:levels` define it,
+    3 m each. `min_height`, or `building:min_level`, is the height of the underside. If an outline
+    contains features with `building:part`, these replace it.
 
     Args:
         path: The file.
-        side: Of the city's square, m, with coordinates in metres taken as they are; None for the
-            smallest square about the middle.
-        height: Property of the features that holds a building's height, m.
-        default_height: Height of buildings of which neither height nor levels are told, m; None
-            for a guess of 10 m.
-        metres: Whether coordinates are metres east and north, and not degrees.
-        strict: Whether to refuse what is repaired, guessed or left out otherwise.
+        side: Side of the city's square, m, with unchanged coordinates in metres; None for the
+            smallest square around the footprints.
+        height: Property with the height of a building, m.
+        default_height: Height of buildings without height and levels, m; None for an estimate of 10
+            m.
+        metres: Whether coordinates are metres east and north instead of degrees.
+        strict: Whether to raise an error instead of repairing, estimating or skipping.
 
     Returns:
-        The city, with streets on its free ground. Its `report` tells what was mended.
+        The city, with streets on its free ground. Its `report` lists all repairs.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ImportError: The extra is not installed; it is named.
-        ValueError: Something cannot be read; the feature is named.
+        FileNotFoundError: If there is no such file.
+        ImportError: If the named extra is not installed.
+        ValueError: If the file cannot be read; the message names the feature.
     """
-    # What helps to read: remedies, notes of what was odd, heights from tags
     path = require_file("city", path, REMEDY)
     check_flags(metres=metres, strict=strict)
     notes = Notebook(path, strict)
     reader = HeightReader(height, default_height, notes)
     shapely = import_shapely("reading GeoJSON")
     footprints = _footprints(path, notes)
-    # To metres from the middle, unless the file has these already
+    # Project to metres around the centre, unless the file is in metres
     if footprints:
         shapes = np.array([footprint.shape for footprint in footprints])
         if not metres:
@@ -113,12 +112,12 @@ def from_geojson(
 
 
 def _footprints(path: Path, notes: Notebook) -> list[Footprint]:
-    """Read the features of a file that have a footprint, in the coordinates of the file."""
+    """Read the features with a footprint, in the coordinates of the file."""
     content = read_json(path, "GeoJSON")
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
-        raise ValueError(f"{path} is no FeatureCollection")
+        raise ValueError(f"{path} is not a FeatureCollection")
     found = []
-    # A feature that cannot be used is noted, and the others are read
+    # Unusable features are noted and skipped
     for k, feature in enumerate(content["features"]):
         where = f"feature {k} (from 0)"
         shape = _shape(feature, where, notes)
@@ -129,12 +128,8 @@ def _footprints(path: Path, notes: Notebook) -> list[Footprint]:
     return found
 
 
-def _shape(
-    feature: Any,
-    where: str,
-    notes: Notebook,
-) -> Any:
-    """Return the footprint of a feature as a valid shapely geometry in two dimensions, if any."""
+def _shape(feature: Any, where: str, notes: Notebook) -> Any:
+    """Return the footprint of a feature as a valid two-dimensional shapely geometry, or None."""
     shapely = import_shapely("reading GeoJSON")
     geometry = feature.get("geometry") if isinstance(feature, dict) else None
     if not isinstance(geometry, dict):
@@ -145,12 +140,12 @@ def _shape(
             f"not {shown(geometry)}",
         )
         return None
-    # Points and lines are trees, lamps and paths; GEOS, in C++, never gets them
+    # Points and lines (trees, lamps, paths) are never passed to GEOS
     kind = geometry.get("type")
     if kind in OTHERS:
         notes.add("skipped", where, f"it is a {kind}: only Polygon and MultiPolygon are footprints")
         return None
-    # Shapely reads the geometry; a height in its coordinates is dropped
+    # Drop the third coordinate
     try:
         shape = shapely.force_2d(shapely.from_geojson(json.dumps(geometry)))
     except shapely.errors.ShapelyError as error:
@@ -159,42 +154,44 @@ def _shape(
     if shape.is_empty:
         notes.add("skipped", where, f"it is an empty {shape.geom_type}, without coordinates")
         return None
-    # Outlines that cross themselves are common, and are repaired
+    # Self-intersecting outlines are common, and are repaired
     corners = shape.bounds
     if not shape.is_valid and np.isfinite(corners).all():
         reason = shapely.is_valid_reason(shape)
-        notes.add("repaired", where, f"it is no valid polygon: {reason}")
+        notes.add("repaired", where, f"it is not a valid polygon: {reason}")
         shape = _polygons(shapely.make_valid(shape))
-    # What is left of it may be a line
-    if not np.isfinite(corners).all() or shape.area < LEAST_AREA:
+    # The repaired shape may be degenerate
+    if not np.isfinite(corners).all() or shape.area < MIN_AREA:
         notes.add(
-            "skipped", where, f"it has no area: its corners go from {corners[:2]} to {corners[2:]}"
+            "skipped",
+            where,
+            f"it has no area: its corners range from {corners[:2]} to {corners[2:]}",
         )
         return None
     return shape
 
 
 def _polygons(shape: Any) -> Any:
-    """Return the polygons of a geometry, without its lines and points."""
+    """Return the polygons of a geometry, without lines and points."""
     shapely = import_shapely("reading GeoJSON")
     parts = shapely.get_parts(shapely.get_parts(shape))
     return shapely.union_all([part for part in parts if part.geom_type == "Polygon"])
 
 
 def _projected(shapes: np.ndarray, path: Path) -> np.ndarray:
-    """Project shapes in degrees to metres about their middle.
+    """Project shapes from degrees to metres around their centre.
 
-    East and north of it are true to scale there, on the ellipsoid of WGS-84.
+    Distances to the east and north are exact at the centre, on the WGS-84 ellipsoid.
     """
     shapely = import_shapely("reading GeoJSON")
     west, south, east, north = bounds = shapely.total_bounds(shapes)
     if (np.abs(bounds) > [180, 90, 180, 90]).any():
         raise ValueError(
-            f"{path} has coordinates from {bounds[:2]} to {bounds[2:]}, which are no degrees: "
+            f"{path} has coordinates from {bounds[:2]} to {bounds[2:]}, which are not degrees: "
             f"are they metres?"
         )
     if east - west > 180:
-        # A town on both sides of the antimeridian: its west is counted on from 180
+        # A city that crosses the antimeridian: continue longitudes beyond 180
         shapes = shapely.transform(
             shapes, lambda degrees: np.where([True, False], degrees % 360, degrees)
         )
@@ -206,19 +203,20 @@ def _projected(shapes: np.ndarray, path: Path) -> np.ndarray:
 
 
 def _without_outlines(footprints: Sequence[Footprint], notes: Notebook) -> list[Footprint]:
-    """Leave out the outlines of buildings whose parts are told, which get the building's name.
+    """Remove the outlines of buildings with parts, and name the parts after the building.
 
-    The wiki of OpenStreetMap, Simple_3D_Buildings: a renderer in three dimensions ignores the
-    outline of a building that has parts.
+    References:
+        OpenStreetMap wiki, Simple_3D_Buildings: a 3-D renderer ignores the outline of a building
+        that has parts.
     """
     shapely = import_shapely("reading GeoJSON")
     outlines = [footprint for footprint in footprints if not footprint.is_part]
     parts = [footprint for footprint in footprints if footprint.is_part]
-    # A part belongs to the outline that a point inside of it lies in
+    # A part belongs to the outline that contains its representative point
     points = [part.shape.representative_point() for part in parts]
     tree = shapely.STRtree([outline.shape for outline in outlines])
     owners = dict(zip(*tree.query(points, predicate="within"), strict=True)) if parts else {}
-    # Parts take the building's name; one without an outline is its own building
+    # Parts get the name of their building; a part without an outline is a building itself
     own: dict[str, list[Any]] = {}
     named = {}
     for k, part in enumerate(parts):
@@ -226,7 +224,7 @@ def _without_outlines(footprints: Sequence[Footprint], notes: Notebook) -> list[
         own.setdefault(building, []).append(part.shape)
         named[part.where] = part._replace(building=building)
 
-    # Outlines go where parts cover them, and where they do not: noted
+    # Parts replace outlines, with a note that depends on the covered fraction
     left = []
     for footprint in footprints:
         if footprint.where in named:
@@ -234,9 +232,9 @@ def _without_outlines(footprints: Sequence[Footprint], notes: Notebook) -> list[
         elif footprint.where in own:
             shapes = own[footprint.where]
             covered = shapely.union_all(shapes).intersection(footprint.shape).area
-            share = covered / footprint.shape.area
-            what = f"its parts, {len(shapes)}, cover {share:.0%} of it and count in its place"
-            notes.add("outline" if share >= COVERED else "uncovered", footprint.where, what)
+            fraction = covered / footprint.shape.area
+            what = f"its {len(shapes)} parts cover {fraction:.0%} of it and replace it"
+            notes.add("outline" if fraction >= COVERED else "uncovered", footprint.where, what)
         else:
             left.append(footprint)
     return left

@@ -1,4 +1,4 @@
-"""Parts of graphs that hang together."""
+"""Connected components of graphs."""
 
 import numpy as np
 
@@ -6,24 +6,25 @@ from bulletuav.compiled.kernel import kernel
 
 
 @kernel
-def join(part: np.ndarray, edges: np.ndarray) -> None:
-    """Join nodes that edges connect: each gets the least number of a node in its part.
+def connect_components(part: np.ndarray, edges: np.ndarray) -> None:
+    """Compute connected components by union-find.
 
-    SciPy does it, too, but takes a quarter of a second to import.
+    Each node gets the minimum index in its component. SciPy has the same algorithm, but takes a
+    quarter of a second to import.
 
     Args:
-        part: (S,) number of each node, written.
-        edges: (E, 2) int, the nodes that each edge joins.
+        part: (S,) index of each node, overwritten by the component.
+        edges: (E, 2) int, the nodes of each edge.
     """
-    # Each node points to one of a lower number, until one that points to itself
+    # Each node points to a lower index, roots point to themselves
     for e in range(edges.shape[0]):
         one, two = edges[e, 0], edges[e, 1]
         while part[one] != one:
-            part[one] = part[part[one]]  # halves the way for those who come later
+            part[one] = part[part[one]]  # path halving
             one = part[one]
         while part[two] != two:
             part[two] = part[part[two]]
             two = part[two]
         part[max(one, two)] = min(one, two)
     for k in range(part.shape[0]):
-        part[k] = part[part[k]]  # lower ones point to the least already
+        part[k] = part[part[k]]  # lower nodes already point to their root

@@ -1,4 +1,4 @@
-"""What an importer of cities mended, guessed, left out and measured, as data."""
+"""Report of a city import: repairs, estimates, skipped features and errors, as data."""
 
 import warnings
 from collections import Counter
@@ -7,53 +7,53 @@ from pathlib import Path
 from typing import NamedTuple
 
 FIRST_SHOWN = 3
-"""Notes of a kind that a listing names"""
+"""Number of notes of a kind that a listing names"""
 
 
-class Kind(NamedTuple):
-    """What notes of a kind are about.
+class NoteKind(NamedTuple):
+    """Kind of import note.
 
     Attributes:
-        meaning: In words, in the plural.
-        mends: Whether the city is not quite what the file tells: the library warns then.
-        refused: Whether `strict=True` refuses it.
+        meaning: Description in the plural.
+        is_repair: Whether the city differs from the file, so that a warning is raised.
+        is_error: Whether `strict=True` raises an error.
     """
 
     meaning: str
-    mends: bool
-    refused: bool
+    is_repair: bool
+    is_error: bool
 
 
 KINDS = {
-    "skipped": Kind("without a shape to build, left out", True, True),
-    "repaired": Kind("rings that cross or touch themselves, repaired", True, True),
-    "unreadable": Kind("heights that cannot be, taken as not told", True, True),
-    "guessed": Kind("heights not told, guessed", True, True),
-    "levels": Kind("heights guessed from the number of levels", True, True),
-    "list": Kind("lists of heights, of which the highest counts", True, True),
-    "underside": Kind("undersides that cannot be, put on the ground", True, True),
-    "hull": Kind("meshes that are not closed, filled to their convex hulls", True, True),
-    "uncovered": Kind("outlines left out whose parts cover less than 90 %", True, True),
-    "unit": Kind("heights with a unit or a decimal comma", False, True),
-    "default": Kind("heights not told, set to the default height", False, False),
-    "outline": Kind("outlines left out, as their parts count", False, False),
-    "above": Kind("parts that begin above the ground", False, False),
-    "moved": Kind("buildings put on the ground", False, False),
+    "skipped": NoteKind("without a usable shape, skipped", True, True),
+    "repaired": NoteKind("self-intersecting rings, repaired", True, True),
+    "unreadable": NoteKind("invalid heights, ignored", True, True),
+    "guessed": NoteKind("missing heights, estimated", True, True),
+    "levels": NoteKind("heights estimated from the number of levels", True, True),
+    "list": NoteKind("lists of heights, maximum used", True, True),
+    "underside": NoteKind("invalid undersides, put on the ground", True, True),
+    "hull": NoteKind("meshes that are not closed, replaced by their convex hulls", True, True),
+    "uncovered": NoteKind("outlines replaced by parts that cover less than 90 %", True, True),
+    "unit": NoteKind("heights with a unit or a decimal comma", False, True),
+    "default": NoteKind("missing heights, set to the default height", False, False),
+    "outline": NoteKind("outlines replaced by their parts", False, False),
+    "above": NoteKind("parts above the ground", False, False),
+    "moved": NoteKind("buildings put on the ground", False, False),
 }
-"""Kinds of notes by their names"""
+"""Kinds of notes by name"""
 
 
 class MendedWarning(UserWarning):
-    """Warning that a city is not quite what its file tells."""
+    """Warning that an imported city differs from its file."""
 
 
 class Note(NamedTuple):
-    """What was done with one feature or object of a file.
+    """Note on one feature or object of a file.
 
     Attributes:
-        kind: A name among `KINDS`.
+        kind: A key of `KINDS`.
         where: Name of the feature or object.
-        what: What was found there.
+        what: Description of the finding.
     """
 
     kind: str
@@ -62,15 +62,14 @@ class Note(NamedTuple):
 
 
 class Split(NamedTuple):
-    """How well convex pieces stand for a mesh that is not convex.
+    """Accuracy of the convex decomposition of a mesh.
 
     Attributes:
         where: Name of the object.
         pieces: Number of pieces.
         mesh_volume: Volume of the mesh, m^3.
         pieces_volume: Sum of the volumes of the pieces, m^3.
-        beyond: Greatest distance of samples of the pieces' surfaces from the mesh, outside of it,
-            m.
+        beyond: Maximum distance of surface samples of the pieces outside the mesh, m.
     """
 
     where: str
@@ -82,12 +81,12 @@ class Split(NamedTuple):
 
 @dataclass(frozen=True)
 class ImportReport:
-    """What an importer did to make a city of a file.
+    """Report of the import of a city.
 
     Attributes:
         path: The file.
-        notes: What was mended, guessed, left out or moved, in the order of the file.
-        splits: Meshes that were split into convex pieces, with the error of each.
+        notes: Repairs, estimates, skipped and moved features, in the order of the file.
+        splits: Decomposed meshes, with the errors of the decompositions.
     """
 
     path: Path
@@ -96,79 +95,74 @@ class ImportReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of notes by their kind, in the order of `KINDS`."""
+        """Number of notes by kind, in the order of `KINDS`."""
         found = Counter(note.kind for note in self.notes)
         return {kind: found[kind] for kind in KINDS if found[kind]}
 
     def first(self, kind: str) -> list[str]:
-        """List the places of the first notes of a kind."""
+        """List the features of the first notes of a kind."""
         return [note.where for note in self.notes if note.kind == kind][:FIRST_SHOWN]
 
     def summary(self) -> str:
-        """Tell in one line what was mended; empty where nothing was."""
+        """Return a one-line summary of all repairs; empty if there are none."""
         mended = [
             f"{count} {KINDS[kind].meaning} ({self.first(kind)[0]}{', ...' * (count > 1)})"
             for kind, count in self.counts.items()
-            if KINDS[kind].mends
+            if KINDS[kind].is_repair
         ]
         return "; ".join(mended)
 
 
 class Notebook:
-    """Notes of an importer at work, which refuses what is odd where that is asked for.
+    """Collector of import notes, which raises errors in strict mode.
 
     Attributes:
         path: The file.
-        strict: Whether what is odd is refused.
-        notes: So far.
-        splits: So far.
+        strict: Whether deviations raise an error.
+        notes: Notes so far.
+        splits: Decompositions so far.
     """
 
     def __init__(self, path: Path, strict: bool) -> None:
-        """Begin without notes.
+        """Initialise without notes.
 
         Args:
             path: The file.
-            strict: Whether what is odd is refused.
+            strict: Whether deviations raise an error.
         """
         self.path = path
         self.strict = strict
         self.notes: list[Note] = []
         self.splits: list[Split] = []
 
-    def add(
-        self,
-        kind: str,
-        where: str,
-        what: str,
-        needed: str = "",
-    ) -> None:
-        """Note what was found.
+    def add(self, kind: str, where: str, what: str, needed: str = "") -> None:
+        """Add a note.
 
         Args:
-            kind: A name among `KINDS`.
+            kind: A key of `KINDS`.
             where: Name of the feature or object.
-            what: What was found there, for people.
-            needed: What is needed in its place, told where it is refused.
+            what: Description of the finding.
+            needed: Required format, included in the error of strict mode.
 
         Raises:
-            ValueError: It is refused.
+            ValueError: If strict mode forbids this kind of note.
         """
-        if self.strict and KINDS[kind].refused:
-            told = f"{what}: {needed}" if needed else what
-            raise ValueError(f"{self.path}, {where}: {told}")
+        if self.strict and KINDS[kind].is_error:
+            message = f"{what}: {needed}" if needed else what
+            raise ValueError(f"{self.path}, {where}: {message}")
         self.notes.append(Note(kind, where, what))
 
     def report(self) -> ImportReport:
-        """Make the report of all notes so far."""
+        """Return the report of all notes so far."""
         return ImportReport(self.path, tuple(self.notes), tuple(self.splits))
 
     def warn(self) -> ImportReport:
-        """Make the report, and warn in one line where something was mended."""
+        """Return the report, and raise a one-line warning if there are repairs."""
         report = self.report()
         if mended := report.summary():
             warnings.warn(
-                f"{self.path} is mended: {mended}; city.report tells more, strict=True refuses it",
+                f"{self.path} was repaired: {mended}; see city.report, "
+                f"or set strict=True to raise an error",
                 MendedWarning,
                 stacklevel=4,
             )

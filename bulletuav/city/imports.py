@@ -1,4 +1,4 @@
-"""Cities from files of users: footprints with heights, or meshes."""
+"""Importers of cities from user files: footprints with heights, or meshes."""
 
 from collections.abc import Callable
 
@@ -13,4 +13,4 @@ READERS: dict[str, Callable[..., City]] = {
     ".json": from_geojson,
     ".obj": from_obj,
 }
-"""Readers of files by their ending"""
+"""Importers by file suffix"""

@@ -1,4 +1,4 @@
-"""A city as a map."""
+"""Map of a city."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,23 +9,23 @@ from bulletuav.city.model import City
 GROUND_COLOUR = "#f2efe9"
 STREET_COLOUR = "#d98e04"
 FINENESS = 20.0
-"""Width of a street's line, points, where its pieces are as long as the city"""
+"""Line width of a street, points, if its segments are as long as the city"""
 BELOW = -0.09
-"""Where scale and legend are, below the map, in heights of the map"""
+"""Position of scale and legend below the map, in heights of the map"""
 
 
 def draw_map(city: City, axes: Axes) -> None:
-    """Draw a city from above, in m: streets, and footprints shaded by the height of their building.
+    """Draw a plan view of a city, in m: streets, and footprints coloured by building height.
 
     Args:
-        city: What is drawn.
-        axes: Where it is drawn; limits, labels and a title are set.
+        city: The city.
+        axes: Target axes; limits, labels and title are set.
     """
-    # Footprints shaded by height, streets as lines
+    # Footprints coloured by height, streets as lines
     prints = PolyCollection(city.footprints, cmap="viridis_r", edgecolors="face", linewidths=0.4)
     prints.set(array=city.heights[city.building], clim=(0, city.heights.max(initial=1.0)))
     lines = city.streets.nodes[city.streets.edges]
-    # The finer the net of streets, the finer its lines.
+    # The line width follows the mesh size of the street network.
     mesh = np.median(np.linalg.norm(np.diff(lines, axis=1), axis=-1)) if len(lines) else 0.0
     width = np.clip(FINENESS * mesh / city.side, 0.15, 0.8)
     streets = LineCollection(
@@ -34,7 +34,7 @@ def draw_map(city: City, axes: Axes) -> None:
     for collection in (streets, prints):
         axes.add_collection(collection)
     axes.figure.colorbar(prints, ax=axes, label="height (m)", shrink=0.85)
-    # Beside the scale, below the map
+    # Next to the scale, below the map
     axes.legend(
         handles=[streets],
         loc="center right",
@@ -58,12 +58,12 @@ def draw_map(city: City, axes: Axes) -> None:
 
 
 def _draw_scale(side: float, axes: Axes) -> None:
-    """Draw a bar of the greatest round length that is at most a fifth of the side."""
+    """Draw a scale bar of the longest round length that is at most a fifth of the side."""
     # 1, 2 or 5 times a power of ten, in m
     power = 10 ** np.floor(np.log10(side / 5))
     length = power * max(digit for digit in (1, 2, 5) if digit * power <= side / 5)
     ends = np.array([0, length]) - side / 2
-    # Below the map: data along x, share of the axes' height along y
+    # Below the map: data coordinates along x, axes fraction along y
     below = axes.get_xaxis_transform()
     axes.plot(
         ends,

@@ -1,4 +1,4 @@
-"""Meshes of buildings: their parts, volume, and how far points are from them."""
+"""Triangle meshes of buildings: components, orientation, volume and distances."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.city.graphs import join
+from bulletuav.city.graphs import connect_components
 from bulletuav.city.polygons import (
     SLIVER,
     area_of,
@@ -18,19 +18,19 @@ from bulletuav.city.polygons import (
 )
 
 SAME = 6
-"""Decimals of a metre in which corners at one place agree"""
+"""Decimals of a metre to which coincident corners agree"""
 FLAT = 1e-12
-"""Area, m^2, below which a triangle is a line"""
+"""Area, m^2, below which a triangle is degenerate"""
 MAX_CROSSING = 10_000
-"""Triangles of a mesh in which a crossing is searched: more take seconds"""
+"""Maximum number of triangles for the self-intersection search; more take seconds"""
 
 
 class Mesh(NamedTuple):
-    """Triangles in space.
+    """Triangle mesh.
 
     Attributes:
-        points: Corners (V, 3), m.
-        triangles: (T, 3) int, corners of each.
+        points: (V, 3) corners, m.
+        triangles: (T, 3) int, corner indices of each triangle.
     """
 
     points: np.ndarray
@@ -38,20 +38,20 @@ class Mesh(NamedTuple):
 
 
 def make_mesh(points: np.ndarray, faces: Sequence[Sequence[int]]) -> Mesh:
-    """Join faces to a mesh; corners at one place become one.
+    """Build a mesh from faces; coincident corners are merged.
 
     Args:
-        points: (V, 3), m.
-        faces: Indices of the corners of each face, in order, which need not be convex.
+        points: (V, 3) points, m.
+        faces: Corner indices of each face, in order; faces need not be convex.
 
     Returns:
-        The mesh, of the points that have faces.
+        The mesh, with the points that belong to faces.
     """
     used = np.unique([corner for face in faces for corner in face])
     _, first, number = np.unique(
         np.round(points[used], SAME), axis=0, return_index=True, return_inverse=True
     )
-    # Points stay in the order of the file
+    # Keep the order of the points
     order = np.argsort(first)
     rank = np.argsort(order)[number.ravel()]
     renumbered = dict(zip(used.tolist(), rank.tolist(), strict=True))
@@ -67,7 +67,7 @@ def make_mesh(points: np.ndarray, faces: Sequence[Sequence[int]]) -> Mesh:
 def _triangulated(points: np.ndarray, face: list[int]) -> Iterator[list[int]]:
     """Yield the triangles of a face, an outline through points (V, 3)."""
     corners = points[face]
-    # Newell's normal: the face is seen along its greatest component, from outside
+    # Newell's normal; project along its largest component, seen from outside
     normal = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
     axis = int(np.abs(normal).argmax())
     plan = np.roll(corners, -axis - 1, axis=1)[:, :2]
@@ -87,14 +87,16 @@ def _triangulated(points: np.ndarray, face: list[int]) -> Iterator[list[int]]:
 
 
 def components(mesh: Mesh) -> list[Mesh]:
-    """Take a mesh apart into those that have no side of a triangle in common."""
+    """Split a mesh into components that share no edges."""
     count = len(mesh.triangles)
     if not count:
         return []
     _, side = np.unique(np.sort(_sides(mesh), axis=1), axis=0, return_inverse=True)
-    # A graph of triangles and their sides
+    # Bipartite graph of triangles and edges
     part = np.arange(count + int(side.max()) + 1)
-    join(part, np.stack([np.repeat(np.arange(count), 3), count + side.ravel()], axis=1))
+    connect_components(
+        part, np.stack([np.repeat(np.arange(count), 3), count + side.ravel()], axis=1)
+    )
     part = part[:count]
     found = []
     for k in dict.fromkeys(part.tolist()):
@@ -104,27 +106,27 @@ def components(mesh: Mesh) -> list[Mesh]:
 
 
 def _sides(mesh: Mesh) -> np.ndarray:
-    """List the sides of all triangles, from corner to corner, (3 T, 2)."""
+    """Return the directed edges of all triangles, (3 T, 2)."""
     return mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
 def outward(mesh: Mesh) -> Mesh | None:
-    """Turn the triangles of a connected mesh, however they come, so that they face outwards.
+    """Orient the triangles of a connected mesh outwards.
 
     Returns:
-        None where it is not closed: a side belongs to one triangle or to three, or the surface has
-        no inside.
+        The mesh, or None if it is not closed: an edge does not belong to exactly two triangles, or
+        the surface is not orientable.
     """
-    ways: dict[tuple[int, ...], list[tuple[int, bool]]] = {}
+    edge_uses: dict[tuple[int, ...], list[tuple[int, bool]]] = {}
     for k, (begin, end) in enumerate(_sides(mesh).tolist()):
-        ways.setdefault((min(begin, end), max(begin, end)), []).append((k // 3, begin < end))
-    if any(len(pair) != 2 for pair in ways.values()):
+        edge_uses.setdefault((min(begin, end), max(begin, end)), []).append((k // 3, begin < end))
+    if any(len(pair) != 2 for pair in edge_uses.values()):
         return None
     neighbours: list[list[tuple[int, bool]]] = [[] for _ in mesh.triangles]
-    for (one, rises), (other, also) in ways.values():
+    for (one, rises), (other, also) in edge_uses.values():
         neighbours[one].append((other, rises == also))
         neighbours[other].append((one, rises == also))
-    # Whether each is to be turned over, as seen from the first one
+    # Whether each triangle must be flipped relative to the first one
     turned = {0: False}
     waiting = [0]
     while waiting:
@@ -143,23 +145,23 @@ def outward(mesh: Mesh) -> Mesh | None:
 
 
 def volume(mesh: Mesh) -> float:
-    """Return the volume of a closed mesh, m^3, by the divergence theorem.
+    """Return the volume of a closed mesh by the divergence theorem, m^3.
 
-    It is negative where triangles face inwards.
+    The volume is negative if the triangles face inwards.
     """
     a, b, c = (mesh.points - mesh.points[0])[mesh.triangles].swapaxes(0, 1)
     return float((a * np.cross(b, c)).sum() / 6)
 
 
 def prism_pieces(mesh: Mesh, filled: float) -> list[np.ndarray]:
-    """Cut a prism that stands upright into convex ones, exactly.
+    """Cut an upright prism exactly into convex prisms.
 
     Args:
         mesh: A closed mesh.
-        filled: Its volume, m^3.
+        filled: Volume of the mesh, m^3.
 
     Returns:
-        Corners (2 V, 3) of each piece, m; none where the mesh is no such prism.
+        Corners (2 V, 3) of each piece, m; empty if the mesh is not an upright prism.
     """
     bottom, top = mesh.points[:, 2].min(), mesh.points[:, 2].max()
     height = mesh.points[:, 2]
@@ -175,17 +177,17 @@ def prism_pieces(mesh: Mesh, filled: float) -> list[np.ndarray]:
 
 
 def outside(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """Return the distances (K,) of points (K, 3) from a closed mesh, m, 0 inside of it."""
+    """Return the distances (K,) of points (K, 3) from a closed mesh, m; 0 inside."""
     corners = mesh.points[mesh.triangles]
     inside = _winding(corners, points) > 0.5
     return np.where(inside, 0.0, _distance(corners, points))
 
 
 def find_crossing(mesh: Mesh) -> np.ndarray | None:
-    """Find a point (3,), m, where a side of a triangle goes through a triangle apart from it.
+    """Find a point (3,), m, where an edge intersects a triangle that does not contain it.
 
     Returns:
-        None where there is no such point, or in meshes of more than `MAX_CROSSING` triangles.
+        The point, or None if there is none, or if the mesh has more than `MAX_CROSSING` triangles.
     """
     if len(mesh.triangles) > MAX_CROSSING:
         return None
@@ -196,8 +198,8 @@ def find_crossing(mesh: Mesh) -> np.ndarray | None:
         apart = near & ~np.isin(mesh.triangles, own).any(axis=1)
         others = corners[apart]
         for start, end in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
-            # Heights of both ends above the planes of the others; the line passes inside of an
-            # outline where it passes all sides on the same side
+            # Signed distances of both ends from the planes; the line passes inside a triangle if it
+            # passes all edges on the same side
             a, b, c = (others - start).swapaxes(0, 1)
             normal = np.cross(b - a, c - a)
             above = -(a * normal).sum(axis=1)
@@ -213,10 +215,11 @@ def find_crossing(mesh: Mesh) -> np.ndarray | None:
 
 
 def _winding(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return how often triangles (T, 3, 3) go round points (K, 3).
+    """Return the winding numbers of triangles (T, 3, 3) around points (K, 3).
 
-    A. van Oosterom and J. Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed.
-    Eng. 30 (1983).
+    References:
+        A. van Oosterom and J. Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed.
+        Eng. 30 (1983).
     """
     a, b, c = (corners[None, :, k] - points[:, None] for k in range(3))
     lengths = [np.linalg.norm(side, axis=-1) for side in (a, b, c)]
@@ -229,18 +232,18 @@ def _winding(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _distance(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the distances (K,) of points (K, 3) from the nearest of triangles (T, 3, 3), m."""
+    """Return the distances (K,) of points (K, 3) to the nearest of triangles (T, 3, 3), m."""
     start = corners[None]
-    way = np.roll(corners, -1, axis=1)[None] - start
+    edge = np.roll(corners, -1, axis=1)[None] - start
     offset = points[:, None, None] - start
-    # Nearest point of each side
-    square = np.maximum((way**2).sum(axis=-1), np.finfo(float).tiny)
-    along = np.clip((offset * way).sum(axis=-1) / square, 0, 1)
-    sides = np.linalg.norm(offset - along[..., None] * way, axis=-1).min(axis=-1)
-    # The plane, where a point is over the triangle: to the left of all its sides
-    normal = np.cross(way[:, :, 0], way[:, :, 1])
+    # Nearest point of each edge
+    square = np.maximum((edge**2).sum(axis=-1), np.finfo(float).tiny)
+    along = np.clip((offset * edge).sum(axis=-1) / square, 0, 1)
+    sides = np.linalg.norm(offset - along[..., None] * edge, axis=-1).min(axis=-1)
+    # Distance to the plane if the point projects into the triangle
+    normal = np.cross(edge[:, :, 0], edge[:, :, 1])
     length = np.maximum(np.linalg.norm(normal, axis=-1), FLAT)
-    left = (np.cross(way, offset) * normal[:, :, None]).sum(axis=-1)
+    left = (np.cross(edge, offset) * normal[:, :, None]).sum(axis=-1)
     plane = np.abs((offset[:, :, 0] * normal).sum(axis=-1)) / length
     over = (left >= 0).all(axis=-1) & (length > FLAT)
     nearest: np.ndarray = np.where(over, plane, sides).min(axis=1)

@@ -1,4 +1,4 @@
-"""A city: solid buildings on flat ground, streets, and what is asked of them."""
+"""City model: buildings on flat ground, streets, and spatial queries."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,29 +12,29 @@ from bulletuav.errors import finite, numbers_of, shown
 from bulletuav.geometry.solids import Solids, box_corners
 
 GROUP = 256
-"""Points that are neighbours are asked together, as few pieces come into question"""
+"""Number of neighbouring points that are queried together, to share candidate pieces"""
 STRIP = 50.0
-"""Width of the strips along y in which neighbours are looked for, m"""
+"""Width of the strips along y that group neighbouring points, m"""
 UPRIGHT = 1e-9
-"""Facets whose normal rises less than this are walls"""
+"""Facets with a smaller z component of the unit normal are walls"""
 HEADROOM = 2.0
-"""Height of an underside, m, from which on the ground below is not built up"""
+"""Minimum height of an underside above which the ground does not count as built up, m"""
 
 
 @dataclass(frozen=True, eq=False)
 class City:
-    """Buildings of convex pieces on the flat ground z = 0, about the origin.
+    """Buildings of convex pieces on the flat ground z = 0, around the origin.
 
     x is east, y north, z up, in metres.
 
     Attributes:
-        name: Of its kind or file.
+        name: Name of the kind or file.
         side: Length of the ground along x, m.
         solids: The pieces.
-        building: (P,) int, the building that each piece belongs to.
-        streets: Where one walks.
+        building: (P,) int, index of the building of each piece.
+        streets: Street graph.
         depth: Length of the ground along y, m; None for a square.
-        report: What its importer did; None for a city that is not from a file.
+        report: Import report; None for a city that was not imported.
     """
 
     name: str
@@ -47,12 +47,12 @@ class City:
 
     @cached_property
     def sides(self) -> np.ndarray:
-        """Lengths (2,) of the ground along x and along y, m."""
+        """(2,) lengths of the ground along x and y, m."""
         return np.array([self.side, self.side if self.depth is None else self.depth])
 
     @cached_property
     def heights(self) -> np.ndarray:
-        """Height (B,) of each building's highest point, m."""
+        """(B,) height of each building's highest point, m."""
         heights = np.zeros(self.building.max(initial=-1) + 1)
         tops = self.solids.bounds[:, 1, 2]
         np.maximum.at(heights, self.building, tops)
@@ -60,38 +60,39 @@ class City:
 
     @cached_property
     def footprints(self) -> list[np.ndarray]:
-        """Corners (V, 2) of the outline of each piece seen from above, turning left, m."""
+        """(V, 2) corners of the footprint of each piece, counter-clockwise, m."""
         of_boxes = [box_corners(box)[[0, 1, 3, 2], :2] for box in self.solids.boxes]
         of_hulls = [_outline(hull[:, :2]) for hull in self.solids.hulls]
         return of_boxes + of_hulls
 
     @cached_property
     def coverage(self) -> float:
-        """Built-up share of the ground.
+        """Built-up fraction of the ground.
 
-        Pieces that begin 2 m up or higher do not count; others above each other count each.
+        Pieces that begin at least 2 m above the ground do not count; the areas of other overlapping
+        pieces are added.
         """
-        start, way = (ends[self.solids.bounds[:, 0, 2] < HEADROOM] for ends in self._walls)
+        start, edge = (ends[self.solids.bounds[:, 0, 2] < HEADROOM] for ends in self._walls)
         # Shoelace formula: twice the area of each footprint
-        forward = start[..., 0] * way[..., 1]
-        backward = start[..., 1] * way[..., 0]
+        forward = start[..., 0] * edge[..., 1]
+        backward = start[..., 1] * edge[..., 0]
         double = forward - backward
         return float(double.sum() / 2 / self.sides.prod())
 
     def outdoors(self, points: np.ndarray, margin: float = 0.0) -> np.ndarray:
-        """Tell which points are farther from all footprints than a margin.
+        """Return which points are farther from all footprints than a margin.
 
-        The ground below parts in the air is not outdoors.
+        The ground below elevated parts is not outdoors.
 
         Args:
-            points: (..., 2 or 3) in m; their z does not matter.
-            margin: m.
+            points: (..., 2 or 3) points, m; z is ignored.
+            margin: Margin, m.
 
         Returns:
             (...,) bool.
 
         Raises:
-            ValueError: The points are not finite numbers of that shape.
+            ValueError: If the points are not finite numbers of that shape.
         """
         plan = _plan(points)
         margin = finite("margin", margin)
@@ -100,43 +101,43 @@ class City:
         free[point] = False
         return free.reshape(plan.shape[:-1])
 
-    def clearance(self, points: np.ndarray, most: float) -> np.ndarray:
-        """Return the way from points to the nearest footprint, seen from above.
+    def clearance(self, points: np.ndarray, max_distance: float) -> np.ndarray:
+        """Return the horizontal distances from points to the nearest footprint.
 
         Args:
-            points: (..., 2 or 3) in m; their z does not matter.
-            most: Ways are looked for up to this, m.
+            points: (..., 2 or 3) points, m; z is ignored.
+            max_distance: Maximum distance, m.
 
         Returns:
-            (...,) in m: 0 over a footprint, `most` at most.
+            (...,) distances, m: 0 above a footprint, at most `max_distance`.
 
         Raises:
-            ValueError: The points are not finite numbers of that shape.
+            ValueError: If the points are not finite numbers of that shape.
         """
         plan = _plan(points)
-        most = finite("most", most)
-        gap = np.full(plan[..., 0].size, most)
-        point, _, distance = self._near(plan.reshape(-1, 2), most)
-        np.minimum.at(gap, point, distance)
-        return gap.reshape(plan.shape[:-1])
+        max_distance = finite("max_distance", max_distance)
+        nearest = np.full(plan[..., 0].size, max_distance)
+        point, _, distance = self._near(plan.reshape(-1, 2), max_distance)
+        np.minimum.at(nearest, point, distance)
+        return nearest.reshape(plan.shape[:-1])
 
     def roof(self, points: np.ndarray) -> np.ndarray:
-        """Return the height of the highest roof over or under points.
+        """Return the height of the highest roof above or below points.
 
         Args:
-            points: (..., 2 or 3) in m; their z does not matter.
+            points: (..., 2 or 3) points, m; z is ignored.
 
         Returns:
-            (...,) in m; 0 outdoors.
+            (...,) heights, m; 0 outdoors.
 
         Raises:
-            ValueError: The points are not finite numbers of that shape.
+            ValueError: If the points are not finite numbers of that shape.
         """
         plan = _plan(points)
         flat = plan.reshape(-1, 2)
         top = np.zeros(len(flat))
         point, piece, _ = self._near(flat, 0.0)
-        # A convex piece ends at the lowest of the planes on it
+        # The top of a convex piece is the minimum of its upper planes
         facets = self._facets[piece]
         rise = (facets[..., :2] * flat[point, None]).sum(axis=-1)
         height = rise + facets[..., 2]
@@ -145,16 +146,16 @@ class City:
 
     @cached_property
     def _walls(self) -> tuple[np.ndarray, np.ndarray]:
-        """Starts (P, V, 2) of the sides of each footprint, and ways to their ends.
+        """Start points (P, V, 2) of the edges of each footprint, and edge vectors.
 
-        Short lists end in no way.
+        Shorter lists are padded with zero edge vectors.
         """
         start = _padded(self.footprints, 2)
         return start, np.roll(start, -1, axis=1) - start
 
     @cached_property
     def _facets(self) -> np.ndarray:
-        """Planes z = a x + b y + c on each piece, (P, F, 3); short lists repeat the last."""
+        """Planes z = a x + b y + c on top of each piece, (P, F, 3); padded with the last one."""
         tops = self.solids.boxes[:, 1, 2]
         of_boxes = [np.array([[0.0, 0.0, top]]) for top in tops]
         of_hulls = [_top(hull) for hull in self.solids.hulls]
@@ -163,9 +164,9 @@ class City:
     def _near(self, plan: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Find the pairs of points (K, 2) and footprints within `reach` m.
 
-        Returns the indices of both, and their distance, m, 0 inside.
+        Returns the indices of both, and their distances, m; 0 inside.
         """
-        # Strip by strip from west to east, in each from south to north
+        # Sort points by strips from west to east, then from south to north
         order = np.lexsort([plan[:, 1], np.floor(plan[:, 0] / STRIP)])
         groups = np.split(order, range(GROUP, len(order), GROUP))
         west, south = self.solids.bounds[:, 0, :2].T - reach
@@ -176,26 +177,22 @@ class City:
         return np.concatenate(point), np.concatenate(piece), np.concatenate(distance)
 
     def _near_group(
-        self,
-        plan: np.ndarray,
-        group: np.ndarray,
-        reach: float,
-        sides: np.ndarray,
+        self, plan: np.ndarray, group: np.ndarray, reach: float, sides: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Do as `_near`, of the points with the indices `group`.
+        """Find the pairs of `_near` for the points with the indices `group`.
 
-        `sides` (4, P) are those of rectangles about the footprints: west, east, south, north.
+        `sides` (4, P) are the bounds of inflated footprints: west, east, south, north.
         """
         x, y = plan[group].T
         west, east, south, north = sides
 
-        # Pieces near the rectangle that the group covers
+        # Pieces near the bounding rectangle of the group
         beside = (west <= x.max(initial=-np.inf)) & (east >= x.min(initial=np.inf))
         beside &= (south <= y.max(initial=-np.inf)) & (north >= y.min(initial=np.inf))
         close = np.flatnonzero(beside)
         west, east, south, north = sides[:, close]
 
-        # Pairs of points and rectangles that hold them
+        # Pairs of points and rectangles that contain them
         holds = (x[:, None] >= west) & (x[:, None] <= east)
         holds &= (y[:, None] >= south) & (y[:, None] <= north)
         one, other = np.nonzero(holds)
@@ -203,37 +200,33 @@ class City:
         piece = close[other]
 
         # Exact distances
-        start, way = self._walls
-        distance = _distance(plan[point, None], start[piece], way[piece])
+        start, edge = self._walls
+        distance = _distance(plan[point, None], start[piece], edge[piece])
         near = distance <= reach
         return point[near], piece[near], distance[near]
 
 
-def _distance(
-    point: np.ndarray,
-    start: np.ndarray,
-    way: np.ndarray,
-) -> np.ndarray:
+def _distance(point: np.ndarray, start: np.ndarray, edge: np.ndarray) -> np.ndarray:
     """Return the distances (M,) from points (M, 1, 2) to convex polygons, 0 inside.
 
-    Their sides begin at `start` and go `way`, both (M, V, 2).
+    Polygon edges start at `start` and have vectors `edge`, both (M, V, 2).
     """
     offset = point - start
-    # Inside is to the left of all sides
-    left = way[..., 0] * offset[..., 1]
-    right = way[..., 1] * offset[..., 0]
+    # Interior points are to the left of all edges
+    left = edge[..., 0] * offset[..., 1]
+    right = edge[..., 1] * offset[..., 0]
     inside = (left >= right).all(axis=1)
-    # Nearest point of each side
-    square = np.maximum((way**2).sum(axis=-1), np.finfo(float).tiny)
-    along = (offset * way).sum(axis=-1)
-    share = np.clip(along / square, 0, 1)
-    away = offset - share[..., None] * way
-    gap = np.linalg.norm(away, axis=-1).min(axis=1)
-    return np.where(inside, 0.0, gap)
+    # Nearest point of each edge
+    square = np.maximum((edge**2).sum(axis=-1), np.finfo(float).tiny)
+    along = (offset * edge).sum(axis=-1)
+    fraction = np.clip(along / square, 0, 1)
+    away = offset - fraction[..., None] * edge
+    nearest = np.linalg.norm(away, axis=-1).min(axis=1)
+    return np.where(inside, 0.0, nearest)
 
 
 def _padded(rows: Sequence[np.ndarray], columns: int) -> np.ndarray:
-    """Stack arrays (1 to K, C) to (P, K, C); short ones repeat their last entry."""
+    """Stack arrays (1 to K, C) to (P, K, C); shorter ones repeat their last entry."""
     longest = max(map(len, rows), default=1)
     index = [np.minimum(np.arange(longest), len(row) - 1) for row in rows]
     stacked = np.array([row[which] for row, which in zip(rows, index, strict=True)])
@@ -241,7 +234,7 @@ def _padded(rows: Sequence[np.ndarray], columns: int) -> np.ndarray:
 
 
 def _plan(points: np.ndarray) -> np.ndarray:
-    """Return x and y (..., 2) of points (..., 2 or 3), or raise ValueError for what is none."""
+    """Return x and y (..., 2) of points (..., 2 or 3); raise ValueError for invalid points."""
     points = numbers_of("points are", points)
     if not points.ndim or points.shape[-1] not in (2, 3) or not np.isfinite(points).all():
         raise ValueError(
@@ -251,18 +244,18 @@ def _plan(points: np.ndarray) -> np.ndarray:
 
 
 def _outline(points: np.ndarray) -> np.ndarray:
-    """Return the corners of the convex hull of points (K, 2), turning left."""
-    from scipy.spatial import ConvexHull  # which takes long to import, and boxes do without
+    """Return the corners of the convex hull of points (K, 2), counter-clockwise."""
+    from scipy.spatial import ConvexHull  # lazy: slow to import, and not needed for boxes
 
     corners: np.ndarray = points[ConvexHull(points).vertices]
     return corners
 
 
 def _top(hull: np.ndarray) -> np.ndarray:
-    """Return a, b, c (F, 3) of the planes z = a x + b y + c on top of the hull of points (V, 3)."""
+    """Return (a, b, c) (F, 3) of the upper planes z = a x + b y + c of a hull of points (V, 3)."""
     from scipy.spatial import ConvexHull
 
-    # Outside is n . p + d > 0
+    # Exterior points have n . p + d > 0
     planes = ConvexHull(hull).equations
     up = planes[planes[:, 2] > UPRIGHT]
     rows: np.ndarray = -up[:, [0, 1, 3]] / up[:, 2:3]

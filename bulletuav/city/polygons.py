@@ -1,4 +1,4 @@
-"""Polygons in convex pieces."""
+"""Convex decomposition of polygons."""
 
 from collections.abc import Iterator
 from types import ModuleType
@@ -10,19 +10,19 @@ from bulletuav.errors import missing_extra
 from bulletuav.geometry.convex import MOST_CORNERS
 
 STRAIGHT = 1e-9
-"""Sine of an angle that turns right and is taken as straight"""
+"""Sine of a right turn up to which a corner counts as straight"""
 SLIVER = 1e-4
-"""Pieces of a footprint smaller than this, m^2, are left out"""
+"""Minimum area of a piece of a footprint, m^2"""
 
 
 def import_shapely(what: str) -> ModuleType:
-    """Import shapely, or name the extra that brings it.
+    """Import shapely, or raise an error that names the required extra.
 
     Args:
-        what: What it is needed for.
+        what: Feature that needs shapely.
 
     Raises:
-        ImportError: The extra is not installed.
+        ImportError: If the extra is not installed.
     """
     try:
         import shapely
@@ -32,41 +32,44 @@ def import_shapely(what: str) -> ModuleType:
 
 
 def convex_pieces(polygon: Any) -> Iterator[np.ndarray]:
-    """Cut a polygon into convex pieces, at most four times as many as are needed.
+    """Cut a polygon into convex pieces, at most four times the minimum number.
 
-    They are the triangles of a constrained Delaunay triangulation, joined across their longest
-    sides first (S. Hertel and K. Mehlhorn, "Fast triangulation of simple polygons", 1983).
+    The triangles of a constrained Delaunay triangulation are merged across their longest edges
+    first.
 
     Args:
         polygon: A valid shapely Polygon, with or without holes.
 
     Yields:
-        Corners (V, 2) of each piece, which turn left.
+        Corners (V, 2) of each piece, counter-clockwise.
+
+    References:
+        S. Hertel and K. Mehlhorn, "Fast triangulation of simple polygons", 1983.
     """
-    import shapely  # whoever has a polygon of shapely's has it
+    import shapely  # available, as the argument is a shapely object
 
     outline = shapely.get_coordinates(polygon.normalize().exterior)[-2::-1]
     if not polygon.interiors and turns_left(outline):
         yield from _of_few_corners(outline)
         return
     triangles = triangles_of(polygon)
-    # Corners by number, as those of different triangles are the same to the last bit
+    # Index the corners; corners of adjacent triangles are bit-identical
     points, number = np.unique(triangles.reshape(-1, 2), axis=0, return_inverse=True)
     for piece in _joined(points, number.reshape(-1, 3).tolist()):
         yield from _of_few_corners(points[piece])
 
 
 def _of_few_corners(outline: np.ndarray) -> Iterator[np.ndarray]:
-    """Cut a convex outline into ones of as many corners as a face may have."""
+    """Cut a convex outline into pieces with at most MOST_CORNERS corners."""
     first, others = outline[:1], outline[1:]
     for k in range(0, len(others) - 1, MOST_CORNERS - 2):
         yield np.concatenate([first, others[k : k + MOST_CORNERS - 1]])
 
 
 def turns_left(outline: np.ndarray) -> bool:
-    """Tell whether an outline (V, 2) turns left, or goes straight on, at all corners.
+    """Return True if an outline (V, 2) turns left or goes straight on at all corners.
 
-    One that does not cross itself is convex then.
+    A simple polygon with this property is convex.
     """
     after = np.roll(outline, -1, axis=0) - outline
     before = np.roll(after, 1, axis=0)
@@ -75,7 +78,7 @@ def turns_left(outline: np.ndarray) -> bool:
 
 
 def triangles_of(polygon: Any) -> np.ndarray:
-    """Return the triangles (T, 3, 2) of a constrained Delaunay triangulation; they turn left."""
+    """Return the constrained Delaunay triangles (T, 3, 2), counter-clockwise."""
     import shapely
 
     parts = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
@@ -88,21 +91,17 @@ def triangles_of(polygon: Any) -> np.ndarray:
 
 
 def area_of(outline: np.ndarray) -> float:
-    """Return the area of an outline (V, 2) that turns left."""
+    """Return the area of a counter-clockwise outline (V, 2)."""
     return float(_cross(outline, np.roll(outline, -1, axis=0)).sum() / 2)
 
 
-def extruded(
-    outline: np.ndarray,
-    bottom: float,
-    top: float,
-) -> np.ndarray:
+def extruded(outline: np.ndarray, bottom: float, top: float) -> np.ndarray:
     """Return the corners (2 V, 3) of a prism between two heights, m, over an outline (V, 2)."""
     return np.concatenate([np.insert(outline, 2, z, axis=1) for z in (bottom, top)])
 
 
 def _joined(points: np.ndarray, pieces: list[list[int]]) -> list[list[int]]:
-    """Join convex pieces, lists of numbers of points (V, 2), as long as what they make is one."""
+    """Merge convex pieces, lists of indices of points (V, 2), while the union is convex."""
     owner = {side: k for k, piece in enumerate(pieces) for side in _sides(piece)}
     inner = np.array([side for side in owner if side[0] < side[1] and side[::-1] in owner])
     if not len(inner):
@@ -119,22 +118,18 @@ def _joined(points: np.ndarray, pieces: list[list[int]]) -> list[list[int]]:
 
 
 def _sides(piece: list[int]) -> Iterator[tuple[int, int]]:
-    """Yield the sides of a piece, from corner to corner."""
+    """Yield the directed edges of a piece."""
     return zip(piece, piece[1:] + piece[:1], strict=True)
 
 
 def _from(piece: list[int], corner: int) -> list[int]:
-    """Turn a piece such that it begins at a corner."""
+    """Rotate a piece such that it starts at a corner."""
     k = piece.index(corner)
     return piece[k:] + piece[:k]
 
 
-def _is_convex_at(
-    points: np.ndarray,
-    piece: list[int],
-    corner: int,
-) -> bool:
-    """Tell whether a piece turns left, or goes straight on, at a corner."""
+def _is_convex_at(points: np.ndarray, piece: list[int], corner: int) -> bool:
+    """Return True if a piece turns left or goes straight on at a corner."""
     k = piece.index(corner)
     around = points[[piece[k - 1], corner, piece[(k + 1) % len(piece)]]]
     before, after = np.diff(around, axis=0)
@@ -143,6 +138,6 @@ def _is_convex_at(
 
 
 def _cross(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-    """Return the third component of the cross product of vectors (..., 2)."""
+    """Return the z component of the cross product of vectors (..., 2)."""
     product: np.ndarray = one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0]
     return product

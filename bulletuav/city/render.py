@@ -1,4 +1,4 @@
-"""A picture of a city, by the engine's renderer."""
+"""Rendered image of a city."""
 
 import numpy as np
 
@@ -8,33 +8,29 @@ from bulletuav.geometry.view import AIR, FAR, SKY, projection_matrix, view_matri
 from bulletuav.vehicle.airframes import load_airframe
 
 FIELD_OF_VIEW = 40.0
-"""Vertical, degrees"""
+"""Vertical field of view, degrees"""
 DIRECTION = np.array([-0.5, -0.75, 0.6])
-"""From where the city is seen"""
+"""Direction of the camera from the city"""
 
 
-def render(
-    solids: Solids,
-    side: float,
-    size: tuple[int, int] = (1200, 800),
-) -> np.ndarray:
-    """Render a city from the south-west and above; no screen is needed.
+def render(solids: Solids, side: float, size: tuple[int, int] = (1200, 800)) -> np.ndarray:
+    """Render a city from the south-west and above; no display is needed.
 
     Args:
         solids: Pieces of its buildings.
-        side: Of its square, m.
-        size: Width and height of the picture, pixels.
+        side: Side of the city's square, m.
+        size: Width and height of the image, pixels.
 
     Returns:
         (height, width, 3) uint8.
     """
-    # An engine with one world, in which the city stands
+    # An engine with one world that contains the city
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240, layouts=[solids])
     layout = np.zeros(1, dtype=np.int64)
     everywhere = np.ones(1, dtype=bool)
     engine.set_layouts(layout, everywhere)
 
-    # A camera that looks at a point a little below the ground, beyond which the city ends
+    # The camera looks at a point slightly below the ground, which centres the city
     eye = 1.5 * side * DIRECTION
     target = np.array([0.0, 0.0, -0.02 * side])
     view = view_matrix(eye, target)

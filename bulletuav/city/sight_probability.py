@@ -1,6 +1,6 @@
-"""Chances of a line of sight in a built-up area, from its statistics alone.
+"""Line-of-sight probability in a built-up area, from its statistics.
 
-They are means over cities of a kind, not what happens in one: a generated city is asked by rays.
+The probabilities are means over cities of a kind; for a specific city, use ray casting.
 """
 
 from typing import NamedTuple
@@ -14,8 +14,8 @@ class Sigmoid(NamedTuple):
     """Parameters of `elevation_los`.
 
     Attributes:
-        a: degrees.
-        b: 1/degree.
+        a: Centre, degrees.
+        b: Slope, 1/degree.
     """
 
     a: float
@@ -37,45 +37,45 @@ SURFACE_A = (
     (-1.24e-4, -3.34e-6),
     (2.73e-7,),
 )
-"""Coefficients of a: row i holds those of (alpha beta)^i gamma^j, j = 0, 1, ..."""
+"""Coefficients of a: row i contains those of (alpha beta)^i gamma^j, j = 0, 1, ..."""
 SURFACE_B = (
     (1.17, -7.56e-2, 1.98e-3, -1.78e-5),
     (-5.79e-3, 1.81e-4, -1.65e-6),
     (1.73e-5, -2.02e-7),
     (-2.00e-8,),
 )
-"""Coefficients of b, likewise"""
+"""Coefficients of b, in the same order"""
 
 
 def p1410_los(
-    statistics: Statistics,
-    distance: np.ndarray,
-    transmitter: np.ndarray,
-    receiver: float = 1.5,
+    statistics: Statistics, distance: np.ndarray, transmitter: np.ndarray, receiver: float = 1.5
 ) -> np.ndarray:
-    """Return the chance that no roof reaches the ray between two antennas.
+    """Return the probability that no roof blocks the ray between two antennas.
 
-    Source: Rec. ITU-R P.1410; Al-Hourani et al., WCL 2014. The ray passes a whole number of evenly
-    spaced buildings, rounded down, each taken at its middle. The wall next to the receiver is left
-    out, so that a city of blocks has fewer lines of sight.
+    The ray passes an integer number of evenly spaced buildings, rounded down, and the roofs are
+    compared at the centres of the buildings. The wall next to the receiver is not considered, so a
+    city of blocks has fewer lines of sight.
 
     Args:
-        statistics: Of the built-up area.
-        distance: Between the antennas over ground, m.
-        transmitter: Height of the one antenna, m, in a shape that goes with `distance`.
-        receiver: Height of the other, m.
+        statistics: Statistics of the built-up area.
+        distance: Horizontal distance between the antennas, m.
+        transmitter: Height of one antenna, m; broadcasts with `distance`.
+        receiver: Height of the other antenna, m.
 
     Returns:
-        Chances, in the shape that both have together.
+        Probabilities, in the broadcast shape.
+
+    References:
+        Rec. ITU-R P.1410; Al-Hourani et al., WCL 2014.
     """
     distance, transmitter = np.broadcast_arrays(distance, transmitter)
-    # Buildings that the ray passes, and its height over the middle of each
+    # Number of passed buildings, and height of the ray above the centre of each
     density = np.sqrt(statistics.alpha * statistics.beta)
     count = np.floor(distance / 1000 * density)[..., None]
     passed = np.arange(count.max(initial=0))
-    share = (passed + 0.5) / np.maximum(count, 1)
+    fraction = (passed + 0.5) / np.maximum(count, 1)
     fall = (transmitter - receiver)[..., None]
-    height = transmitter[..., None] - share * fall
+    height = transmitter[..., None] - fraction * fall
     # Rayleigh distribution of the roofs
     lower = 1 - np.exp(-(height**2) / (2 * statistics.gamma**2))
     chance: np.ndarray = np.where(passed < count, lower, 1.0).prod(axis=-1)
@@ -83,13 +83,14 @@ def p1410_los(
 
 
 def elevation_los(elevation: np.ndarray, sigmoid: Sigmoid) -> np.ndarray:
-    """Return the chance of a line of sight at an elevation seen from the ground.
-
-    Source: Al-Hourani et al., WCL 2014, eq. 5.
+    """Return the line-of-sight probability at an elevation angle seen from the ground.
 
     Args:
         elevation: Degrees above the horizon, any shape.
         sigmoid: Parameters of the kind of area.
+
+    References:
+        Al-Hourani et al., WCL 2014, eq. 5.
     """
     decay = np.exp(-sigmoid.b * (np.asarray(elevation) - sigmoid.a))
     chance: np.ndarray = 1 / (1 + sigmoid.a * decay)
@@ -97,9 +98,10 @@ def elevation_los(elevation: np.ndarray, sigmoid: Sigmoid) -> np.ndarray:
 
 
 def fitted_sigmoid(statistics: Statistics) -> Sigmoid:
-    """Return the sigmoid of statistics of one's own.
+    """Return the sigmoid parameters of custom statistics.
 
-    Source: polynomial surfaces of Al-Hourani et al. (WCL 2014, table I).
+    References:
+        Polynomial surfaces of Al-Hourani et al. (WCL 2014, table I).
     """
     density = statistics.alpha * statistics.beta
     gamma = statistics.gamma

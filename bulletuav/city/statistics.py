@@ -1,4 +1,4 @@
-"""Statistics of a built-up area by ITU-R P.1410, and what a city has of them."""
+"""Statistics of a built-up area by ITU-R P.1410, and their measurement in a city."""
 
 import dataclasses
 import math
@@ -9,22 +9,22 @@ import numpy as np
 from bulletuav.city.model import City
 from bulletuav.errors import finite
 
-MOST = {"alpha": math.inf, "beta": 1e6, "gamma": 500.0}
-"""Beyond it buildings are smaller than a drone, or reach out of a world's airspace"""
+MAX_VALUES = {"alpha": math.inf, "beta": 1e6, "gamma": 500.0}
+"""Maximum values; beyond these, buildings are smaller than drones or exceed the airspace"""
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """How densely and how high an area is built (Recommendation ITU-R P.1410).
+    """Building density and height statistics of an area (Recommendation ITU-R P.1410).
 
     Attributes:
-        alpha: Built-up share of the ground, in (0, 1).
+        alpha: Built-up fraction of the ground, in (0, 1).
         beta: Buildings per km^2.
-        gamma: Most frequent height, m: heights h have the Rayleigh density
-            h / gamma^2 exp(-h^2 / (2 gamma^2)).
+        gamma: Mode of the heights, m: heights h have the Rayleigh density h / gamma^2 exp(-h^2 / (2
+            gamma^2)).
 
     Raises:
-        ValueError: A number cannot be.
+        ValueError: If a number is out of bounds.
     """
 
     alpha: float
@@ -34,12 +34,12 @@ class Statistics:
     def __post_init__(self) -> None:
         given = dataclasses.asdict(self)
         for name, value in given.items():
-            checked = finite(name, value, most=MOST[name])
+            checked = finite(name, value, most=MAX_VALUES[name])
             object.__setattr__(self, name, checked)
         if not 0 < self.alpha < 1:
             raise ValueError(
                 f"alpha is {given['alpha']!r}: "
-                f"the built-up share of the ground lies between 0 and 1"
+                f"the built-up fraction of the ground must be between 0 and 1"
             )
         for name, unit in (("beta", "buildings per km^2"), ("gamma", "m")):
             if getattr(self, name) <= 0:
@@ -49,7 +49,7 @@ class Statistics:
 
     @property
     def pitch(self) -> float:
-        """Side of the square block that one building has in a regular grid, m."""
+        """Side of the square block of one building in a regular grid, m."""
         return 1000 / math.sqrt(self.beta)
 
     @property
@@ -79,9 +79,9 @@ altitude platforms in built-up areas", IEEE Trans. Antennas Propag. 56 (2008), t
 
 
 def parameters(city: City) -> tuple[float, float, float]:
-    """Measure alpha, beta (buildings per km^2) and gamma (m) of a city; gamma is 0 of none.
+    """Measure alpha, beta (buildings per km^2) and gamma (m) of a city.
 
-    gamma is the estimate of greatest likelihood.
+    gamma is the maximum-likelihood estimate, 0 without buildings.
     """
     heights = city.heights
     density = len(heights) / (city.sides / 1000).prod()
@@ -90,24 +90,24 @@ def parameters(city: City) -> tuple[float, float, float]:
 
 
 def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[float, float]]:
-    """Compare what a city has with what was aimed at.
+    """Compare the statistics of a city with target statistics.
 
-    The scale of heights is the estimate of greatest likelihood. With a target there are two more
-    rows. The p-value is that of the Kolmogorov-Smirnov test of the heights against the target's
-    Rayleigh distribution. The width of streets is a median: one is as wide as twice the way from
-    its middle, halfway between two crossings, to the nearest wall, and at most two blocks.
+    The scale of heights is the maximum-likelihood estimate. With a target there are two more rows.
+    The p-value is that of the Kolmogorov-Smirnov test of the heights against the target's Rayleigh
+    distribution. The street width is a median: the width of a street is twice the distance from the
+    midpoint between two crossings to the nearest wall, at most two blocks.
 
     Args:
         city: The city.
-        target: Statistics that it was made for, if any.
+        target: Statistics that the city was generated for, if any.
 
     Returns:
-        By the name of each statistic, with its unit: what the city has, and what was aimed at
-        (NaN without a target).
+        Realised and target value (NaN without a target) by the name of each statistic, with its
+        unit.
     """
     heights = city.heights
     share, density, scale = parameters(city)
-    # The city alone: what its parameters are by estimate
+    # Estimates from the city
     found = {
         "built-up share": share,
         "buildings per km2": density,
@@ -118,18 +118,18 @@ def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[fl
     if target is None:
         return {name: (value, math.nan) for name, value in found.items()}
 
-    # Side of a block that holds one building, m; no street can be wider than two
+    # Side of a block with one building, m; no street is wider than two blocks
     block = math.sqrt(city.sides.prod() / len(heights))
-    # Halfway between crossings, where the walls are nearest
+    # Midpoints between crossings, where the walls are nearest
     middles = city.streets.nodes[city.streets.edges].mean(axis=1)
     widths = 2 * city.clearance(middles, block)
     found["width of streets, m"] = float(np.median(widths))
 
-    from scipy import stats  # which takes longer to import than everything else
+    from scipy import stats  # lazy: slow to import
 
     test = stats.kstest(heights, stats.rayleigh(scale=target.gamma).cdf)
     found["KS test of heights, p"] = float(test.pvalue)
-    # The same order as `found`; what the target does not tell is NaN
+    # Same order as `found`; NaN if the target does not define the value
     aims = [
         target.alpha,
         target.beta,

@@ -1,20 +1,20 @@
-"""Graphs of streets."""
+"""Street graphs of cities."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bulletuav.city.graphs import join
+from bulletuav.city.graphs import connect_components
 
 
 @dataclass(frozen=True, eq=False)
 class Streets:
-    """A connected graph of centre lines on which one can walk: every point of an edge is outdoors.
+    """Connected graph of street centre lines; every point of an edge is outdoors.
 
     Attributes:
         nodes: (S, 2) crossings, and ends at the city's edge, m.
-        edges: (E, 2) int, the nodes that a straight piece of street joins.
+        edges: (E, 2) int, nodes of each straight street segment.
     """
 
     nodes: np.ndarray
@@ -22,11 +22,11 @@ class Streets:
 
 
 def grid_streets(lines: Sequence[np.ndarray], sides: np.ndarray) -> Streets:
-    """Lay streets along x and along y, from edge to edge of a city.
+    """Build a grid of streets along x and y, from edge to edge of a city.
 
     Args:
-        lines: For x and for y the coordinates (K,) of the streets, m; ascending, in the city.
-        sides: (2,) lengths of the city's ground about the origin, m.
+        lines: Coordinates (K,) of the streets along x and along y, m; ascending, inside the city.
+        sides: (2,) lengths of the city's ground around the origin, m.
     """
     stops = [
         np.concatenate([[-side / 2], own, [side / 2]])
@@ -38,7 +38,7 @@ def grid_streets(lines: Sequence[np.ndarray], sides: np.ndarray) -> Streets:
 
 
 def _inside(points: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Tell which points (..., 2) lie within the city, not on its edge."""
+    """Return which points (..., 2) are inside the city, not on its edge."""
     within: np.ndarray = (np.abs(points) < sides / 2).all(axis=-1)
     return within
 
@@ -49,31 +49,31 @@ def free_streets(
     spacing: float = 15.0,
     margin: float = 1.0,
 ) -> Streets:
-    """Lay streets in a city whose plan tells none.
+    """Generate streets on the free ground of a city.
 
-    They are the greatest connected part of a lattice on free ground.
+    The streets are the largest connected component of a lattice on free ground.
 
     Args:
-        side: Of the city's square about the origin, m.
-        outdoors: `City.outdoors`, which takes points and a margin.
-        spacing: Length of the lattice's ways, m.
-        margin: Ways are nowhere nearer to a wall than half of this, m.
+        side: Side of the city's square around the origin, m.
+        outdoors: `City.outdoors`, a function of points and a margin.
+        spacing: Length of the lattice edges, m.
+        margin: Streets keep at least half of this distance from walls, m.
 
     Raises:
-        ValueError: There is no free ground.
+        ValueError: If there is no free ground.
     """
     count = int(side / spacing) + 1
     stops = spacing * (np.arange(count) - (count - 1) / 2)
     nodes, edges = _lattice(stops, stops)
     start, end = nodes[edges].swapaxes(0, 1)
-    # Points along each way that are at most `margin` apart
-    share = np.linspace(0, 1, int(spacing / margin) + 2)[:, None, None]
-    points = start + share * (end - start)
+    # Points along each edge that are at most `margin` apart
+    fraction = np.linspace(0, 1, int(spacing / margin) + 2)[:, None, None]
+    points = start + fraction * (end - start)
     free = outdoors(points, margin).all(axis=0)
     if not free.any():
         raise ValueError(
-            f"there is no room for streets between the buildings of a city of {side:g} m: "
-            f"give a greater side"
+            f"there is no space for streets between the buildings of a city of {side:g} m: "
+            f"increase side"
         )
     return _connected(nodes, edges[free])
 
@@ -90,11 +90,11 @@ def _lattice(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _connected(nodes: np.ndarray, edges: np.ndarray) -> Streets:
-    """Return the greatest connected part, without the nodes that are not in it."""
+    """Return the largest connected component, with its nodes only."""
     part = np.arange(len(nodes))
-    join(part, edges)
+    connect_components(part, edges)
     # Both ends of an edge are in the same part
-    greatest = np.bincount(part).argmax()
-    kept = edges[part[edges[:, 0]] == greatest]
+    largest = np.bincount(part).argmax()
+    kept = edges[part[edges[:, 0]] == largest]
     used, renumbered = np.unique(kept, return_inverse=True)
     return Streets(nodes[used], renumbered.reshape(kept.shape))

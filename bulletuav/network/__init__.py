@@ -1,1 +1,1 @@
-"""Radio, edge computing and the users on the ground: pure models, which know no task."""
+"""Radio links, edge computing and ground users: models that are independent of the tasks."""

@@ -1,4 +1,4 @@
-"""Multiple access: how users share the band of the drones that serve them, and their uplink rates.
+"""Multiple access: sharing of the band among users, and the resulting uplink rates.
 
 All drones use the same band.
 """
@@ -10,9 +10,9 @@ from bulletuav.network.link import capacity
 
 OFDMA, TDMA, SHARED = range(3)
 ACCESS = {"ofdma": OFDMA, "tdma": TDMA, "shared": SHARED}
-"""Codes of the schemes by name, see `uplink_rates`"""
-NOBODY = -1
-"""Index in place of a drone for users that no drone serves"""
+"""Codes of the access schemes by name, see `uplink_rates`"""
+NO_DRONE = -1
+"""Drone index of users that no drone serves"""
 
 
 @allocating
@@ -24,28 +24,30 @@ def uplink_rates(
     access: int,
     activity: float,
 ) -> np.ndarray:
-    """Compute the rates from users to the drones that serve them.
+    """Compute the uplink rates from users to their serving drones.
 
     P is the received power of a user, B the bandwidth, and "other" users are those of other drones.
 
-    - OFDMA: a drone with n users gives each 1/n of the band. Other users hop over the whole band,
-      so each part gets its share of their power: B/n log2(1 + n P / (noise + sum of other P)).
-    - TDMA: a drone with n users gives each all of the band 1/n of the time. Of every other drone
-      the user heard best sends meanwhile: B/n log2(1 + P / (noise + sum of these greatest P)).
-    - SHARED: everybody sends in all of the band: B log2(1 + P / (noise + sum of all other P)).
+    - OFDMA: a drone with n users assigns each 1/n of the band. Other users hop over the whole band,
+    so that each part receives its fraction of their power: B/n log2(1 + n P / (noise + sum of other
+    P)).
+    - TDMA: a drone with n users assigns each the whole band for 1/n of the time. The interference
+    from each other drone is that of its strongest user: B/n log2(1 + P / (noise + sum of these
+    maximum P)).
+    - SHARED: all users transmit in the whole band: B log2(1 + P / (noise + sum of all other P)).
 
-    So one more user of another drone never raises a rate.
+    An additional user of another drone therefore never increases a rate.
 
     Args:
-        power: Power (W, N, U) of each user as each drone receives it, W.
-        assignment: Drone (W, U) that serves each user, or `NOBODY`.
+        power: Received power (W, N, U) of each user at each drone, W.
+        assignment: Serving drone (W, U) of each user, or `NO_DRONE`.
         bandwidth: Bandwidth, Hz.
-        noise: Noise power in all of the band, W.
-        access: Scheme, one of `ACCESS`.
-        activity: Share of the time in which a user sends; scales the power of interference.
+        noise: Noise power in the whole band, W.
+        access: Access scheme, one of `ACCESS`.
+        activity: Fraction of the time in which a user transmits; scales the interference.
 
     Returns:
-        Rates (W, U), bit/s; 0 for users of `NOBODY`.
+        Rates (W, U), bit/s; 0 for users of `NO_DRONE`.
     """
     worlds, drones, users = power.shape
     rates = np.zeros((worlds, users))
@@ -55,18 +57,18 @@ def uplink_rates(
         # Count the users of each drone
         count[:] = 0.0
         for j in range(users):
-            if assignment[w, j] != NOBODY:
+            if assignment[w, j] != NO_DRONE:
                 count[assignment[w, j]] += 1.0
         for i in range(drones):
             if count[i] == 0.0:
                 continue
-            # Add up what the drone hears, and find the strongest user of every other drone
+            # Total received power, and strongest user of every other drone
             strongest[:] = 0.0
             total = 0.0
             others = 0.0
             for j in range(users):
                 server = assignment[w, j]
-                if server == NOBODY:
+                if server == NO_DRONE:
                     continue
                 total += power[w, i, j]
                 if server != i:
@@ -75,7 +77,7 @@ def uplink_rates(
             simultaneous = 0.0
             for k in range(drones):
                 simultaneous += strongest[k]
-            # Rates of the drone's own users against that interference
+            # Rates of the drone's own users
             for j in range(users):
                 if assignment[w, j] != i:
                     continue

@@ -1,6 +1,6 @@
-"""Tasks that users generate: Poisson arrivals, decision by decision.
+"""Generation of computing tasks by users: Poisson arrivals.
 
-Times are in s since the decision began, and a decision takes `dt` s.
+Times are in s since the start of the decision, and a decision takes `dt` s.
 """
 
 import itertools
@@ -18,9 +18,9 @@ class Tasks(NamedTuple):
     """Tasks of one decision, K in all of W worlds.
 
     Attributes:
-        first: Bounds (W + 1,): the tasks of world w are first[w] up to first[w + 1].
-        user: User (K,) who generated each task, 0 up to U - 1.
-        time: Time (K,) of its generation, s since the decision began; ascending in each world.
+        first: Offsets (W + 1,): the tasks of world w are first[w] to first[w + 1] - 1.
+        user: User (K,) that generated each task, 0 to U - 1.
+        time: Generation time (K,), s since the start of the decision; ascending in each world.
         bits: Size (K,) of each task, bit.
     """
 
@@ -31,38 +31,32 @@ class Tasks(NamedTuple):
 
 
 class Arrivals:
-    """Poisson arrivals of tasks, decision by decision, with uniform sizes.
+    """Poisson arrivals of tasks with uniformly distributed sizes.
 
-    The users' processes are merged: a task is a user's with the chance of its share of the rate.
+    The processes of the users are merged; a task is assigned to a user with probability
+    proportional to the user's arrival rate.
 
     Attributes:
-        cumulative: Cumulative rates (U,), which tell whose a task is, 1/s.
-        decision: Length of a decision, s, and least and greatest size of a task, bit.
+        cumulative: Cumulative arrival rates (U,) of the users, 1/s.
+        decision: Length of a decision, s, and minimum and maximum size of a task, bit.
     """
 
-    def __init__(
-        self,
-        rates: np.ndarray,
-        dt: float,
-        bits: tuple[float, float],
-    ) -> None:
-        """Set up the arrivals.
+    def __init__(self, rates: np.ndarray, dt: float, bits: tuple[float, float]) -> None:
+        """Validate and store the parameters.
 
         Args:
-            rates: Tasks (U,) that each user generates, 1/s.
+            rates: Arrival rates (U,) of the users, 1/s.
             dt: Length of a decision, s.
-            bits: Least and greatest size of a task, bit.
+            bits: Minimum and maximum size of a task, bit.
 
         Raises:
-            ValueError: A rate is below 0, dt is not above 0, or sizes are not above 0 in
-                ascending order.
+            ValueError: If a rate is negative, dt is not positive, or the sizes are not positive and
+                ascending.
         """
         rates = numbers_of("rates are", rates)
         low, high = (finite("bits", value) for value in as_sequence("bits", bits, 2))
         if not 0 < low <= high:
-            raise ValueError(
-                f"bits are {bits!r}: (low, high) above 0 in ascending order are needed"
-            )
+            raise ValueError(f"bits are {bits!r}: positive (low, high) with low <= high are needed")
         if not finite("dt", dt) > 0:
             raise ValueError(f"dt is {dt!r}: seconds above 0 are needed")
         if rates.ndim != 1 or not rates.size:
@@ -80,40 +74,40 @@ class Arrivals:
         rng: Sequence[np.random.Generator | None],
         flying: np.ndarray,
         first: np.ndarray,
-        room: np.ndarray,
+        buffer: np.ndarray,
     ) -> np.ndarray:
-        """Draw the numbers of which `spread` makes the tasks of one decision.
+        """Draw the random numbers of the tasks of one decision, see `make_tasks`.
 
         Args:
-            rng: Generator of each of the W worlds; None is possible where a world does not fly.
-            flying: Whether (W,) each world has tasks: an episode is under way. Every such world
-                draws from its own generator.
-            first: Bounds (W + 1,) of the worlds' tasks, written.
-            room: Array for the numbers, written.
+            rng: Generator of each of the W worlds; may be None for worlds that do not fly.
+            flying: Whether (W,) an episode of each world is running. Each such world draws from its
+                own generator.
+            first: Offsets (W + 1,) of the tasks of each world, written.
+            buffer: Buffer for the numbers, written.
 
         Returns:
-            The room, or a larger one where the numbers are more.
+            The buffer, or a larger one if there are more numbers.
         """
         counts, used = [0] * len(first), 0
         for w in flying.nonzero()[0].tolist():
             generator = rng[w]
-            assert generator is not None  # a world that flies was reset
+            assert generator is not None  # set by the reset of the world
             counts[w + 1] = count = generator.poisson(self._mean)
             if count:
-                # Three numbers a task, and one for the gap after the last
+                # Three numbers per task, and one for the interval after the last task
                 begin, used = used, used + 3 * count + 1
-                if used > len(room):
-                    room = np.concatenate([room[:begin], np.empty(2 * used - begin)])
-                room[begin:used] = generator.random(used - begin)
+                if used > len(buffer):
+                    buffer = np.concatenate([buffer[:begin], np.empty(2 * used - begin)])
+                buffer[begin:used] = generator.random(used - begin)
         first[:] = list(itertools.accumulate(counts))
-        return room
+        return buffer
 
 
 @func
 def _first_above(ascending: np.ndarray, value: float) -> int:
-    """Find the first of ascending numbers that is greater; as `np.searchsorted` from the right.
+    """Return the index of the first element above a value, as `np.searchsorted(side="right")`.
 
-    Stored machine code of that one imports SciPy where it is loaded.
+    Cached compiled code of `np.searchsorted` imports SciPy when it is loaded.
     """
     low, high = 0, len(ascending)
     while low < high:
@@ -126,7 +120,7 @@ def _first_above(ascending: np.ndarray, value: float) -> int:
 
 
 @allocating
-def spread(
+def make_tasks(
     first: np.ndarray,
     uniform: np.ndarray,
     cumulative: np.ndarray,
@@ -134,10 +128,13 @@ def spread(
     low: float,
     high: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Make user, time and bits (K,) of tasks from uniform numbers, 3 n + 1 of a world with n > 0.
+    """Compute user, time and bits (K,) of tasks from uniform numbers, 3 n + 1 per world with n > 0.
 
-    Times are sums of n + 1 exponential gaps, scaled to `dt`: n uniform times in ascending order
-    without sorting (L. Devroye, Non-uniform random variate generation, 1986, chapter V).
+    Times are cumulative sums of n + 1 exponential intervals, scaled to `dt`. They are distributed
+    as n sorted uniform times.
+
+    References:
+        L. Devroye, Non-uniform random variate generation (1986), chapter V.
     """
     user = np.empty(first[-1], dtype=np.int64)
     time = np.empty(first[-1])
@@ -149,7 +146,7 @@ def spread(
         if count == 0:
             continue
         passed = 0.0
-        # Gap, user and size of every task
+        # Interval, user and size of each task
         for k in range(count):
             passed -= log1p(-uniform[offset + k])
             time[begin + k] = passed
@@ -157,7 +154,7 @@ def spread(
             user[begin + k] = _first_above(cumulative, share)
             bits[begin + k] = low + (high - low) * uniform[offset + 2 * count + k]
         offset += 3 * count + 1
-        # The last gap lies between the last task and the end of the decision
+        # The last interval ends at the end of the decision
         passed -= log1p(-uniform[offset - 1])
         time[begin : begin + count] *= dt / passed
     return user, time, bits

@@ -1,4 +1,4 @@
-"""Dwell time: for how long a drone has had each user in sight without a break."""
+"""Dwell time: uninterrupted time for which a drone has had line of sight to each user."""
 
 import numpy as np
 
@@ -6,28 +6,23 @@ from bulletuav.compiled.kernel import kernel
 
 
 @kernel
-def watch(
-    dwell_time: np.ndarray,
-    mean: np.ndarray,
-    sight: np.ndarray,
-    alive: np.ndarray,
-    period: float,
+def update_dwell_time(
+    dwell_time: np.ndarray, mean: np.ndarray, sight: np.ndarray, alive: np.ndarray, period: float
 ) -> None:
-    """Bring dwell times and their means up to date after a decision, in place.
+    """Update dwell times and their means after a decision, in place.
 
-    A dwell time grows by the length of the decision while the user is in sight. It falls back to 0
-    when the user is out of sight, or when the drone is no longer alive.
+    A dwell time grows by the length of the decision while the user is in line of sight. It is reset
+    to 0 when the line of sight is lost, or when the drone is not alive.
 
     Args:
-        dwell_time: Dwell time (W, N, U) of each user at each drone, s; changed.
-        mean: Mean (W, N) of it over users, s; overwritten.
-        sight: Whether (W, N, U) each drone has a line of sight to each user now.
+        dwell_time: Dwell time (W, N, U) of each user at each drone, s; modified.
+        mean: Mean dwell time (W, N) over users, s; overwritten.
+        sight: Whether (W, N, U) each drone has line of sight to each user.
         alive: Whether (W, N) each drone is alive.
         period: Length of a decision, s.
     """
     for w in range(sight.shape[0]):
         for i in range(sight.shape[1]):
-            # Any break starts the count again
             total = 0.0
             for j in range(sight.shape[2]):
                 if alive[w, i] and sight[w, i, j]:

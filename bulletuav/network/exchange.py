@@ -1,6 +1,7 @@
-"""What becomes of the tasks of one decision, in two compiled calls over arrays that stay.
+"""Processing of the tasks of one decision, in two compiled calls on preallocated arrays.
 
-The parts are those of `uplink`, `assignment`, `access`, `arrivals`, `server` and `service_stats`.
+The components are those of `uplink`, `assignment`, `access`, `arrivals`, `server` and
+`service_stats`.
 """
 
 from typing import NamedTuple
@@ -9,20 +10,20 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating
 from bulletuav.network.access import uplink_rates
-from bulletuav.network.arrivals import Tasks, spread
-from bulletuav.network.assignment import assign
-from bulletuav.network.server import serve, serve_on_average
-from bulletuav.network.service_stats import ServiceStats, count
+from bulletuav.network.arrivals import Tasks, make_tasks
+from bulletuav.network.assignment import assign_users
+from bulletuav.network.server import serve_steady_state, serve_tasks
+from bulletuav.network.service_stats import ServiceStats, update_service_stats
 
 
 class Strategy(NamedTuple):
-    """Numbers by which users find their drones.
+    """Parameters of user association.
 
     Attributes:
         code: One of `bulletuav.network.assignment.STRATEGIES`.
         capacity: Computing capacity of a drone, cycles/s.
         demand: Demand of a task, cycles.
-        distance_weight: Weight of distance in `dtlcm_score`.
+        distance_weight: Weight of the distance in `dtlcm_score`.
     """
 
     code: int
@@ -32,7 +33,7 @@ class Strategy(NamedTuple):
 
 
 class Band(NamedTuple):
-    """Numbers of the band that users share; see `bulletuav.network.access.uplink_rates`."""
+    """Parameters of the shared band; see `bulletuav.network.access.uplink_rates`."""
 
     bandwidth: float
     noise: float
@@ -40,15 +41,15 @@ class Band(NamedTuple):
     activity: float
 
 
-class Drawn(NamedTuple):
-    """What tasks are made of; see `bulletuav.network.arrivals.spread`.
+class TaskNumbers(NamedTuple):
+    """Random numbers of the tasks; see `bulletuav.network.arrivals.make_tasks`.
 
     Attributes:
-        first: Bounds (W + 1,) of the worlds' tasks.
-        uniform: Random numbers; those behind the last task's do not count.
-        cumulative: Cumulative rates (U,) of users, 1/s.
-        low: Least size of a task, bit.
-        high: Greatest size, bit.
+        first: Offsets (W + 1,) of the tasks of each world.
+        uniform: Uniform random numbers; numbers after those of the last task are unused.
+        cumulative: Cumulative arrival rates (U,) of the users, 1/s.
+        low: Minimum size of a task, bit.
+        high: Maximum size of a task, bit.
     """
 
     first: np.ndarray
@@ -59,18 +60,18 @@ class Drawn(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """Numbers of the servers.
+    """Parameters of the edge servers.
 
     Attributes:
-        on_average: Whether tasks wait for as long as on average; see `serve_on_average`.
-        cycles_per_bit: Cycles that a bit takes to compute.
+        on_average: Whether waits are those of the steady-state queue; see `serve_steady_state`.
+        cycles_per_bit: Cycles per bit of a task.
         core_frequency: Frequency of a core, cycles/s.
-        cores: Cores of each drone.
-        arrival_rate: Tasks of each user, 1/s.
-        service_rate: Tasks that each core completes, 1/s.
-        deadline: Time from generation within which a task must complete, s.
+        cores: Number of cores of each drone.
+        arrival_rate: Arrival rate of each user, 1/s.
+        service_rate: Service rate of each core, 1/s.
+        deadline: Time from generation within which a task must be completed, s.
         dt: Length of the decision, s.
-        duration: Of an episode, s.
+        duration: Duration of an episode, s.
     """
 
     on_average: bool
@@ -85,7 +86,7 @@ class Queue(NamedTuple):
 
 
 @allocating
-def connect(
+def associate_users(
     strategy: Strategy,
     band: Band,
     position: np.ndarray,
@@ -97,18 +98,18 @@ def connect(
     serves: np.ndarray,
     rates: np.ndarray,
 ) -> None:
-    """Find who serves whom at which rate.
+    """Compute user association and uplink rates.
 
     Args:
-        strategy: How users find drones.
-        band: What they share.
+        strategy: Parameters of user association.
+        band: Parameters of the shared band.
         position: Positions (W, N, 3) of drones, m.
-        alive: Drones (W, N) that can serve, bool.
+        alive: Drones (W, N) that can serve users, bool.
         users: Positions (W, U, 3) of users, m.
-        power: Power (W, N, U) that drones receive from users, W.
-        utilisation: Share (W, N) of their time in which cores worked.
-        servers: Written: drone (W, U) of each user, or `NOBODY`.
-        serves: Written: 1 (W, N, U) where the drone serves the user, else 0.
+        power: Received power (W, N, U) of users at drones, W.
+        utilisation: Utilisation (W, N) of the cores, 0 to 1.
+        servers: Written: serving drone (W, U) of each user, or `NO_DRONE`.
+        serves: Written: 1 (W, N, U) if the drone serves the user, else 0.
         rates: Written: uplink rate (W, U) of each user, bit/s.
     """
     load = np.empty(utilisation.shape)
@@ -116,7 +117,7 @@ def connect(
         for i in range(utilisation.shape[1]):
             load[w, i] = utilisation[w, i] * strategy.capacity
     code, capacity, demand, weight = strategy
-    chosen = assign(code, position, alive, users, power, capacity, demand, load, weight)
+    chosen = assign_users(code, position, alive, users, power, capacity, demand, load, weight)
     bandwidth, noise, access, activity = band
     found = uplink_rates(power, chosen, bandwidth, noise, access, activity)
     for w in range(servers.shape[0]):
@@ -127,8 +128,8 @@ def connect(
 
 
 @allocating
-def work(
-    drawn: Drawn,
+def process_tasks(
+    drawn: TaskNumbers,
     queue: Queue,
     servers: np.ndarray,
     rates: np.ndarray,
@@ -137,33 +138,33 @@ def work(
     time: np.ndarray,
     stats: ServiceStats,
 ) -> None:
-    """Compute the tasks of a decision, and enter what became of them into the statistics.
+    """Process the tasks of a decision, and update the statistics.
 
     Args:
-        drawn: What they are made of.
-        queue: Numbers of the servers.
-        servers: Drone (W, U) of each user, or `NOBODY`.
+        drawn: Random numbers of the tasks.
+        queue: Parameters of the edge servers.
+        servers: Serving drone (W, U) of each user, or `NO_DRONE`.
         rates: Uplink rate (W, U) of each user, bit/s.
-        link_free: Time (W, U) for which uplinks are still taken, s; changed unless on average.
-        core_free: The same (W, N, C) of cores.
-        time: Time (W,) since each world's reset, s.
-        stats: Statistics of the episode; changed.
+        link_free: Time (W, U) until which uplinks are busy, s; modified unless `on_average`.
+        core_free: Time (W, N, C) until which cores are busy, s; modified unless `on_average`.
+        time: Time (W,) since the reset of each world, s.
+        stats: Statistics of the episode; modified.
     """
-    user, begin, bits = spread(
+    user, begin, bits = make_tasks(
         drawn.first, drawn.uniform, drawn.cumulative, queue.dt, drawn.low, drawn.high
     )
     tasks = Tasks(drawn.first, user, begin, bits)
     cycles, deadline, dt = queue.cycles_per_bit, queue.deadline, queue.dt
     if queue.on_average:
         steady = (queue.cores, queue.arrival_rate, queue.service_rate, deadline, dt)
-        served = serve_on_average(tasks, servers, rates, core_free.shape[1], cycles, *steady)
+        served = serve_steady_state(tasks, servers, rates, core_free.shape[1], cycles, *steady)
     else:
         limits = (queue.core_frequency, deadline, dt)
-        served = serve(tasks, servers, rates, cycles, *limits, link_free, core_free)
-    # Tasks that are yet to come, as many as on average
+        served = serve_tasks(tasks, servers, rates, cycles, *limits, link_free, core_free)
+    # Expected number of tasks in the rest of the episode
     expected = np.empty(time.shape)
     for w in range(time.shape[0]):
         left = max(queue.duration - time[w], 0.0)
         expected[w] = queue.arrival_rate * servers.shape[1] * left
     full_rate = queue.cores * queue.service_rate
-    count(served, stats, expected, deadline, queue.cores * dt, full_rate)
+    update_service_stats(served, stats, expected, deadline, queue.cores * dt, full_rate)

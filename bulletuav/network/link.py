@@ -1,6 +1,6 @@
-"""Basic quantities of a radio link: decibels, thermal noise and capacity.
+"""Basic quantities of a link budget: decibels, thermal noise and channel capacity.
 
-All functions take numbers, or arrays that broadcast; kernels call them too.
+All functions accept numbers or arrays that broadcast, and can be called from kernels.
 """
 
 import math
@@ -19,21 +19,21 @@ TEMPERATURE = 290.0
 
 @elementwise
 def decibel(power_ratio: float) -> float:
-    """Return a ratio of powers in dB; -inf for 0."""
-    # The logarithm of 0 would warn
+    """Convert a power ratio to dB; -inf for 0."""
+    # The logarithm of 0 would raise a warning
     return 10.0 * log10(power_ratio) if power_ratio != 0.0 else -math.inf
 
 
 @elementwise
 def ratio(level: float) -> float:
-    """Return the ratio of powers that a level in dB stands for; 0 for -inf."""
+    """Convert a level in dB to a power ratio; 0 for -inf."""
     power_ratio: float = power(10.0, 0.1 * level)
     return power_ratio
 
 
 @elementwise
 def noise_power(bandwidth: float, noise_figure: float) -> float:
-    """Return the thermal noise of a receiver at 290 K, W: k T B F (H. Nyquist, 1928).
+    """Return the thermal noise power k T B F of a receiver at 290 K, W (H. Nyquist, 1928).
 
     Args:
         bandwidth: Bandwidth B, Hz.
@@ -49,10 +49,10 @@ def capacity(bandwidth: float, sinr: float) -> float: ...
 def capacity(bandwidth: float, sinr: np.ndarray) -> np.ndarray: ...
 @elementwise
 def capacity(bandwidth: float, sinr: float | np.ndarray) -> float | np.ndarray:
-    """Return the most that a link can carry, bit/s: B log2(1 + SINR) (C. E. Shannon, 1948).
+    """Return the Shannon capacity B log2(1 + SINR) of a link, bit/s (C. E. Shannon, 1948).
 
     Args:
         bandwidth: Bandwidth B, Hz.
-        sinr: Signal power over that of interference and noise, not in dB.
+        sinr: Signal to interference plus noise ratio, linear.
     """
     return bandwidth * log1p(sinr) / log(2.0)

@@ -1,11 +1,11 @@
-"""Path loss models between a drone and a user on the ground, by name, and what each is meant for.
+"""Path loss models between drones and ground users, by name, and their ranges of validity.
 
-`PATHLOSS_MODELS` are all called alike: with the distance over ground, the heights of drone and
-user, and the frequency. Frequencies are in GHz, lengths in m, losses in dB. Their formulas are in
-`propagation`, `tr38901` and `tr36777`.
+All `PATHLOSS_MODELS` have the same signature: horizontal distance, heights of drone and user, and
+frequency. Frequencies are in GHz, lengths in m, losses in dB. Formulas are in `propagation`,
+`tr38901` and `tr36777`.
 
-No standard has drones for base stations. TR 38.901 is taken with the drone as the base and the
-user as the terminal. TR 36.777 is taken with the drone as the terminal and the user as the base.
+No standard covers drones as base stations. TR 38.901 is used with the drone as the base station and
+the user as the terminal, TR 36.777 with the drone as the terminal and the user as the base station.
 """
 
 import math
@@ -30,25 +30,19 @@ from bulletuav.network.tr38901 import uma_los, uma_nlos, umi_los, umi_nlos
 
 @elementwise
 def log_distance_los(
-    ground_distance: float,
-    drone_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, user_height: float, frequency: float
 ) -> float:
-    """Return the path loss of `log_distance` with line of sight, dB: that of free space."""
+    """Return the path loss of `log_distance` with line of sight, dB: free space."""
     return free_space(antenna_distance(ground_distance, drone_height, user_height), frequency)
 
 
 @elementwise
 def log_distance_nlos(
-    ground_distance: float,
-    drone_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of `log_distance` without line of sight, dB.
 
-    The exponent is 3.19, that of the close-in law in TR 38.901.
+    The exponent is 3.19, as in the close-in model of TR 38.901.
     """
     distance = antenna_distance(ground_distance, drone_height, user_height)
     return log_distance(distance, frequency, NLOS_EXPONENT)
@@ -59,26 +53,27 @@ class Shadowing(NamedTuple):
 
     Attributes:
         low: Standard deviation for drones up to 22.5 m, dB.
-        high: Standard deviation above, before it decays with the height h as exp(-`decay` h), dB.
-        decay: Rate of that decay, 1/m.
-        least: Lowest standard deviation above 22.5 m, dB.
+        high: Standard deviation above 22.5 m before the decay exp(-`decay` h) with the height h,
+            dB.
+        decay: Decay rate, 1/m.
+        minimum: Minimum standard deviation above 22.5 m, dB.
     """
 
     low: float
     high: float
     decay: float = 0.0
-    least: float = 0.0
+    minimum: float = 0.0
 
 
 class Validity(NamedTuple):
-    """Ranges that a standard makes a model for; one of no width where the standard has its base.
+    """Ranges of validity; a range of zero width is the base station height of the standard.
 
     Attributes:
         source: Name of the standard, for messages.
-        frequency: Lowest and highest carrier frequency, GHz.
-        distance: Least and greatest distance over ground, m.
-        drone: Least and greatest height of the drone, m.
-        user: Least and greatest height of the user, m.
+        frequency: Minimum and maximum carrier frequency, GHz.
+        distance: Minimum and maximum horizontal distance, m.
+        drone: Minimum and maximum height of the drone, m.
+        user: Minimum and maximum height of the user, m.
     """
 
     source: str
@@ -88,7 +83,7 @@ class Validity(NamedTuple):
     user: tuple[float, float] = (0.0, math.inf)
 
 
-# From VLF to the end of radio (ITU Radio Regulations, 1.5)
+# From VLF to the upper limit of radio waves (ITU Radio Regulations, 1.5)
 RADIO = Validity("log-distance", frequency=(3e-6, 3000.0))
 UMI = Validity(
     "TR 38.901 UMi",
@@ -104,7 +99,7 @@ UMA = Validity(
     drone=(25.0, 25.0),
     user=(1.5, 22.5),
 )
-# TR 36.777 leaves the frequency open: its subject is LTE, so below 6 GHz (our choice)
+# TR 36.777 sets no frequency range; 6 GHz is the limit of LTE (our choice)
 UMI_AV = Validity(
     "TR 36.777 UMi-AV",
     frequency=(0.5, 6.0),
@@ -121,19 +116,20 @@ UMA_AV = Validity(
 )
 
 PathLoss = Callable[[float, float, float, float], float]
-"""Loss (dB) by distance over ground (m), height of drone, height of user (m), frequency (GHz)"""
+"""Loss (dB) as a function of horizontal distance (m), drone height, user height (m), frequency
+(GHz)"""
 
 
 @dataclass(frozen=True)
 class PathLossModel:
-    """A path loss model: its losses, how they scatter, and what it is meant for.
+    """Path loss model with its shadowing and range of validity.
 
     Attributes:
         los: Path loss with line of sight.
         nlos: Path loss without line of sight.
-        shadowing_los: Scatter about `los`.
-        shadowing_nlos: Scatter about `nlos`.
-        validity: Ranges that the standard makes the model for, see `check_validity`.
+        shadowing_los: Shadowing with line of sight.
+        shadowing_nlos: Shadowing without line of sight.
+        validity: Ranges of validity by the standard, see `check_validity`.
     """
 
     los: PathLoss
@@ -168,7 +164,7 @@ PATHLOSS_MODELS = {
     "umi_av": PathLossModel(
         los=umi_av_los,
         nlos=umi_av_nlos,
-        shadowing_los=Shadowing(low=4.0, high=5.0, decay=0.01, least=2.0),
+        shadowing_los=Shadowing(low=4.0, high=5.0, decay=0.01, minimum=2.0),
         shadowing_nlos=Shadowing(low=7.82, high=8.0),
         validity=UMI_AV,
     ),
@@ -183,22 +179,18 @@ PATHLOSS_MODELS = {
 """Path loss models by name, all with the same arguments"""
 
 Values = float | np.ndarray | None
-"""A number, an array of numbers, or None where there is nothing to check"""
+"""Number, array of numbers, or None if there is nothing to check"""
 
 
 def check_validity(
-    name: str,
-    frequency: Values,
-    distance: Values = None,
-    drone: Values = None,
-    user: Values = None,
+    name: str, frequency: Values, distance: Values = None, drone: Values = None, user: Values = None
 ) -> PathLossModel:
-    """Return the path loss model of a name, if it is meant for these values.
+    """Return a path loss model by name, and check its range of validity.
 
     Args:
         name: One of `PATHLOSS_MODELS`.
         frequency: Carrier frequencies, GHz.
-        distance: Distances over ground, m.
+        distance: Horizontal distances, m.
         drone: Heights of drones, m.
         user: Heights of users, m.
 
@@ -206,11 +198,11 @@ def check_validity(
         The model.
 
     Raises:
-        ValueError: There is no such model, or a value is outside of the range of the standard.
+        ValueError: If there is no such model, or a value is outside the range of the standard.
 
     Warns:
-        UserWarning: A drone or user stands for the base of the standard at another height. Drones
-            do so for TR 38.901, users for TR 36.777.
+        UserWarning: If the drone (TR 38.901) or user (TR 36.777) that takes the role of the base
+        station has another height than the base station of the standard.
     """
     model: PathLossModel = find_choice("path loss model", name, PATHLOSS_MODELS)
     given = {"frequency": frequency, "distance": distance, "drone": drone, "user": user}
@@ -218,21 +210,21 @@ def check_validity(
         if value is None:
             continue
         low, high = getattr(model.validity, quantity)
-        # Finite values in range are fine; comparisons with NaN are false
+        # Comparisons with NaN are false
         values = numbers_of(f"{quantity} is", value)
         if ((values >= low) & (values <= high) & (values < math.inf)).all():
             continue
-        # A range of no width is the height of the base: another one only deserves a warning
+        # A range of zero width is the base station height: deviations cause a warning only
         source = model.validity.source
         if low == high and np.isfinite(values).all():
             message = (
-                f"{quantity} is {value!r}: it stands for the base, which {source} has at {low:g} m"
+                f"{quantity} is {value!r}: it acts as the base station, at {low:g} m in {source}"
             )
             warnings.warn(message, stacklevel=2)
             continue
         unit = "GHz" if quantity == "frequency" else "m"
         raise ValueError(
-            f"{quantity} is {value!r}: {source} is for {low:g} to {high:g} {unit}; "
-            f"take another of {list(PATHLOSS_MODELS)}"
+            f"{quantity} is {value!r}: {source} is valid for {low:g} to {high:g} {unit}; "
+            f"choose another of {list(PATHLOSS_MODELS)}"
         )
     return model

@@ -1,7 +1,7 @@
-"""Basic laws of path loss between two antennas, in dB.
+"""Basic path loss models between two antennas, in dB.
 
-Frequencies are in GHz and lengths in m. Antennas closer than 1 m count as 1 m apart, so that all
-losses are finite. The functions take numbers, or arrays that broadcast; kernels call them too.
+Frequencies are in GHz and lengths in m. Distances below 1 m count as 1 m, so that all losses are
+finite. The functions accept numbers or arrays that broadcast, and can be called from kernels.
 """
 
 import math
@@ -12,31 +12,27 @@ from bulletuav.compiled.kernel import elementwise, func
 SPEED_OF_LIGHT = 299792458.0
 """Speed of light in vacuum, m/s"""
 NLOS_EXPONENT = 3.19
-"""Path loss exponent without line of sight, of the close-in law `tr38901.umi_close_in_nlos`"""
+"""Path loss exponent without line of sight of the close-in model `tr38901.umi_close_in_nlos`"""
 EXPONENTS = {"urbanmarl": 3.5, "umi_ci": NLOS_EXPONENT}
-"""Exponents of `log_distance` without line of sight: of UrbanMARL 0.3.1, and of TR 38.901"""
+"""Exponents of `log_distance` without line of sight: UrbanMARL 0.3.1 and TR 38.901"""
 EXCESS = {
     "suburban": (0.1, 21.0),
     "urban": (1.0, 20.0),
     "dense": (1.6, 23.0),
     "high_rise": (2.3, 34.0),
 }
-"""Mean loss beyond free space (dB) with and without line of sight, for `mean_path_loss`.
+"""Mean excess loss (dB) with and without line of sight, for `mean_path_loss`.
 
-The customary values for 2 GHz: I. Bor-Yaliniz, A. El-Keyi, H. Yanikomeroglu, IEEE ICC 2016.
+Common values for 2 GHz: I. Bor-Yaliniz, A. El-Keyi, H. Yanikomeroglu, IEEE ICC 2016.
 """
 
 
 @func
-def antenna_distance(
-    ground_distance: float,
-    height: float,
-    other_height: float,
-) -> float:
+def antenna_distance(ground_distance: float, height: float, other_height: float) -> float:
     """Return the distance between two antennas, m, at least 1 m.
 
     Args:
-        ground_distance: Horizontal distance between them, m.
+        ground_distance: Horizontal distance, m.
         height: Height of one antenna, m.
         other_height: Height of the other antenna, m.
     """
@@ -48,51 +44,44 @@ def free_space(distance: float, frequency: float) -> float:
     """Return the free-space path loss, dB: 20 log10(4 pi d f / c) (H. T. Friis, 1946).
 
     Args:
-        distance: Distance d between the antennas, m; counts as 1 m where it is less.
+        distance: Distance d between the antennas, m; values below 1 m count as 1 m.
         frequency: Carrier frequency f, GHz.
     """
     return 20.0 * log10(4e9 * math.pi * max(distance, 1.0) * frequency / SPEED_OF_LIGHT)
 
 
 @elementwise
-def log_distance(
-    distance: float,
-    frequency: float,
-    exponent: float,
-) -> float:
-    """Return a path loss that grows with a power of the distance, dB.
+def log_distance(distance: float, frequency: float, exponent: float) -> float:
+    """Return the path loss of the log-distance model, dB.
 
     It is the free-space loss at 1 m, plus 10 n log10(d).
 
     Args:
-        distance: Distance d between the antennas, m; counts as 1 m where it is less.
+        distance: Distance d between the antennas, m; values below 1 m count as 1 m.
         frequency: Carrier frequency, GHz.
-        exponent: Path loss exponent n; 2 gives free space. See `EXPONENTS`.
+        exponent: Path loss exponent n; 2 is free space. See `EXPONENTS`.
     """
-    # Free space up to 1 m
     reference = free_space(1.0, frequency)
     return reference + 10.0 * exponent * log10(max(distance, 1.0))
 
 
 @elementwise
 def mean_path_loss(
-    distance: float,
-    frequency: float,
-    los_probability: float,
-    excess_los: float,
-    excess_nlos: float,
+    distance: float, frequency: float, los_probability: float, excess_los: float, excess_nlos: float
 ) -> float:
-    """Return the path loss in the mean over places with and without line of sight, dB.
+    """Return the mean path loss over line-of-sight conditions, dB.
 
-    It is the free-space loss plus the mean excess loss: A. Al-Hourani, S. Kandeepan, S. Lardner,
-    IEEE Wireless Communications Letters 3 (2014).
+    It is the free-space loss plus the mean excess loss.
 
     Args:
         distance: Distance between the antennas, m.
         frequency: Carrier frequency, GHz.
-        los_probability: Probability of a line of sight, see `bulletuav.city.sight_probability`.
-        excess_los: Loss beyond free space with line of sight, dB, see `EXCESS`.
-        excess_nlos: Loss beyond free space without line of sight, dB, see `EXCESS`.
+        los_probability: Probability of line of sight, see `bulletuav.city.sight_probability`.
+        excess_los: Excess loss with line of sight, dB, see `EXCESS`.
+        excess_nlos: Excess loss without line of sight, dB, see `EXCESS`.
+
+    References:
+        A. Al-Hourani, S. Kandeepan, S. Lardner, IEEE Wireless Communications Letters 3 (2014).
     """
     excess_in_sight = los_probability * excess_los
     excess_out_of_sight = (1.0 - los_probability) * excess_nlos

@@ -1,8 +1,8 @@
-"""Edge servers on drones: tasks of users, their uploads, and the queues of several cores.
+"""Edge servers on drones: uploads of tasks, and multi-core queues.
 
-Tasks, see `arrivals`, are simulated one by one. Unlike the formulas of `queueing`, this needs
-neither a steady state nor exponential sizes. Times are in s since the decision began, and a
-decision takes `dt` s.
+Tasks, see `arrivals`, are simulated individually. Unlike the formulas of `queueing`, the simulation
+requires neither a steady state nor exponential sizes. Times are in s since the start of the
+decision, and a decision takes `dt` s.
 """
 
 from typing import NamedTuple
@@ -15,19 +15,19 @@ from bulletuav.network.queueing import mean_response
 
 
 class Served(NamedTuple):
-    """What became of the tasks of one decision.
+    """Results of the tasks of one decision.
 
-    Whether and when a task completes is settled when it is generated.
+    Completion and completion time of a task are determined when the task is generated.
 
     Attributes:
         generated: Number (W,) of tasks.
         arrived: Number (W, N) of tasks from users assigned to each drone.
-        completed: Number (W, N) of these that complete within the deadline.
-        latency: Sum (W, N) over the tasks that arrived of the time from generation to completion,
-            s. A lost task counts as the deadline, and as nothing where that is inf.
-        busy: Time (W, N) in which cores worked in this decision, core-seconds.
-        backlog: Work (W, N) left at the end of the decision, s per core, mean over the cores.
-        cycles: Cycles (W, N) of the tasks completed.
+        completed: Number (W, N) of these tasks that complete within the deadline.
+        latency: Sum (W, N) of the latencies from generation to completion, s, over the arrived
+            tasks. A lost task contributes the deadline, or 0 if the deadline is inf.
+        busy: Busy time (W, N) of the cores in this decision, core-seconds.
+        backlog: Remaining work (W, N) at the end of the decision, s per core, mean over the cores.
+        cycles: Cycles (W, N) of the completed tasks.
     """
 
     generated: np.ndarray
@@ -40,12 +40,12 @@ class Served(NamedTuple):
 
 
 class _Server(NamedTuple):
-    """Numbers that the servers of all drones share in a decision.
+    """Parameters that the servers of all drones share in a decision.
 
     Attributes:
-        cycles_per_bit: Cycles that a bit takes to compute.
+        cycles_per_bit: Cycles per bit of a task.
         core_frequency: Frequency of a core, cycles/s.
-        deadline: Time from generation within which a task must complete, s; may be inf.
+        deadline: Time from generation within which a task must be completed, s; may be inf.
         dt: Length of the decision, s.
     """
 
@@ -56,7 +56,7 @@ class _Server(NamedTuple):
 
 
 @allocating
-def serve(
+def serve_tasks(
     tasks: Tasks,
     assignment: np.ndarray,
     uplink: np.ndarray,
@@ -69,65 +69,61 @@ def serve(
 ) -> Served:
     """Simulate the uploads and queues of one decision.
 
-    A user sends its tasks one after the other in the order of their generation, at the rate of
-    this decision. A drone serves them in the order of their arrival, each by the core that is free
-    first.
+    A user uploads its tasks sequentially in the order of generation, at the rate of this decision.
+    A drone serves tasks first come, first served, each on the core that becomes idle first.
 
-    A task that would complete later than the deadline is lost, at no cost. A user does not begin an
-    upload after which not even an idle core would be in time, and a server turns such a task away.
-    Tasks of users without a drone or with rate 0 are lost at once and leave the link as it is.
+    A task that would miss its deadline is lost, at no cost: a user does not start an upload that
+    even an idle core could not complete in time, and a server rejects such a task. Tasks of users
+    without a drone or with rate 0 are lost immediately and do not occupy the link.
 
-    Tasks whose upload crosses the end of the decision are in line before all of the next. A core
-    that will idle until they come does not keep that time for them. Only work is carried over, so
-    that no core's time is lost or counted twice.
+    Tasks whose upload crosses the end of the decision are queued before all tasks of the next
+    decision. A core that idles until their arrival is not reserved for them. Only remaining work is
+    carried over, so that no core time is lost or counted twice.
 
     Args:
         tasks: Tasks of the decision.
-        assignment: Drone (W, U) of each user, -1 for none.
+        assignment: Serving drone (W, U) of each user, -1 for none.
         uplink: Uplink rate (W, U) of each user, bit/s.
-        cycles_per_bit: Cycles that a bit takes to compute.
+        cycles_per_bit: Cycles per bit of a task.
         core_frequency: Frequency of a core, cycles/s.
-        deadline: Time from generation within which a task must complete, s; may be inf.
+        deadline: Time from generation within which a task must be completed, s; may be inf.
         dt: Length of the decision, s.
-        link_free: Time (W, U) for which uplinks are still taken when the decision begins, s;
-            changed. Give zeros first.
-        core_free: Time (W, N, C) for which cores are still taken when the decision begins, s;
-            changed. Give zeros first.
+        link_free: Time (W, U) until which uplinks are busy, relative to the start of the decision,
+            s; modified. Initially zeros.
+        core_free: Time (W, N, C) until which cores are busy, relative to the start of the decision,
+            s; modified. Initially zeros.
 
     Returns:
-        What became of the tasks.
+        Results of the tasks.
     """
     worlds, drones, cores = core_free.shape
     served = _new_served(tasks, drones)
     server = _Server(cycles_per_bit, core_frequency, deadline, dt)
-    # Buffers of one world: uploaded tasks, when they arrive, and work left of each core
-    most = 0
+    # Buffers of one world: uploaded tasks, their arrival times, and remaining work of each core
+    size = 0
     for w in range(worlds):
-        most = max(most, served.generated[w])
-    order = np.empty(most, dtype=np.int64)
-    arrival = np.empty(most)
+        size = max(size, served.generated[w])
+    order = np.empty(size, dtype=np.int64)
+    arrival = np.empty(size)
     remaining = np.empty((drones, cores))
     for w in range(worlds):
         link, core, taken = link_free[w], core_free[w], assignment[w]
-        _go_on(core, dt, served.busy[w], remaining)
+        _continue_work(core, dt, served.busy[w], remaining)
         arrived = served.arrived[w]
         count = _upload(tasks, w, taken, uplink[w], server, link, arrived, order, arrival)
         for k in range(count):
             task = order[k]
             i = taken[tasks.user[task]]
-            _compute(tasks, task, arrival[k], server, core[i], remaining[i], served, w, i)
+            _run_task(tasks, task, arrival[k], server, core[i], remaining[i], served, w, i)
         _carry_over(server, core, link, remaining, served, w)
     return served
 
 
 @func
-def _go_on(
-    core_free: np.ndarray,
-    dt: float,
-    busy: np.ndarray,
-    remaining: np.ndarray,
+def _continue_work(
+    core_free: np.ndarray, dt: float, busy: np.ndarray, remaining: np.ndarray
 ) -> None:
-    """Let the cores (N, C) of one world go on with the work of earlier decisions."""
+    """Continue the work of earlier decisions on the cores (N, C) of one world."""
     for i in range(core_free.shape[0]):
         for j in range(core_free.shape[1]):
             busy[i] += min(core_free[i, j], dt)
@@ -135,7 +131,7 @@ def _go_on(
 
 
 @func
-def _compute(
+def _run_task(
     tasks: Tasks,
     task: int,
     arrival: float,
@@ -146,27 +142,27 @@ def _compute(
     w: int,
     i: int,
 ) -> None:
-    """Give a task that arrived to a core of drone i of world w, unless it would be late.
+    """Run an arrived task on a core of drone i in world w, unless it would miss its deadline.
 
     Args:
         tasks: Tasks of the decision.
         task: Index of the task.
-        arrival: When it arrives, s.
-        server: Numbers of every drone's server.
-        core_free: Time (C,) until which each core of the drone is taken, s; changed.
-        remaining: Work (C,) that each leaves for the next decision, s; changed.
-        served: What became of tasks; changed.
+        arrival: Arrival time, s.
+        server: Parameters of the servers.
+        core_free: Time (C,) until which each core of the drone is busy, s; modified.
+        remaining: Work (C,) that each core carries over to the next decision, s; modified.
+        served: Results of the tasks; modified.
         w: Index of the world.
         i: Index of the drone.
     """
     work = tasks.bits[task] * server.cycles_per_bit
-    # The core that is free first takes the task, unless it would be late
+    # The task runs on the core that becomes idle first
     j = _first_free(core_free)
     start = max(arrival, core_free[j])
     finish = start + work / server.core_frequency
     if finish > tasks.time[task] + server.deadline:
         return
-    # Its time in this decision, and what is left for the next
+    # Busy time in this decision, and work for the next decision
     busy_until = min(finish, server.dt)
     left_from = max(start, server.dt)
     served.busy[w, i] += max(busy_until - start, 0.0)
@@ -186,26 +182,24 @@ def _carry_over(
     served: Served,
     w: int,
 ) -> None:
-    """Count the tasks that world w lost, and leave only work (N, C) to its next decision."""
+    """Count the lost tasks of world w, and carry its remaining work (N, C) over."""
     drones, cores = core_free.shape
-    # A lost task waited until its deadline; without one nothing is lost
+    # A lost task contributes its deadline; without a deadline no task is lost
     lost_latency = server.deadline if server.deadline < np.inf else 0.0
     for i in range(drones):
-        # Arrived and not completed in this decision
         lost = served.arrived[w, i] - served.completed[w, i]
         served.latency[w, i] += lost_latency * lost
         for j in range(cores):
-            # Cores begin the next decision with the work that is left, s
             core_free[i, j] = remaining[i, j]
             served.backlog[w, i] += remaining[i, j] / cores
-    # Links are busy for less, as time has gone by
+    # Shift the busy times of links to the start of the next decision
     for j in range(len(link_free)):
         link_free[j] = max(link_free[j] - server.dt, 0.0)
 
 
 @allocating
 def _new_served(tasks: Tasks, drones: int) -> Served:
-    """Return the result of a decision before anything is served."""
+    """Allocate the results of a decision."""
     generated = tasks.first[1:] - tasks.first[:-1]
     shape = (len(generated), drones)
     arrived = np.zeros(shape, dtype=np.int64)
@@ -219,7 +213,7 @@ def _new_served(tasks: Tasks, drones: int) -> Served:
 
 @func
 def _first_free(core_free: np.ndarray) -> int:
-    """Return the index of the core that is free first, the first one where several are equal."""
+    """Return the index of the core that becomes idle first, the lowest in case of ties."""
     first = 0
     for j in range(1, len(core_free)):
         if core_free[j] < core_free[first]:
@@ -239,42 +233,41 @@ def _upload(
     order: np.ndarray,
     arrival: np.ndarray,
 ) -> int:
-    """Send the tasks of world w, and sort those that reach a server by the time of arrival.
+    """Upload the tasks of world w, and sort those that reach a server by arrival time.
 
-    Equal times keep the order of generation. Tasks are nearly in order when they come, so insertion
-    sorts fast.
+    Ties keep the order of generation. Insertion sort is fast, as tasks are nearly sorted.
 
     Args:
         tasks: Tasks of the decision.
         w: Index of the world.
-        assignment: Drone (U,) of each user, -1 for none.
+        assignment: Serving drone (U,) of each user, -1 for none.
         uplink: Uplink rate (U,) of each user, bit/s.
-        server: Numbers of every drone's server.
-        link_free: Time (U,) until which each uplink is taken, s; changed.
-        arrived: Number (N,) of tasks from users assigned to each drone; changed.
-        order: Indices of the tasks that reach a server, in order of arrival; overwritten.
-        arrival: Their times of arrival, s; overwritten.
+        server: Parameters of the servers.
+        link_free: Time (U,) until which each uplink is busy, s; modified.
+        arrived: Number (N,) of tasks from users assigned to each drone; modified.
+        order: Indices of the tasks that reach a server, sorted by arrival time; overwritten.
+        arrival: Arrival times of these tasks, s; overwritten.
 
     Returns:
-        How many tasks reach a server.
+        The number of tasks that reach a server.
     """
     count = 0
     seconds_per_bit = server.cycles_per_bit / server.core_frequency
     for k in range(tasks.first[w], tasks.first[w + 1]):
-        # A user whom nobody serves sends nothing
+        # Users without a drone do not transmit
         user = tasks.user[k]
         if assignment[user] < 0:
             continue
         arrived[assignment[user]] += 1
-        # It counts as arrived at the server, and will count as lost
+        # Counted as arrived, and later as lost
         if uplink[user] <= 0.0:
             continue
-        # Begin no upload after which not even an idle core would be in time
+        # Skip an upload if even an idle core could not complete the task in time
         end = max(tasks.time[k], link_free[user]) + tasks.bits[k] / uplink[user]
         if end + tasks.bits[k] * seconds_per_bit > tasks.time[k] + server.deadline:
             continue
         link_free[user] = end
-        # Insert the task where it belongs in the order of arrival
+        # Insertion sort by arrival time
         place = count
         while place > 0 and arrival[place - 1] > end:
             order[place] = order[place - 1]
@@ -287,7 +280,7 @@ def _upload(
 
 
 @allocating
-def serve_on_average(
+def serve_steady_state(
     tasks: Tasks,
     assignment: np.ndarray,
     uplink: np.ndarray,
@@ -299,32 +292,32 @@ def serve_on_average(
     deadline: float,
     dt: float,
 ) -> Served:
-    """Serve the tasks of one decision where they wait for as long as on average.
+    """Serve the tasks of one decision with steady-state response times.
 
-    The wait is that of the M/M/c queue in steady state, for what the users of a drone offer, see
-    `queueing`. In contrast to `serve`, nobody waits for a user's earlier tasks, and nothing is
-    carried over. Where the cores cannot keep up nothing completes, and the backlog is inf.
+    The wait is that of the M/M/c queue in steady state under the offered load of a drone's users,
+    see `queueing`. Unlike in `serve_tasks`, tasks do not wait for uploads of the same user, and
+    nothing is carried over. If the queue is unstable, no task completes, and the backlog is inf.
 
     Args:
         tasks: Tasks of the decision.
-        assignment: Drone (W, U) of each user, -1 for none.
+        assignment: Serving drone (W, U) of each user, -1 for none.
         uplink: Uplink rate (W, U) of each user, bit/s.
         drones: Number N of drones.
-        cycles_per_bit: Cycles that a bit takes to compute.
+        cycles_per_bit: Cycles per bit of a task.
         cores: Number of cores of each drone.
-        arrival_rate: Tasks that each user generates, 1/s.
-        service_rate: Tasks that each core completes, 1/s.
-        deadline: Time from generation within which a task must complete, s; may be inf.
+        arrival_rate: Arrival rate of each user, 1/s.
+        service_rate: Service rate of each core, 1/s.
+        deadline: Time from generation within which a task must be completed, s; may be inf.
         dt: Length of the decision, s.
 
     Returns:
-        What became of the tasks; `busy` is the mean, at most all cores all the time.
+        Results of the tasks; `busy` is the mean, at most the total core time.
     """
     served = _new_served(tasks, drones)
     response = np.empty(drones)
     lost_latency = deadline if deadline < np.inf else 0.0
     for w in range(len(served.generated)):
-        # Steady state of every drone under the load of its users
+        # Steady state of each drone under the offered load of its users
         for i in range(drones):
             users = 0
             for j in range(assignment.shape[1]):
@@ -332,7 +325,7 @@ def serve_on_average(
             offered = arrival_rate * users
             response[i] = mean_response(cores, offered, service_rate)
             served.busy[w, i] = min(offered / service_rate, cores) * dt
-            # Little's law: as many tasks as arrive within a response
+            # Little's law: number of tasks that arrive within a response time
             served.backlog[w, i] = offered * response[i] / (cores * service_rate)
         for k in range(tasks.first[w], tasks.first[w + 1]):
             i = assignment[w, tasks.user[k]]

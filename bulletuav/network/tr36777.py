@@ -1,12 +1,13 @@
 """Path loss of 3GPP TR 36.777 for aerial terminals (UMi-AV and UMa-AV), in dB, and shadowing.
 
 Losses, line-of-sight probabilities and shadowing are those of tables B-1 to B-3. In this standard
-the drone is the terminal; here the user on the ground stands for the base. Drones up to
-`LOWEST_AERIAL` m are left to TR 38.901.
+the drone is the terminal; here the ground user takes the role of the base station. Drones up to
+`LOWEST_AERIAL` m use TR 38.901.
 
-All functions take numbers, or arrays that broadcast; kernels call them too. Their arguments are:
+All functions accept numbers or arrays that broadcast, and can be called from kernels. Their
+arguments are:
 
-- `ground_distance`: horizontal distance between drone and base, m;
+- `ground_distance`: horizontal distance between drone and base station, m;
 - `drone_height`, `base_height`: heights of the antennas above ground, m;
 - `frequency`: carrier frequency, GHz.
 """
@@ -17,8 +18,8 @@ from bulletuav.compiled.functions import exp, log10
 from bulletuav.compiled.kernel import elementwise
 from bulletuav.network.propagation import antenna_distance, free_space
 from bulletuav.network.tr38901 import (
-    CERTAIN_SIGHT,
-    fading_sight,
+    CERTAIN_LOS_DISTANCE,
+    decaying_los_probability,
     uma_los,
     uma_los_probability,
     uma_nlos,
@@ -28,15 +29,12 @@ from bulletuav.network.tr38901 import (
 )
 
 LOWEST_AERIAL = 22.5
-"""Height up to which TR 36.777 leaves drones to TR 38.901, m"""
+"""Height up to which TR 36.777 refers to TR 38.901, m"""
 
 
 @elementwise
 def umi_av_los(
-    ground_distance: float,
-    drone_height: float,
-    base_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, base_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMi-AV with line of sight, dB; up to 22.5 m that of TR 38.901."""
     if drone_height <= LOWEST_AERIAL:
@@ -49,10 +47,7 @@ def umi_av_los(
 
 @elementwise
 def umi_av_nlos(
-    ground_distance: float,
-    drone_height: float,
-    base_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, base_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMi-AV without line of sight, dB; up to 22.5 m that of TR 38.901."""
     if drone_height <= LOWEST_AERIAL:
@@ -65,10 +60,7 @@ def umi_av_nlos(
 
 @elementwise
 def uma_av_los(
-    ground_distance: float,
-    drone_height: float,
-    base_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, base_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMa-AV with line of sight, dB; up to 22.5 m that of TR 38.901."""
     if drone_height <= LOWEST_AERIAL:
@@ -79,14 +71,12 @@ def uma_av_los(
 
 @elementwise
 def uma_av_nlos(
-    ground_distance: float,
-    drone_height: float,
-    base_height: float,
-    frequency: float,
+    ground_distance: float, drone_height: float, base_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMa-AV without line of sight, dB; up to 22.5 m that of TR 38.901.
 
-    Above 100 m the standard has no blocked links. There the law of 100 m holds, by our choice.
+    Above 100 m the standard has no blocked links. There the formula is evaluated at 100 m (our
+    choice).
     """
     if drone_height <= LOWEST_AERIAL:
         return uma_nlos(ground_distance, base_height, drone_height, frequency)
@@ -98,17 +88,17 @@ def uma_av_nlos(
 
 @elementwise
 def umi_av_los_probability(ground_distance: float, drone_height: float) -> float:
-    """Return the probability of a line of sight in UMi-AV; up to 22.5 m that of TR 38.901."""
+    """Return the line-of-sight probability of UMi-AV; TR 38.901 up to 22.5 m."""
     if drone_height <= LOWEST_AERIAL:
         return umi_los_probability(ground_distance)
     log_height = log10(drone_height)
-    certain = max(294.05 * log_height - 432.94, CERTAIN_SIGHT)
-    return fading_sight(ground_distance, certain, 233.98 * log_height - 0.95)
+    certain = max(294.05 * log_height - 432.94, CERTAIN_LOS_DISTANCE)
+    return decaying_los_probability(ground_distance, certain, 233.98 * log_height - 0.95)
 
 
 @elementwise
 def uma_av_los_probability(ground_distance: float, drone_height: float) -> float:
-    """Return the probability of a line of sight in UMa-AV.
+    """Return the line-of-sight probability of UMa-AV.
 
     It is 1 for drones above 100 m, and that of TR 38.901 for drones up to 22.5 m.
     """
@@ -117,29 +107,24 @@ def uma_av_los_probability(ground_distance: float, drone_height: float) -> float
     if drone_height > 100.0:
         return 1.0
     log_height = log10(drone_height)
-    certain = max(460.0 * log_height - 700.0, CERTAIN_SIGHT)
-    return fading_sight(ground_distance, certain, 4300.0 * log_height - 3800.0)
+    certain = max(460.0 * log_height - 700.0, CERTAIN_LOS_DISTANCE)
+    return decaying_los_probability(ground_distance, certain, 4300.0 * log_height - 3800.0)
 
 
 @elementwise
-def shadowing(
-    drone_height: float,
-    low: float,
-    high: float,
-    decay: float,
-    least: float,
-) -> float:
-    """Return the standard deviation of the path loss about a model, dB.
-
-    Sources: TR 38.901, table 7.4.1-1; TR 36.777, table B-3.
+def shadowing(drone_height: float, low: float, high: float, decay: float, minimum: float) -> float:
+    """Return the standard deviation of the shadowing, dB.
 
     Args:
         drone_height: Height of the drone, m.
-        low: Standard deviation for drones up to 22.5 m, dB; this and the rest as in `Shadowing`.
-        high: Standard deviation above that, before it decays, dB.
-        decay: Rate at which it falls with height, 1/m.
-        least: Lowest standard deviation above 22.5 m, dB.
+        low: Standard deviation for drones up to 22.5 m, dB; all parameters as in `Shadowing`.
+        high: Standard deviation above 22.5 m before the decay, dB.
+        decay: Decay rate with height, 1/m.
+        minimum: Minimum standard deviation above 22.5 m, dB.
+
+    References:
+        TR 38.901, table 7.4.1-1; TR 36.777, table B-3.
     """
     if drone_height <= LOWEST_AERIAL:
         return low
-    return max(high * exp(-decay * drone_height), least)
+    return max(high * exp(-decay * drone_height), minimum)

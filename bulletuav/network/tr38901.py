@@ -1,11 +1,12 @@
-"""Path loss of 3GPP TR 38.901 (UMi street canyon and UMa), in dB, and probability of sight.
+"""Path loss of 3GPP TR 38.901 (UMi street canyon and UMa), in dB, and line-of-sight probability.
 
-Losses are those of table 7.4.1-1, probabilities those of table 7.4.2-1. The standard has no drones
-for base stations: here the drone stands for the base and the user for the terminal.
+Losses are those of table 7.4.1-1, probabilities those of table 7.4.2-1. The standard does not cover
+drones as base stations: here the drone is the base station and the user the terminal.
 
-All functions take numbers, or arrays that broadcast; kernels call them too. Their arguments are:
+All functions accept numbers or arrays that broadcast, and can be called from kernels. Their
+arguments are:
 
-- `ground_distance`: horizontal distance between base and user, m;
+- `ground_distance`: horizontal distance between base station and user, m;
 - `base_height`, `user_height`: heights of the antennas above ground, m;
 - `frequency`: carrier frequency, GHz.
 """
@@ -14,8 +15,8 @@ from bulletuav.compiled.functions import exp, log10
 from bulletuav.compiled.kernel import elementwise, func
 from bulletuav.network.propagation import antenna_distance
 
-CERTAIN_SIGHT = 18.0
-"""Ground distance up to which a line of sight is certain, m (table 7.4.2-1)"""
+CERTAIN_LOS_DISTANCE = 18.0
+"""Horizontal distance up to which the line-of-sight probability is 1, m (table 7.4.2-1)"""
 
 
 @func
@@ -27,22 +28,23 @@ def _dual_slope(
     intercept: float,
     slope: float,
 ) -> float:
-    """Return the loss with line of sight (dB): 40 dB a decade from the breakpoint on.
+    """Return the dual-slope path loss with line of sight, dB.
 
-    The environment has an effective height of 1 m; antennas below count as at that height.
-    For UMa the standard draws it at random for users above 13 m: this is left out here.
+    The slope is 40 dB per decade beyond the breakpoint. The effective environment height is 1 m;
+    antennas below count as at that height. For UMa the standard randomises it for users above 13 m,
+    which is not modelled here.
     """
-    # Heights above the environment
+    # Effective antenna heights
     base_above = max(base_height - 1.0, 0.0)
     user_above = max(user_height - 1.0, 0.0)
-    # The standard rounds the speed of light to 3e8 m/s
+    # The standard uses 3e8 m/s for the speed of light
     breakpoint_distance = 4.0 * base_above * user_above * frequency * 1e9 / 3e8
-    # Up to the breakpoint the loss grows by `slope` a decade
+    # Up to the breakpoint the loss grows by `slope` dB per decade
     reference = intercept + 20.0 * log10(frequency)
     decades = log10(antenna_distance(ground_distance, base_height, user_height))
     if ground_distance <= breakpoint_distance:
         return reference + slope * decades
-    # The correction makes both laws meet at the breakpoint
+    # The correction makes the loss continuous at the breakpoint
     squared = breakpoint_distance**2 + (base_height - user_height) ** 2
     correction = (20.0 - 0.5 * slope) * log10(max(squared, 1.0))
     return reference + 40.0 * decades - correction
@@ -50,10 +52,7 @@ def _dual_slope(
 
 @elementwise
 def umi_los(
-    ground_distance: float,
-    base_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, base_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMi street canyon with line of sight, dB."""
     return _dual_slope(ground_distance, base_height, user_height, frequency, 32.4, 21.0)
@@ -61,10 +60,7 @@ def umi_los(
 
 @elementwise
 def umi_nlos(
-    ground_distance: float,
-    base_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, base_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMi street canyon without line of sight, dB."""
     loss = (
@@ -80,11 +76,11 @@ def umi_nlos(
 def umi_close_in_nlos(distance: float, frequency: float) -> float:
     """Return the optional close-in path loss of UMi street canyon without line of sight, dB.
 
-    It is nearly `log_distance` with the exponent 3.19, which has 32.448 in place of 32.4.
-    The standard deviation of its shadowing is 8.2 dB.
+    It is nearly `log_distance` with exponent 3.19, which has 32.448 in place of 32.4. The standard
+    deviation of its shadowing is 8.2 dB.
 
     Args:
-        distance: Distance between the antennas, m, not that over ground.
+        distance: Three-dimensional distance between the antennas, m.
         frequency: Carrier frequency, GHz.
     """
     return 32.4 + 20.0 * log10(frequency) + 31.9 * log10(max(distance, 1.0))
@@ -92,10 +88,7 @@ def umi_close_in_nlos(distance: float, frequency: float) -> float:
 
 @elementwise
 def uma_los(
-    ground_distance: float,
-    base_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, base_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMa with line of sight, dB."""
     return _dual_slope(ground_distance, base_height, user_height, frequency, 28.0, 22.0)
@@ -103,10 +96,7 @@ def uma_los(
 
 @elementwise
 def uma_nlos(
-    ground_distance: float,
-    base_height: float,
-    user_height: float,
-    frequency: float,
+    ground_distance: float, base_height: float, user_height: float, frequency: float
 ) -> float:
     """Return the path loss of UMa without line of sight, dB."""
     loss = (
@@ -119,39 +109,35 @@ def uma_nlos(
 
 
 @func
-def fading_sight(
-    ground_distance: float,
-    certain: float,
-    decay: float,
-) -> float:
-    """Return a line-of-sight probability that is 1 up to a distance and then falls off.
+def decaying_los_probability(ground_distance: float, certain: float, decay: float) -> float:
+    """Return a line-of-sight probability that is 1 up to a distance and then decays.
 
-    Both TR 38.901 and TR 36.777 have this form: s / d + exp(-d / decay) (1 - s / d).
+    TR 38.901 and TR 36.777 use this form: s / d + exp(-d / decay) (1 - s / d).
 
     Args:
         ground_distance: Horizontal distance d between the antennas, m.
-        certain: Distance s up to which a line of sight is certain, m.
-        decay: Distance over which the exponential part falls to 1 / e, m.
+        certain: Distance s up to which the probability is 1, m.
+        decay: Decay length of the exponential part, m.
     """
     if ground_distance <= certain:
         return 1.0
-    share = certain / ground_distance
-    return share + exp(-ground_distance / decay) * (1.0 - share)
+    fraction = certain / ground_distance
+    return fraction + exp(-ground_distance / decay) * (1.0 - fraction)
 
 
 @elementwise
 def umi_los_probability(ground_distance: float) -> float:
-    """Return the probability of a line of sight in UMi street canyon."""
-    return fading_sight(ground_distance, CERTAIN_SIGHT, 36.0)
+    """Return the line-of-sight probability of UMi street canyon."""
+    return decaying_los_probability(ground_distance, CERTAIN_LOS_DISTANCE, 36.0)
 
 
 @elementwise
 def uma_los_probability(ground_distance: float, user_height: float) -> float:
-    """Return the probability of a line of sight in UMa."""
-    # Users above 13 m see the base more often
+    """Return the line-of-sight probability of UMa."""
+    # Correction for users above 13 m
     height_factor: float = (max(user_height - 13.0, 0.0) / 10.0) ** 1.5
     distance_factor = (ground_distance / 100.0) ** 3
     gain = 1.25 * height_factor * distance_factor * exp(-ground_distance / 150.0)
-    if ground_distance > CERTAIN_SIGHT:
-        return fading_sight(ground_distance, CERTAIN_SIGHT, 63.0) * (1.0 + gain)
+    if ground_distance > CERTAIN_LOS_DISTANCE:
+        return decaying_los_probability(ground_distance, CERTAIN_LOS_DISTANCE, 63.0) * (1.0 + gain)
     return 1.0

@@ -1,4 +1,4 @@
-"""The radio link from users on the ground to drones: options, received power and uplink rates."""
+"""Radio uplink from ground users to drones: options and received power."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -28,21 +28,19 @@ class RadioConfig:
         frequency: Carrier frequency, GHz.
         bandwidth: Bandwidth that all drones share, Hz.
         noise_figure: Noise figure of the drones' receivers, dB.
-        user_power: Power that a user sends with, W.
+        user_power: Transmit power of a user, W.
         path_loss: Path loss model: "log_distance"; "umi" or "uma" of TR 38.901; "umi_av" or
-            "uma_av" of TR 36.777. Whether there is a line of sight tells which of its laws holds.
+            "uma_av" of TR 36.777. The line of sight selects the LOS or NLOS formula.
         n_los: Exponent of "log_distance" with line of sight.
         n_nlos: Exponent of "log_distance" without line of sight.
-        antenna: Antenna of the drones: "isotropic", or "downward", the element of TR 38.901
-            that looks along the body's -z axis.
-        access: How users share the band: "ofdma", "tdma" or "shared", see
-            `bulletuav.network.access`.
-        activity: Share of the time, from 0 to 1, in which a user sends, for the interference that
-            others have of it; or "load", that which its tasks can take at most: arrival rate times
-            deadline.
-        fading: Small-scale fading, drawn anew at every decision: "none"; "rician", which without
-            line of sight is Rayleigh; or "rayleigh".
-        rician_factor: Power of the direct path over that of all others, not in dB.
+        antenna: Antenna of the drones: "isotropic", or "downward", the element of TR 38.901 with
+            boresight along the body's -z axis.
+        access: Multiple access scheme: "ofdma", "tdma" or "shared", see `bulletuav.network.access`.
+        activity: Fraction of the time, 0 to 1, in which a user transmits and interferes; or "load",
+            the maximum that its tasks can need: arrival rate times deadline.
+        fading: Small-scale fading, drawn at every decision: "none"; "rician", which is Rayleigh
+            without line of sight; or "rayleigh".
+        rician_factor: Ratio of direct to scattered power, linear.
     """
 
     frequency: float = field(default=29.0, metadata={"most": 1000.0})
@@ -65,15 +63,15 @@ CODES = {"log_distance": LOG_DISTANCE, "umi": UMI, "uma": UMA, "umi_av": UMI_AV,
 
 
 class LinkParams(NamedTuple):
-    """Options of the link that `received_power` needs.
+    """Parameters of `received_power`.
 
     Attributes:
         model: Path loss model, one of `CODES`.
         frequency: Carrier frequency, GHz.
         n_los: Exponent of the log-distance model with line of sight.
         n_nlos: Exponent of the log-distance model without line of sight.
-        power: Power that a user sends with, W.
-        directional: Whether the antennas of drones have a pattern.
+        power: Transmit power of a user, W.
+        directional: Whether the antennas of drones are directional.
     """
 
     model: int
@@ -86,14 +84,10 @@ class LinkParams(NamedTuple):
 
 @func
 def _path_loss(
-    link: LinkParams,
-    sight: bool,
-    ground_distance: float,
-    drone_height: float,
-    user_height: float,
+    link: LinkParams, sight: bool, ground_distance: float, drone_height: float, user_height: float
 ) -> float:
     """Return the path loss with or without line of sight, dB."""
-    # Laws of 3GPP by scene: streets and roofs (TR 38.901), and aerial vehicles (TR 36.777)
+    # 3GPP models: street canyon and rooftop (TR 38.901), and aerial vehicles (TR 36.777)
     path = (ground_distance, drone_height, user_height, link.frequency)
     if link.model == UMI:
         return umi_los(*path) if sight else umi_nlos(*path)
@@ -103,7 +97,7 @@ def _path_loss(
         return umi_av_los(*path) if sight else umi_av_nlos(*path)
     if link.model == UMA_AV:
         return uma_av_los(*path) if sight else uma_av_nlos(*path)
-    # Else the log-distance model, along the straight way
+    # Log-distance model
     distance = hypot(ground_distance, drone_height - user_height)
     exponent = link.n_los if sight else link.n_nlos
     return log_distance(distance, link.frequency, exponent)
@@ -117,21 +111,20 @@ def received_power(
     users: np.ndarray,
     sight: np.ndarray,
 ) -> np.ndarray:
-    """Compute the power that each drone receives from each user, without fading.
+    """Compute the received power of each user at each drone, without fading.
 
     Args:
-        link: Options of the link.
+        link: Parameters of the link.
         position: Positions (W, N, 3) of drones, m.
         quaternion: Attitudes (W, N, 4) of drones, (x, y, z, w).
         users: Positions (W, U, 3) of users, m.
-        sight: Whether (W, N, U) there is a line of sight.
+        sight: Whether (W, N, U) there is line of sight.
 
     Returns:
         Received power (W, N, U), W.
     """
     worlds, drones, count = sight.shape
     power = np.empty(sight.shape)
-    # Every pair of a drone and a user is a link
     for w in range(worlds):
         for i in range(drones):
             attitude = quat4(quaternion, w, i)
@@ -163,7 +156,7 @@ def _receive(
     sight: np.ndarray,
     power: np.ndarray,
 ) -> None:
-    """Write what `received_power` computes."""
+    """Write the result of `received_power` to `power`."""
     received = received_power(link, position, quaternion, users, sight)
     for w in range(power.shape[0]):
         for i in range(power.shape[1]):
@@ -172,22 +165,22 @@ def _receive(
 
 
 class Uplink:
-    """The radio link from users to drones that a `RadioConfig` describes.
+    """Radio link from users to drones.
 
     Attributes:
         config: Options of the link.
-        noise: Noise power in all of the band, W.
+        noise: Noise power in the whole band, W.
     """
 
     def __init__(self, config: RadioConfig) -> None:
-        """Check the options and prepare the link.
+        """Validate the options and prepare the link.
 
         Args:
             config: Options of the link.
 
         Raises:
-            ValueError: A number is not above 0, the activity is no share, or the path loss model is
-                not meant for the frequency.
+            ValueError: If a number is not positive, the activity is not a fraction, or the path
+                loss model is not valid for the frequency.
         """
         # Quantities that divide or enter a logarithm
         for name in ("frequency", "bandwidth", "user_power"):
@@ -197,10 +190,10 @@ class Uplink:
             find_choice("activity", config.activity, {"load": None})
         else:
             finite("activity", config.activity, 0, 1)
-        # The standards' models are each for a range of frequencies
+        # Each model of the standards has a frequency range
         if config.path_loss != "log_distance":
             check_validity(config.path_loss, config.frequency)
-        # What does not change from decision to decision
+        # Constants of all decisions
         self.config = config
         self.noise = float(noise_power(config.bandwidth, config.noise_figure))
         self._link = LinkParams(
@@ -221,15 +214,15 @@ class Uplink:
         rng: Sequence[np.random.Generator | None],
         flying: np.ndarray,
     ) -> np.ndarray:
-        """Draw the power that each drone receives from each user, with fading where it is on.
+        """Compute the received power of each user at each drone, with fading if enabled.
 
         Args:
             position: Positions (W, N, 3) of drones, m.
             quaternion: Attitudes (W, N, 4) of drones, (x, y, z, w).
             users: Positions (W, U, 3) of users, m.
-            sight: Whether (W, N, U) there is a line of sight.
-            rng: Generator of each of the W worlds; None is possible where a world does not fly.
-            flying: Whether (W,) fading is drawn in each world: an episode is under way.
+            sight: Whether (W, N, U) there is line of sight.
+            rng: Generator of each of the W worlds; may be None for worlds that do not fly.
+            flying: Whether (W,) an episode of each world is running; only these draw fading.
 
         Returns:
             Received power (W, N, U), W.
@@ -247,9 +240,9 @@ class Uplink:
         sight: np.ndarray,
         power: np.ndarray,
     ) -> None:
-        """Add to a program that what drones receive from users is written to `power`.
+        """Add the computation of the received power to a program, with the result in `power`.
 
-        Fading comes after it; see `received` for the arguments, and `fade`.
+        Fading is applied separately; see `received` for the arguments, and `fade`.
         """
         program.call(_receive, self._link, position, quaternion, users, sight, power)
 
@@ -260,13 +253,13 @@ class Uplink:
         rng: Sequence[np.random.Generator | None],
         flying: np.ndarray,
     ) -> None:
-        """Let received power (W, N, U) fade in worlds that fly, where fading is on."""
+        """Apply fading to the received power (W, N, U) in worlds that fly, if enabled."""
         if self.config.fading == "none":
             return
         # Without a direct path the factor is 0, which is Rayleigh fading
         direct = self.config.rician_factor if self.config.fading == "rician" else 0.0
         for w in np.flatnonzero(flying).tolist():
             generator = rng[w]
-            assert generator is not None  # a world that flies has one
+            assert generator is not None  # set by the reset of the world
             factor = np.where(sight[w], direct, 0.0)
             power[w] *= rician_gain(factor, generator, sight[w].shape)

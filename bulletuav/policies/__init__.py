@@ -1,4 +1,4 @@
-"""Policies: the baselines, those that were trained, and how to find one by its name."""
+"""Baseline and trained policies, and functions that find a policy by name."""
 
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.find import (

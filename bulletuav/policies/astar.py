@@ -1,4 +1,4 @@
-"""Shortest ways through a known city: A* over its map of cells, and shortening of what it finds."""
+"""Shortest paths through a known city: A* on a voxel map, followed by path shortening."""
 
 import heapq
 import math
@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func
-from bulletuav.policies.voxels import Cell, Voxels, is_clear, nearest_free
+from bulletuav.policies.voxels import Cell, Voxels, is_segment_free, nearest_free
 
 STEPS = np.array(
     [
@@ -17,9 +17,9 @@ STEPS = np.array(
         if (x, y, z) != (0, 0, 0)
     ]
 )
-"""(26, 3) steps to the neighbours of a cell, cells"""
+"""(26, 3) index offsets to the neighbours of a cell"""
 UNIT = 2**40
-"""Length of a cell in A*: whole numbers, so that ways of the same length tie exactly"""
+"""Edge length of a cell in A*; integer path lengths make ties between equal paths exact"""
 EDGE = UNIT
 """Length of a step along one axis"""
 FACE = round(UNIT * math.sqrt(2))
@@ -27,28 +27,24 @@ FACE = round(UNIT * math.sqrt(2))
 SPACE = round(UNIT * math.sqrt(3))
 """Length of a step along three axes"""
 UNREACHED = 2**62
-"""Length of the way to a cell before one is known"""
+"""Path length of a cell that the search has not reached"""
 
 
-def plan(
-    grid: Voxels,
-    start: np.ndarray,
-    goal: np.ndarray,
-) -> np.ndarray:
-    """Find a short way through free cells.
+def plan_path(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Find a short collision-free path between two points.
 
-    A start or goal that is not in a free cell is joined to the centre of the nearest one by a
-    straight leg.
+    A start or goal that is not in a free cell is connected by a straight segment to the centre of
+    the nearest free cell.
 
     Args:
-        grid: The map.
-        start: (3,) where the way begins, m.
-        goal: (3,) where it ends, m.
+        grid: The voxel map.
+        start: (3,) start position, m.
+        goal: (3,) goal position, m.
 
     Returns:
-        (K, 3) waypoints, m, with both ends; (0, 3) if there is no way.
+        (K, 3) waypoints including start and goal, m; (0, 3) if there is no path.
     """
-    if is_clear(grid, start, goal):
+    if is_segment_free(grid, start, goal):
         return np.stack([start, goal])
     if grid.occupied.all():
         return np.zeros((0, 3))
@@ -57,31 +53,28 @@ def plan(
     cells = shortest_path(grid.occupied, first, last)
     if len(cells) == 0:
         return np.zeros((0, 3))
-    # From the start through the centres of the cells to the goal, without detours.
     centres = grid.origin + grid.size * (cells + 0.5)
-    return shortened(grid, np.concatenate([start[None], centres, goal[None]]))
+    return shorten_path(grid, np.concatenate([start[None], centres, goal[None]]))
 
 
 @allocating
-def shortest_path(
-    occupied: np.ndarray,
-    start: Cell,
-    goal: Cell,
-) -> np.ndarray:
-    """Find a shortest way between two free cells, by steps to any of 26 neighbours.
+def shortest_path(occupied: np.ndarray, start: Cell, goal: Cell) -> np.ndarray:
+    """Find a shortest 26-connected path between two free cells with A*.
 
-    Steps cost their Euclidean length. A*: P. Hart, N. Nilsson, B. Raphael, A formal basis for the
-    heuristic determination of minimum cost paths (1968). Where ways seem equally promising, it
-    goes on with the one nearest to the goal, then with the lowest cell: the answer is always the
-    same.
+    A step costs its Euclidean length. Ties are broken by the smaller heuristic value, then by the
+    lower cell index, so that the result is deterministic.
+
+    References:
+        P. Hart, N. Nilsson, B. Raphael, A formal basis for the heuristic determination of minimum
+        cost paths (1968).
 
     Args:
-        occupied: (X, Y, Z) bool; the outermost cells are.
-        start: The first cell.
-        goal: The last cell.
+        occupied: (X, Y, Z) bool occupancy; the outermost cells must be occupied.
+        start: Start cell.
+        goal: Goal cell.
 
     Returns:
-        (K, 3) cells, with both ends; (0, 3) if there is no way.
+        (K, 3) cells including start and goal; (0, 3) if there is no path.
     """
     shape = occupied.shape
     # Steps as offsets of flat indices, and their lengths.
@@ -96,55 +89,49 @@ def shortest_path(
     came_from = np.full(occupied.size, -1)
     first = _flat(start, shape)
     last = _flat(goal, shape)
-    left = _least_way(start, goal)
+    heuristic = _heuristic(start, goal)
     cost[first] = 0
-    # Cells to go on from: least total length, way that is left at least, flat index.
-    heap = [(left, left, first)]
+    # Open set: estimated total cost, heuristic, flat index.
+    heap = [(heuristic, heuristic, first)]
     while len(heap) > 0:
-        total, left, cell = heapq.heappop(heap)
+        total, heuristic, cell = heapq.heappop(heap)
         if cell == last:
             break
-        # A shorter way there was found meanwhile.
-        if total - left > cost[cell]:
+        # Stale entry: a shorter path to this cell was found after it was pushed.
+        if total - heuristic > cost[cell]:
             continue
-        # A way through this cell may be shorter for its neighbours.
         for k in range(len(STEPS)):
             other = cell + offset[k]
             reached = cost[cell] + length[k]
             if reached < cost[other] and not blocked[other]:
                 cost[other] = reached
                 came_from[other] = cell
-                left = _least_way(_cell(other, shape), goal)
-                heapq.heappush(heap, (reached + left, left, other))
-    return _traced(came_from, first, last, shape)
+                heuristic = _heuristic(_cell(other, shape), goal)
+                heapq.heappush(heap, (reached + heuristic, heuristic, other))
+    return _trace_path(came_from, first, last, shape)
 
 
 @func
-def octile(
-    x: int,
-    y: int,
-    z: int,
-) -> int:
-    """Compute the least length of steps that lead x, y and z cells away where all is free.
+def octile(x: int, y: int, z: int) -> int:
+    """Compute the octile distance: the length of a shortest 26-connected path in free space.
 
     Args:
-        x: Cells on the first axis, of either sign.
-        y: Cells on the second axis.
-        z: Cells on the third axis.
+        x: Number of cells along the first axis, of either sign.
+        y: Number of cells along the second axis.
+        z: Number of cells along the third axis.
 
     Returns:
-        The length, in 1 / UNIT of a cell.
+        The length, in cell edges times UNIT.
     """
     x, y, z = abs(x), abs(y), abs(z)
-    most = max(x, y, z)
-    least = min(x, y, z)
-    middle = x + y + z - most - least
-    return SPACE * least + FACE * (middle - least) + EDGE * (most - middle)
+    longest = max(x, y, z)
+    shortest = min(x, y, z)
+    middle = x + y + z - longest - shortest
+    return SPACE * shortest + FACE * (middle - shortest) + EDGE * (longest - middle)
 
 
 @func
-def _least_way(cell: Cell, goal: Cell) -> int:
-    """Compute the least length of steps from a cell to the goal where all is free."""
+def _heuristic(cell: Cell, goal: Cell) -> int:
     return octile(
         goal[0] - cell[0],
         goal[1] - cell[1],
@@ -154,13 +141,12 @@ def _least_way(cell: Cell, goal: Cell) -> int:
 
 @func
 def _flat(cell: Cell, shape: tuple[int, ...]) -> int:
-    """Find the flat index of a cell, or the difference that a step makes."""
+    """Return the flat index of a cell, or the flat offset of a step."""
     return (cell[0] * shape[1] + cell[1]) * shape[2] + cell[2]
 
 
 @func
 def _cell(index: int, shape: tuple[int, ...]) -> Cell:
-    """Find the cell of a flat index."""
     return (
         index // (shape[1] * shape[2]),
         index // shape[2] % shape[1],
@@ -169,14 +155,9 @@ def _cell(index: int, shape: tuple[int, ...]) -> Cell:
 
 
 @allocating
-def _traced(
-    came_from: np.ndarray,
-    first: int,
-    last: int,
-    shape: tuple[int, ...],
-) -> np.ndarray:
-    """Trace the cells (K, 3) from `first` to `last`; none where `last` was not reached."""
-    # Count them from the end, then write them from the end.
+def _trace_path(came_from: np.ndarray, first: int, last: int, shape: tuple[int, ...]) -> np.ndarray:
+    """Trace the path back from `last` to `first`; return (K, 3) cells, or (0, 3) if unreached."""
+    # First pass: count the cells. Second pass: write them in reverse order.
     count = 1
     cell = last
     while cell != first and cell != -1:
@@ -193,24 +174,26 @@ def _traced(
 
 
 @allocating
-def shortened(grid: Voxels, points: np.ndarray) -> np.ndarray:
-    """Leave out waypoints: from each one kept the way leads straight to the last one in sight.
+def shorten_path(grid: Voxels, points: np.ndarray) -> np.ndarray:
+    """Remove waypoints that the line of sight makes unnecessary.
+
+    From each kept waypoint, the path continues to the last waypoint that a free segment reaches.
 
     Args:
-        grid: The map.
+        grid: The voxel map.
         points: (K, 3) waypoints, m.
 
     Returns:
-        Those that are kept, with both ends.
+        The waypoints that are kept, including both ends, m.
     """
     kept = [0]
     k = 0
     while k < len(points) - 1:
-        # The last point in sight, from the end of the way back.
+        # Search backwards for the last waypoint in sight.
         seen = len(points) - 1
-        while seen > k + 1 and not is_clear(grid, points[k], points[seen]):
+        while seen > k + 1 and not is_segment_free(grid, points[k], points[seen]):
             seen -= 1
         kept.append(seen)
         k = seen
-    left: np.ndarray = points[np.array(kept)]
-    return left
+    heuristic: np.ndarray = points[np.array(kept)]
+    return heuristic

@@ -1,4 +1,4 @@
-"""Base of the policies that fly towards the goal and avoid what is in the way."""
+"""Base class of the policies that fly to the goal and avoid collisions."""
 
 from abc import abstractmethod
 
@@ -6,107 +6,108 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy
-from bulletuav.policies.half_spaces import Rules
+from bulletuav.policies.half_spaces import AvoidanceParameters
 from bulletuav.policies.landing import touch_down
 from bulletuav.policies.straight import preferred_velocity
-from bulletuav.policies.traffic import Clearance, Traffic, buildings, true_traffic
+from bulletuav.policies.traffic import ObstacleClearance, Traffic, tabulate_buildings, true_traffic
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
 HORIZON = 4.0
-"""Time without conflict that a velocity must give, s: turning at 20 m/s takes about 1 s"""
+"""Time horizon tau of conflict detection, s: a turn at 20 m/s takes about 1 s"""
 BRAKING = 2.0
-"""Least time in which a velocity may lead to a wall, s: 20 m/s then stop with 10 m/s^2"""
+"""Minimum time to reach a wall at the chosen velocity, s: 20 m/s then stop with 10 m/s^2"""
 RECOVERY = 1.0
-"""Time in which to leave a zone entered, s: within one decision no quadrotor could"""
+"""Time in which a drone leaves a violated separation zone, s; no quadrotor could do so within
+one decision"""
 LOWEST_CORNER = (-np.inf, -np.inf, 0.0)
 """Lower corner of the world, m"""
 MARGIN = 1.5
-"""Distance beyond d_safe and contact, m: lag, wind and overshoot carry drones off by as much"""
+"""Margin added to d_safe and to the contact distance, m: lag, wind and overshoot displace drones
+by as much"""
 
 
 class Avoidance(Policy):
-    """Flight towards the goal that avoids what is in the way.
+    """Flight to the goal with collision avoidance.
 
-    A policy adds `avoid`, a function of the `Traffic` around drones. That is the true one unless
-    the policy is `Observed`.
+    Subclasses implement `avoid`, which maps the `Traffic` around the drones to velocities.
+    `Traffic` is the true state unless the policy derives from `Observed`.
 
     Attributes:
-        rules: How drones avoid.
-        clear: How far they keep away from what stands still.
-        box: Low and high corner (3,) of where they fly, m.
+        parameters: Parameters of collision avoidance.
+        clearance: Distances to static obstacles.
+        box: Lower and upper corner (3,) of the arena, m.
     """
 
     actions = ("velocity", "velocity_increment")
     reads_swarm = True
 
     def __init__(self, aviary: Aviary) -> None:
-        """Take the aviary to fly; see `Policy`."""
+        """Compute the avoidance parameters from the task and the options; see `Policy`."""
         super().__init__(aviary)
         task = aviary.task
         speed = float(aviary.options.max_speed)
         body = float(task.context.collision_radius)
-        # Shapes must not touch, even where d_safe is smaller
-        self.rules = Rules(
+        # Collision shapes must not overlap, even if d_safe is smaller
+        self.parameters = AvoidanceParameters(
             separation=max(float(task.config.d_safe), 2 * body) + MARGIN,
             horizon=HORIZON,
-            braking=BRAKING,
-            recovery=RECOVERY,
+            braking_time=BRAKING,
+            recovery_time=RECOVERY,
             max_speed=speed,
         )
-        # Far enough to see that braking from full speed is in time
-        self.clear = Clearance(body, MARGIN, BRAKING * speed + body + MARGIN)
-        # Obstacles as balls, grown by the drone and a margin
+        # Surfaces within the braking distance from full speed are considered
+        self.clearance = ObstacleClearance(body, MARGIN, BRAKING * speed + body + MARGIN)
+        # Bounding spheres of the obstacles, inflated by the drone's radius and the margin
         reach = [one.radius + body + MARGIN for one in task.obstacles()]
-        self._ball_radius = np.array(reach, dtype=float)
+        self._sphere_radius = np.array(reach, dtype=float)
         self.box = np.maximum(task.arena_low, LOWEST_CORNER), np.array(task.arena_high, dtype=float)
-        self._stands = buildings(task.layouts())
+        self._buildings = tabulate_buildings(task.layouts())
 
     def reset(self, mask: np.ndarray) -> None:
-        """Do nothing, as no world is remembered."""
+        """Do nothing: the policy is stateless."""
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Ask for the velocities of `avoid`; see `Policy.act`."""
+        """Command the velocities of `avoid`; see `Policy.act`."""
         traffic = self.traffic(observations, swarm)
-        wish = preferred_velocity(traffic.goal, traffic.goal_velocity, self.rules.max_speed)
-        velocity = self.avoid(traffic, wish, self.rules)
+        preferred = preferred_velocity(
+            traffic.goal, traffic.goal_velocity, self.parameters.max_speed
+        )
+        velocity = self.avoid(traffic, preferred, self.parameters)
         task = self.aviary.task
-        if task.lands:  # else nobody needs to know how high goals are
+        if task.lands:  # the height of the goals matters for landing only
             goal_height = self.goal_height(observations, traffic)
             velocity = touch_down(velocity, traffic.goal, goal_height, task)
         return self.encoded(velocity)
 
     def goal_height(self, observations: Observation, traffic: Traffic) -> np.ndarray:
-        """Tell how high above the ground goals are, as drones know it, (W, N) m."""
+        """Return the heights of the goals above ground as the drones know them, (W, N) m."""
         return self.aviary.scene.goal[..., 2]
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
-        """Tell what drones know of the traffic around them."""
+        """Return the traffic around each drone as the drones know it."""
         aviary = self.aviary
         scene = aviary.scene
         return true_traffic(
             (swarm.position, swarm.velocity, aviary.alive),
             (scene.goal, scene.goal_velocity),
-            (scene.obstacle, scene.obstacle_velocity, self._ball_radius),
+            (scene.obstacle, scene.obstacle_velocity, self._sphere_radius),
             self.box,
             scene.layout,
-            self._stands,
-            self.clear,
+            self._buildings,
+            self.clearance,
         )
 
     @abstractmethod
     def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
     ) -> np.ndarray:
-        """Choose velocities.
+        """Choose collision-free velocities.
 
         Args:
-            traffic: What drones know.
-            wish: (W, N, 3) velocities straight to the goals, m/s.
-            rules: How they avoid.
+            traffic: The traffic around each drone.
+            preferred: (W, N, 3) preferred velocities, straight to the goals, m/s.
+            parameters: Parameters of collision avoidance.
 
         Returns:
             (W, N, 3) velocities, m/s.

@@ -1,4 +1,4 @@
-"""The interface of policies, which choose the actions of all drones of all worlds at once."""
+"""Interface of policies, which choose the actions of all drones in all worlds."""
 
 import copy
 from abc import ABC, abstractmethod
@@ -13,10 +13,10 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 class Policy(ABC):
-    """A policy that flies all drones of an aviary, W worlds of N drones.
+    """Base class of policies that control all drones of an aviary, N drones in each of W worlds.
 
-    A policy of one's own derives from this class, in a module that can be imported, and flies by
-    `--policy module:Name`, or under its `name` once `@register("policy")` is above it:
+    A custom policy derives from this class in an importable module. It is selected with `--policy
+    module:Name`, or by its `name` if the class is decorated with `@register("policy")`:
 
         class Higher(Policy):
             name = "higher"
@@ -29,12 +29,11 @@ class Policy(ABC):
                 return self.encoded(np.full(swarm.position.shape, (0.0, 0.0, 1.0)))
 
     Attributes:
-        name: Its name on the command line and in tables.
-        actions: Actions that it can give, the preferred one first; none named: any.
-        reads_swarm: Whether it uses the true state instead of the observations.
-        remembers: Names of the attributes in which it remembers anything between decisions, for
-            snapshots.
-        aviary: The worlds that it flies.
+        name: Name on the command line and in tables.
+        actions: Supported action types, the preferred one first; empty if all are supported.
+        reads_swarm: Whether the policy reads the true state instead of the observations.
+        remembers: Names of the attributes that hold state between decisions; snapshots save them.
+        aviary: The controlled worlds.
     """
 
     name: ClassVar[str]
@@ -43,41 +42,41 @@ class Policy(ABC):
     remembers: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, aviary: Aviary) -> None:
-        """Take the aviary to fly.
+        """Bind the policy to an aviary.
 
         Args:
-            aviary: The worlds that it flies.
+            aviary: The worlds to control.
 
         Raises:
-            ValueError: The aviary's action is not one that the policy can give.
+            ValueError: If the policy does not support the action type of the aviary.
         """
         check_action(self.name, self.actions, aviary.options.action)
         self.aviary = aviary
 
     def encoded(self, setpoint: np.ndarray) -> np.ndarray:
-        """Encode setpoints as actions.
+        """Encode world-frame setpoints as actions.
 
         Args:
-            setpoint: (W, N, 3) velocities, m/s, or where the action is a target position, places,
-                m; in world axes.
+            setpoint: (W, N, 3) velocities, m/s; target positions, m, if the action type is a target
+                position.
 
         Returns:
-            (W, N, 3) actions that ask for them.
+            (W, N, A) actions that command the setpoints.
         """
         encode = self.aviary.action.encode
-        assert encode is not None  # all actions that policies ask for have one
+        assert encode is not None  # every action type that a baseline supports can be encoded
         return encode(setpoint, self.aviary.commanded)
 
     @abstractmethod
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the worlds of `mask` (W,), which start anew."""
+        """Reset the state of the worlds in `mask` (W,) bool, in which a new episode starts."""
 
     @abstractmethod
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Choose actions.
+        """Choose the actions of all drones.
 
         Args:
-            observations: (W, N, D) of each drone, or a dict of such arrays.
+            observations: (W, N, D) observations of the drones, or a dict of such arrays.
             swarm: The true state of all drones.
 
         Returns:
@@ -85,32 +84,28 @@ class Policy(ABC):
         """
 
     def memory(self) -> dict[str, Any]:
-        """Copy all that it remembers, for `restore`."""
+        """Return a copy of the state that the policy keeps between decisions, for `restore`."""
         return {name: copy.deepcopy(getattr(self, name)) for name in self.remembers}
 
     def restore(self, memory: Mapping[str, Any]) -> None:
-        """Go on with what `memory` gave, here or in another policy of the same class."""
+        """Restore the state that `memory` returned, also from another policy of this class."""
         for name, value in copy.deepcopy(dict(memory)).items():
             setattr(self, name, value)
 
 
-def check_action(
-    policy: str,
-    actions: tuple[str, ...],
-    action: str,
-) -> None:
-    """Refuse an action that a policy cannot give.
+def check_action(policy: str, actions: tuple[str, ...], action: str) -> None:
+    """Check that a policy supports an action type.
 
     Args:
         policy: Name of the policy, for the message.
-        actions: Actions that it can give; none named: any.
-        action: The action of the environment.
+        actions: Supported action types; empty if all are supported.
+        action: Action type of the environment.
 
     Raises:
-        ValueError: The action is not among them.
+        ValueError: If the action type is not supported.
     """
     if actions and action not in actions:
         raise ValueError(
-            f"policy {policy!r} gives {' or '.join(actions)} actions, not {action!r}: "
+            f"policy {policy!r} supports {' or '.join(actions)} actions, not {action!r}: "
             f"choose action={actions[0]!r}"
         )

@@ -1,4 +1,4 @@
-"""A check for authors of policies: fly one briefly and look for mistakes."""
+"""Check for authors of policies: fly a policy briefly and report common mistakes."""
 
 from typing import Any
 
@@ -12,67 +12,62 @@ from bulletuav.tasks import TaskSource
 
 DECISIONS = 30
 SAVED = 13
-"""Decision before which the flight is saved"""
+"""Decision before which a snapshot is saved"""
 NUM_WORLDS = 3
 SEED = 1
 
 
-def check_policy(
-    policy: Any,
-    task: TaskSource = "crossing",
-    **options: Any,
-) -> None:
-    """Look for mistakes of a policy's author: shapes, numbers, seeds, memory, others' state.
+def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> None:
+    """Check a policy for common mistakes.
+
+    The check covers the shape and finiteness of actions, determinism under a fixed seed,
+    completeness of `remembers`, and modification of the swarm state.
 
     Args:
-        policy: A name, `module:Name`, or its class.
-        task: That it flies.
-        **options: Of the environment; its action is one that the policy can give unless told.
+        policy: A name, `module:Name`, or a policy class.
+        task: The task to fly.
+        **options: Options of the environment. The default action type is the first one that the
+            policy supports.
 
     Raises:
-        ValueError: A mistake was found; the message tells what and how to mend it.
+        ValueError: If the policy makes a mistake; the message names the mistake and a remedy.
     """
-    # An action that the policy gives, unless another is asked for
     spec = find_policy(policy, task)
     usual = {"action": spec.actions[0]} if spec.actions else {}
     given = {**usual, **options}
-    # Twice the same flight
-    one = _flown(policy, task, given)
-    k = _first_difference(one, _flown(policy, task, given))
+    one = _fly(policy, task, given)
+    k = _first_difference(one, _fly(policy, task, given))
     if k is not None:
         raise ValueError(
             f"policy {spec.name!r} acts differently at decision {k} of two flights from the "
             f"same seed: draw from generators that are seeded at a reset"
         )
-    if given.get("contacts") == "bullet":  # of which there are no snapshots
+    if given.get("contacts") == "bullet":  # this mode has no snapshots
         return
-    # The same flight again, where another pilot takes over half-way
-    k = _first_difference(one, _flown(policy, task, given, anew=True))
+    # The same flight, with a new policy object that continues from the snapshot
+    k = _first_difference(one, _fly(policy, task, given, replace=True))
     if k is not None:
         raise ValueError(
-            f"policy {spec.name!r} acts differently at decision {k} where another one went on "
-            f"with its memory at {SAVED}: name all that it remembers in `remembers`"
+            f"policy {spec.name!r} acts differently at decision {k} after its state was restored "
+            f"in a new object at decision {SAVED}: list all stateful attributes in `remembers`"
         )
 
 
 def _first_difference(one: list[np.ndarray], other: list[np.ndarray]) -> int | None:
-    """Find the first decision at which two flights differ."""
+    """Return the index of the first decision at which two flights differ, or None."""
     pairs = enumerate(zip(one, other, strict=True))
     return next((k for k, (mine, theirs) in pairs if not np.array_equal(mine, theirs)), None)
 
 
-def _flown(
-    policy: Any,
-    task: TaskSource,
-    options: dict[str, Any],
-    anew: bool = False,
+def _fly(
+    policy: Any, task: TaskSource, options: dict[str, Any], replace: bool = False
 ) -> list[np.ndarray]:
-    """Fly from one seed; list the actions. With `anew` another policy goes on with the memory."""
+    """Fly with a fixed seed; return the actions. `replace`: continue in a new policy object."""
     spec = find_policy(policy, task)
     aviary = Aviary(task, NUM_WORLDS, **{"seed": SEED, **options})
     try:
         observations = aviary.reset()
-        # A reset of all worlds, as trainers and evaluations do it
+        # All worlds are reset, as in training and evaluation
         with naming_task(spec.name, aviary):
             pilot = spec(aviary)
             pilot.reset(np.ones(NUM_WORLDS, dtype=bool))
@@ -80,21 +75,21 @@ def _flown(
         rows = []
         for k in range(DECISIONS):
             if k == SAVED and options.get("contacts") != "bullet":
-                # All flights go on from the snapshot, so that they differ by the pilot alone
+                # Every flight continues from the snapshot; flights differ in the policy object only
                 snapshot, memory = aviary.save_state(), pilot.memory()
-                if anew:
+                if replace:
                     pilot = spec(aviary)
                     pilot.reset(np.ones(NUM_WORLDS, dtype=bool))
                     pilot.restore(memory)
                 observations = aviary.load_state(snapshot)
-            # Other policies of the swarm see the same arrays
+            # Other policies share these arrays, so they must not be modified
             before = [array.copy() for array in aviary.swarm]
             with naming_task(spec.name, aviary):
                 actions = pilot.act(observations, aviary.swarm)
             _check(spec.name, actions, shape)
             if not all(map(np.array_equal, before, aviary.swarm)):
                 raise ValueError(
-                    f"policy {spec.name!r} changes the swarm that it is shown: work on a copy"
+                    f"policy {spec.name!r} modifies the swarm state in place: work on a copy"
                 )
             rows.append(np.array(actions, dtype=float))
             observations = aviary.step(actions).observations
@@ -103,14 +98,12 @@ def _flown(
     return rows
 
 
-def _check(
-    name: str,
-    actions: Any,
-    shape: tuple[int, ...],
-) -> None:
-    """Refuse actions of another shape, or numbers that are none."""
+def _check(name: str, actions: Any, shape: tuple[int, ...]) -> None:
+    """Raise ValueError if the actions have the wrong shape or are not finite."""
     if not isinstance(actions, np.ndarray) or actions.shape != shape:
         form = f"an array {actions.shape}" if isinstance(actions, np.ndarray) else shown(actions)
-        raise ValueError(f"act of policy {name!r} gave {form}: an array {shape} is needed")
+        raise ValueError(f"act of policy {name!r} returned {form}: an array {shape} is needed")
     if not np.isfinite(actions).all():
-        raise ValueError(f"act of policy {name!r} gave {shown(actions)}: finite numbers are needed")
+        raise ValueError(
+            f"act of policy {name!r} returned {shown(actions)}: finite numbers are needed"
+        )

@@ -1,6 +1,7 @@
-"""Policies for tasks with targets on the ground: where to hover high above a city.
+"""Policies for tasks with ground targets: hover positions high above a city.
 
-Drones go to places that serve many targets: `centroid`, `hotspot`, `kmeans` and `oracle`.
+The policies `centroid`, `hotspot`, `kmeans` and `oracle` place drones where they serve many
+targets.
 """
 
 import math
@@ -10,61 +11,64 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.coverage_geometry import (
+    assign_greedily,
+    assign_optimally,
     best_responses,
-    distances,
     farthest_first,
     greedy_coverage,
     kmeans,
-    matched,
-    nearest_left,
-    ring,
+    pairwise_distances,
+    ring_positions,
 )
 from bulletuav.policies.planner import PathFollower
 from bulletuav.policies.potential import INFLUENCE
-from bulletuav.policies.voxels import cell_of, nearest_free
+from bulletuav.policies.voxels import nearest_free, voxel_of
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm
 
-HIGHEST = 0.93
-"""Height of the first drone, in heights of the ceiling: room for gusts"""
+MAX_HEIGHT_FRACTION = 0.93
+"""Height of the first drone as a fraction of the ceiling; the rest is a margin for gusts"""
 STEP_DOWN = 0.01
-"""How much lower each next drone is, so that ways above the roofs do not meet; same unit"""
+"""Height difference between consecutive drones as a fraction of the ceiling, so that their paths
+above the roofs do not intersect"""
 STEPS = 10
-"""How many drones are lower than the one before, until the next one is highest again"""
+"""Number of distinct heights, after which the sequence repeats"""
 PERIOD = 2.0
-"""Time between looks at targets that move, s"""
+"""Minimum time between updates of the positions for moving targets, s"""
 TOLERANCE = 4.0
-"""Distance by which a place moves before its drone does, m"""
+"""Minimum displacement of a hover position that a drone follows, m"""
 HOTSPOT = 50.0
-"""Radius of a hotspot, m: seen at 60 degrees or more from below the default ceiling"""
+"""Radius of a hotspot, m: its targets are seen at an elevation of 60 degrees or more from below
+the default ceiling"""
 GRID = 25
-"""How many places, about, the oracle tries along each side of a city"""
+"""Approximate number of candidate positions of the oracle along each side of a city"""
 
 
 class Placement(PathFollower):
-    """Flight of each living drone to a place of its own over the targets that count.
+    """Base class of policies that send each living drone to a hover position above the targets.
 
-    Drones fly as high as the airspace allows and hover there: where buildings are columns, who
-    rises loses nothing from sight.
+    Drones fly as high as the airspace allows. Above column-shaped buildings a higher position never
+    loses line of sight.
 
-    Places are made anew when an episode starts, when a drone is lost and, at most every PERIOD,
-    when targets have moved. Those in or near a building give way to the nearest free air.
+    Positions are recomputed when an episode starts, when a drone is lost and, at most once per
+    PERIOD, when targets have moved. A position in or near a building is replaced by the nearest
+    free cell.
 
     Attributes:
-        height: (N,) height of each drone's place, m.
-        apart: Distance that places keep where there is room, m.
+        height: (N,) hover height of each drone, m.
+        min_spacing: Minimum distance between hover positions if space permits, m.
     """
 
     remembers = (*PathFollower.remembers, "_place", "_placed", "_targets")
 
     def __init__(self, aviary: Aviary) -> None:
-        """Take the aviary to fly.
+        """Initialise the hover heights and spacing.
 
         Args:
-            aviary: The worlds that it flies.
+            aviary: The worlds to control.
 
         Raises:
-            ValueError: The task has no targets, or its action is not one of this policy.
+            ValueError: If the task has no targets, or the policy does not support the action type.
         """
         task = aviary.task
         shape = aviary.alive.shape
@@ -75,211 +79,191 @@ class Placement(PathFollower):
             )
         super().__init__(aviary)
         steps_down = np.arange(shape[1]) % STEPS
-        self.height = task.arena_high[2] * (HIGHEST - STEP_DOWN * steps_down)
+        self.height = task.arena_high[2] * (MAX_HEIGHT_FRACTION - STEP_DOWN * steps_down)
         separation = getattr(task.config, "min_separation", 0.0)
-        self.apart = float(max(separation, INFLUENCE * task.config.d_safe))
+        self.min_spacing = float(max(separation, INFLUENCE * task.config.d_safe))
         self._every = max(1, round(PERIOD * aviary.options.decision_hz))
         self._place = np.zeros((*shape, 3))
-        # What places were made for: living drones, and targets, infinite where they did not count.
+        # Inputs of the last placement: living drones, and targets (infinite if inactive).
         self._placed = np.zeros(shape, dtype=bool)
         self._targets = np.zeros((shape[0], task.num_targets, 3))
 
     def goals(self, swarm: Swarm) -> np.ndarray:
-        """Give the places (W, N, 3), m, made anew where they must be."""
+        """Return the hover positions (W, N, 3), m, and update outdated ones."""
         aviary = self.aviary
         scene = aviary.scene
         alive = aviary.alive
         counts = aviary.task.active_targets(scene)[..., None]
         targets = np.where(counts, aviary.task.targets(scene), np.inf)
-        # Worlds where an episode starts or a drone was lost, and those where targets moved.
+        # Worlds in which an episode starts, a drone was lost, or targets moved.
         started = alive & (self._count == 0)
         lost = alive != self._placed
-        anew = (started | lost).any(axis=1)
+        reset = (started | lost).any(axis=1)
         moved = (targets != self._targets).any(axis=(1, 2))
         moved &= aviary.steps % self._every == 0
-        settle = (anew | moved) & alive.any(axis=1)
-        for w in np.flatnonzero(settle).tolist():
-            self._settle(w, swarm.position[w], targets[w], bool(anew[w]))
+        outdated = (reset | moved) & alive.any(axis=1)
+        for w in np.flatnonzero(outdated).tolist():
+            self._update_places(w, swarm.position[w], targets[w], bool(reset[w]))
         return self._place
 
-    def _settle(
-        self,
-        w: int,
-        position: np.ndarray,
-        targets: np.ndarray,
-        anew: bool,
+    def _update_places(
+        self, w: int, position: np.ndarray, targets: np.ndarray, reset: bool
     ) -> None:
-        """Make the places of world w, and forget the ways to those that have moved."""
+        """Update the hover positions of world w, and drop the paths to positions that moved."""
         self._placed[w] = self.aviary.alive[w]
         self._targets[w] = targets
         flying = np.flatnonzero(self.aviary.alive[w])
         counts = np.isfinite(targets[:, 0])
-        # Without targets drones stay where they are.
+        # Without active targets, drones hover where they are.
         flat = position[flying, :2]
-        before = None if anew else self._place[w, flying, :2]
+        previous = None if reset else self._place[w, flying, :2]
         if counts.any():
-            flat = self.places(w, targets[counts], flat, before)
+            flat = self.places(w, targets[counts], flat, previous)
         high = np.column_stack([flat, self.height[flying]])
-        place = np.array([self._free(w, over) for over in high])
-        # Small moves of a place are not followed.
+        place = np.array([self._nearest_free_position(w, over) for over in high])
+        # Ignore small displacements.
         move = np.linalg.norm(place - self._place[w, flying], axis=1)
-        away = anew | (move > TOLERANCE)
+        away = reset | (move > TOLERANCE)
         self._place[w, flying[away]] = place[away]
         self._count[w, flying[away]] = 0
 
-    def _free(self, w: int, place: np.ndarray) -> np.ndarray:
-        """Give the place (3,), m, or where it is not free the middle of the nearest free cell."""
-        grid = self._grid(w)
+    def _nearest_free_position(self, w: int, place: np.ndarray) -> np.ndarray:
+        """Return the position (3,), m, or the centre of the nearest free cell if it is occupied."""
+        grid = self._voxel_map(w)
         if grid.occupied.all():
             return place
         cell = nearest_free(grid, place)
-        if cell == cell_of(grid, place):
+        if cell == voxel_of(grid, place):
             return place
         middle: np.ndarray = grid.origin + grid.size * (np.array(cell) + 0.5)
         return middle
 
     @abstractmethod
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
-        """Choose where the K living drones of a world are to hover.
+        """Choose the hover positions of the K living drones of a world.
 
         Args:
             w: Index of the world.
-            targets: (M, 3) targets that count, one or more, m.
-            position: (K, 2) where the drones are, m.
-            before: (K, 2) where they were to hover until now, m; None when they are placed for
-                the first time, or are fewer now.
+            targets: (M, 3) active targets, at least one, m.
+            position: (K, 2) positions of the drones, m.
+            previous: (K, 2) previous hover positions, m; None for the first placement and after the
+                loss of a drone.
 
         Returns:
-            (K, 2) places, m.
+            (K, 2) hover positions, m.
         """
 
 
 @register("policy")
 class Centroid(Placement):
-    """Hovering over the centroid of the targets; several drones hover on a ring about it."""
+    """Hover above the centroid of the targets; several drones hover on a ring around it."""
 
     name = "centroid"
 
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
-        """Share out the ring with the least sum of ways; see `Placement.places`."""
+        """Assign the ring positions with the minimum total distance; see `Placement.places`."""
         task = self.aviary.task
-        circle = ring(
+        circle = ring_positions(
             centre=targets[:, :2].mean(axis=0),
             count=len(position),
-            apart=self.apart,
+            min_spacing=self.min_spacing,
             low=task.arena_low[:2],
             high=task.arena_high[:2],
         )
-        return matched(circle, position)
+        return assign_optimally(circle, position)
 
 
 @register("policy")
-class Hotspot(Placement):
-    """Hovering over hotspots.
+class HotspotPolicy(Placement):
+    """Hover above hotspots.
 
-    These are the target with most others within HOTSPOT, then that with most of those left, and
-    so on. In turn each drone takes the nearest one that is left.
+    The first hotspot is the target with the most other targets within HOTSPOT, the next is the
+    target with the most remaining ones, and so on. Each drone in turn flies to the nearest
+    unassigned hotspot.
     """
 
     name = "hotspot"
 
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
-        """Choose as many hotspots as drones; see `Placement.places`."""
+        """Choose one hotspot per drone; see `Placement.places`."""
         points = targets[:, :2]
-        distance = distances(points, points)
-        # A hotspot serves the targets within its radius.
+        distance = pairwise_distances(points, points)
         near = (distance <= HOTSPOT).astype(float)
         hotspots = greedy_coverage(
-            serves=near, distance=distance, places=points, count=len(position), apart=self.apart
+            service=near,
+            distance=distance,
+            places=points,
+            count=len(position),
+            min_spacing=self.min_spacing,
         )
-        return nearest_left(points[hotspots], position)
+        return assign_greedily(points[hotspots], position)
 
 
 @register("policy")
 class KMeans(Placement):
-    """Hovering over the means of clusters of targets, one for each drone.
+    """Hover above the k-means centres of the targets, one cluster for each drone.
 
-    Once placed, drones follow their clusters.
+    After the first placement, drones follow their clusters.
     """
 
     name = "kmeans"
 
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
-        """Share out the means with the least sum of ways; see `Placement.places`."""
+        """Assign the means with the minimum total distance; see `Placement.places`."""
         points = targets[:, :2]
-        start = farthest_first(points, len(position)) if before is None else before
-        return matched(kmeans(points, start), position)
+        start = farthest_first(points, len(position)) if previous is None else previous
+        return assign_optimally(kmeans(points, start), position)
 
 
 @register("policy")
 class Oracle(Placement):
-    """Hovering where it serves most.
+    """Hover at the positions with the highest service quality.
 
-    It knows how well the task's targets would be served (`Task.service_quality`).
-    It asks from places all over the city, at the height of the lowest drone. That is what is in
-    sight, and in tasks with a radio link how well it serves.
+    The policy queries `Task.service_quality` for candidate positions all over the city, at the
+    height of the lowest drone. Service quality is line of sight, and in tasks with a radio link the
+    quality of the link.
     """
 
     name = "oracle"
 
     def places(
-        self,
-        w: int,
-        targets: np.ndarray,
-        position: np.ndarray,
-        before: np.ndarray | None,
+        self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
-        """Take places greedily at first, then improve them; see `Placement.places`.
+        """Choose positions greedily at first, then improve them; see `Placement.places`.
 
-        Later a drone goes elsewhere only to serve what no other drone serves so well.
+        After the first placement, a drone moves only if it then serves targets better than all
+        other drones do.
         """
         count = len(position)
-        known = position if before is None else before
-        tried = np.concatenate([known, self._grid_places(w)])
-        serves = self._served(w, tried, targets)
-        if before is None:
+        known = position if previous is None else previous
+        candidates = np.concatenate([known, self._grid_places(w)])
+        service = self._service_quality(w, candidates, targets)
+        if previous is None:
             chosen = greedy_coverage(
-                serves=serves,
-                distance=distances(tried, targets[:, :2]),
-                places=tried,
+                service=service,
+                distance=pairwise_distances(candidates, targets[:, :2]),
+                places=candidates,
                 count=count,
-                apart=self.apart,
+                min_spacing=self.min_spacing,
             )
-            return matched(tried[chosen], position)
-        kept = best_responses(serves, tried, np.arange(count), self.apart)
-        places: np.ndarray = tried[kept]
+            return assign_optimally(candidates[chosen], position)
+        kept = best_responses(service, candidates, np.arange(count), self.min_spacing)
+        places: np.ndarray = candidates[kept]
         return places
 
     def _grid_places(self, w: int) -> np.ndarray:
-        """Give the middles (C, 2) of free cells, evenly over the city, m."""
-        grid = self._grid(w)
+        """Return the centres (C, 2) of free cells on a regular grid over the city, m."""
+        grid = self._voxel_map(w)
         layer = int((self.height.min() - grid.origin[2]) // grid.size)
         free = ~grid.occupied[:, :, layer]
-        # Every step-th cell on either axis.
         step = math.ceil((max(free.shape) - 2) / GRID)
         cells = np.argwhere(free)
         on_grid = cells % step == step // 2
@@ -287,15 +271,9 @@ class Oracle(Placement):
         middles: np.ndarray = grid.origin[:2] + grid.size * (kept + 0.5)
         return middles
 
-    def _served(
-        self,
-        w: int,
-        places: np.ndarray,
-        targets: np.ndarray,
-    ) -> np.ndarray:
-        """Tell how well (C, M), 0 to 1, drones at places (C, 2) would serve targets (M, 3)."""
+    def _service_quality(self, w: int, places: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Return the service quality (C, M), 0 to 1, of targets (M, 3) from positions (C, 2)."""
         start = np.insert(places, 2, self.height.min(), axis=1)
-        # A line from each place to each target.
         from_places = np.repeat(start, len(targets), axis=0)
         to_targets = np.tile(targets, (len(places), 1))
         seen = self.aviary.line_of_sight(from_places, to_targets, w)

@@ -1,6 +1,6 @@
-"""Places over points on the ground, and which drone takes which; all in the plane, m.
+"""Hover positions above ground points, and their assignment to drones; all in the plane, m.
 
-Places come from rings, clusters and greedy coverage.
+Positions are computed by rings, clusters and greedy coverage.
 """
 
 import math
@@ -9,45 +9,41 @@ import numpy as np
 
 from bulletuav.compiled.functions import cos, sin
 
-ROUNDS = 100
-"""Greatest number of rounds of Lloyd's iteration, which is done after some ten"""
+MAX_ITERATIONS = 100
+"""Maximum number of Lloyd iterations; about ten are usually enough"""
 
 
-def distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Measure the distances (M, K) between points (M, 2) and others (K, 2), m."""
-    from scipy.spatial.distance import cdist  # which takes long to import
+def pairwise_distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Compute the pairwise distances (M, K) between points (M, 2) and others (K, 2), m."""
+    from scipy.spatial.distance import cdist  # lazy: slow to import
 
     found: np.ndarray = cdist(points, others)
     return found
 
 
-def ring(
-    centre: np.ndarray,
-    count: int,
-    apart: float,
-    low: np.ndarray,
-    high: np.ndarray,
+def ring_positions(
+    centre: np.ndarray, count: int, min_spacing: float, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """Space places evenly on a circle, the first one east of its centre.
+    """Compute evenly spaced positions on a circle, the first one east of the centre.
 
-    The circle is moved into a rectangle, and shrunk where it must be. One place is the centre
+    The circle is shifted into a rectangle, and shrunk if necessary. A single position is the centre
     itself.
 
     Args:
         centre: (2,) centre of the circle, m.
-        count: How many places.
-        apart: Distance between neighbours, m.
+        count: Number of positions.
+        min_spacing: Distance between neighbours, m.
         low: (2,) lower corner of the rectangle, m.
         high: (2,) upper corner of the rectangle, m.
 
     Returns:
-        (count, 2) places, m.
+        (count, 2) positions, m.
     """
-    # Neighbours are `apart` on a circle of this radius, as far as the rectangle has room.
+    # Radius of the circle with the requested spacing, limited by the rectangle.
     radius = 0.0
     if count > 1:
         largest = 0.5 * float((high - low).min())
-        radius = min(0.5 * apart / sin(math.pi / count), largest)
+        radius = min(0.5 * min_spacing / sin(math.pi / count), largest)
     angle = 2 * np.pi * np.arange(count) / count
     circle = np.stack([cos(angle), sin(angle)], axis=1)
     middle = np.clip(centre, low + radius, high - radius)
@@ -56,43 +52,44 @@ def ring(
 
 
 def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
-    """Take the point nearest to the mean, then each time the one farthest from those taken.
+    """Select points by farthest-first traversal, starting with the point nearest to the mean.
 
-    T. Gonzalez, Clustering to minimize the maximum intercluster distance (1985).
+    References:
+        T. Gonzalez, Clustering to minimize the maximum intercluster distance (1985).
 
     Args:
         points: (M, 2) points, m.
-        count: How many to take; some are taken again where there are too few.
+        count: Number of points to select; points repeat if there are too few.
 
     Returns:
-        (count, 2) of the points, m.
+        (count, 2) selected points, m.
     """
     mean = points.mean(axis=0)
-    from_mean = distances(points, mean[None])
+    from_mean = pairwise_distances(points, mean[None])
     taken = [int(from_mean.argmin())]
     while len(taken) < count:
-        from_taken = distances(points, points[taken])
+        from_taken = pairwise_distances(points, points[taken])
         taken.append(int(from_taken.min(axis=1).argmax()))
     return points[taken]
 
 
 def kmeans(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Find the means of clusters of points.
+    """Compute the k-means centres of points by Lloyd's algorithm.
 
-    S. Lloyd, Least squares quantization in PCM (1982).
+    References:
+        S. Lloyd, Least squares quantization in PCM (1982).
 
     Args:
         points: (M, 2) points, m.
-        centres: (K, 2) first guess of the means, m.
+        centres: (K, 2) initial centres, m.
 
     Returns:
-        (K, 2) means, m; one without points is where it was guessed.
+        (K, 2) centres, m; the centre of an empty cluster does not move.
     """
-    for _ in range(ROUNDS):
-        # Each point belongs to the nearest centre.
-        nearest = distances(points, centres).argmin(axis=1)
+    for _ in range(MAX_ITERATIONS):
+        nearest = pairwise_distances(points, centres).argmin(axis=1)
         member = nearest == np.arange(len(centres))[:, None]
-        # Each centre moves to the mean of its points, summed up in their order.
+        # Sum in the order of the points, so that the result is reproducible.
         count = member.sum(axis=1, keepdims=True)
         total = np.where(member[..., None], points, 0.0).sum(axis=1)
         means = total / np.maximum(count, 1)
@@ -105,118 +102,113 @@ def kmeans(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
 
 
 def greedy_coverage(
-    serves: np.ndarray,
-    distance: np.ndarray,
-    places: np.ndarray,
-    count: int,
-    apart: float,
+    service: np.ndarray, distance: np.ndarray, places: np.ndarray, count: int, min_spacing: float
 ) -> np.ndarray:
-    """Take one place after the other, that which adds most to what is served.
+    """Select positions greedily, each time the one with the largest marginal gain in service.
 
-    Each target is served by the best of the places taken. Places keep `apart` from each other as
-    long as there is room. Among equals the place nearest to its targets is taken. When nothing is
-    left to add, all counts again.
+    Each target is served by the best selected position. Positions keep the minimum spacing as long
+    as possible. Ties are broken by the gain-weighted distance to the targets. When no position adds
+    anything, the served state is reset and the selection continues.
 
-    Without `apart` the targets are served at least 1 - 1/e as well as by any choice: G. Nemhauser,
-    L. Wolsey, M. Fisher, An analysis of approximations for maximizing submodular set functions
-    (1978).
+    Without a minimum spacing, the selection achieves at least 1 - 1/e of the optimum.
+
+    References:
+        G. Nemhauser, L. Wolsey, M. Fisher, An analysis of approximations for maximizing submodular
+        set functions (1978).
 
     Args:
-        serves: (C, U) how well each place would serve each target, from 0 to 1.
-        distance: (C, U) distance between them, m.
-        places: (C, 2) places, m.
-        count: How many to take.
-        apart: Least distance between places, m.
+        service: (C, U) service quality of each target from each position, 0 to 1.
+        distance: (C, U) distance between positions and targets, m.
+        places: (C, 2) candidate positions, m.
+        count: Number of positions to select.
+        min_spacing: Minimum distance between positions, m.
 
     Returns:
-        (count,) indices of the places taken.
+        (count,) indices of the selected positions.
     """
     taken: list[int] = []
-    room = np.full(len(places), apart)
-    served = np.zeros(serves.shape[1])
+    spacing = np.full(len(places), min_spacing)
+    served = np.zeros(service.shape[1])
     while len(taken) < count:
-        # Nothing is left to add: all counts again.
-        if not (serves > served).any():
+        # All targets are served as well as possible: start again.
+        if not (service > served).any():
             served[:] = 0.0
-        adds = np.maximum(serves - served, 0.0)
-        # By room, then by what is added, then by distance.
-        ways = (adds * distance).sum(axis=1)
-        order = np.lexsort((ways, -adds.sum(axis=1), -room))
+        gain = np.maximum(service - served, 0.0)
+        # Sort by spacing, then by gain, then by distance.
+        weighted_distance = (gain * distance).sum(axis=1)
+        order = np.lexsort((weighted_distance, -gain.sum(axis=1), -spacing))
         best = int(order[0])
         taken.append(best)
-        # What it serves, and how near it is, counts for the next ones.
-        served = np.maximum(served, serves[best])
-        from_best = distances(places, places[best][None])
-        room = np.minimum(room, from_best[:, 0])
+        served = np.maximum(served, service[best])
+        from_best = pairwise_distances(places, places[best][None])
+        spacing = np.minimum(spacing, from_best[:, 0])
     return np.array(taken)
 
 
 def best_responses(
-    serves: np.ndarray,
-    places: np.ndarray,
-    taken: np.ndarray,
-    apart: float,
+    service: np.ndarray, places: np.ndarray, taken: np.ndarray, min_spacing: float
 ) -> np.ndarray:
-    """Let each drone, in turn, leave its place for a better one.
+    """Move each drone in turn to its best position, given the positions of all others.
 
-    Better is what adds more to what the others serve. Among equals a drone takes the nearest, so
-    it stays at a place that is no worse.
+    The best position has the largest marginal gain over what the other drones serve. Ties are
+    broken by distance, so a drone stays unless another position is strictly better.
 
     Args:
-        serves: (C, U) how well each place would serve each target, from 0 to 1.
-        places: (C, 2) places, m.
-        taken: (K,) index of the place of each drone.
-        apart: Least distance between places, m.
+        service: (C, U) service quality of each target from each position, 0 to 1.
+        places: (C, 2) candidate positions, m.
+        taken: (K,) index of the current position of each drone.
+        min_spacing: Minimum distance between positions, m.
 
     Returns:
-        (K,) indices of the places afterwards.
+        (K,) indices of the new positions.
     """
     taken = taken.copy()
     for i, here in enumerate(taken):
-        # What this drone would add to what the others serve.
+        # Marginal gain over the other drones.
         others = np.delete(taken, i)
-        served = serves[others].max(axis=0, initial=0.0)
-        adds = np.maximum(serves - served, 0.0).sum(axis=1)
-        from_others = distances(places, places[others])
-        room = from_others.min(axis=1, initial=apart)
-        # By room, then by what is added, then by the way there.
-        ways = distances(places, places[here][None])
-        order = np.lexsort((ways[:, 0], -adds, -room))
+        served = service[others].max(axis=0, initial=0.0)
+        gain = np.maximum(service - served, 0.0).sum(axis=1)
+        from_others = pairwise_distances(places, places[others])
+        spacing = from_others.min(axis=1, initial=min_spacing)
+        # Sort by spacing, then by gain, then by distance.
+        weighted_distance = pairwise_distances(places, places[here][None])
+        order = np.lexsort((weighted_distance[:, 0], -gain, -spacing))
         taken[i] = order[0]
     return taken
 
 
-def matched(places: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Give each drone a place, with the least sum of distances: no two ways cross.
+def assign_optimally(places: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Assign positions to drones with the minimum sum of distances, so that no two paths cross.
 
-    H. Kuhn, The Hungarian method for the assignment problem (1955).
+    References:
+        H. Kuhn, The Hungarian method for the assignment problem (1955).
 
     Args:
-        places: (K, 2) places, m.
+        places: (K, 2) hover positions, m.
         position: (K, 2) positions of the drones, m.
 
     Returns:
-        (K, 2) the place of each drone, m.
+        (K, 2) hover position of each drone, m.
     """
-    from scipy.optimize import linear_sum_assignment  # which takes long to import
+    from scipy.optimize import linear_sum_assignment  # lazy: slow to import
 
-    _, chosen = linear_sum_assignment(distances(position, places))
+    _, chosen = linear_sum_assignment(pairwise_distances(position, places))
     given: np.ndarray = places[chosen]
     return given
 
 
-def nearest_left(places: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Give each drone, in turn, the nearest place that is left.
+def assign_greedily(places: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Assign to each drone in turn the nearest unassigned position.
 
     Args:
-        places: (K, 2) places, m.
+        places: (K, 2) hover positions, m.
         position: (K, 2) positions of the drones, m.
 
     Returns:
-        (K, 2) the place of each drone, m.
+        (K, 2) hover position of each drone, m.
     """
     taken: list[int] = []
-    for row in distances(position, places):
+    for row in pairwise_distances(position, places):
         row[taken] = np.inf
         taken.append(int(row.argmin()))
     return places[taken]

@@ -1,6 +1,6 @@
-"""Features that observed numbers go through before a network's layers, by NumPy.
+"""Feature extraction in front of a policy network, in NumPy.
 
-`bulletuav.adapters.features` has the same for PyTorch, to learn with.
+`bulletuav.adapters.features` implements the same features in PyTorch for training.
 """
 
 from collections.abc import Sequence
@@ -11,25 +11,26 @@ from bulletuav.compiled.functions import log, log1p
 from bulletuav.compiled.kernel import kernel
 from bulletuav.sensors.sight import AHEAD
 
-LINE_OF_SIGHT = 2.0
-"""Path loss exponent of `mec` where a user is in sight"""
-BLOCKED = 3.19
-"""Path loss exponent of `mec` where a user is not in sight"""
-FAR = 100.0
-"""Unit of positions, m"""
+LOS_EXPONENT = 2.0
+"""Path loss exponent of task `mec` for users in line of sight"""
+NLOS_EXPONENT = 3.19
+"""Path loss exponent of task `mec` for users without line of sight"""
+POSITION_SCALE = 100.0
+"""Scale of positions, m"""
 Layers = Sequence[tuple[np.ndarray, np.ndarray]]
 """Weights (outputs, inputs) and biases (outputs,) of dense layers"""
 
 
 def symlog(values: np.ndarray, scale: float = 1.0) -> np.ndarray:
-    """Compress numbers: sign(x) ln(1 + scale |x|).
+    """Compute the symmetric logarithm sign(x) ln(1 + scale |x|).
 
-    D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models
-    (2023), equation 9.
+    References:
+        D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models
+        (2023), equation 9.
 
     Args:
         values: Numbers x, of any shape.
-        scale: Scale; larger where small numbers matter.
+        scale: Scale of x; larger values resolve smaller numbers.
 
     Returns:
         The compressed numbers, of the same shape.
@@ -39,7 +40,9 @@ def symlog(values: np.ndarray, scale: float = 1.0) -> np.ndarray:
 
 
 def dense(values: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """Multiply by a matrix and add, to the same bits on every processor: W x + b.
+    """Compute the dense layer W x + b with a fixed order of summation.
+
+    The result has the same bits on every processor, unlike that of BLAS.
 
     Args:
         values: (..., inputs) vectors x.
@@ -47,7 +50,7 @@ def dense(values: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarra
         bias: (outputs,) b.
 
     Returns:
-        (..., outputs).
+        (..., outputs) results.
     """
     rows = np.ascontiguousarray(values.reshape(-1, values.shape[-1]), dtype=float)
     result = np.empty((len(rows), len(bias)))
@@ -56,16 +59,11 @@ def dense(values: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarra
 
 
 @kernel
-def _multiply(
-    rows: np.ndarray,
-    columns: np.ndarray,
-    bias: np.ndarray,
-    result: np.ndarray,
-) -> None:
-    """Write the products of rows (M, inputs) and columns (inputs, outputs), plus bias."""
+def _multiply(rows: np.ndarray, columns: np.ndarray, bias: np.ndarray, result: np.ndarray) -> None:
+    """Write the product of rows (M, inputs) and columns (inputs, outputs), plus bias."""
     count, inputs = rows.shape
     for m in range(count):
-        # Sums grow input by input, which BLAS does in an order of the processor's own
+        # Fixed order of summation; that of BLAS depends on the processor
         for j in range(len(bias)):
             result[m, j] = bias[j]
         for k in range(inputs):
@@ -75,33 +73,33 @@ def _multiply(
 
 
 class UserFeatures:
-    """Features of drones and their users, from layers that were learned.
+    """Features of drones and ground users, from trained layers.
 
     See `bulletuav.adapters.features.UserSum`.
 
     Attributes:
-        num_drones: How many drones the layers are for.
+        num_drones: Number of drones that the layers expect.
     """
 
     def __init__(self, layers: Layers) -> None:
-        """Take the layers that each user goes through.
+        """Set the layers that encode each user.
 
         Args:
-            layers: Their weights and biases, first to last.
+            layers: Weights and biases, first to last.
         """
         self._layers = layers
         weights, _ = layers[0]
         self.num_drones = (weights.shape[1] - 4 - len(AHEAD)) // 2
-        self._ways = np.array(list(AHEAD.values()))
+        self._offsets = np.array(list(AHEAD.values()))
 
     def sizes(self, count: int) -> list[int]:
-        """Split an observation of `count` numbers into its blocks.
+        """Split the length of an observation into the lengths of its blocks.
 
         Returns:
-            How many numbers each has: position, all_neighbours, targets, sight_matrix, sight_ahead.
+            The lengths of position, all_neighbours, targets, sight_matrix and sight_ahead.
 
         Raises:
-            ValueError: No number of users gives as many.
+            ValueError: If no number of users matches `count`.
         """
         others = 6 * (self.num_drones - 1)
         numbers_each = 4 + self.num_drones + len(AHEAD)
@@ -124,23 +122,23 @@ class UserFeatures:
         count = len(rows)
         ends = np.cumsum(self.sizes(rows.shape[1]))[:-1]
         own, others, users, sight, ahead = np.split(rows, ends, axis=1)
-        # Of each other drone its position, of each user its position, who sees it, and from where.
+        # Positions of the other drones; for each user its position, and its lines of sight.
         others = others.reshape(count, -1, 6)[..., :3]
         users = users.reshape(count, -1, 4)[:, :, None, :3]
         num_users = users.shape[1]
         sight = sight.reshape(count, -1, num_users).transpose(0, 2, 1)
         ahead = ahead.reshape(count, -1, num_users).transpose(0, 2, 1)
-        # How loud each user is at each drone, first the one that asks, and at the places around it.
-        ways = np.concatenate([users, users - others[:, None]], axis=2)
-        now = log_gain(ways, sight)
+        # Path gain of each user at each drone, own drone first, and at positions around it.
+        offsets = np.concatenate([users, users - others[:, None]], axis=2)
+        now = log_path_gain(offsets, sight)
         here = now[..., :1]
         elsewhere = now[..., 1:].max(axis=2, keepdims=True)
         lead = here - elsewhere
-        gain = log_gain(users - self._ways, ahead) - here
-        # All of it scaled to the order of 1.
+        gain = log_path_gain(users - self._offsets, ahead) - here
+        # Scale all inputs to the order of 1.
         known = np.concatenate(
             [
-                users[:, :, 0] / FAR,
+                users[:, :, 0] / POSITION_SCALE,
                 now / 2 + 6,
                 sight,
                 lead / 2,
@@ -148,28 +146,27 @@ class UserFeatures:
             ],
             axis=2,
         )
-        # Through the layers, and summed over users.
         for weight, bias in self._layers:
             known = np.maximum(dense(known, weight, bias), 0)
         each = known.sum(axis=1) / np.sqrt(users.shape[1])
         flat = others.reshape(count, -1)
-        return np.concatenate([own / FAR, flat / FAR, each], axis=1)
+        return np.concatenate([own / POSITION_SCALE, flat / POSITION_SCALE, each], axis=1)
 
 
-def log_gain(offset: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Compute the logarithm of received power over that at 1 m.
+def log_path_gain(offset: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Compute the natural logarithm of the path gain relative to a distance of 1 m.
 
     See `log_distance` in `bulletuav.network.pathloss`.
 
     Args:
-        offset: (..., 3) ways from senders to receivers, m.
-        seen: (...) 1 where they see each other, else 0.
+        offset: (..., 3) offsets from transmitter to receiver, m.
+        seen: (...) 1 for line of sight, else 0.
 
     Returns:
-        (...) natural logarithms.
+        (...) natural logarithms of the gain.
     """
     distance = np.sqrt((offset * offset).sum(axis=-1))
     # In single precision, as in training.
-    exponent = np.where(seen > 0.5, np.float32(LINE_OF_SIGHT), np.float32(BLOCKED))
+    exponent = np.where(seen > 0.5, np.float32(LOS_EXPONENT), np.float32(NLOS_EXPONENT))
     gain: np.ndarray = -exponent * log(distance + 1)
     return gain

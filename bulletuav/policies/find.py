@@ -1,4 +1,4 @@
-"""Lookup of policies: by name, as `module:Name`, by class, by run folder, or by model file."""
+"""Find a policy by name, `module:Name`, class, run folder, model file or function."""
 
 import importlib
 import warnings
@@ -17,7 +17,7 @@ from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunC
 from bulletuav.policies.trained import TRUST, SharedPolicy, Trained, actions_given
 from bulletuav.policies.versus import (
     VERSUS,
-    Rows,
+    RowsFunction,
     RowsPolicy,
     TeamPolicies,
     Versus,
@@ -28,28 +28,28 @@ from bulletuav.registry import find, names, require_declared
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.version import CONSTANTS
 
-PolicySource = str | Path | type[Policy] | Versus | Rows
-"""A policy by its name, `module:Name`, file or folder; its class; one for each team; a function"""
+PolicySource = str | Path | type[Policy] | Versus | RowsFunction
+"""Name, `module:Name`, file, folder or class of a policy; one policy per team; or a function"""
 NEEDED = ("name", "actions", "reads_swarm")
-"""Attributes that every policy class has"""
+"""Attributes that every policy class defines"""
 SHIPPED_NAMES = ("trained", "untrained")
-"""Names of the policies that come with the package, another one for each task"""
+"""Names of the policies in the package; they select a different policy for each task"""
 OLD_MODEL = "model.zip"
-"""File in which older versions kept the policy of a run, as stable-baselines3 saves it"""
+"""Model file of a run from older versions, saved by stable-baselines3"""
 SB3_MODEL = "bulletuav.adapters.sb3_model"
-"""Module that flies models of stable-baselines3; it is above this room and needs the extra"""
+"""Module that runs stable-baselines3 models; imported lazily, as it needs an extra"""
 
 
 class PolicySpec(NamedTuple):
-    """A policy that was found but not made yet: call it with an aviary to make it.
+    """Description of a policy that is not instantiated yet; call it with an aviary to do so.
 
     Attributes:
-        name: Its name in tables and messages.
-        actions: Actions that it can give, the preferred one first; none named: any.
-        reads_swarm: Whether it uses the true state instead of the observations.
-        make: Makes the policy for an aviary.
-        models: Files of trained policies; none for all others.
-        options: Options that environments need for the policy to see and do what it learned with.
+        name: Name in tables and messages.
+        actions: Supported action types, the preferred one first; empty if all are supported.
+        reads_swarm: Whether the policy reads the true state instead of the observations.
+        make: Function that instantiates the policy for an aviary.
+        models: Files of trained policies; empty for all others.
+        options: Options of the environment that reproduce the observations and actions of training.
     """
 
     name: str
@@ -60,44 +60,43 @@ class PolicySpec(NamedTuple):
     options: Mapping[str, Any] = MappingProxyType({})
 
     def __call__(self, aviary: Aviary) -> Policy:
-        """Make the policy that flies an aviary.
+        """Instantiate the policy for an aviary.
 
         Raises:
-            ValueError: The aviary's action is not one that the policy can give, or the task lacks
-                what it needs.
+            ValueError: If the policy does not support the action type of the aviary, or the task
+                lacks something that the policy reads.
         """
         check_action(self.name, self.actions, aviary.options.action)
         with naming_task(self.name, aviary):
             return self.make(aviary)
 
     def complete(self, task: TaskSource, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Complete the options of an environment by what the policy needs to fly in it.
+        """Complete the options of an environment with those that the policy requires.
 
         Args:
-            task: What it is to fly.
-            options: Options that the user gave; they go before those of the policy.
+            task: The task to fly.
+            options: Options of the user, which override those of the policy.
 
         Returns:
-            The options with those that a trained policy needs. Where the user chose no action and
-            the policy cannot give the task's own, they have the first that it can give and that
-            the dynamics takes.
+            The merged options. If the user set no action and the policy does not support the
+            default action of the task, the action is the first one that the policy supports and the
+            dynamics accepts.
 
         Raises:
-            ValueError: An option is none that can be, or the dynamics takes no action of the
-                policy.
+            ValueError: If an option is invalid, or the dynamics accepts no action of the policy.
         """
         whole = {**self.options, **options}
-        # Also refuses what cannot be, before any flight.
+        # This also validates the options before any flight.
         common = resolve(find_task(task), whole).options
-        # A policy without a list of actions can give all of them.
+        # An empty list of actions means that all are supported.
         if not self.actions or "action" in options:
             return whole
         usable = [one for one in self.actions if _is_usable(one, common)]
         if not usable:
             raise ValueError(
-                f"policy {self.name!r} gives {' or '.join(self.actions)} actions, which dynamics "
-                f"{common.dynamics_name!r} does not take: choose another policy, or dynamics "
-                f"'rigid_body' or 'bullet'"
+                f"policy {self.name!r} supports {' or '.join(self.actions)} actions, which "
+                f"dynamics {common.dynamics_name!r} does not accept: choose another policy, or "
+                f"dynamics 'rigid_body' or 'bullet'"
             )
         if "action" in whole or common.action in self.actions:
             return whole
@@ -105,46 +104,43 @@ class PolicySpec(NamedTuple):
 
 
 def _is_usable(action: str, options: EnvOptions) -> bool:
-    """Return True if the dynamics of an environment takes an action."""
+    """Return True if the dynamics of an environment accepts an action type."""
     return action_for(options.dynamics, action, options.airframe) == action
 
 
 def policy_names() -> list[str]:
-    """List the names of all policies: baselines, those of other packages, and shipped ones."""
+    """List the names of all policies: baselines, plugins and shipped policies."""
     return [*names("policy"), *SHIPPED_NAMES]
 
 
 def find_policy(
-    source: PolicySource,
-    task: TaskSource | None = None,
-    trust: bool = False,
+    source: PolicySource, task: TaskSource | None = None, trust: bool = False
 ) -> PolicySpec:
     """Find a policy.
 
     Args:
         source: One of
 
-            - a name: one of `policy_names`, where "trained" is the policy that comes with the
-              package for `task`, and "untrained" the same before it learned anything;
-            - "module:Name", a class derived from `Policy` in a module that can be imported;
+            - a name from `policy_names`; "trained" is the shipped policy for `task`, and
+            "untrained" its initial weights;
+            - "module:Name", a class derived from `Policy` in an importable module;
             - such a class itself;
-            - the folder of a training run, or of one of its checkpoints (RUN/checkpoints/003);
+            - the folder of a training run, or of a checkpoint (RUN/checkpoints/003);
             - "ppo:model.zip" (also sac, td3, dqn, a2c, ddpg), saved by stable-baselines3;
             - a function from rows of observations (M, D), or a dict of such, to rows of actions;
-            - one of these for each team: a `Versus`, or "lead vs flee" in the teams' order.
-        task: The task that it is to fly; needed for "trained" and "untrained".
-        trust: Whether to read files that can run code when they are read, which
-            stable-baselines3's models can.
+            - one policy for each team: a `Versus`, or "lead vs flee" in the order of the teams.
+        task: The task to fly; required for "trained" and "untrained".
+        trust: Whether to read files that can execute code, such as models of stable-baselines3.
 
     Returns:
-        The policy to be made, which takes an aviary.
+        The specification of the policy; call it with an aviary to instantiate the policy.
 
     Raises:
-        ValueError: There is no such policy (the nearest names are told), its class lacks
-            something, or its file is not trusted.
-        FileNotFoundError: There is no such file.
+        ValueError: If there is no such policy (the message suggests similar names), its class is
+            incomplete, or its file is not trusted.
+        FileNotFoundError: If there is no such file.
     """
-    # Objects: classes, sides, and functions of observations
+    # Objects: classes, policies of teams, and functions of observations
     if isinstance(source, type) and issubclass(source, Policy):
         return _from_class(source)
     if isinstance(source, Versus):
@@ -157,7 +153,7 @@ def find_policy(
             f"policy is {shown(source)}: a name, module:Name, a run's folder, 'ppo:model.zip', "
             f"a class, a function, or a Versus is needed"
         )
-    # Texts, of which some are names, some files
+    # Strings: names or files
     text = str(source)
     if VERSUS in text:
         return _from_sides(text.split(VERSUS), task, trust)
@@ -168,24 +164,22 @@ def find_policy(
     before, colon, after = text.partition(":")
     if not colon:
         return _from_name(text)
-    # What follows the colon tells a model's file from a class, unless an algorithm stands before.
+    # An algorithm before the colon, or a path after it, means a model file; else it is a class.
     if before in ALGORITHMS or not after.isidentifier():
         return _from_model(text, before, after, trust)
     return _from_class(find("policy", text, _is_policy))
 
 
 def _from_sides(
-    sides: Mapping[str, Any] | Sequence[Any],
-    task: TaskSource | None,
-    trust: bool,
+    sides: Mapping[str, Any] | Sequence[Any], task: TaskSource | None, trust: bool
 ) -> PolicySpec:
-    """Find a policy for each team, by name or in the teams' order, and join them."""
+    """Find one policy per team, by team name or in the order of the teams, and join them."""
     teams = tuple(sides) if isinstance(sides, Mapping) else ()
     listed = sides.values() if isinstance(sides, Mapping) else sides
     found = [find_policy(side, task, trust) for side in listed]
     makers = [one.__call__ for one in found]
     actions = joint_actions([one.actions for one in found])
-    # Each flies by the common action, also where it learned with another one
+    # All policies use the common action type, even if trained with another one
     needed = [
         {**one.options, "action": actions[0]} if "action" in one.options else one.options
         for one in found
@@ -201,7 +195,6 @@ def _from_sides(
 
 
 def _is_policy(found: object) -> bool:
-    """Tell whether an object is a class of policies."""
     return isinstance(found, type) and issubclass(found, Policy)
 
 
@@ -217,7 +210,7 @@ def _from_name(name: str) -> PolicySpec:
 
 
 def _from_class(kind: type[Policy]) -> PolicySpec:
-    """Describe a class; raise ValueError, naming what is missing, unless it is whole."""
+    """Describe a policy class; raise ValueError if it lacks a required attribute."""
     lacks = [
         *sorted(kind.__abstractmethods__),
         *(name for name in NEEDED if not hasattr(kind, name)),
@@ -231,12 +224,8 @@ def _from_class(kind: type[Policy]) -> PolicySpec:
     return PolicySpec(kind.name, kind.actions, kind.reads_swarm, kind)
 
 
-def _from_package(
-    name: str,
-    task: TaskSource | None,
-    trust: bool,
-) -> PolicySpec:
-    """Find the package's own trained policy of a task, or what it was before."""
+def _from_package(name: str, task: TaskSource | None, trust: bool) -> PolicySpec:
+    """Find the shipped policy of a task, trained or with its initial weights."""
     if task is None:
         raise ValueError(f"policy {name!r} is another one in each task: say which task")
     run = shipped(find_task(task).name)
@@ -244,36 +233,32 @@ def _from_package(
 
 
 def config_file(folder: Path) -> Path:
-    """Return the path of the settings of a run, for its folder or that of a checkpoint."""
+    """Return the path of the run configuration for a run folder or a checkpoint folder."""
     is_checkpoint = folder.parent.name == CHECKPOINTS and not (folder / CONFIG).exists()
     return (folder.parents[1] if is_checkpoint else folder) / CONFIG
 
 
 def read_run_config(folder: Path, trust: bool = False) -> RunConfig:
-    """Read the settings of a run.
+    """Read the configuration of a training run.
 
     Args:
-        folder: The folder of the run, or that of a checkpoint two folders below it.
+        folder: Folder of the run, or of a checkpoint two levels below it.
         trust: Whether modules that the file names may be imported.
 
     Raises:
-        ValueError: The file is of another kind, or holds an impossible setting.
-        FileNotFoundError: There is no such file.
+        ValueError: If the file is of another kind, or contains an invalid setting.
+        FileNotFoundError: If there is no such file.
     """
     return RunConfig.read(config_file(folder), trust)
 
 
-def _from_run(
-    folder: Path,
-    name: str,
-    trust: bool,
-) -> PolicySpec:
-    """Find the policy of a run, or of a checkpoint two folders below it."""
+def _from_run(folder: Path, name: str, trust: bool) -> PolicySpec:
+    """Find the policy of a run, or of a checkpoint two levels below it."""
     config = read_run_config(folder, trust)
     if config.constants != CONSTANTS:
         warnings.warn(
-            f"policy {name!r} of {config.task} learned with constants {config.constants}, and this "
-            f"package has {CONSTANTS}: it may fly worse than it did; train it anew",
+            f"policy {name!r} of {config.task} was trained with constants {config.constants}, and "
+            f"this package has {CONSTANTS}: it may perform worse; train it again",
             stacklevel=3,
         )
     path = folder / POLICY
@@ -286,30 +271,20 @@ def _from_run(
     return spec._replace(actions=actions, options=config.interface)
 
 
-def _from_model(
-    source: str,
-    algorithm: str,
-    file: str,
-    trust: bool,
-) -> PolicySpec:
-    """Find a model that stable-baselines3 saved, from what stands before and after the colon."""
+def _from_model(source: str, algorithm: str, file: str, trust: bool) -> PolicySpec:
+    """Find a model of stable-baselines3 from the text before and after the colon."""
     find_choice("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
     if not file:
         raise ValueError(
             f"policy is {source!r}: the path of a model is needed after the colon, "
             f"such as 'ppo:model.zip'"
         )
-    # The library adds the ending to names without it.
+    # stable-baselines3 appends the suffix if it is missing.
     path = file if Path(file).is_file() else f"{file}.zip"
     return _trusted(Path(path), source, algorithm, trust)
 
 
-def _trusted(
-    path: Path,
-    name: str,
-    algorithm: str,
-    trust: bool,
-) -> PolicySpec:
+def _trusted(path: Path, name: str, algorithm: str, trust: bool) -> PolicySpec:
     """Describe a model of stable-baselines3; raise ValueError unless the user trusts it."""
 
     def make(aviary: Aviary) -> Policy:
@@ -322,12 +297,8 @@ def _trusted(
     return spec
 
 
-def _from_file(
-    name: str,
-    path: Path,
-    make: Callable[[Aviary], Policy],
-) -> PolicySpec:
-    """Describe a policy that is read from a file; raise FileNotFoundError unless it is there."""
+def _from_file(name: str, path: Path, make: Callable[[Aviary], Policy]) -> PolicySpec:
+    """Describe a policy file; raise FileNotFoundError if it does not exist."""
     if not path.is_file():
-        raise FileNotFoundError(f"no model {path}: a file that training saved is needed")
+        raise FileNotFoundError(f"no model {path}: a file saved by training is needed")
     return PolicySpec(name, (), SharedPolicy.reads_swarm, make, (path,))

@@ -1,4 +1,4 @@
-"""The last metres of a landing, for policies that brake for their goals."""
+"""Touchdown: the last metres of a landing."""
 
 import numpy as np
 
@@ -6,26 +6,23 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
 
 DESCENT = 0.5
-"""m/s, at which drones go down onto the ground at least: slower ones never touch it"""
+"""Minimum descent speed near the ground, m/s; slower drones never make contact"""
 NEAR = 1.0
-"""m, how far aside of the goal they do so at most"""
+"""Maximum horizontal distance to the goal for touchdown, m"""
 LOW = 5.0
-"""m, how high above it"""
+"""Maximum height above the goal for touchdown, m"""
 
 
 def touch_down(
-    velocity: np.ndarray,
-    way: np.ndarray,
-    goal_height: np.ndarray,
-    task: Task[TaskConfig],
+    velocity: np.ndarray, goal_offset: np.ndarray, goal_height: np.ndarray, task: Task[TaskConfig]
 ) -> np.ndarray:
-    """Have drones that are close above goals on the ground go down to touch it.
+    """Enforce a minimum descent speed for drones close above a goal on the ground.
 
     Args:
-        velocity: (W, N, 3) that they would fly otherwise, m/s.
-        way: (W, N, 3) to their goals, m.
-        goal_height: (W, N) of the goals above the ground, m.
-        task: The task, which tells whether drones may touch the ground.
+        velocity: (W, N, 3) commanded velocities, m/s.
+        goal_offset: (W, N, 3) offsets to the goals, m.
+        goal_height: (W, N) heights of the goals above ground, m.
+        task: The task; velocities change only if its drones land.
 
     Returns:
         (W, N, 3) velocities, m/s.
@@ -33,7 +30,9 @@ def touch_down(
     if not task.lands:
         return velocity
     is_down = goal_height <= np.array(task.context.standing_height)
-    is_near = (way[..., 0] ** 2 + way[..., 1] ** 2 <= NEAR**2) & (way[..., 2] >= -LOW)
+    is_near = (goal_offset[..., 0] ** 2 + goal_offset[..., 1] ** 2 <= NEAR**2) & (
+        goal_offset[..., 2] >= -LOW
+    )
     result: np.ndarray = velocity.copy()
     fall = np.minimum(velocity[..., 2], -DESCENT)
     result[..., 2] = np.where(is_down & is_near, fall, velocity[..., 2])

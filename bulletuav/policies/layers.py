@@ -1,9 +1,9 @@
-"""Kinds of layers that networks are written down with for programs of others.
+"""Layer types in which networks are exported to other formats.
 
-Each is plain data: what writes a format has one function for each kind, see
-`bulletuav.adapters.c_source` and `bulletuav.adapters.onnx`. A layer works on one vector. A new kind
-takes a class here, a place in `Layer`, and a function in each writer; one that a writer lacks is
-refused by name.
+Each layer is plain data and operates on one vector. Each exporter has one function per layer type,
+see `bulletuav.adapters.c_source` and `bulletuav.adapters.onnx`. A new layer type needs a class
+here, a place in `Layer`, and a function in each exporter; an exporter raises an error for a layer
+type that it does not support.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 
 
 class Clip(NamedTuple):
-    """Cut each number to its bounds.
+    """Clip each number to its bounds.
 
     Attributes:
         low: (n,) lower bounds, which may be infinite.
@@ -24,25 +24,25 @@ class Clip(NamedTuple):
 
 
 class Affine(NamedTuple):
-    """Scale and shift each number: scale x + offset.
+    """Apply the element-wise affine map scale x + offset.
 
     Attributes:
         scale: (n,) factors.
-        offset: (n,) what is added.
+        offset: (n,) offsets.
     """
 
     scale: np.ndarray
     offset: np.ndarray
 
 
-class Symlog(NamedTuple):
-    """Compress each number: sign(x) ln(1 + scale |x|)."""
+class SymlogLayer(NamedTuple):
+    """Apply the symmetric logarithm sign(x) ln(1 + scale |x|) to each number."""
 
     scale: float
 
 
 class Dense(NamedTuple):
-    """Multiply by a matrix and add: W x + b.
+    """Apply the dense layer W x + b.
 
     Attributes:
         weight: (outputs, inputs) W.
@@ -58,25 +58,25 @@ class Tanh(NamedTuple):
 
 
 class Relu(NamedTuple):
-    """Cut off what is negative."""
+    """Apply max(x, 0) to each number."""
 
 
 class SquareRoot(NamedTuple):
-    """Take the square root of each number, none of which is negative."""
+    """Take the square root of each number, which must not be negative."""
 
 
 class LimitNorm(NamedTuple):
-    """Shorten a vector that is longer than `most`, and keep its direction."""
+    """Scale a vector with a norm above `max_norm` to that norm."""
 
-    most: float
+    max_norm: float
 
 
-class Choose(NamedTuple):
-    """Give the index of the largest number, the first of those that are equal."""
+class Argmax(NamedTuple):
+    """Return the index of the largest number, the first one in case of ties."""
 
 
 class Lookup(NamedTuple):
-    """Give the row of a table that a choice names.
+    """Return the row of a table that an index selects.
 
     Attributes:
         rows: (choices, n) the table.
@@ -85,14 +85,14 @@ class Lookup(NamedTuple):
     rows: np.ndarray
 
 
-class Others(NamedTuple):
-    """Others of one kind, such as neighbours, among the numbers of an observation.
+class EntityGroup(NamedTuple):
+    """Entities of one kind, such as neighbours, in an observation.
 
     Attributes:
-        columns: (K, n) int, places of the numbers of each of them.
-        motion: (6,) int, places of relative position and velocity among the numbers of one; or (0,)
-            where they are not told.
-        layers: What each of them goes through, first to last, with `Relu` after each.
+        columns: (K, n) int, indices of the numbers of each entity.
+        motion: (6,) int, indices of relative position and velocity among the numbers of an entity;
+            (0,) if they are not observed.
+        layers: Encoder of each entity, first to last, with `Relu` after each layer.
     """
 
     columns: np.ndarray
@@ -100,37 +100,47 @@ class Others(NamedTuple):
     layers: tuple[Dense, ...]
 
 
-class Swarm(NamedTuple):
-    """Give features of a drone among others, see `bulletuav.policies.swarm_features`.
+class SwarmLayer(NamedTuple):
+    """Extract permutation-invariant swarm features, see `bulletuav.policies.swarm_features`.
 
     Attributes:
-        own: (m,) int, places of the numbers that tell of no other.
-        kinds: The others.
-        scale: Scale of the numbers, as that of `Symlog`.
+        own: (m,) int, indices of the numbers that describe no other entity.
+        kinds: Entities by kind.
+        scale: Scale of the symmetric logarithm.
     """
 
     own: np.ndarray
-    kinds: tuple[Others, ...]
+    kinds: tuple[EntityGroup, ...]
     scale: float
 
 
 Layer = (
-    Clip | Affine | Symlog | Dense | Tanh | Relu | SquareRoot | LimitNorm | Choose | Lookup | Swarm
+    Clip
+    | Affine
+    | SymlogLayer
+    | Dense
+    | Tanh
+    | Relu
+    | SquareRoot
+    | LimitNorm
+    | Argmax
+    | Lookup
+    | SwarmLayer
 )
-"""One layer, of any kind"""
+"""A layer of any type"""
 
 
 def width_after(layer: Layer, width: int) -> int:
-    """Count the numbers that a layer gives.
+    """Return the number of outputs of a layer.
 
     Args:
         layer: The layer.
-        width: How many it takes.
+        width: Number of inputs.
     """
     if isinstance(layer, Dense):
         return len(layer.bias)
-    if isinstance(layer, Swarm):
+    if isinstance(layer, SwarmLayer):
         return len(layer.own) + sum(2 * len(kind.layers[-1].bias) for kind in layer.kinds)
-    if isinstance(layer, Choose):
+    if isinstance(layer, Argmax):
         return 1
     return layer.rows.shape[1] if isinstance(layer, Lookup) else width

@@ -1,15 +1,17 @@
-"""Search for the best velocity within half-spaces and a limit of speed.
+"""Linear programming over half-spaces of velocities and a speed limit.
 
-It is the velocity nearest to a wanted one, or where none is left the one that misses the
-half-spaces by the least. Incremental linear programming: M. de Berg et al., Computational
-Geometry (2008), section 4.3, as used by J. van den Berg et al., Reciprocal n-body collision
-avoidance (2011), section 5.
+The solution is the permitted velocity nearest to a preferred one. If no velocity is permitted, it
+is the velocity that minimises the maximum violation.
 
-A half-space (a, b, c, d) of unit normal n = (a, b, c) holds the velocities v with n . v >= d.
-Problems are posed at several depths: in space, on the plane that bounds a half-space, on a line of
-that plane, and at a point of that line. Arrays `rows` (DEPTH, M, 4) hold the half-spaces of each
-depth, and arrays `frame` (DEPTH, 2, 4) its ball and aim: centre and radius, then the wanted
-velocity or direction.
+A half-space (a, b, c, d) with unit normal n = (a, b, c) contains the velocities v with n . v >= d.
+Problems are posed at several depths: in space, on the boundary plane of a half-space, on a line in
+that plane, and at a point on that line. Arrays `rows` (DEPTH, M, 4) contain the half-spaces of each
+depth, and arrays `frame` (DEPTH, 2, 4) the ball and the objective of each depth: centre and radius,
+then the target velocity or direction.
+
+References:
+    Incremental linear programming: M. de Berg et al., Computational Geometry (2008), section 4.3,
+    as used by J. van den Berg et al., Reciprocal n-body collision avoidance (2011), section 5.
 """
 
 import math
@@ -20,32 +22,26 @@ from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 
 DEPTH = 4
-"""Depths of problems: space, plane, line, point"""
-ROUNDING = 1e-9
-"""Velocity by which a half-space may be missed, m/s"""
+"""Number of depths: space, plane, line, point"""
+TOLERANCE = 1e-9
+"""Tolerance of half-spaces, m/s"""
 PARALLEL = 1e-8
-"""Sine of the angle below which two half-spaces are parallel"""
+"""Sine of the angle below which two half-spaces count as parallel"""
 
 
 @func
-def write(
-    rows: np.ndarray,
-    depth: int,
-    k: int,
-    vector: Vec3,
-    bound: float,
-) -> bool:
-    """Write the half-space vector . v >= bound, with a vector of any length.
+def write_half_space(rows: np.ndarray, depth: int, k: int, vector: Vec3, bound: float) -> bool:
+    """Write the half-space vector . v >= bound, normalised.
 
     Args:
-        rows: (DEPTH, M, 4) half-spaces, changed in place.
+        rows: (DEPTH, M, 4) half-spaces, modified in place.
         depth: Depth of the problem.
         k: Row of the half-space.
-        vector: Its normal, of any length.
-        bound: Its bound, in m/s times that length.
+        vector: Normal, of any length.
+        bound: Bound, in m/s times the length of the normal.
 
     Returns:
-        Whether the vector is long enough to have a direction.
+        Whether the vector is long enough to define a direction.
     """
     length = math.sqrt(dot(vector, vector))
     for axis in range(3):
@@ -55,242 +51,207 @@ def write(
 
 
 @func
-def missing(
-    rows: np.ndarray,
-    depth: int,
-    k: int,
-    v: Vec3,
-) -> float:
-    """Compute by how much velocity v misses half-space k, m/s; negative inside."""
+def violation(rows: np.ndarray, depth: int, k: int, v: Vec3) -> float:
+    """Return the violation of half-space k by velocity v, m/s; negative inside."""
     n = vec3(rows, depth, k)
-    lack: float = rows[depth, k, 3] - dot(n, v)
-    return lack
+    value: float = rows[depth, k, 3] - dot(n, v)
+    return value
 
 
 @func
-def within(
-    wanted: Vec3,
-    centre: Vec3,
-    radius: float,
-    linear: bool,
-) -> Vec3:
-    """Find the point of a ball nearest to a wanted one, or the farthest in a wanted direction.
+def project_on_ball(target: Vec3, centre: Vec3, radius: float, linear: bool) -> Vec3:
+    """Find the point of a ball nearest to a target, or the farthest point in a direction.
 
     Args:
-        wanted: The point; where `linear`, the direction, of any length.
+        target: The target; if `linear`, the direction, of any length.
         centre: Centre of the ball.
         radius: Radius of the ball.
-        linear: Whether a direction is wanted.
+        linear: Whether the objective is a direction.
     """
-    way = wanted if linear else plus(wanted, -1.0, centre)
-    length = math.sqrt(dot(way, way))
-    if length <= ROUNDING or (length <= radius and not linear):
-        return centre if linear else wanted
-    return plus(centre, radius / length, way)
+    direction = target if linear else plus(target, -1.0, centre)
+    length = math.sqrt(dot(direction, direction))
+    if length <= TOLERANCE or (length <= radius and not linear):
+        return centre if linear else target
+    return plus(centre, radius / length, direction)
 
 
 @func
-def descend(
-    rows: np.ndarray,
-    frame: np.ndarray,
-    depth: int,
-    k: int,
-    linear: bool,
+def restrict_to_boundary(
+    rows: np.ndarray, frame: np.ndarray, depth: int, k: int, linear: bool
 ) -> int:
-    """Pose the problem of a depth on the boundary of its half-space k, one depth lower.
+    """Restrict the problem of a depth to the boundary of its half-space k, one depth lower.
 
     Args:
         rows: (DEPTH, M, 4) half-spaces; those of the lower depth are written.
-        frame: (DEPTH, 2, 4) balls and aims; those of the lower depth are written.
+        frame: (DEPTH, 2, 4) balls and objectives; those of the lower depth are written.
         depth: Depth of the problem.
-        k: The half-space.
-        linear: Whether the aim is a direction.
+        k: Index of the half-space.
+        linear: Whether the objective is a direction.
 
     Returns:
-        How many half-spaces the lower depth has; -1 where the boundary is out of the ball, or
-        wholly outside one of the half-spaces 0 to k - 1.
+        The number of half-spaces at the lower depth; -1 if the boundary does not intersect the
+        ball, or lies outside one of the half-spaces 0 to k - 1.
     """
-    # How far the boundary is from the middle of the ball, along its normal
+    # Signed distance of the boundary from the centre of the ball
     n = vec3(rows, depth, k)
     bound = rows[depth, k, 3]
     centre = vec3(frame, depth, 0)
     radius = frame[depth, 0, 3]
     height = bound - dot(n, centre)
-    # The boundary does not meet the ball.
+    # The boundary does not intersect the ball.
     if height > radius:
         return -1
-    # Cut the earlier half-spaces with the boundary.
+    # Intersect the earlier half-spaces with the boundary.
     count = 0
-    # A point has no directions, whatever rounding says.
-    to_point = depth == DEPTH - 2
+    # At a point there are no directions left; a non-zero normal is a rounding error.
+    is_point = depth == DEPTH - 2
     for j in range(k):
         other = vec3(rows, depth, j)
-        # What is left of the other's normal within the boundary
-        share = dot(other, n)
-        rest = rows[depth, j, 3] - share * bound
-        within_boundary = plus(other, -share, n)
-        has_direction = write(rows, depth + 1, count, within_boundary, rest)
-        if has_direction and not to_point:
+        # Component of the other normal within the boundary
+        cosine = dot(other, n)
+        rest = rows[depth, j, 3] - cosine * bound
+        within_boundary = plus(other, -cosine, n)
+        has_direction = write_half_space(rows, depth + 1, count, within_boundary, rest)
+        if has_direction and not is_point:
             count += 1
-        # Parallel, and the whole boundary is outside of it
-        elif rest > ROUNDING:
+        # Parallel, and the boundary is outside of it
+        elif rest > TOLERANCE:
             return -1
-    # Cut the ball with it, and project the aim onto it.
+    # Intersect the ball with the boundary, and project the objective on it.
     centre = plus(centre, height, n)
-    wanted = vec3(frame, depth, 1)
-    wanted = plus(wanted, (0.0 if linear else bound) - dot(n, wanted), n)
-    # A smaller ball, by Pythagoras
+    target = vec3(frame, depth, 1)
+    target = plus(target, (0.0 if linear else bound) - dot(n, target), n)
     cut_radius = math.sqrt(radius * radius - height * height)
-    pose(frame, depth + 1, wanted, centre, cut_radius)
+    write_problem(frame, depth + 1, target, centre, cut_radius)
     return count
 
 
 @func
-def pose(
-    frame: np.ndarray,
-    depth: int,
-    wanted: Vec3,
-    centre: Vec3,
-    radius: float,
-) -> None:
-    """Write the ball of a depth, and its wanted point or direction."""
+def write_problem(frame: np.ndarray, depth: int, target: Vec3, centre: Vec3, radius: float) -> None:
+    """Write the ball and the objective of a depth."""
     for axis in range(3):
         frame[depth, 0, axis] = centre[axis]
-        frame[depth, 1, axis] = wanted[axis]
+        frame[depth, 1, axis] = target[axis]
     frame[depth, 0, 3] = radius
 
 
 @func
-def start(
-    frame: np.ndarray,
-    depth: int,
-    linear: bool,
-) -> Vec3:
-    """Find the best point of a depth's ball, without half-spaces."""
-    wanted = vec3(frame, depth, 1)
+def ball_optimum(frame: np.ndarray, depth: int, linear: bool) -> Vec3:
+    """Find the optimum in the ball of a depth, without half-spaces."""
+    target = vec3(frame, depth, 1)
     centre = vec3(frame, depth, 0)
     radius = frame[depth, 0, 3]
-    return within(wanted, centre, radius, linear)
+    return project_on_ball(target, centre, radius, linear)
 
 
 @allocating
-def nearest(
-    rows: np.ndarray,
-    count: int,
-    wanted: Vec3,
-    radius: float,
-    linear: bool,
+def solve_linear_program(
+    rows: np.ndarray, count: int, target: Vec3, radius: float, linear: bool
 ) -> tuple[int, Vec3]:
-    """Find the best point in a ball about the origin and half-spaces.
+    """Solve the incremental linear program in a ball around the origin.
 
-    Where a half-space cuts off the best point so far, the new one is on its boundary: the same
-    problem, one dimension lower. It is a loop over depths, as numba crashes when it loads
-    recursive functions from its cache (numba issue 6061).
+    If a half-space excludes the current optimum, the new optimum lies on its boundary: the same
+    problem, one dimension lower. The implementation loops over depths, as numba crashes when it
+    loads recursive functions from its cache (numba issue 6061).
 
     Args:
-        rows: (DEPTH, M, 4) the half-spaces in rows[0, :count], and room.
-        count: How many half-spaces there are.
-        wanted: The point to be nearest to; where `linear`, the direction to go farthest.
+        rows: (DEPTH, M, 4) half-spaces in rows[0, :count]; the rest is a work buffer.
+        count: Number of half-spaces.
+        target: Target point; if `linear`, the direction to maximise.
         radius: Radius of the ball.
-        linear: Whether a direction is wanted.
+        linear: Whether the objective is a direction.
 
     Returns:
-        How many half-spaces are met, from the first on, and the best point in these.
+        The number of leading half-spaces that are satisfied, and the optimum in these.
     """
     frame = np.empty((DEPTH, 2, 4))
-    # At each depth: how many half-spaces there are, and which one is next.
+    # Number of half-spaces of each depth, and index of the next one.
     counts = np.zeros(DEPTH, np.int64)
     k = np.zeros(DEPTH, np.int64)
     depth = 0
     counts[0] = count
-    pose(frame, 0, wanted, (0.0, 0.0, 0.0), radius)
-    best = above = start(frame, 0, linear)
+    write_problem(frame, 0, target, (0.0, 0.0, 0.0), radius)
+    best = above = ball_optimum(frame, 0, linear)
     while True:
         if k[depth] == counts[depth]:
-            # All half-spaces of this depth are met: the point is the best one above it, too.
+            # All half-spaces of this depth are satisfied: return to the depth above.
             if depth == 0:
                 return count, best
             depth -= 1
-        elif missing(rows, depth, k[depth], best) > ROUNDING:
-            # This one is missed: go on along its boundary.
+        elif violation(rows, depth, k[depth], best) > TOLERANCE:
+            # This half-space is violated: continue on its boundary.
             if depth == 0:
                 above = best
-            counts[depth + 1] = descend(rows, frame, depth, k[depth], linear)
+            counts[depth + 1] = restrict_to_boundary(rows, frame, depth, k[depth], linear)
             if counts[depth + 1] < 0:
                 return k[0], above
             depth += 1
             k[depth] = 0
-            best = start(frame, depth, linear)
+            best = ball_optimum(frame, depth, linear)
             continue
         k[depth] += 1
 
 
 @kernel
-def least_violation(
-    rows: np.ndarray,
-    spare: np.ndarray,
-    count: int,
-    begin: int,
-    best: Vec3,
-    radius: float,
+def minimize_violation(
+    rows: np.ndarray, scratch: np.ndarray, count: int, first: int, best: Vec3, radius: float
 ) -> Vec3:
-    """Find the velocity that misses half-spaces by the least, at worst.
+    """Find the velocity that minimises the maximum violation of the half-spaces.
 
-    Where half-space i is missed the most, the others are missed less than it: half-spaces again,
-    on whose common part n_i . v is to be the largest.
+    If half-space i has the maximum violation, those of the others are smaller. These conditions are
+    half-spaces again, in whose intersection n_i . v is maximised.
 
     Args:
-        rows: (DEPTH, M, 4) the half-spaces in rows[0, :count].
-        spare: Room like `rows`.
-        count: How many half-spaces there are.
-        begin: How many of them `best` meets, from the first on.
-        best: The best velocity in those, m/s.
-        radius: Limit of the speed, m/s.
+        rows: (DEPTH, M, 4) half-spaces in rows[0, :count].
+        scratch: Work buffer with the shape of `rows`.
+        count: Number of half-spaces.
+        first: Number of leading half-spaces that `best` satisfies.
+        best: Optimum in those half-spaces, m/s.
+        radius: Speed limit, m/s.
 
     Returns:
         The velocity, m/s.
     """
-    # How much the half-space is missed that is missed the most so far.
+    # Maximum violation so far.
     worst = 0.0
-    for i in range(begin, count):
-        if missing(rows, 0, i, best) <= worst + ROUNDING:
+    for i in range(first, count):
+        if violation(rows, 0, i, best) <= worst + TOLERANCE:
             continue
-        # Where each earlier half-space is missed by no more than this one.
+        # Half-spaces in which no earlier half-space is violated more than this one.
         n = vec3(rows, 0, i)
         bound = rows[0, i, 3]
         fewer = 0
         for j in range(i):
             other = vec3(rows, 0, j)
             difference = plus(other, -1.0, n)
-            if write(spare, 0, fewer, difference, rows[0, j, 3] - bound):
+            if write_half_space(scratch, 0, fewer, difference, rows[0, j, 3] - bound):
                 fewer += 1
-        # Go as far into this one as these permit.
-        _, best = nearest(spare, fewer, n, radius, True)
-        worst = missing(rows, 0, i, best)
+        # Reduce the violation of this half-space as far as these permit.
+        _, best = solve_linear_program(scratch, fewer, n, radius, True)
+        worst = violation(rows, 0, i, best)
     return best
 
 
 @kernel
-def best_velocity(
-    rows: np.ndarray,
-    spare: np.ndarray,
-    count: int,
-    wanted: Vec3,
-    max_speed: float,
+def solve_velocity(
+    rows: np.ndarray, scratch: np.ndarray, count: int, target: Vec3, max_speed: float
 ) -> Vec3:
-    """Find the velocity nearest to a wanted one, or that of `least_violation` if none is left.
+    """Find the permitted velocity nearest to a preferred one.
+
+    If no velocity is permitted, the result minimises the maximum violation, see
+    `minimize_violation`.
 
     Args:
-        rows: (DEPTH, M, 4) the half-spaces in rows[0, :count], and room.
-        spare: Room like `rows`.
-        count: How many half-spaces there are.
-        wanted: The wanted velocity, m/s.
-        max_speed: Limit of the speed, m/s.
+        rows: (DEPTH, M, 4) half-spaces in rows[0, :count]; the rest is a work buffer.
+        scratch: Work buffer with the shape of `rows`.
+        count: Number of half-spaces.
+        target: Preferred velocity, m/s.
+        max_speed: Speed limit, m/s.
 
     Returns:
         The velocity, m/s.
     """
-    met, best = nearest(rows, count, wanted, max_speed, False)
-    if met == count:
+    satisfied, best = solve_linear_program(rows, count, target, max_speed, False)
+    if satisfied == count:
         return best
-    return least_violation(rows, spare, count, met, best, max_speed)
+    return minimize_violation(rows, scratch, count, satisfied, best, max_speed)

@@ -1,4 +1,4 @@
-"""The error for a policy that looks for what its task does not have."""
+"""Error for policies that read something that the task does not provide."""
 
 import contextlib
 from collections.abc import Iterator
@@ -9,24 +9,24 @@ from bulletuav.errors import shown
 
 @contextlib.contextmanager
 def naming_task(policy: object, aviary: Aviary) -> Iterator[None]:
-    """Raise ValueError, which names the task, where a policy looks for what the task lacks.
+    """Convert lookup errors of a policy to a ValueError that names the task.
 
     Args:
-        policy: The policy, which is made or called meanwhile, or its name.
-        aviary: What it flies.
+        policy: The policy that is constructed or called in the context, or its name.
+        aviary: The worlds that it controls.
 
     Raises:
-        ValueError: The policy looked for a name or an attribute of the task that is not there.
+        ValueError: If the policy reads a name or an attribute that the task does not have.
     """
-    # Trained policies go by the name of their file, which only the message of its maker has
+    # The name of a trained policy is known to its PolicySpec only
     name = policy if isinstance(policy, str) else getattr(policy, "name", type(policy).__name__)
     try:
         yield
     except KeyError as error:
-        lacks = f"{shown(error.args[0])}, which is not there" if error.args else "a missing name"
+        lacks = f"{shown(error.args[0])}, which does not exist" if error.args else "a missing name"
         raise _of_another_task(name, lacks, aviary) from error
     except AttributeError as error:
-        # Others are mistakes of the policy's own
+        # Any other AttributeError is a bug of the policy
         if error.obj is not aviary.task and error.obj is not aviary.task.config:
             raise
         lacks = f"attribute {error.name!r} of the task, which it does not have"
@@ -34,11 +34,10 @@ def naming_task(policy: object, aviary: Aviary) -> Iterator[None]:
 
 
 def _of_another_task(name: str, lacks: str, aviary: Aviary) -> ValueError:
-    """Make the error for a policy that needs what a task does not have."""
     observed = [*aviary.observer.slices, *aviary.observer.images]
     keeps = f", and keeps {', '.join(aviary.scene.memory)} in memory" if aviary.scene.memory else ""
     return ValueError(
         f"policy {name!r} needs {lacks}: task {aviary.task.name!r} observes "
-        f"{', '.join(observed)}{keeps}; fly the policy in the task that it is for, or with "
+        f"{', '.join(observed)}{keeps}; use the task for which the policy was made, or set "
         f"options such as observation and sensors"
     )

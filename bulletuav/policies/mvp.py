@@ -1,7 +1,8 @@
-"""Policy `mvp`: modified voltage potential in three dimensions.
+"""Policy `mvp`: modified voltage potential (MVP) in three dimensions.
 
-J. Hoekstra, R. van Gent, R. Ruigrok, Designing for safety: the 'free flight' air traffic management
-concept (2002).
+References:
+    J. Hoekstra, R. van Gent, R. Ruigrok, Designing for safety: the 'free flight' air traffic
+    management concept (2002).
 """
 
 import math
@@ -12,138 +13,127 @@ from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import (
-    NO_TURN,
-    SLIGHT_TURN,
-    Rules,
-    right_of,
-    turn_of,
-    turned,
-    unit,
-    unyielding,
+    MIN_TURN,
+    SYMMETRY_BREAKING_TURN,
+    AvoidanceParameters,
+    add_obstacle_half_spaces,
+    choose_turn,
+    direction_and_length,
+    horizontal_right,
+    turn_right,
 )
-from bulletuav.policies.linear_program import DEPTH, best_velocity
+from bulletuav.policies.linear_program import DEPTH, solve_velocity
 from bulletuav.policies.traffic import Traffic
 from bulletuav.registry import register
 
 
 @register("policy")
 class ModifiedVoltagePotential(Avoidance):
-    """Flight towards the goal, with a change of velocity for each conflict ahead.
+    """Flight to the goal with an MVP velocity change for each predicted conflict.
 
-    Each drone of a pair makes the whole change, so that one that does not avoid is avoided, too.
-    Obstacles (bounding spheres), buildings, the ground and the arena's bounds limit what comes of
-    it, as in policy `orca`.
+    Each drone of a pair performs the whole change, so that drones which do not cooperate are
+    avoided, too. The half-spaces of obstacles (bounding spheres), buildings, the ground and the
+    bounds of the arena limit the result, as in policy `orca`.
     """
 
     name = "mvp"
 
     def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
     ) -> np.ndarray:
         """Compute `mvp_velocities`; see `Avoidance.avoid`."""
-        return mvp_velocities(traffic, wish, rules)
+        return mvp_velocities(traffic, preferred, parameters)
 
 
 @allocating
 def mvp_velocities(
-    traffic: Traffic,
-    wish: np.ndarray,
-    rules: Rules,
+    traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
 ) -> np.ndarray:
-    """Add to the preferred velocities what solves each conflict that they would lead to.
+    """Add conflict resolution vectors to the preferred velocities.
 
     Args:
-        traffic: What drones know.
-        wish: (W, N, 3) velocities that they prefer, m/s.
-        rules: How they avoid.
+        traffic: The traffic around each drone.
+        preferred: (W, N, 3) preferred velocities, m/s.
+        parameters: Parameters of collision avoidance.
 
     Returns:
         (W, N, 3) velocities, m/s.
     """
-    result = np.empty(wish.shape)
-    # Room for a half-space of each ball and each surface.
-    rows = np.empty((DEPTH, traffic.ball_radius.shape[2] + traffic.surface.shape[2], 4))
-    spare = np.empty_like(rows)
-    for w in range(wish.shape[0]):
-        for i in range(wish.shape[1]):
-            count = unyielding(rows, 0, traffic, rules, w, i)
-            first = turned(vec3(wish, w, i), SLIGHT_TURN)
-            changed = _changed(first, traffic, rules, w, i)
-            best = best_velocity(rows, spare, count, changed, rules.max_speed)
-            # Who is held up turns to its right.
-            angle = turn_of(first, best)
-            if angle > NO_TURN:
-                changed = _changed(turned(first, angle), traffic, rules, w, i)
-                best = best_velocity(rows, spare, count, changed, rules.max_speed)
+    result = np.empty(preferred.shape)
+    # One half-space for each sphere and each surface.
+    rows = np.empty((DEPTH, traffic.sphere_radius.shape[2] + traffic.surface.shape[2], 4))
+    scratch = np.empty_like(rows)
+    for w in range(preferred.shape[0]):
+        for i in range(preferred.shape[1]):
+            count = add_obstacle_half_spaces(rows, 0, traffic, parameters, w, i)
+            first = turn_right(vec3(preferred, w, i), SYMMETRY_BREAKING_TURN)
+            resolved = _resolve_conflicts(first, traffic, parameters, w, i)
+            best = solve_velocity(rows, scratch, count, resolved, parameters.max_speed)
+            # A blocked drone turns right.
+            angle = choose_turn(first, best)
+            if angle > MIN_TURN:
+                resolved = _resolve_conflicts(turn_right(first, angle), traffic, parameters, w, i)
+                best = solve_velocity(rows, scratch, count, resolved, parameters.max_speed)
             for axis in range(3):
                 result[w, i, axis] = best[axis]
     return result
 
 
 @kernel
-def _changed(
-    own: Vec3,
-    traffic: Traffic,
-    rules: Rules,
-    w: int,
-    i: int,
+def _resolve_conflicts(
+    own: Vec3, traffic: Traffic, parameters: AvoidanceParameters, w: int, i: int
 ) -> Vec3:
-    """Add the changes for all conflicts of a velocity to it, m/s."""
+    """Return a velocity plus the resolution vectors of all its conflicts, m/s."""
     result = own
     for k in range(traffic.known.shape[2]):
         if traffic.known[w, i, k]:
-            gap = vec3(traffic.gap[w], i, k)
-            # Each conflict by itself, with the velocity relative to the other
-            other = vec3(traffic.other[w], i, k)
-            result = plus(result, 1.0, change(gap, plus(own, -1.0, other), rules))
+            offset = vec3(traffic.offset[w], i, k)
+            # Each conflict is resolved independently of the others
+            other_velocity = vec3(traffic.other_velocity[w], i, k)
+            result = plus(
+                result, 1.0, resolve_conflict(offset, plus(own, -1.0, other_velocity), parameters)
+            )
     return result
 
 
 @func
-def change(
-    gap: Vec3,
-    relative: Vec3,
-    rules: Rules,
-) -> Vec3:
-    """Compute the change of velocity that solves a conflict.
+def resolve_conflict(offset: Vec3, relative: Vec3, parameters: AvoidanceParameters) -> Vec3:
+    """Compute the velocity change that resolves a conflict with another drone.
 
-    It is across the relative velocity, away from where the other one would be at the closest
-    approach, and as large as it takes to pass by at the separation. With d the distance, m that of
-    the closest approach, s the separation and t the time until then, it is
-    (s / cos(asin(s / d) - asin(m / d)) - m) / t.
+    The change is perpendicular to the relative velocity and points away from the other drone at the
+    closest point of approach. With the distance d, the distance m at the closest point of approach,
+    the separation s and the time t to the closest point of approach, its size is (s / cos(asin(s /
+    d) - asin(m / d)) - m) / t.
 
     Args:
-        gap: Way from the drone to the other one, m.
-        relative: Velocity of the drone less that of the other one, m/s.
-        rules: How drones avoid.
+        offset: Offset from the drone to the other drone, m.
+        relative: Velocity of the drone minus that of the other drone, m/s.
+        parameters: Parameters of collision avoidance.
 
     Returns:
-        The change, m/s; zero where there is no conflict within the horizon.
+        The velocity change, m/s; zero if there is no conflict within the horizon.
     """
-    square = dot(gap, gap)
-    closing = dot(gap, relative)
+    square = dot(offset, offset)
+    closing = dot(offset, relative)
     speed_square = dot(relative, relative)
-    if square <= rules.separation * rules.separation:
-        # A conflict that is there is left within the recovery.
-        ahead, distance = unit(gap, (1.0, 0.0, 0.0))
-        size = (distance - rules.separation) / rules.recovery
+    if square <= parameters.separation * parameters.separation:
+        # Resolve an existing violation within the recovery time.
+        ahead, distance = direction_and_length(offset, (1.0, 0.0, 0.0))
+        size = (distance - parameters.separation) / parameters.recovery_time
         return size * ahead[0], size * ahead[1], size * ahead[2]
-    if closing <= 0.0 or closing > rules.horizon * speed_square:
+    if closing <= 0.0 or closing > parameters.horizon * speed_square:
         return 0.0, 0.0, 0.0
     time = closing / speed_square
-    miss = plus(gap, -time, relative)
-    # Exactly head-on both drones turn to their right.
-    right = right_of(gap)
+    miss = plus(offset, -time, relative)
+    # In an exactly head-on conflict, both drones turn right.
+    right = horizontal_right(offset)
     left = (-right[0], -right[1], -right[2])
-    aside, least = unit(miss, left)
-    if least >= rules.separation:
+    aside, miss_distance = direction_and_length(miss, left)
+    if miss_distance >= parameters.separation:
         return 0.0, 0.0, 0.0
-    # The cosine of a difference, from the sines of both angles.
-    wide = rules.separation * rules.separation / square
-    narrow = least * least / square
+    # Cosine of the difference of the angles, from their sines.
+    wide = parameters.separation * parameters.separation / square
+    narrow = miss_distance * miss_distance / square
     cosine = math.sqrt((1.0 - wide) * (1.0 - narrow)) + math.sqrt(wide * narrow)
-    size = -(rules.separation / cosine - least) / time
+    size = -(parameters.separation / cosine - miss_distance) / time
     return size * aside[0], size * aside[1], size * aside[2]

@@ -1,7 +1,7 @@
-"""Avoiding policies that know what drones observe, and nothing else.
+"""Avoidance policies that use observations only.
 
-Each is a policy of the true state, with `Traffic` from the blocks of its observation. So noise,
-losses and the number of neighbours that are observed tell.
+Each policy is a state-based policy whose `Traffic` comes from observation blocks. Its results
+therefore include the effects of noise, losses and the number of observed neighbours.
 """
 
 from typing import ClassVar
@@ -10,29 +10,29 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.avoidance import Avoidance
-from bulletuav.policies.half_spaces import Rules
+from bulletuav.policies.half_spaces import AvoidanceParameters
 from bulletuav.policies.mvp import ModifiedVoltagePotential
 from bulletuav.policies.orca import Orca
-from bulletuav.policies.traffic import Traffic, buildings, surfaces
+from bulletuav.policies.traffic import Traffic, find_surfaces, tabulate_buildings
 from bulletuav.policies.voronoi import Voronoi
 from bulletuav.registry import register
 from bulletuav.tasks.observations.neighbours import PER_NEIGHBOUR, PER_OBSTACLE
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
-NOTHING_STANDS = buildings(())
-"""Buildings are not observed"""
+NO_BUILDINGS = tabulate_buildings(())
+"""Empty table of buildings, which are not observed"""
 
 
 class Observed(Avoidance):
-    """Avoidance by observations alone.
+    """Collision avoidance based on observations only.
 
-    Of the blocks `needed`, the observation has one of each group. It may also have "goal_velocity"
-    (else goals are taken to stand still) and "position" (else nobody avoids the ground and the
-    arena's bounds).
+    The observation must contain one block of each group in `needed`. It may also contain
+    "goal_velocity" (otherwise goals are assumed to be static) and "position" (otherwise the ground
+    and the bounds of the arena are not avoided).
 
     Attributes:
-        needed: Groups of blocks that tell the same.
+        needed: Groups of equivalent observation blocks.
     """
 
     reads_swarm = False
@@ -43,10 +43,10 @@ class Observed(Avoidance):
     )
 
     def __init__(self, aviary: Aviary) -> None:
-        """Take the aviary to fly; see `Policy`.
+        """Check that the required blocks are observed; see `Policy`.
 
         Raises:
-            ValueError: The observation lacks a block.
+            ValueError: If the observation lacks a block.
         """
         super().__init__(aviary)
         there = aviary.observer.slices
@@ -55,43 +55,45 @@ class Observed(Avoidance):
             if not there.keys() & set(group):
                 raise ValueError(
                     f"policy {self.name!r} needs the observation block "
-                    f"{' or '.join(map(repr, group))}, and there are only {', '.join(there)}: "
-                    f"add it by the option observation"
+                    f"{' or '.join(map(repr, group))}, and the observation has {', '.join(there)}: "
+                    f"add it with option observation"
                 )
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
-        """Tell what the observations tell of the traffic around drones."""
+        """Return the traffic around each drone as observed."""
         seen = self.blocks(observations)
         shape = self.aviary.alive.shape
-        # What is not observed is zero, or not there
+        # Unobserved quantities are zero or empty
         zeros = np.zeros((*shape, 3))
         surface = np.zeros((*shape, 0, 4))
-        # Only the arena's box: buildings are not among the observations
+        # The box of the arena only: buildings are not observed
         if "position" in seen:
             nowhere = np.full(len(zeros), -1)
-            surface = surfaces(seen["position"], self.box, nowhere, NOTHING_STANDS, self.clear)
-        # Others are observed relative to the drone
+            surface = find_surfaces(
+                seen["position"], self.box, nowhere, NO_BUILDINGS, self.clearance
+            )
+        # Other drones are observed relative to the own drone
         own = seen.get("velocity", zeros)
-        gap, relative = _others(seen, shape)
-        ball = seen.get("obstacles", zeros[..., :0]).reshape(*shape, -1, PER_OBSTACLE)
-        # Slots without an obstacle have the radius 0
-        radius = ball[..., 7]
-        keep = radius + self.clear.body + self.clear.margin
+        offset, relative = _others(seen, shape)
+        sphere = seen.get("obstacles", zeros[..., :0]).reshape(*shape, -1, PER_OBSTACLE)
+        # Unused slots have radius 0
+        radius = sphere[..., 7]
+        keep = radius + self.clearance.body + self.clearance.margin
         return Traffic(
             velocity=own,
             goal=_goal(seen),
             goal_velocity=seen.get("goal_velocity", zeros),
-            gap=gap,
-            other=relative + own[:, :, None],
-            known=np.any(gap != 0, axis=-1),
-            ball=ball[..., 1:4].copy(),
-            ball_velocity=ball[..., 4:7] + own[:, :, None],
-            ball_radius=np.where(radius > 0, keep, 0.0),
+            offset=offset,
+            other_velocity=relative + own[:, :, None],
+            known=np.any(offset != 0, axis=-1),
+            sphere=sphere[..., 1:4].copy(),
+            sphere_velocity=sphere[..., 4:7] + own[:, :, None],
+            sphere_radius=np.where(radius > 0, keep, 0.0),
             surface=surface,
         )
 
     def goal_height(self, observations: Observation, traffic: Traffic) -> np.ndarray:
-        """Tell how high goals are; infinitely where the position is not observed, (W, N) m."""
+        """Return goal heights (W, N), m; infinite if the position is not observed."""
         seen = self.blocks(observations)
         if "position" not in seen:
             return np.full(self.aviary.alive.shape, np.inf)
@@ -99,10 +101,10 @@ class Observed(Avoidance):
         return height
 
     def blocks(self, observations: Observation) -> dict[str, np.ndarray]:
-        """Split observations into their blocks of numbers, in their units also where normalised.
+        """Split observations into blocks, and undo their normalisation.
 
         Returns:
-            (W, N, numbers of the block) by name.
+            (W, N, width of the block) arrays by name.
         """
         observer = self.aviary.observer
         seen: dict[str, np.ndarray] = {}
@@ -116,16 +118,16 @@ class Observed(Avoidance):
 
 
 def _goal(seen: dict[str, np.ndarray]) -> np.ndarray:
-    """Give the ways to the goals, (W, N, 3) m, from the block that there is."""
+    """Return the offsets to the goals, (W, N, 3) m, from the observed block."""
     if "goal_offset" in seen:
         return seen["goal_offset"]
     goal = seen["goal"]
-    way: np.ndarray = goal[..., :3] * goal[..., 3:]
-    return way
+    goal_offset: np.ndarray = goal[..., :3] * goal[..., 3:]
+    return goal_offset
 
 
 def _others(seen: dict[str, np.ndarray], shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Give ways to other drones, m, and their relative velocities, m/s, (W, N, M, 3) each.
+    """Return offsets to other drones, m, and their relative velocities, m/s, (W, N, M, 3) each.
 
     Rows without a drone are zeros.
     """
@@ -133,44 +135,41 @@ def _others(seen: dict[str, np.ndarray], shape: tuple[int, ...]) -> tuple[np.nda
         others = seen["all_neighbours"].reshape(*shape, -1, 6)
     else:
         rows = seen.get("neighbours", np.zeros((*shape, 0)))
-        # Without the distance, which stands first.
+        # Skip the distance in the first column.
         others = rows.reshape(*shape, -1, PER_NEIGHBOUR)[..., 1:]
     return others[..., :3].copy(), others[..., 3:].copy()
 
 
 @register("policy")
 class StraightObserved(Observed):
-    """Flight towards the observed goal, which avoids nobody."""
+    """Flight to the observed goal without collision avoidance."""
 
     name = "straight_observed"
     needed = (("goal_offset", "goal"),)
 
     def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
     ) -> np.ndarray:
-        """Give the wish itself."""
-        return wish
+        """Return the preferred velocities."""
+        return preferred
 
 
 @register("policy")
 class OrcaObserved(Observed, Orca):
-    """Policy `orca`, by observations."""
+    """Policy `orca` based on observations."""
 
     name = "orca_observed"
 
 
 @register("policy")
 class MvpObserved(Observed, ModifiedVoltagePotential):
-    """Policy `mvp`, by observations."""
+    """Policy `mvp` based on observations."""
 
     name = "mvp_observed"
 
 
 @register("policy")
 class VoronoiObserved(Observed, Voronoi):
-    """Policy `voronoi`, by observations."""
+    """Policy `voronoi` based on observations."""
 
     name = "voronoi_observed"

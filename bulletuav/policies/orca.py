@@ -1,7 +1,9 @@
-"""Policy `orca`: optimal reciprocal collision avoidance in three dimensions.
+"""Policy `orca`: optimal reciprocal collision avoidance (ORCA) in three dimensions.
 
-J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-body collision avoidance (2011), with
-half-spaces for half-planes.
+Half-planes of the paper become half-spaces.
+
+References:
+    J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-body collision avoidance (2011).
 """
 
 import numpy as np
@@ -10,12 +12,12 @@ from bulletuav.compiled.kernel import allocating, kernel
 from bulletuav.geometry.rotation import vec3
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import (
-    Rules,
-    add,
-    going_round,
-    half_space,
-    nearest_first,
-    unyielding,
+    AvoidanceParameters,
+    add_half_space,
+    add_obstacle_half_spaces,
+    find_nearest_drones,
+    orca_half_space,
+    solve_with_right_turn,
 )
 from bulletuav.policies.linear_program import DEPTH
 from bulletuav.policies.traffic import Traffic
@@ -24,79 +26,76 @@ from bulletuav.registry import register
 
 @register("policy")
 class Orca(Avoidance):
-    """Flight towards the goal, as far as half-spaces of safe velocities permit.
+    """Flight to the goal within the ORCA half-spaces of collision-free velocities.
 
-    Other drones are trusted to do half of the avoiding. Obstacles (bounding spheres), buildings,
-    the ground and the arena's bounds do nothing of it.
+    Other drones are assumed to perform half of the avoidance. Obstacles (bounding spheres),
+    buildings, the ground and the bounds of the arena perform none.
     """
 
     name = "orca"
 
     def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
     ) -> np.ndarray:
         """Compute `orca_velocities`; see `Avoidance.avoid`."""
-        return orca_velocities(traffic, wish, rules)
+        return orca_velocities(traffic, preferred, parameters)
 
 
 @allocating
 def orca_velocities(
-    traffic: Traffic,
-    wish: np.ndarray,
-    rules: Rules,
+    traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
 ) -> np.ndarray:
     """Compute the permitted velocities nearest to the preferred ones.
 
-    Where none is permitted, it is the one that violates the half-spaces least (section 5.3). All
-    drones count that could come too close within the horizon.
+    If no velocity is permitted, the result minimises the maximum violation (section 5.3). All
+    drones that could violate the separation within the horizon are considered.
 
     Args:
-        traffic: What drones know.
-        wish: (W, N, 3) velocities that they prefer, m/s.
-        rules: How they avoid.
+        traffic: The traffic around each drone.
+        preferred: (W, N, 3) preferred velocities, m/s.
+        parameters: Parameters of collision avoidance.
 
     Returns:
         (W, N, 3) velocities, m/s.
     """
-    result = np.empty(wish.shape)
-    # Room for a half-space of each neighbour, each ball and each surface.
+    result = np.empty(preferred.shape)
+    # One half-space for each neighbour, each sphere and each surface.
     others = traffic.known.shape[2]
-    room = others + traffic.ball_radius.shape[2] + traffic.surface.shape[2]
-    rows = np.empty((DEPTH, room, 4))
-    spare = np.empty_like(rows)
+    capacity = others + traffic.sphere_radius.shape[2] + traffic.surface.shape[2]
+    rows = np.empty((DEPTH, capacity, 4))
+    scratch = np.empty_like(rows)
     near = np.empty(others, np.int64)
     distance = np.empty(others)
-    for w in range(wish.shape[0]):
-        for i in range(wish.shape[1]):
-            count = _drones(rows, traffic, rules, near, distance, w, i)
-            count = unyielding(rows, count, traffic, rules, w, i)
-            best = going_round(rows, spare, count, vec3(wish, w, i), rules.max_speed)
+    for w in range(preferred.shape[0]):
+        for i in range(preferred.shape[1]):
+            count = _add_drone_half_spaces(rows, traffic, parameters, near, distance, w, i)
+            count = add_obstacle_half_spaces(rows, count, traffic, parameters, w, i)
+            best = solve_with_right_turn(
+                rows, scratch, count, vec3(preferred, w, i), parameters.max_speed
+            )
             for axis in range(3):
                 result[w, i, axis] = best[axis]
     return result
 
 
 @kernel
-def _drones(
+def _add_drone_half_spaces(
     rows: np.ndarray,
     traffic: Traffic,
-    rules: Rules,
+    parameters: AvoidanceParameters,
     near: np.ndarray,
     distance: np.ndarray,
     w: int,
     i: int,
 ) -> int:
-    """Write the half-spaces of all drones that can matter; return how many there are."""
+    """Write the half-spaces of all drones within reach; return their number."""
     own = vec3(traffic.velocity, w, i)
-    reach = rules.separation + 2.0 * rules.max_speed * rules.horizon
+    reach = parameters.separation + 2.0 * parameters.max_speed * parameters.horizon
     count = 0
-    for k in range(nearest_first(traffic, w, i, reach, near, distance)):
-        gap = vec3(traffic.gap[w], i, near[k])
-        other = vec3(traffic.other[w], i, near[k])
-        # Either drone does half.
-        space = half_space(gap, own, other, rules.separation, rules, 0.5)
-        count = add(rows, count, space, rules.max_speed)
+    for k in range(find_nearest_drones(traffic, w, i, reach, near, distance)):
+        offset = vec3(traffic.offset[w], i, near[k])
+        other_velocity = vec3(traffic.other_velocity[w], i, near[k])
+        # Reciprocal avoidance: each drone performs half.
+        space = orca_half_space(offset, own, other_velocity, parameters.separation, parameters, 0.5)
+        count = add_half_space(rows, count, space, parameters.max_speed)
     return count

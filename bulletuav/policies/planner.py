@@ -1,6 +1,6 @@
-"""Flight along ways through a known city, found before it starts; policy `planner` does so.
+"""Flight along precomputed paths through a known city; policy `planner`.
 
-A way is a row of waypoints, and leg k is the segment that ends at waypoint k.
+A path is a sequence of waypoints; leg k is the segment that ends at waypoint k.
 """
 
 import math
@@ -14,38 +14,38 @@ from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 from bulletuav.geometry.solids import Solids
-from bulletuav.policies.astar import plan
+from bulletuav.policies.astar import plan_path
 from bulletuav.policies.base import Policy
 from bulletuav.policies.landing import touch_down
 from bulletuav.policies.potential import make_field, repulsion
 from bulletuav.policies.straight import APPROACH
-from bulletuav.policies.voxels import Voxels, voxels
+from bulletuav.policies.voxels import Voxels, build_voxels
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
 VOXEL_SIZE = 4.0
-"""Size of the cells of the map, m; with HALF_WIDTH and a drone of 0.6 m, streets 13 m wide have a
-way wherever the cells lie"""
+"""Size of the voxels, m; with HALF_WIDTH and drones of 0.6 m, streets 13 m wide are passable for
+any alignment of the grid"""
 HALF_WIDTH = 2.0
-"""Room to either side of the way, m: for rounding corners, gusts and other drones"""
+"""Free width on either side of a path, m: for rounded corners, gusts and other drones"""
 ACCELERATION = 5.0
-"""Acceleration at corners and to stop, m/s^2"""
+"""Acceleration in corners and for braking, m/s^2"""
 DELAY = 0.6
-"""Time from decision to velocity, s; so a Hummingbird rounds right angles within HALF_WIDTH at up
-to 20 m/s"""
-NO_WAY = 1e-9
-"""Length below which a leg has no direction, m"""
+"""Time from a decision until the velocity is reached, s; a Hummingbird then rounds right angles
+within HALF_WIDTH at up to 20 m/s"""
+MIN_LEG_LENGTH = 1e-9
+"""Minimum length of a leg that has a direction, m"""
 
 
-class Limits(NamedTuple):
-    """Limits that ways are flown by.
+class PathLimits(NamedTuple):
+    """Limits for flight along paths.
 
     Attributes:
-        speed: Greatest speed, m/s.
-        acceleration: Greatest acceleration at corners and to stop, m/s^2.
+        speed: Maximum speed, m/s.
+        acceleration: Maximum acceleration in corners and for braking, m/s^2.
         delay: Time until a commanded velocity is reached, s.
-        half_width: Greatest distance from the way, m.
+        half_width: Maximum distance from the path, m.
     """
 
     speed: float
@@ -55,89 +55,84 @@ class Limits(NamedTuple):
 
 
 class PathFollower(Policy):
-    """Flight along the shortest way between the buildings, found by A*.
+    """Flight along the shortest path between the buildings, found by A*.
 
-    Buildings are those that stand at the start; obstacles that are no part of the city are not
-    seen. Where there is no way, flight is straight.
+    The map contains the buildings at the start of the episode; other obstacles are not considered.
+    If there is no path, the drone flies straight.
 
-    Living drones push each other off as in policy `potential`, but no harder than the correction
-    towards the way pulls back at HALF_WIDTH from it: that avoids buildings before drones.
+    Living drones repel each other as in policy `potential`, but never more than the correction
+    towards the path at HALF_WIDTH from it, so that avoiding buildings has priority over avoiding
+    drones.
     """
 
     actions = ("velocity", "velocity_increment")
     reads_swarm = True
-    remembers: ClassVar[tuple[str, ...]] = ("_way", "_count", "_next")
+    remembers: ClassVar[tuple[str, ...]] = ("_path", "_count", "_next")
 
     def __init__(self, aviary: Aviary) -> None:
-        """Take the aviary to fly; see `Policy`."""
+        """Allocate maps and paths; see `Policy`."""
         super().__init__(aviary)
         shape = aviary.alive.shape
-        # Maps by the id of the solids, which are kept here lest others get it.
+        # Maps by the id of the solids; keeping the solids alive keeps their ids unique.
         self._grids: dict[int, tuple[Solids, Voxels]] = {}
-        # Waypoints, m; how many there are, 0 before there is a plan; and the one flown to.
-        self._way = np.zeros((*shape, 2, 3))
+        # Waypoints, m; their number, 0 before planning; and the index of the current one.
+        self._path = np.zeros((*shape, 2, 3))
         self._count = np.zeros(shape, dtype=np.int64)
         self._next = np.ones(shape, dtype=np.int64)
 
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the ways of the worlds of `mask` (W,)."""
+        """Drop the paths of the worlds in `mask` (W,)."""
         self._count[mask] = 0
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Add the velocities of `follow` and the push from drones; see `Policy.act`.
+        """Add the velocities of `follow_paths` and the repulsion from drones; see `Policy.act`.
 
-        Together they are limited to max_speed. Drones that have no way yet are given one first.
+        The sum is limited to max_speed. Drones without a path get one first.
         """
         aviary = self.aviary
         speed = float(aviary.options.max_speed)
         goal = self.goals(swarm)
-        without_way = aviary.alive & (self._count == 0)
-        for w, i in np.argwhere(without_way).tolist():
-            way = self._plan(w, swarm.position[w, i], goal[w, i])
-            self._keep(w, i, way)
-        # Along the ways.
-        limits = Limits(speed, ACCELERATION, DELAY, HALF_WIDTH)
-        wanted, self._next = follow(
-            swarm.position, swarm.velocity, self._way, self._count, self._next, limits
+        without_path = aviary.alive & (self._count == 0)
+        for w, i in np.argwhere(without_path).tolist():
+            path = self._plan(w, swarm.position[w, i], goal[w, i])
+            self._store_path(w, i, path)
+        limits = PathLimits(speed, ACCELERATION, DELAY, HALF_WIDTH)
+        wanted, self._next = follow_paths(
+            swarm.position, swarm.velocity, self._path, self._count, self._next, limits
         )
-        # Away from other drones.
+        # Repulsion from other drones.
         no_balls = np.zeros((len(aviary.alive), 0, 3))
         field = make_field(aviary, surfaces=0.0)
         push = repulsion(swarm.position, aviary.alive, no_balls, np.zeros(0), field)
         push = limit_norm(push, APPROACH * HALF_WIDTH)
         flown = limit_norm(wanted + push, speed)
-        way = aviary.scene.goal - swarm.position
-        return self.encoded(touch_down(flown, way, aviary.scene.goal[..., 2], aviary.task))
+        goal_offset = aviary.scene.goal - swarm.position
+        return self.encoded(touch_down(flown, goal_offset, aviary.scene.goal[..., 2], aviary.task))
 
     @abstractmethod
     def goals(self, swarm: Swarm) -> np.ndarray:
-        """Choose where drones are to fly; for those that are to leave their way set `_count` to 0.
+        """Choose the destinations; set `_count` to 0 for drones that need a new path.
 
         Args:
             swarm: The true state of all drones.
 
         Returns:
-            (W, N, 3) places, m.
+            (W, N, 3) destinations, m.
         """
 
-    def _plan(
-        self,
-        w: int,
-        start: np.ndarray,
-        goal: np.ndarray,
-    ) -> np.ndarray:
-        """Find waypoints (K, 3), m."""
-        way = plan(self._grid(w), start, goal)
-        return way if len(way) else np.stack([start, goal])
+    def _plan(self, w: int, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Plan a path; return (K, 3) waypoints, m, or a straight segment if there is no path."""
+        path = plan_path(self._voxel_map(w), start, goal)
+        return path if len(path) else np.stack([start, goal])
 
-    def _grid(self, w: int) -> Voxels:
-        """Make the map of a world, or give the one that was made."""
+    def _voxel_map(self, w: int) -> Voxels:
+        """Return the voxel map of a world, and build it on first use."""
         solids = self.aviary.solids(w)
         task = self.aviary.task
         if id(solids) not in self._grids:
-            # Free cells are clear of everything by HALF_WIDTH and the drone's radius.
+            # Free cells have a clearance of HALF_WIDTH plus the radius of a drone.
             clearance = HALF_WIDTH + task.context.collision_radius + VOXEL_SIZE / 2
-            grid = voxels(
+            grid = build_voxels(
                 bounds=solids.bounds,
                 low=task.arena_low,
                 high=task.arena_high,
@@ -147,38 +142,33 @@ class PathFollower(Policy):
             self._grids[id(solids)] = solids, grid
         return self._grids[id(solids)][1]
 
-    def _keep(
-        self,
-        w: int,
-        i: int,
-        way: np.ndarray,
-    ) -> None:
-        """Keep the way of a drone, which flies to its second point."""
-        # Room for a longer way than any before.
-        more = len(way) - self._way.shape[2]
+    def _store_path(self, w: int, i: int, path: np.ndarray) -> None:
+        """Store the path of a drone, which flies to its second waypoint first."""
+        # Enlarge the buffer for longer paths.
+        more = len(path) - self._path.shape[2]
         if more > 0:
-            worlds, drones, _, axes = self._way.shape
-            room = np.zeros((worlds, drones, more, axes))
-            self._way = np.concatenate([self._way, room], axis=2)
-        self._way[w, i, : len(way)] = way
-        self._count[w, i] = len(way)
+            worlds, drones, _, axes = self._path.shape
+            padding = np.zeros((worlds, drones, more, axes))
+            self._path = np.concatenate([self._path, padding], axis=2)
+        self._path[w, i, : len(path)] = path
+        self._count[w, i] = len(path)
         self._next[w, i] = 1
 
 
 @register("policy")
-class Planner(PathFollower):
-    """Flight to the task's goals, which are taken to stand still, or to jump to another place."""
+class PathPlanner(PathFollower):
+    """Flight to the goals of the task, which may be static or jump."""
 
     name = "planner"
     remembers = (*PathFollower.remembers, "_goal")
 
     def __init__(self, aviary: Aviary) -> None:
-        """Take the aviary to fly; see `Policy`."""
+        """Store the current goals; see `Policy`."""
         super().__init__(aviary)
         self._goal = aviary.scene.goal.copy()
 
     def goals(self, swarm: Swarm) -> np.ndarray:
-        """Give the task's goals (W, N, 3), m; ways to those that jumped are made anew."""
+        """Return the goals of the task (W, N, 3), m; replan for goals that jumped."""
         goal, options = self.aviary.scene.goal, self.aviary.options
         step = options.max_speed / options.decision_hz
         self._count[np.linalg.norm(goal - self._goal, axis=-1) > step] = 0
@@ -187,37 +177,36 @@ class Planner(PathFollower):
 
 
 @allocating
-def follow(
+def follow_paths(
     position: np.ndarray,
     velocity: np.ndarray,
-    way: np.ndarray,
+    path: np.ndarray,
     count: np.ndarray,
     target: np.ndarray,
-    limits: Limits,
+    limits: PathLimits,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute velocities along ways.
+    """Compute velocities along paths.
 
     Args:
         position: (W, N, 3) positions of the drones, m.
-        velocity: (W, N, 3) their velocities, m/s.
-        way: (W, N, K, 3) waypoints, m.
-        count: (W, N) how many waypoints each drone has; 0 for none.
-        target: (W, N) the waypoint that each drone flew to.
-        limits: How ways are flown.
+        velocity: (W, N, 3) velocities of the drones, m/s.
+        path: (W, N, K, 3) waypoints, m.
+        count: (W, N) number of waypoints of each drone; 0 for no path.
+        target: (W, N) index of the current waypoint of each drone.
+        limits: Limits for flight along paths.
 
     Returns:
-        (W, N, 3) velocities, m/s, zero where `count` is 0; and (W, N) the waypoint that each drone
-        now flies to.
+        (W, N, 3) velocities, m/s, zero where `count` is 0; and (W, N) indices of the new current
+        waypoints.
     """
     result = np.zeros(position.shape)
     target = target.copy()
     for w in range(count.shape[0]):
         for i in range(count.shape[1]):
             if count[w, i] > 0:
-                # The leg to fly, then the velocity along it.
                 here = vec3(position, w, i)
                 moving = vec3(velocity, w, i)
-                points = way[w, i, : count[w, i]]
+                points = path[w, i, : count[w, i]]
                 target[w, i] = next_waypoint(points, target[w, i], here, moving, limits)
                 wanted = velocity_along(points, target[w, i], here, limits)
                 for axis in range(3):
@@ -227,68 +216,59 @@ def follow(
 
 @func
 def next_waypoint(
-    points: np.ndarray,
-    k: int,
-    here: Vec3,
-    velocity: Vec3,
-    limits: Limits,
+    points: np.ndarray, k: int, here: Vec3, velocity: Vec3, limits: PathLimits
 ) -> int:
-    """Choose the waypoint to fly to.
+    """Return the index of the waypoint to fly to.
 
-    It is the k-th, or the first after it that is neither passed within the delay nor nearly
-    reached; the last one stays.
+    This is the first waypoint from k on that is neither passed within the delay nor nearly reached,
+    at most the last one.
 
     Args:
         points: (K, 3) waypoints, m.
-        k: The one that the drone flew to.
+        k: Index of the current waypoint.
         here: Position of the drone, m.
         velocity: Velocity of the drone, m/s.
-        limits: How ways are flown.
+        limits: Limits for flight along paths.
     """
     while k < len(points) - 1:
-        direction, _ = leg(points, k)
-        # How far the waypoint is along its leg, and how far the drone gets in the delay.
-        gap = plus(point(points, k), -1.0, here)
-        left = dot(gap, direction)
+        direction, _ = leg_direction(points, k)
+        # Remaining distance along the leg, and distance flown within the delay.
+        offset = plus(waypoint_at(points, k), -1.0, here)
+        remaining = dot(offset, direction)
         flown_by_then = limits.delay * dot(velocity, direction)
-        if left > max(flown_by_then, 0.5 * limits.half_width):
+        if remaining > max(flown_by_then, 0.5 * limits.half_width):
             break
         k += 1
     return k
 
 
 @func
-def velocity_along(
-    points: np.ndarray,
-    k: int,
-    here: Vec3,
-    limits: Limits,
-) -> Vec3:
-    """Compute the velocity along the leg to waypoint k, and back to that leg.
+def velocity_along(points: np.ndarray, k: int, here: Vec3, limits: PathLimits) -> Vec3:
+    """Compute the velocity along the leg to waypoint k, with a correction towards the leg.
 
-    A drone is slower the farther it is off the leg, beyond half_width.
+    Beyond half_width, the speed decreases with the distance from the leg.
 
     Args:
         points: (K, 3) waypoints, m.
-        k: The waypoint.
+        k: Index of the waypoint.
         here: Position of the drone, m.
-        limits: How ways are flown.
+        limits: Limits for flight along paths.
 
     Returns:
         The velocity, m/s.
     """
-    direction, _ = leg(points, k)
-    gap = plus(point(points, k), -1.0, here)
-    # How far the waypoint is along the leg, and the way back to the leg.
-    left = dot(gap, direction)
-    aside = plus(gap, -left, direction)
-    # Not faster than the corners ahead allow, nor than policy `straight` at the end.
-    speed = braking(left, speed_past(points, k, limits), limits)
+    direction, _ = leg_direction(points, k)
+    offset = plus(waypoint_at(points, k), -1.0, here)
+    # Remaining distance along the leg, and offset to the leg.
+    remaining = dot(offset, direction)
+    aside = plus(offset, -remaining, direction)
+    # Limited by the corners ahead, and at the end by the approach of policy `straight`.
+    speed = braking_speed(remaining, max_passing_speed(points, k, limits), limits)
     if k == len(points) - 1:
-        speed = min(speed, APPROACH * left)
-    # Slower off the way, and back to it.
-    off_way = math.sqrt(dot(aside, aside))
-    speed *= limits.half_width / max(limits.half_width, off_way)
+        speed = min(speed, APPROACH * remaining)
+    # Slow down away from the path, and return to it.
+    deviation = math.sqrt(dot(aside, aside))
+    speed *= limits.half_width / max(limits.half_width, deviation)
     back = (
         APPROACH * aside[0],
         APPROACH * aside[1],
@@ -298,49 +278,41 @@ def velocity_along(
 
 
 @func
-def speed_past(
-    points: np.ndarray,
-    k: int,
-    limits: Limits,
-) -> float:
-    """Compute the speed with which waypoint k may be passed.
+def max_passing_speed(points: np.ndarray, k: int, limits: PathLimits) -> float:
+    """Compute the maximum speed at waypoint k.
 
-    All later corners can then be flown, and the last waypoint stops the drone.
+    At this speed, all later corners can be flown and the drone can stop at the last waypoint.
 
     Args:
         points: (K, 3) waypoints, m.
-        k: The waypoint.
-        limits: How ways are flown.
+        k: Index of the waypoint.
+        limits: Limits for flight along paths.
 
     Returns:
         The speed, m/s.
     """
     speed = 0.0
-    # From the end of the way back to the waypoint.
+    # Backward pass from the end of the path.
     for j in range(len(points) - 2, k - 1, -1):
-        before, arrival = leg(points, j)
-        after, departure = leg(points, j + 1)
+        before, arrival = leg_direction(points, j)
+        after, departure = leg_direction(points, j + 1)
         corner = corner_speed(dot(before, after), min(arrival, departure), limits)
-        speed = min(corner, braking(departure, speed, limits))
+        speed = min(corner, braking_speed(departure, speed, limits))
     return speed
 
 
 @func
-def corner_speed(
-    cosine: float,
-    length: float,
-    limits: Limits,
-) -> float:
+def corner_speed(cosine: float, length: float, limits: PathLimits) -> float:
     """Compute the speed on the arc that rounds a corner between two legs.
 
-    The arc that touches both legs has radius r, where r (1 / cos(theta / 2) - 1) is its distance
-    from the corner, at most half_width, and r tan(theta / 2) that of the points where it touches,
-    at most half a leg.
+    The arc that is tangent to both legs has radius r. Its distance from the corner is r (1 /
+    cos(theta / 2) - 1), at most half_width. Its tangent points are r tan(theta / 2) from the
+    corner, at most half a leg.
 
     Args:
-        cosine: Cosine of the angle theta between the legs' directions.
+        cosine: Cosine of the angle theta between the directions of the legs.
         length: Length of the shorter leg, m.
-        limits: How ways are flown.
+        limits: Limits for flight along paths.
 
     Returns:
         The speed, m/s.
@@ -353,19 +325,16 @@ def corner_speed(
 
 
 @func
-def braking(
-    distance: float,
-    speed: float,
-    limits: Limits,
-) -> float:
-    """Compute the speed from which another one is reached in a distance.
+def braking_speed(distance: float, speed: float, limits: PathLimits) -> float:
+    """Compute the maximum speed from which a lower speed is reached within a distance.
 
-    It is v where distance = v delay + (v^2 - speed^2) / (2 acceleration), within the limit.
+    The speed v satisfies distance = v delay + (v^2 - speed^2) / (2 acceleration), and is limited to
+    the maximum speed.
 
     Args:
-        distance: The distance, m.
-        speed: Speed to be reached, m/s.
-        limits: How ways are flown.
+        distance: Distance, m.
+        speed: Speed at the end of the distance, m/s.
+        limits: Limits for flight along paths.
 
     Returns:
         The speed v, m/s.
@@ -377,24 +346,24 @@ def braking(
 
 
 @func
-def leg(points: np.ndarray, k: int) -> tuple[Vec3, float]:
+def leg_direction(points: np.ndarray, k: int) -> tuple[Vec3, float]:
     """Compute direction and length, m, of the leg that ends at waypoint k.
 
-    The direction is zero where the leg is too short to have one.
+    The direction is zero if the leg is too short.
     """
-    way = plus(point(points, k), -1.0, point(points, k - 1))
-    length = math.sqrt(dot(way, way))
-    # Waypoints may fall together
-    scale = 1.0 / length if length > NO_WAY else 0.0
+    segment = plus(waypoint_at(points, k), -1.0, waypoint_at(points, k - 1))
+    length = math.sqrt(dot(segment, segment))
+    # Waypoints may coincide
+    scale = 1.0 / length if length > MIN_LEG_LENGTH else 0.0
     direction = (
-        scale * way[0],
-        scale * way[1],
-        scale * way[2],
+        scale * segment[0],
+        scale * segment[1],
+        scale * segment[2],
     )
     return direction, length
 
 
 @func
-def point(points: np.ndarray, k: int) -> Vec3:
-    """Give points[k] (3,) as a tuple."""
+def waypoint_at(points: np.ndarray, k: int) -> Vec3:
+    """Return points[k] (3,) as a tuple."""
     return points[k, 0], points[k, 1], points[k, 2]

@@ -1,7 +1,9 @@
 """Policy `potential`: an artificial potential field.
 
-The goal attracts; drones, obstacles and the ground repel. O. Khatib, Real-time obstacle avoidance
-for manipulators and mobile robots (1986), with velocities in place of forces.
+The goal attracts; drones, obstacles and the ground repel. Velocities take the place of forces.
+
+References:
+    O. Khatib, Real-time obstacle avoidance for manipulators and mobile robots (1986).
 """
 
 import math
@@ -21,24 +23,28 @@ from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
 INFLUENCE = 8.0
-"""Reach of the repulsion, d_safe: two drones that meet at 20 m/s have a second to turn"""
+"""Influence distance of the repulsion, in d_safe: two drones that approach at 20 m/s have a
+second to turn"""
 STRENGTH = 4.0
-"""Strength, max_speed: with twice as much, formations 12 m apart keep drones off their goals"""
+"""Strength of the repulsion, in max_speed; at twice this value, formations 12 m apart keep
+drones off their goals"""
 SURFACES = 0.5
-"""Scale of surfaces, d_safe: these need only not be touched, and goals may be near them"""
+"""Length scale of surfaces, in d_safe: contact is to be avoided only, and goals may be near
+surfaces"""
 CONTACT = 0.01
-"""Distance below which the repulsion grows no more, d_safe"""
+"""Distance below which the repulsion is constant, in d_safe"""
 
 
 class Field(NamedTuple):
     """Parameters of the repulsion.
 
     Attributes:
-        strength: Speed of the push at a distance of one scale, far within the influence, m/s.
-        drones: Scale of the repulsion from drones, m.
-        surfaces: Scale of the repulsion from surfaces, m.
-        influence: Distance beyond which nothing repels, m.
-        contact: Distance below which the repulsion grows no more, m.
+        strength: Repulsive speed at a distance of one length scale, far below the influence
+            distance, m/s.
+        drones: Length scale of the repulsion from drones, m.
+        surfaces: Length scale of the repulsion from surfaces, m.
+        influence: Influence distance, beyond which nothing repels, m.
+        contact: Distance below which the repulsion is constant, m.
         body: Radius of a drone, m.
     """
 
@@ -51,11 +57,11 @@ class Field(NamedTuple):
 
 
 def make_field(aviary: Aviary, surfaces: float = SURFACES) -> Field:
-    """Make the field for the drones of an aviary.
+    """Compute the field parameters for the drones of an aviary.
 
     Args:
-        aviary: The worlds that are flown.
-        surfaces: Scale of the repulsion from surfaces, d_safe; 0 for none.
+        aviary: The controlled worlds.
+        surfaces: Length scale of the repulsion from surfaces, in d_safe; 0 for none.
     """
     body = aviary.task.context.collision_radius
     scale = float(max(aviary.task.config.d_safe, 2 * body))
@@ -71,10 +77,10 @@ def make_field(aviary: Aviary, surfaces: float = SURFACES) -> Field:
 
 @register("policy")
 class PotentialField(Policy):
-    """Flight towards the goal, repelled by living drones, obstacles and the ground.
+    """Flight to the goal with repulsion from living drones, obstacles and the ground.
 
-    Obstacles are known by their bounding spheres. A drone may get stuck where all that acts on it
-    cancels. It does not land.
+    Obstacles are represented by their bounding spheres. A drone may get stuck in a local minimum,
+    where attraction and repulsion cancel. The policy does not land.
     """
 
     name = "potential"
@@ -82,12 +88,12 @@ class PotentialField(Policy):
     reads_swarm = True
 
     def reset(self, mask: np.ndarray) -> None:
-        """Do nothing, as no world is remembered."""
+        """Do nothing: the policy is stateless."""
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Add attraction, as of policy `straight`, and `repulsion`; see `Policy.act`.
+        """Add the attraction of policy `straight` and `repulsion`; see `Policy.act`.
 
-        Together they are limited to max_speed.
+        The sum is limited to max_speed.
         """
         aviary = self.aviary
         scene = aviary.scene
@@ -106,17 +112,17 @@ def repulsion(
     obstacle_radius: np.ndarray,
     field: Field,
 ) -> np.ndarray:
-    """Compute velocities away from living drones, obstacles and the ground.
+    """Compute the repulsive velocities away from living drones, obstacles and the ground.
 
-    Distances are between centres of drones, as in d_safe, but from the surfaces of other bodies
-    to that of the drone.
+    Distances between drones are measured between centres, as in d_safe; all other distances between
+    surfaces.
 
     Args:
         position: (W, N, 3) positions of the drones, m.
-        alive: (W, N) bool, which of them fly.
-        obstacle: (W, K, 3) centres of balls, m.
-        obstacle_radius: (K,) their radii, m.
-        field: The field's parameters.
+        alive: (W, N) bool, which drones fly.
+        obstacle: (W, K, 3) centres of spheres, m.
+        obstacle_radius: (K,) radii of the spheres, m.
+        field: Parameters of the repulsion.
 
     Returns:
         (W, N, 3) velocities, m/s; zero for drones that do not fly.
@@ -126,12 +132,12 @@ def repulsion(
         for i in range(alive.shape[1]):
             if not alive[w, i]:
                 continue
-            # Other drones, centre from centre.
+            # Other drones, between centres.
             for j in range(alive.shape[1]):
                 if j != i and alive[w, j]:
                     away = offset(position, w, j, i)
                     _push(result, w, i, away, 0.0, field.drones, field)
-            # Obstacles, surface from surface.
+            # Obstacles, between surfaces.
             here = vec3(position, w, i)
             for k in range(obstacle_radius.size):
                 away = (
@@ -141,7 +147,7 @@ def repulsion(
                 )
                 radius = obstacle_radius[k] + field.body
                 _push(result, w, i, away, radius, field.surfaces, field)
-            # The ground, which is at height 0.
+            # The ground, at height 0.
             up = (0.0, 0.0, here[2])
             _push(result, w, i, up, field.body, field.surfaces, field)
     return result
@@ -149,15 +155,9 @@ def repulsion(
 
 @func
 def _push(
-    result: np.ndarray,
-    w: int,
-    i: int,
-    away: Vec3,
-    radius: float,
-    scale: float,
-    field: Field,
+    result: np.ndarray, w: int, i: int, away: Vec3, radius: float, scale: float, field: Field
 ) -> None:
-    """Add the push along `away` from a body's centre, whose surface is `radius` nearer."""
+    """Add the repulsion along `away`; the surface of the body is at `radius` from its centre."""
     length = math.sqrt(dot(away, away))
     size = strength(length - radius, scale, field) / max(length, field.contact)
     for axis in range(3):
@@ -165,25 +165,21 @@ def _push(
 
 
 @func
-def strength(
-    distance: float,
-    scale: float,
-    field: Field,
-) -> float:
-    """Compute the speed away from a body, as the potential's derivative (Khatib 1986).
+def strength(distance: float, scale: float, field: Field) -> float:
+    """Compute the repulsive speed, the negative derivative of the potential.
 
-    It is -dU/drho of U = eta / 2 (1 / rho - 1 / rho0)^2 within rho0, where
-    eta = strength scale^3.
+    The potential is U = eta / 2 (1 / rho - 1 / rho0)^2 for rho < rho0, with eta = strength scale^3;
+    the speed is -dU/drho (Khatib 1986).
 
     Args:
         distance: Distance rho from the body, m.
-        scale: Distance at which the repulsion has its strength, m.
-        field: The field's parameters; rho0 is its influence.
+        scale: Length scale of the repulsion, m.
+        field: Parameters of the repulsion; rho0 is the influence distance.
 
     Returns:
         The speed, m/s.
     """
-    # Beyond the influence there is none, within contact it grows no more.
+    # Zero beyond the influence distance, constant below the contact distance.
     rho = max(distance, field.contact)
     inverse = 1.0 / rho - 1.0 / field.influence
     return field.strength * scale**3 * max(inverse, 0.0) / (rho * rho)

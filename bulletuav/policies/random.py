@@ -1,4 +1,4 @@
-"""Policy `random`, which draws actions uniformly: the floor of every comparison."""
+"""Policy `random`: uniformly distributed actions, the lower bound of every comparison."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from bulletuav.vehicle.swarm import Swarm
 
 @register("policy")
 class RandomActions(Policy):
-    """Any action with equal probability, drawn anew at every decision.
+    """Uniformly distributed actions, drawn independently at every decision.
 
-    Each world's actions follow from its own random numbers.
+    Each world has its own random generator.
     """
 
     name = "random"
@@ -22,19 +22,19 @@ class RandomActions(Policy):
     remembers = ("_rng",)
 
     def __init__(self, aviary: Aviary) -> None:
-        """Take the aviary to fly; see `Policy`."""
+        """Allocate the random generators; see `Policy`."""
         super().__init__(aviary)
         self._rng: dict[int, np.random.Generator] = {}
 
     def reset(self, mask: np.ndarray) -> None:
-        """Give the worlds of `mask` (W,) generators of their own."""
+        """Seed a generator for each world in `mask` (W,)."""
         for k in np.flatnonzero(mask).tolist():
             generator = self.aviary.rng[k]
-            assert generator is not None  # a world that starts has one
+            assert generator is not None  # set by the reset of the world
             self._rng[k] = np.random.default_rng(generator.integers(2**63))
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Draw numbers between the bounds of the action, or choices; see `Policy.act`."""
+        """Draw actions between their bounds, or discrete choices; see `Policy.act`."""
         action = self.aviary.action
         actions = np.zeros((self.aviary.num_worlds, *action.low.shape))
         for k, rng in self._rng.items():

@@ -1,4 +1,4 @@
-"""What policies that see observations only read: blocks by name, in their units."""
+"""Observation blocks by name and in physical units, for policies that use observations only."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -8,43 +8,38 @@ import numpy as np
 from bulletuav.envs.aviary import Aviary
 from bulletuav.tasks.observations.observer import Observation
 
-CEILING_ROOM = 2.5
-"""Room that is left below the ceiling, m: for wind, and for what a drone rises as it brakes"""
-OVER_GOAL = 50.0
-"""Height above the goal beyond which no drone climbs, m"""
-REMEDY: Mapping[str, str] = MappingProxyType(
+CEILING_MARGIN = 2.5
+"""Margin below the ceiling, m: for wind, and for the overshoot of braking"""
+MAX_HEIGHT_ABOVE_GOAL = 50.0
+"""Maximum cruise height above the goal, m"""
+BLOCK_CONTENTS: Mapping[str, str] = MappingProxyType(
     {
         "goal": "direction and distance of the goal",
         "velocity": "its velocity",
         "room": "the ceiling",
-        "lidar": "what stands around",
+        "lidar": "the range finder",
     }
 )
-"""What each block tells a drone"""
+"""Contents of each block, for messages"""
 
 
 class Readings:
-    """Blocks of an aviary's observations, by name and in their units.
+    """Observation blocks of an aviary, by name and in physical units.
 
     Attributes:
-        aviary: The worlds that are observed.
+        aviary: The observed worlds.
     """
 
-    def __init__(
-        self,
-        policy: str,
-        aviary: Aviary,
-        needed: tuple[str, ...],
-    ) -> None:
-        """Find the blocks.
+    def __init__(self, policy: str, aviary: Aviary, needed: tuple[str, ...]) -> None:
+        """Check that the required blocks are observed.
 
         Args:
-            policy: Name of the policy that reads them, for the message.
-            aviary: The worlds that are observed.
+            policy: Name of the policy that reads the blocks, for the message.
+            aviary: The observed worlds.
             needed: Names of the blocks.
 
         Raises:
-            ValueError: A block is not observed.
+            ValueError: If a block is not observed.
         """
         self.aviary = aviary
         self._needed = needed
@@ -53,22 +48,22 @@ class Readings:
             if name not in shown:
                 known = ",".join([*shown, name])
                 raise ValueError(
-                    f"policy {policy!r} reads block {name!r}, {REMEDY[name]}, which is not "
-                    f"observed: choose observation={known!r}"
+                    f"policy {policy!r} reads block {name!r}, {BLOCK_CONTENTS[name]}, which is not "
+                    f"observed: set observation={known!r}"
                 )
 
     def __call__(self, observations: Observation) -> dict[str, np.ndarray]:
-        """Give the blocks of observations.
+        """Return the blocks of observations, in physical units.
 
         Args:
-            observations: (W, N, D) of each drone, or a dict of such arrays.
+            observations: (W, N, D) observations of the drones, or a dict of such arrays.
 
         Returns:
-            Arrays (W, N, numbers of the block) by name, m and m/s.
+            Arrays (W, N, width of the block) by name, m and m/s.
         """
         observer = self.aviary.observer
         blocks = observer.split(observations)
-        told: dict[str, np.ndarray] = {}
+        readings: dict[str, np.ndarray] = {}
         for name in self._needed:
             numbers = np.asarray(blocks[name], dtype=float)
             if self.aviary.options.normalise:
@@ -76,27 +71,27 @@ class Readings:
                 low = np.array([label.low for label in labels])
                 high = np.array([label.high for label in labels])
                 numbers = (low + high) / 2 + numbers * (high - low) / 2
-            told[name] = numbers
-        return told
+            readings[name] = numbers
+        return readings
 
 
-def goal_offset(goal: np.ndarray) -> np.ndarray:
-    """Compute the way to the goal (W, N, 3), m, from its direction and distance (W, N, 4)."""
+def decode_goal_offset(goal: np.ndarray) -> np.ndarray:
+    """Compute offsets to the goal (W, N, 3), m, from directions and distances (W, N, 4)."""
     offset: np.ndarray = goal[..., :3] * goal[..., 3:]
     return offset
 
 
-def climb(offset: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Compute how far it is up to the height at which drones cross a city.
+def cruise_height_difference(offset: np.ndarray, room: np.ndarray) -> np.ndarray:
+    """Compute the height difference to the cruise height.
 
-    That is CEILING_ROOM below the ceiling, or OVER_GOAL above the goal where that is lower: the
-    higher, the fewer houses stand in the way.
+    The cruise height is CEILING_MARGIN below the ceiling, at most MAX_HEIGHT_ABOVE_GOAL above the
+    goal: fewer buildings reach greater heights.
 
     Args:
-        offset: (W, N, 3) the way to the goal, m.
-        room: (W, N, 6) room to the sides of the airspace, m.
+        offset: (W, N, 3) offset to the goal, m.
+        room: (W, N, 6) distances to the sides of the airspace, m.
 
     Returns:
-        (W, N) m, negative where the drone is too high.
+        (W, N) height difference, m; negative if the drone is too high.
     """
-    return np.minimum(room[..., 2] - CEILING_ROOM, offset[..., 2] + OVER_GOAL)
+    return np.minimum(room[..., 2] - CEILING_MARGIN, offset[..., 2] + MAX_HEIGHT_ABOVE_GOAL)

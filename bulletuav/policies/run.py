@@ -1,6 +1,6 @@
-"""Settings of a training run, and the file `run.yaml` that reproduces it.
+"""Configuration of a training run, and the file `run.yaml` that reproduces the run.
 
-The folder of a run holds this file and `policy.safetensors`, the policy that came out of it.
+The folder of a run contains this file and `policy.safetensors`, the trained policy.
 """
 
 import dataclasses
@@ -23,17 +23,17 @@ from bulletuav.tasks import find_task
 from bulletuav.version import CONSTANTS
 
 CONFIG = "run.yaml"
-"""File with the settings of a run, in its folder"""
+"""File name of the run configuration"""
 VERSION = 1
-"""Version of that file: another number means other names or meanings of settings"""
+"""Version of the file format; it changes with the names or meanings of settings"""
 MODULE_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-"""A name by which a module is imported: `module:Name`"""
+"""Name by which a module is imported: `module:Name`"""
 POLICY = "policy.safetensors"
-"""File with the policy of a run or of a checkpoint, in its folder"""
+"""File name of the policy of a run or of a checkpoint"""
 CHECKPOINTS = "checkpoints"
-"""Folder of the checkpoints in that of a run"""
+"""Name of the checkpoint folder of a run"""
 ALGORITHMS = ("ppo", "sac", "td3", "dqn", "a2c", "ddpg")
-"""Algorithms of stable-baselines3 that train policies"""
+"""Training algorithms of stable-baselines3"""
 INTERFACE = (
     "action",
     "decision_hz",
@@ -50,9 +50,9 @@ INTERFACE = (
     "camera_size",
     "camera_hz",
 )
-"""Options that say what a policy sees and does; they hold wherever it flies"""
+"""Options that determine observations and actions of a policy; fixed wherever it flies"""
 SCENE = ("num_drones", "airframe", "difficulty", "preset")
-"""Options, beside `INTERFACE`, that evaluations during training take over from it"""
+"""Options, besides `INTERFACE`, that evaluations inherit from training"""
 LIMITS = {
     "seed": (0, None),
     "steps": (1, 10**12),
@@ -61,7 +61,7 @@ LIMITS = {
     "episodes": (1, 10**6),
     "constants": (1, None),
 }
-"""Least and greatest value of each setting that is a whole number; None: no bound"""
+"""Minimum and maximum of each integer setting; None: unbounded"""
 _REPLAY = {
     "learning_starts": 10_000,
     "batch_size": 1024,
@@ -84,32 +84,33 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "ddpg": {**_REPLAY, "learning_rate": 1e-3, "gradient_steps": 4, "action_noise": 0.2},
     "dqn": {**_REPLAY, "learning_rate": 5e-4, "gradient_steps": 4, "target_update_interval": 5_000},
 }
-"""Settings of each algorithm that work with some hundred slots; those of a run override them"""
+"""Default settings of each algorithm, tuned for some hundred slots; a run overrides them"""
 SHIPPED = Path(__file__).parents[1] / "trained"
-"""Folder of the runs that come with the package, one for each task"""
+"""Folder of the runs in the package, one for each task"""
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """The settings that decide a training run.
+    """Configuration of a training run.
 
     Attributes:
-        task: Name of the task that is learned.
+        task: Name of the task.
         algo: One of `ALGORITHMS`.
-        seed: Seed of weights, worlds and everything drawn.
-        steps: Decisions of all slots together; an empty slot counts, too, see
+        seed: Seed of weights, worlds and all random numbers.
+        steps: Total number of decisions of all slots, including empty slots, see
             `bulletuav.adapters.sb3`.
-        worlds: How many worlds are flown at once.
-        options: Options of the environment in training; those of `INTERFACE` hold also where
-            the policy flies.
-        stages: Further options of each stage of a curriculum, easiest first; one stage for none.
+        worlds: Number of parallel worlds.
+        options: Options of the training environment; those of `INTERFACE` apply wherever the policy
+            flies.
+        stages: Additional options of each curriculum stage, easiest first; one stage for no
+            curriculum.
         curriculum: Arguments `up`, `down` and `window` of `bulletuav.envs.curriculum.Curriculum`.
-        shared_reward: Whether each drone is rewarded with the mean of all of its world.
+        shared_reward: Whether each drone gets the mean reward of its world.
         model: Arguments of the algorithm, see `bulletuav.training.models.make_model`.
-        evaluations: How many times the policy is evaluated and kept during training.
-        episodes: Episodes of each evaluation.
-        evaluation: Options of the environment in these, beside `INTERFACE` and `SCENE`.
-        constants: Number of the package's forces, airframes and rewards that it learned with.
+        evaluations: Number of evaluations and checkpoints during training.
+        episodes: Number of episodes of each evaluation.
+        evaluation: Options of evaluation environments, besides `INTERFACE` and `SCENE`.
+        constants: Version number of the package's forces, airframes and rewards in training.
     """
 
     task: str
@@ -128,15 +129,15 @@ class RunConfig:
     constants: int = CONSTANTS
 
     def __post_init__(self) -> None:
-        """Check all settings but those of the algorithm, which its own model checks.
+        """Validate all settings except those of the algorithm, which the algorithm validates.
 
         Raises:
-            ValueError: A setting, or an option of an environment, is impossible.
+            ValueError: If a setting, or an option of an environment, is invalid.
         """
         task = find_task(self.task)
         find_choice("algorithm", self.algo, dict.fromkeys(ALGORITHMS))
-        for name, (least, most) in LIMITS.items():
-            as_int(name, getattr(self, name), least, most)
+        for name, (low, high) in LIMITS.items():
+            as_int(name, getattr(self, name), low, high)
         for name in ("options", "curriculum", "model", "evaluation"):
             value = getattr(self, name)
             if not isinstance(value, Mapping):
@@ -145,7 +146,7 @@ class RunConfig:
             raise ValueError(
                 f"shared_reward is {shown(self.shared_reward)}: true or false is needed"
             )
-        # Making the curriculum and the options of all environments checks them.
+        # Constructing the curriculum and the options validates them.
         check_stages(self.stages)
         for name in self.curriculum:
             find_choice("setting of curriculum:", name, dict.fromkeys(("up", "down", "window")))
@@ -156,14 +157,14 @@ class RunConfig:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "RunConfig":
-        """Make the settings from names and values, where 2e6 may stand for 2000000.
+        """Create a configuration from settings by name; 2e6 is accepted for 2000000.
 
         Args:
-            values: Settings by name; those left out have their defaults.
+            values: Settings by name; missing ones have their defaults.
 
         Raises:
-            ValueError: A name is unknown (the nearest are told), a value is impossible, or there
-                is no task.
+            ValueError: If a name is unknown (the message suggests similar names), a value is
+                invalid, or the task is missing.
         """
         fields = dataclasses.fields(cls)
         known = [one.name for one in fields]
@@ -171,8 +172,8 @@ class RunConfig:
             if name not in known:
                 raise unknown("setting of a run:", name, known)
         if "task" not in values:
-            raise ValueError("a run without a task: say which")
-        # Files say 2e6 where a whole number is meant.
+            raise ValueError("a run needs a task: set task")
+        # YAML reads 2e6 as a float.
         counts = {one.name for one in fields if one.type is int}
         given = {
             name: whole_number(value) if name in counts else value for name, value in values.items()
@@ -181,38 +182,38 @@ class RunConfig:
 
     @classmethod
     def read(cls, path: Path, trust: bool = False) -> "RunConfig":
-        """Read the settings from a YAML file.
+        """Read a configuration from a YAML file.
 
         Args:
-            path: A file as `text` writes it, or one by hand: `version`, `task`, and any other.
-            trust: Whether modules that it names as `module:Name` may be imported.
+            path: A file written by `text`, or by hand: `version`, `task`, and any other settings.
+            trust: Whether modules that the file names as `module:Name` may be imported.
 
         Raises:
-            ValueError: The file is of another kind or version, or holds an impossible setting.
-            FileNotFoundError: There is no such file.
+            ValueError: If the file is of another kind or version, or contains an invalid setting.
+            FileNotFoundError: If there is no such file.
         """
         settings = read_settings(path, "run.yaml of a run", trust)
-        # Whatever is wrong with them is told with the file's name.
+        # Add the name of the file to all errors.
         try:
             return cls.of(settings)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
     def plain(self) -> dict[str, Any]:
-        """Give the version of the file and all settings, made of lists, dicts, texts and numbers.
+        """Return the file version and all settings as lists, dicts, strings and numbers.
 
         Returns:
-            What a file holds, by name, in its order.
+            Contents of the file by name, in the order of the file.
         """
         settings = {name: plain_value(value) for name, value in dataclasses.asdict(self).items()}
         return {"version": VERSION, **settings}
 
     def text(self, *names: str) -> str:
-        """Write the settings as YAML, which `read` takes back.
+        """Format the settings as YAML, which `read` accepts.
 
         Args:
-            names: Those to write beside the version and the task; all if none is named. Other
-                trainers write those that they used.
+            names: Settings to include besides version and task; all if empty. Other trainers
+                include the settings that they used.
         """
         plain = self.plain()
         kept = {"version", "task", *(names or plain)}
@@ -220,14 +221,14 @@ class RunConfig:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The algorithm's settings: those of `DEFAULTS`, changed as `model` says."""
+        """Settings of the algorithm: `DEFAULTS`, overridden by `model`."""
         return {**DEFAULTS[self.algo], "features": "symlog", **self.model}
 
     @property
     def interface(self) -> dict[str, Any]:
-        """The options of `INTERFACE` that the policy needs wherever it flies.
+        """Options of `INTERFACE` that the policy requires wherever it flies.
 
-        They are those that the training gives, and those that a preset or so changes.
+        These are the options that training sets, and those that a preset changes.
         """
         given = self._given
         own = self._resolved
@@ -241,105 +242,100 @@ class RunConfig:
 
     @property
     def action(self) -> str:
-        """The action that the policy gives."""
+        """Action type of the policy."""
         return self._resolved.action
 
     @property
     def evaluated(self) -> dict[str, Any]:
-        """The options of evaluations during training."""
+        """Options of the evaluations during training."""
         scene = {name: value for name, value in self._given.items() if name in SCENE}
         return {**scene, **self.interface, **self.evaluation}
 
     @property
     def _given(self) -> dict[str, Any]:
-        """The options of the last stage, as they were given."""
+        """Options of the last stage as given."""
         return {**self.options, **self.stages[-1]}
 
     @property
     def _resolved(self) -> EnvOptions:
-        """All options of the last stage."""
+        """All options of the last stage, with defaults."""
         return resolve(find_task(self.task), self._given).options
 
 
-def read_settings(
-    path: Path,
-    what: str,
-    trust: bool = False,
-) -> dict[str, Any]:
-    """Read names and values from a YAML file that tells the version of its form.
+def read_settings(path: Path, what: str, trust: bool = False) -> dict[str, Any]:
+    """Read settings from a YAML file with a format version.
 
     Args:
         path: The file.
-        what: What is needed, for the message, such as "run.yaml of a run".
-        trust: Whether it may name modules as `module:Name`.
+        what: Description of the required file, for the message, such as "run.yaml of a run".
+        trust: Whether the file may name modules as `module:Name`.
 
     Returns:
-        Its values by name, without the version.
+        Settings by name, without the version.
 
     Raises:
-        ValueError: The file is of another kind or version, or names a module.
-        FileNotFoundError: There is no such file.
+        ValueError: If the file is of another kind or version, or names a module.
+        FileNotFoundError: If there is no such file.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"no file {path}: the {what}, or one like it, is needed")
+        raise FileNotFoundError(f"no file {path}: the {what}, or a similar file, is needed")
     values = read_yaml(path)
     if not isinstance(values, Mapping):
         raise ValueError(
-            f"{path} holds {shown(values)}: names with values are needed, such as task: crossing"
+            f"{path} contains {shown(values)}: names with values are needed, such as task: crossing"
         )
     _require_version(path, values)
     if not trust:
-        _refuse_modules(path, values)
+        _forbid_modules(path, values)
     return {name: value for name, value in values.items() if name != "version"}
 
 
 def write_settings(values: Mapping[str, Any]) -> str:
-    """Write plain values as YAML, which `read_settings` takes back."""
+    """Format plain values as YAML, which `read_settings` accepts."""
     text: str = yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=110)
     return text
 
 
 def shipped_tasks() -> list[str]:
-    """List the tasks for which there is a trained policy in the package."""
+    """List the tasks with a trained policy in the package."""
     return sorted(path.parent.name for path in SHIPPED.glob(f"*/{CONFIG}"))
 
 
 def shipped(task: str) -> Path:
-    """Find the folder of the package's run for a task.
+    """Return the folder of the package's training run for a task.
 
     Args:
         task: Name of the task.
 
     Raises:
-        ValueError: There is none for that task; those that have one are told.
+        ValueError: If there is no run for the task; the message lists the tasks that have one.
     """
     if task not in shipped_tasks():
         raise ValueError(
-            f"no policy for task {task!r} comes with the package: "
-            f"there are some for {', '.join(shipped_tasks())}"
+            f"the package has no policy for task {task!r}, only for {', '.join(shipped_tasks())}"
         )
     return SHIPPED / task
 
 
 def whole_number(value: Any) -> Any:
-    """Give 2000000 for 2e6, and anything that is no whole number as it is."""
+    """Convert a float with an integer value to int; return other values unchanged."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _require_version(path: Path, values: Mapping[str, Any]) -> None:
-    """Raise ValueError unless a file says that it is of this version."""
+    """Raise ValueError unless the file has the supported version."""
     version = values.get("version")
-    if type(version) is int and version == VERSION:  # True is no version, though it equals 1
+    if type(version) is int and version == VERSION:  # excludes True, which equals 1
         return
     found = f"version: {shown(version)}" if "version" in values else "no version"
     raise ValueError(
         f"{path} has {found}, and version: {VERSION} is needed: "
-        f"train anew, or use the version of bulletuav that made it"
+        f"train again, or use the version of bulletuav that wrote the file"
     )
 
 
 def plain_value(value: Any) -> Any:
-    """Make a value of lists, dicts, texts and numbers alone."""
+    """Convert a value to lists, dicts, strings and numbers."""
     if isinstance(value, Mapping):
         return {name: plain_value(one) for name, one in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -349,20 +345,20 @@ def plain_value(value: Any) -> Any:
     return [plain_value(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-def _refuse_modules(path: Path, value: Any) -> None:
-    """Refuse a file that names a module to import: importing it runs its code.
+def _forbid_modules(path: Path, value: Any) -> None:
+    """Check that a file names no module, as importing a module runs its code.
 
     Raises:
-        ValueError: It does; the name and the remedy are told.
+        ValueError: If the file names a module; the message includes the name and the remedy.
     """
     if isinstance(value, Mapping):
         for one in value.values():
-            _refuse_modules(path, one)
+            _forbid_modules(path, one)
     elif isinstance(value, list):
         for one in value:
-            _refuse_modules(path, one)
+            _forbid_modules(path, one)
     elif isinstance(value, str) and MODULE_NAME.fullmatch(value):
         raise ValueError(
-            f"{path} names {shown(value)}, whose module would be imported: if you know who made "
-            f"it, say so by --trust (in Python trust=True)"
+            f"{path} names {shown(value)}, whose module would be imported: if you trust its "
+            f"author, set --trust (in Python trust=True)"
         )

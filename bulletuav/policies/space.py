@@ -1,4 +1,4 @@
-"""What a study varies: settings of a run by name, each with the values that it may have.
+"""Search space of a hyperparameter study: ranges and choices of run settings.
 
 Names are those of `run.yaml`, with dots: `model.gamma`, `options.weights.conflict`, `worlds`.
 """
@@ -11,18 +11,18 @@ from bulletuav.errors import finite, shown, unknown
 from bulletuav.policies.run import SCENE, RunConfig, plain_value, whole_number
 
 VARIED = ("worlds", "steps", "shared_reward", "options", "curriculum", "model")
-"""Settings of a run that can vary; those of evaluations are the same for all trials"""
+"""Run settings that can be searched; evaluations are the same for all trials"""
 
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers from one to another, both included.
+    """Range of numbers, including both ends.
 
     Attributes:
-        low: The least.
-        high: The greatest.
-        log: Whether they are drawn by their logarithm.
-        step: Their distance; whole numbers have 1, others may have any.
+        low: Lower bound.
+        high: Upper bound.
+        log: Whether values are sampled on a logarithmic scale.
+        step: Step between values; integers have step 1, floats may have none.
     """
 
     low: float
@@ -32,58 +32,60 @@ class Range:
 
     @property
     def first(self) -> float:
-        """The least."""
+        """Lower bound."""
         return self.low
 
     @property
     def is_whole(self) -> bool:
-        """Whether they are whole numbers."""
+        """Whether the range contains integers only."""
         return isinstance(self.low, int) and isinstance(self.high, int)
 
     def plain(self) -> dict[str, Any]:
-        """Give what a file holds."""
-        told: dict[str, Any] = {"low": self.low, "high": self.high}
-        told |= {"log": True} if self.log else {}
-        return told | ({} if self.step is None else {"step": self.step})
+        """Return the range as plain data for a file."""
+        values: dict[str, Any] = {"low": self.low, "high": self.high}
+        values |= {"log": True} if self.log else {}
+        return values | ({} if self.step is None else {"step": self.step})
 
 
 @dataclass(frozen=True)
 class Choices:
-    """Some values, without order.
+    """Unordered set of values.
 
     Attributes:
-        values: The values, made of lists, dicts, texts and numbers.
+        values: The values, as lists, dicts, strings and numbers.
     """
 
     values: tuple[Any, ...]
 
     @property
     def first(self) -> Any:
-        """The first of them."""
+        """First value."""
         return self.values[0]
 
     def plain(self) -> dict[str, Any]:
-        """Give what a file holds."""
+        """Return the choices as plain data for a file."""
         return {"choices": list(self.values)}
 
 
 Space = dict[str, Range | Choices]
-"""What varies, by the name of the setting"""
+"""Searched settings by name"""
 
 
 def parse_space(values: Mapping[str, Any]) -> Space:
-    """Make a space of what a file holds.
+    """Parse a search space from the contents of a file.
 
     Args:
-        values: Names as in `run.yaml`, in each other or with dots. At the ends are `low` and
-            `high`, with `log: true` or `step`, or else `choices`.
+        values: Names as in `run.yaml`, nested or with dots. The leaves contain `low` and `high`,
+            with `log: true` or `step`, or `choices`.
 
     Raises:
-        ValueError: A name is none of a run's settings, or a range is impossible.
+        ValueError: If a name is not a setting of a run, or a range is invalid.
     """
-    space = {name: _searched(name, one) for name, one in _leaves(values)}
+    space = {name: _parse_range(name, one) for name, one in _leaves(values)}
     if not space:
-        raise ValueError("nothing varies: name settings and ranges, such as model.gamma=0.9:0.999")
+        raise ValueError(
+            "the search space is empty: name settings and ranges, such as model.gamma=0.9:0.999"
+        )
     for name in space:
         first = name.partition(".")[0]
         if first not in VARIED:
@@ -92,7 +94,7 @@ def parse_space(values: Mapping[str, Any]) -> Space:
 
 
 def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """List what stands at the ends, with names joined by dots."""
+    """Yield the leaves of nested settings, with names joined by dots."""
     for name, one in values.items():
         if not isinstance(one, Mapping):
             raise ValueError(
@@ -104,8 +106,8 @@ def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield from _leaves(one, f"{prefix}{name}.")
 
 
-def _searched(name: str, given: Mapping[str, Any]) -> Range | Choices:
-    """Make one range or some choices."""
+def _parse_range(name: str, given: Mapping[str, Any]) -> Range | Choices:
+    """Parse one range or set of choices."""
     known = ("choices",) if "choices" in given else ("low", "high", "log", "step")
     for key in given:
         if key not in known:
@@ -120,68 +122,62 @@ def _searched(name: str, given: Mapping[str, Any]) -> Range | Choices:
     return _range(name, **given)
 
 
-def _range(
-    name: str,
-    low: Any,
-    high: Any,
-    log: Any = False,
-    step: Any = None,
-) -> Range:
-    """Check and make a range."""
+def _range(name: str, low: Any, high: Any, log: Any = False, step: Any = None) -> Range:
+    """Validate and create a range."""
     if not isinstance(log, bool):
         raise ValueError(f"{name}: log is {shown(log)}: true or false is needed")
     if low >= high:
-        raise ValueError(f"{name}: low is {low} and high is {high}: low has to be less")
+        raise ValueError(f"{name}: low is {low} and high is {high}: low must be less than high")
     if log and (low <= 0 or step is not None):
-        raise ValueError(f"{name}: a logarithm needs low above 0, and no step")
+        raise ValueError(f"{name}: a logarithmic range needs low above 0, and no step")
     if step is not None and finite(f"{name}: step", step) <= 0:
         raise ValueError(f"{name}: step is {step}: more than 0 is needed")
     return Range(low, high, log, step)
 
 
 def with_values(run: RunConfig, values: Mapping[str, Any]) -> RunConfig:
-    """Change a run as a trial says.
+    """Override settings of a run by the values of a trial.
 
     Args:
-        run: The settings that do not vary.
-        values: Values by names with dots.
+        run: The base configuration.
+        values: Values by dotted names.
 
     Returns:
-        The settings of the trial.
+        The configuration of the trial.
 
     Raises:
-        ValueError: They are impossible together.
+        ValueError: If the combination is invalid.
     """
     settings = run.plain()
     del settings["version"]
     for name, value in values.items():
         first, *rest = name.split(".")
         if first == "model" and len(rest) > 1:
-            # What stands in a setting of the algorithm stands beside its defaults.
+            # Keep the defaults next to a nested setting of the algorithm.
             settings["model"].setdefault(rest[0], plain_value(run.settings.get(rest[0], {})))
-        _put(settings, [first, *rest], name, value)
+        _set_nested(settings, [first, *rest], name, value)
     return RunConfig.of(settings)
 
 
-def _put(
-    settings: dict[str, Any],
-    path: list[str],
-    name: str,
-    value: Any,
-) -> None:
-    """Put a value into dicts that stand in each other."""
+def _set_nested(settings: dict[str, Any], path: list[str], name: str, value: Any) -> None:
+    """Set a value in nested dicts."""
     for key in path[:-1]:
         settings = settings.setdefault(key, {})
         if not isinstance(settings, dict):
-            raise ValueError(f"{name} varies, and {key} is {shown(settings)}, which has no names")
+            raise ValueError(
+                f"{name} is searched, but {key} is {shown(settings)}, which has no nested settings"
+            )
     settings[path[-1]] = value
 
 
 def check_space(run: RunConfig, space: Space) -> None:
-    """Refuse what no run takes, what would evaluate other things, and what would have no effect.
+    """Check the searched settings of a study.
+
+    Every searched setting must be valid, have an effect, and not change the evaluations.
 
     Raises:
-        ValueError: A setting that varies is none, changes what evaluations fly, or stages set it.
+        ValueError: If a setting is invalid, changes the evaluation environment, or is set by
+            curriculum stages.
     """
     for name, one in space.items():
         with_values(run, {name: one.first})
@@ -190,8 +186,10 @@ def check_space(run: RunConfig, space: Space) -> None:
             continue
         if option in SCENE and option not in run.evaluation:
             raise ValueError(
-                f"{name} varies, and so would the evaluations: fix it there by "
+                f"{name} is searched, and would change evaluations: fix it there with "
                 f"evaluation: {{{option}: ...}} in the settings of the run"
             )
         if any(option.split(".")[0] in stage for stage in run.stages):
-            raise ValueError(f"{name} varies, and stages of the run set it: leave one of them out")
+            raise ValueError(
+                f"{name} is searched, and stages of the run set it: remove one of them"
+            )

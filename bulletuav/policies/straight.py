@@ -1,6 +1,6 @@
-"""Policy `straight`, which flies everyone straight at its goal and avoids nobody.
+"""Policy `straight`: flies straight to the goal without collision avoidance.
 
-It shows what a scenario does to drones that do not look.
+The policy shows the difficulty of a scenario for drones without collision avoidance.
 """
 
 import numpy as np
@@ -13,14 +13,14 @@ from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
 APPROACH = 1.0
-"""Speed per distance to the goal, 1/s: slows drones down over the last max_speed metres"""
+"""Gain from distance to speed, 1/s: drones decelerate over the last max_speed metres"""
 
 
 @register("policy")
 class StraightLine(Policy):
-    """Flight towards the goal at max_speed, and with the goal where it moves.
+    """Flight to the goal at max_speed, plus the velocity of a moving goal.
 
-    Drones are slower when nearer than a second of flight.
+    Drones slow down within one second of flight from the goal.
     """
 
     name = "straight"
@@ -28,33 +28,31 @@ class StraightLine(Policy):
     reads_swarm = True
 
     def reset(self, mask: np.ndarray) -> None:
-        """Do nothing, as no world is remembered."""
+        """Do nothing: the policy is stateless."""
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Ask for the goal itself, or for the velocity towards it; see `Policy.act`."""
+        """Command the goal position, or the velocity to the goal; see `Policy.act`."""
         scene = self.aviary.scene
         options = self.aviary.options
         if options.action == "target_position":
             return self.encoded(scene.goal)
-        way = scene.goal - swarm.position
-        velocity = preferred_velocity(way, scene.goal_velocity, options.max_speed)
+        goal_offset = scene.goal - swarm.position
+        velocity = preferred_velocity(goal_offset, scene.goal_velocity, options.max_speed)
         task = self.aviary.task
-        return self.encoded(touch_down(velocity, way, scene.goal[..., 2], task))
+        return self.encoded(touch_down(velocity, goal_offset, scene.goal[..., 2], task))
 
 
 def preferred_velocity(
-    way: np.ndarray,
-    goal_velocity: np.ndarray,
-    max_speed: float,
+    goal_offset: np.ndarray, goal_velocity: np.ndarray, max_speed: float
 ) -> np.ndarray:
-    """Compute the velocities that lead straight to the goals, and with them.
+    """Compute preferred velocities: straight to the goals, plus the velocities of the goals.
 
     Args:
-        way: (W, N, 3) ways to the goals, m.
+        goal_offset: (W, N, 3) offsets to the goals, m.
         goal_velocity: (W, N, 3) velocities of the goals, m/s.
-        max_speed: Limit of the speed, m/s.
+        max_speed: Speed limit, m/s.
 
     Returns:
         (W, N, 3) velocities, m/s.
     """
-    return limit_norm(APPROACH * way + goal_velocity, max_speed)
+    return limit_norm(APPROACH * goal_offset + goal_velocity, max_speed)

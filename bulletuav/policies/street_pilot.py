@@ -1,8 +1,10 @@
-"""Policy `street_pilot`, which finds its way through streets by its range finder alone.
+"""Policy `street_pilot`: navigates through streets by its range finder only.
 
-It draws a map of what its beams have met, takes what it has not seen for free, and follows the
-shortest way through that, which it plans anew as the map grows: S. Koenig, Y. Smirnov,
-Sensor-based planning with the freespace assumption (1997).
+The policy builds an occupancy map from its beams, assumes that unobserved cells are free, follows
+the shortest path, and replans as the map grows.
+
+References:
+    S. Koenig, Y. Smirnov, Sensor-based planning with the freespace assumption (1997).
 """
 
 import math
@@ -11,42 +13,42 @@ import numpy as np
 
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
-from bulletuav.policies.astar import plan
+from bulletuav.policies.astar import plan_path
 from bulletuav.policies.base import Policy
 from bulletuav.policies.over_roofs import ABOVE_GOAL, LEVEL
-from bulletuav.policies.planner import ACCELERATION, DELAY, HALF_WIDTH, Limits, follow
-from bulletuav.policies.readings import Readings, climb, goal_offset
+from bulletuav.policies.planner import ACCELERATION, DELAY, HALF_WIDTH, PathLimits, follow_paths
+from bulletuav.policies.readings import Readings, cruise_height_difference, decode_goal_offset
 from bulletuav.policies.straight import APPROACH
-from bulletuav.policies.street_map import CELL, grow, level_beams, scan
+from bulletuav.policies.street_map import CELL, inflate, level_beams, update_maps
 from bulletuav.policies.voxels import Voxels
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
 MARGIN = 60.0
-"""How far a map reaches beyond start and goal, m"""
+"""Extent of a map beyond start and goal, m"""
 PLAN_EVERY = 5
-"""Decisions from one plan to the next"""
+"""Number of decisions between plans"""
 WAYPOINTS = 8
-"""Waypoints of a plan that are kept"""
+"""Maximum number of waypoints of a plan that are stored"""
 SPEED = 10.0
-"""Greatest speed, m/s: a Hummingbird then stops within half of a street's width from a wall that
-shows up as it rounds a corner"""
+"""Maximum speed, m/s: a Hummingbird then stops within half the width of a street, before a wall
+that appears behind a corner"""
 TRUST = 0.2
-"""Share of the difference to the observed place by which the reckoned one is corrected"""
+"""Correction gain of dead reckoning: fraction of the difference to the observed position"""
 BERTH = 3.0
-"""Range below which what is seen pushes a drone away, m"""
+"""Range below which an obstacle repels the drone, m"""
 PUSH = 1.5
-"""Speed of that push for each metre nearer, 1/s"""
+"""Gain from missing distance to repulsive speed, 1/s"""
 
 
 @register("policy")
 class StreetPilot(Policy):
-    """Flight level below the ceiling along the shortest way that a drone's own map leaves.
+    """Level flight below the ceiling along the shortest path in the drone's own map.
 
-    A drone climbs first, then crosses the city, then descends to its goal. It knows its place
-    relative to the goal by the velocity that it observes, corrected by the goal's direction and
-    distance. Other drones are returns of the range finder like walls, and fade from the map.
+    A drone climbs first, then crosses the city, then descends to its goal. Its position relative to
+    the goal is dead reckoned from the observed velocity, and corrected by the observed direction
+    and distance of the goal. Other drones appear in the map like walls, and fade.
     """
 
     name = "street_pilot"
@@ -58,17 +60,17 @@ class StreetPilot(Policy):
         "_goal",
         "_low",
         "_high",
-        "_way",
+        "_path",
         "_count",
         "_next",
         "_age",
     )
 
     def __init__(self, aviary: Aviary) -> None:
-        """Take the aviary to fly; see `Policy`.
+        """Find the observation blocks and allocate the maps; see `Policy`.
 
         Raises:
-            ValueError: The action is another one, or what it reads is not observed.
+            ValueError: If the action type is not supported, or a required block is not observed.
         """
         super().__init__(aviary)
         self.readings = Readings(self.name, aviary, ("goal", "velocity", "room", "lidar"))
@@ -79,36 +81,35 @@ class StreetPilot(Policy):
         cells = math.ceil((side + 2 * MARGIN) / CELL)
         self._evidence = np.zeros((*shape, cells, cells), dtype=np.int8)
         self._occupied = np.ones((cells + 2, cells + 2, 3), dtype=bool)
-        # Place and goal, m from the first corner of each map; airspace known so far.
+        # Position and goal relative to the origin of each map, m; known bounds of the airspace.
         self._place = np.zeros((*shape, 2))
         self._goal = np.zeros((*shape, 2))
         self._low = np.zeros((*shape, 2))
         self._high = np.zeros((*shape, 2))
-        self._way = np.zeros((*shape, WAYPOINTS, 3))
+        self._path = np.zeros((*shape, WAYPOINTS, 3))
         self._count = np.zeros(shape, dtype=np.int64)
         self._next = np.ones(shape, dtype=np.int64)
         self._age = np.zeros(len(aviary.alive), dtype=np.int64)
 
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the maps of the worlds of `mask` (W,)."""
+        """Clear the maps of the worlds in `mask` (W,)."""
         self._evidence[mask] = 0
         self._age[mask] = 0
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Look, plan, and fly along the way; see `Policy.act`."""
-        # Readings alone; the map is made of them
-        told = self.readings(observations)
-        offset = goal_offset(told["goal"])
-        rise = climb(offset, told["room"])
-        self._reckon(offset[..., :2], told)
-        # What stands at another height is no matter.
+        """Update the map, plan, and follow the path; see `Policy.act`."""
+        readings = self.readings(observations)
+        offset = decode_goal_offset(readings["goal"])
+        rise = cruise_height_difference(offset, readings["room"])
+        self._update_position(offset[..., :2], readings)
+        # Obstacles at other heights are ignored.
         is_level = np.abs(rise) < LEVEL
         far = np.linalg.norm(offset[..., :2], axis=-1) > ABOVE_GOAL
-        ranges = told["lidar"][..., self._chosen]
+        ranges = readings["lidar"][..., self._chosen]
         reach = self.aviary.task.context.max_range
-        # A range is stored as float32: the rest of `reach` is rounding.
+        # Ranges are stored as float32, so subtract a tolerance from the maximum range.
         alive = self.aviary.alive
-        scan(
+        update_maps(
             self._evidence,
             self._place,
             ranges,
@@ -116,34 +117,34 @@ class StreetPilot(Policy):
             reach - 1e-3,
             alive & is_level & far,
         )
-        # Plans take time, so they are made every few decisions
+        # Planning is expensive, so it runs every few decisions
         is_due = alive & (self._age % PLAN_EVERY == 0)[:, None]
         for w, i in np.argwhere(is_due).tolist():
             self._plan(w, i)
         self._age += 1
-        # Along the way, off what is near, at the goal's height
-        wanted = self._along(told["velocity"])
+        # Follow the path, with repulsion from near obstacles and height control
+        wanted = self._path_velocity(readings["velocity"])
         wanted[far & ~is_level, :2] = 0.0
         wanted[..., :2] += self._push(ranges, offset)
         wanted = limit_norm(wanted, min(SPEED, float(self.aviary.options.max_speed)))
         wanted[..., 2] = APPROACH * np.where(far, rise, offset[..., 2])
         return self.encoded(limit_norm(wanted, float(self.aviary.options.max_speed)))
 
-    def _reckon(self, offset: np.ndarray, told: dict[str, np.ndarray]) -> None:
-        """Bring the places up to date, from the way to the goal (W, N, 2), m."""
+    def _update_position(self, offset: np.ndarray, readings: dict[str, np.ndarray]) -> None:
+        """Update the positions by dead reckoning, and from offsets to the goal (W, N, 2), m."""
         is_new = self._age == 0
-        # A map begins MARGIN beyond start and goal.
+        # The map extends MARGIN beyond start and goal.
         corner = np.minimum(0.0, offset) - MARGIN
         self._place[is_new] = -corner[is_new]
         self._goal[is_new] = (offset - corner)[is_new]
         self._low[is_new] = -np.inf
         self._high[is_new] = np.inf
         old = ~is_new
-        moved = self._place + told["velocity"][..., :2] * self.aviary.task.context.period
+        moved = self._place + readings["velocity"][..., :2] * self.aviary.task.context.period
         moved += TRUST * (self._goal - offset - moved)
         self._place[old] = moved[old]
-        # Edges of the airspace, once they are near.
-        room = told["room"]
+        # Bounds of the airspace, once within range.
+        room = readings["room"]
         reach = self.aviary.task.context.max_range - 1e-3
         for axis in range(2):
             here = self._place[..., axis]
@@ -154,32 +155,32 @@ class StreetPilot(Policy):
             self._low[..., axis][seen] = (here - low)[seen]
 
     def _plan(self, w: int, i: int) -> None:
-        """Find the way of a drone; a map without a way is forgotten."""
-        grow(self._evidence[w, i], self._occupied, self._low[w, i], self._high[w, i])
+        """Plan the path of a drone; clear a map without a path."""
+        inflate(self._evidence[w, i], self._occupied, self._low[w, i], self._high[w, i])
         origin = np.array([-CELL, -CELL, -1.5 * CELL])
         start, goal = np.append(self._place[w, i], 0.0), np.append(self._goal[w, i], 0.0)
-        way = plan(Voxels(self._occupied, origin, CELL), start, goal)
-        if not len(way):
+        path = plan_path(Voxels(self._occupied, origin, CELL), start, goal)
+        if not len(path):
             self._evidence[w, i] = 0
-            way = np.stack([start, goal])
-        way = way[:WAYPOINTS]
-        way[:, 2] = 0.0
-        self._way[w, i, : len(way)] = way
-        self._count[w, i] = len(way)
+            path = np.stack([start, goal])
+        path = path[:WAYPOINTS]
+        path[:, 2] = 0.0
+        self._path[w, i, : len(path)] = path
+        self._count[w, i] = len(path)
         self._next[w, i] = 1
 
-    def _along(self, velocity: np.ndarray) -> np.ndarray:
-        """Compute level velocities (W, N, 3) along the ways, m/s."""
+    def _path_velocity(self, velocity: np.ndarray) -> np.ndarray:
+        """Return horizontal velocities (W, N, 3) along the paths, m/s."""
         speed = min(SPEED, float(self.aviary.options.max_speed))
-        limits = Limits(speed, ACCELERATION, DELAY, HALF_WIDTH)
+        limits = PathLimits(speed, ACCELERATION, DELAY, HALF_WIDTH)
         zero = np.zeros((*self._count.shape, 1))
         place = np.concatenate([self._place, zero], axis=-1)
         level = np.concatenate([velocity[..., :2], zero], axis=-1)
-        wanted, self._next = follow(place, level, self._way, self._count, self._next, limits)
+        wanted, self._next = follow_paths(place, level, self._path, self._count, self._next, limits)
         return wanted
 
     def _push(self, ranges: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """Compute velocities (W, N, 2) away from what is near, m/s; less and less at the goal."""
+        """Return repulsive velocities (W, N, 2) from near obstacles, m/s; fading at the goal."""
         flat = np.linalg.norm(offset[..., :2], axis=-1, keepdims=True)
         berth = np.clip(flat - ABOVE_GOAL, 0.0, BERTH)
         nearness = PUSH * np.maximum(berth - ranges, 0.0)

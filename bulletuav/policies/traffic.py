@@ -1,7 +1,7 @@
-"""What drones know of the traffic around them, each in a frame of its own position.
+"""Traffic around each drone: the input of the avoidance policies.
 
-Axes are those of the world. This is what avoiding policies work from; it comes from the true swarm
-here, and from observations in `bulletuav.policies.observed`.
+Positions are relative to the drone, in world axes. This module reads the true state of the swarm;
+`bulletuav.policies.observed` builds the same data from observations.
 """
 
 import math
@@ -17,49 +17,49 @@ from bulletuav.geometry.shapes import distance_from_box
 from bulletuav.geometry.solids import Solids
 
 FACES = 6
-"""Faces of the arena, the first rows of surfaces"""
-NO_DIRECTION = 1e-9
-"""Length below which a vector has no direction, m"""
+"""Number of faces of the arena, the first rows of surfaces"""
+MIN_NORM = 1e-9
+"""Minimum length of a vector that has a direction, m"""
 
 
 class Traffic(NamedTuple):
-    """What N drones in each of W worlds know of M other drones, K balls and P surfaces.
+    """Other drones (M), spheres (K) and surfaces (P) around N drones in each of W worlds.
 
     Attributes:
         velocity: (W, N, 3) own velocities, m/s.
-        goal: (W, N, 3) ways to the goals, m.
+        goal: (W, N, 3) offsets to the goals, m.
         goal_velocity: (W, N, 3) velocities of the goals, m/s.
-        gap: (W, N, M, 3) ways to other drones, m.
-        other: (W, N, M, 3) their velocities, m/s.
-        known: (W, N, M) bool, which rows of these are drones.
-        ball: (W, N, K, 3) ways to the centres of balls, m.
-        ball_velocity: (W, N, K, 3) velocities of the balls, m/s.
-        ball_radius: (W, N, K) distances to keep from these centres, m; 0 for rows without a ball.
-        surface: (W, N, P, 4) unit normal of a surface that stands still, towards the drone, and how
-            far the drone may come towards it, m; infinite for rows without a surface.
+        offset: (W, N, M, 3) offsets to other drones, m.
+        other_velocity: (W, N, M, 3) velocities of other drones, m/s.
+        known: (W, N, M) bool, which of these rows are valid.
+        sphere: (W, N, K, 3) offsets to the centres of spheres, m.
+        sphere_velocity: (W, N, K, 3) velocities of the spheres, m/s.
+        sphere_radius: (W, N, K) distances to maintain from these centres, m; 0 for unused rows.
+        surface: (W, N, P, 4) unit normal of a static surface, towards the drone, and the distance
+            that the drone may move towards it, m; infinite for unused rows.
     """
 
     velocity: np.ndarray
     goal: np.ndarray
     goal_velocity: np.ndarray
-    gap: np.ndarray
-    other: np.ndarray
+    offset: np.ndarray
+    other_velocity: np.ndarray
     known: np.ndarray
-    ball: np.ndarray
-    ball_velocity: np.ndarray
-    ball_radius: np.ndarray
+    sphere: np.ndarray
+    sphere_velocity: np.ndarray
+    sphere_radius: np.ndarray
     surface: np.ndarray
 
 
 class Buildings(NamedTuple):
-    """P convex pieces of all layouts of a task.
+    """P convex pieces of the buildings in all layouts of a task.
 
     Attributes:
-        low: (P, 3) low corners of their bounding boxes, m.
-        high: (P, 3) high corners of these, m.
-        layout: (L, 2) first piece of each layout, and the one after its last.
+        low: (P, 3) lower corners of the bounding boxes, m.
+        high: (P, 3) upper corners of the bounding boxes, m.
+        layout: (L, 2) first piece of each layout, and one past its last.
         plane: (F, 4) outward unit normal n of each face of a hull, and d of its plane n . x = d, m.
-        planes: (P, 2) first face of each piece, and the one after its last; none for boxes.
+        planes: (P, 2) first face of each piece, and one past its last; empty ranges for boxes.
     """
 
     low: np.ndarray
@@ -69,13 +69,13 @@ class Buildings(NamedTuple):
     planes: np.ndarray
 
 
-class Clearance(NamedTuple):
-    """How far drones keep away from what stands still.
+class ObstacleClearance(NamedTuple):
+    """Distances that drones maintain to static obstacles.
 
     Attributes:
-        body: Radius of a drone, m: kept from the ground and the arena's bounds.
-        margin: More of it, m: kept from balls and buildings.
-        reach: Distance beyond which a building does not matter, m.
+        body: Radius of a drone, m: distance to the ground and to the bounds of the arena.
+        margin: Additional distance to spheres and buildings, m.
+        reach: Distance beyond which buildings are ignored, m.
     """
 
     body: float
@@ -83,8 +83,8 @@ class Clearance(NamedTuple):
     reach: float
 
 
-def buildings(layouts: Sequence[Solids]) -> Buildings:
-    """Make the table of what can stand in a world."""
+def tabulate_buildings(layouts: Sequence[Solids]) -> Buildings:
+    """Build the table of the building pieces in all layouts."""
     bounds = np.concatenate([np.zeros((0, 2, 3)), *(solids.bounds for solids in layouts)])
     last = np.cumsum([len(solids.bounds) for solids in layouts], dtype=np.int64)
     first = last - [len(solids.bounds) for solids in layouts]
@@ -94,7 +94,7 @@ def buildings(layouts: Sequence[Solids]) -> Buildings:
     for solids in layouts:
         planes += [(count, count)] * len(solids.boxes)
         for hull in solids.hulls:
-            # Shapes have their faces about a middle, not about the world's origin.
+            # Faces of shapes are relative to the centre of the shape, not to the world origin.
             middle = hull.mean(axis=0)
             faces = make_shape_table([hull_shape(hull - middle)]).plane
             plane.append(np.column_stack([faces[:, :3], faces[:, 3] + faces[:, :3] @ middle]))
@@ -113,94 +113,103 @@ def buildings(layouts: Sequence[Solids]) -> Buildings:
 def true_traffic(
     swarm: tuple[np.ndarray, np.ndarray, np.ndarray],
     goals: tuple[np.ndarray, np.ndarray],
-    balls: tuple[np.ndarray, np.ndarray, np.ndarray],
+    spheres: tuple[np.ndarray, np.ndarray, np.ndarray],
     box: tuple[np.ndarray, np.ndarray],
     layout: np.ndarray,
-    stands: Buildings,
-    clear: Clearance,
+    buildings: Buildings,
+    clearance: ObstacleClearance,
 ) -> Traffic:
-    """Tell what drones would know if they knew all.
+    """Compute the traffic around each drone from the true state.
 
     Args:
-        swarm: Positions (W, N, 3), m, velocities (W, N, 3), m/s, and (W, N) bool, who flies.
+        swarm: Positions (W, N, 3), m, velocities (W, N, 3), m/s, and (W, N) bool, which drones fly.
         goals: Positions and velocities (W, N, 3) of the goals.
-        balls: Positions and velocities (W, K, 3) of balls, and the distances (K,) to keep, m.
-        box: Low and high corner (3,) of the arena, m.
-        layout: (W,) which layout stands in each world; negative for none.
-        stands: What can stand in a world.
-        clear: How far drones keep away from what stands still.
+        spheres: Positions and velocities (W, K, 3) of spheres, and distances (K,) to maintain, m.
+        box: Lower and upper corner (3,) of the arena, m.
+        layout: (W,) layout of each world; negative for none.
+        buildings: Buildings of all layouts.
+        clearance: Distances to static obstacles.
     """
     position, velocity, alive = swarm
     worlds, drones = alive.shape
-    count = balls[2].size
-    way = np.empty((worlds, drones, 3))
-    gap = np.empty((worlds, drones, drones, 3))
-    other = np.empty((worlds, drones, drones, 3))
+    count = spheres[2].size
+    goal_offset = np.empty((worlds, drones, 3))
+    offset = np.empty((worlds, drones, drones, 3))
+    other_velocity = np.empty((worlds, drones, drones, 3))
     known = np.empty((worlds, drones, drones), np.bool_)
-    ball = np.empty((worlds, drones, count, 3))
-    ball_velocity = np.empty((worlds, drones, count, 3))
-    ball_radius = np.empty((worlds, drones, count))
+    sphere = np.empty((worlds, drones, count, 3))
+    sphere_velocity = np.empty((worlds, drones, count, 3))
+    sphere_radius = np.empty((worlds, drones, count))
     for w in range(worlds):
         for i in range(drones):
             for axis in range(3):
                 here = position[w, i, axis]
-                way[w, i, axis] = goals[0][w, i, axis] - here
-                # Other drones, then balls.
+                goal_offset[w, i, axis] = goals[0][w, i, axis] - here
+                # Other drones, then spheres.
                 for j in range(drones):
-                    gap[w, i, j, axis] = position[w, j, axis] - here
-                    other[w, i, j, axis] = velocity[w, j, axis]
+                    offset[w, i, j, axis] = position[w, j, axis] - here
+                    other_velocity[w, i, j, axis] = velocity[w, j, axis]
                 for k in range(count):
-                    ball[w, i, k, axis] = balls[0][w, k, axis] - here
-                    ball_velocity[w, i, k, axis] = balls[1][w, k, axis]
+                    sphere[w, i, k, axis] = spheres[0][w, k, axis] - here
+                    sphere_velocity[w, i, k, axis] = spheres[1][w, k, axis]
             for j in range(drones):
                 known[w, i, j] = alive[w, i] and alive[w, j] and i != j
             for k in range(count):
-                ball_radius[w, i, k] = balls[2][k]
-    surface = surfaces(position, box, layout, stands, clear)
+                sphere_radius[w, i, k] = spheres[2][k]
+    surface = find_surfaces(position, box, layout, buildings, clearance)
     return Traffic(
-        velocity, way, goals[1], gap, other, known, ball, ball_velocity, ball_radius, surface
+        velocity,
+        goal_offset,
+        goals[1],
+        offset,
+        other_velocity,
+        known,
+        sphere,
+        sphere_velocity,
+        sphere_radius,
+        surface,
     )
 
 
 @allocating
-def surfaces(
+def find_surfaces(
     position: np.ndarray,
     box: tuple[np.ndarray, np.ndarray],
     layout: np.ndarray,
-    stands: Buildings,
-    clear: Clearance,
+    buildings: Buildings,
+    clearance: ObstacleClearance,
 ) -> np.ndarray:
-    """Find the faces of a box about drones, and the nearest surfaces of buildings.
+    """Find the faces of a box around drones, and the nearest surfaces of buildings.
 
     Args:
         position: (W, N, 3) positions, m.
-        box: Low and high corner (3,) of the box, m.
-        layout: (W,) which layout stands in each world; negative for none.
-        stands: What can stand in a world.
-        clear: How far drones keep away from it.
+        box: Lower and upper corner (3,) of the box, m.
+        layout: (W,) layout of each world; negative for none.
+        buildings: Buildings of all layouts.
+        clearance: Distances to static obstacles.
 
     Returns:
         (W, N, P, 4) surfaces, as in `Traffic`.
     """
     worlds, drones, _ = position.shape
-    # As many rows as the drone with the most buildings needs.
+    # Number of rows: maximum number of near buildings of any drone.
     nothing = np.empty((0, 4))
-    most = 0
+    rows = 0
     for w in range(worlds):
         for i in range(drones):
-            most = max(most, _near_buildings(nothing, position, layout, stands, clear, w, i))
-    result = np.zeros((worlds, drones, FACES + most, 4))
+            rows = max(rows, _near_buildings(nothing, position, layout, buildings, clearance, w, i))
+    result = np.zeros((worlds, drones, FACES + rows, 4))
     result[..., 3] = np.inf
     for w in range(worlds):
         for i in range(drones):
             for axis in range(3):
-                # Into the box at its low face, and back at its high one.
+                # Inward normals of the lower and the upper face.
                 here = position[w, i, axis]
                 result[w, i, 2 * axis, axis] = 1.0
-                result[w, i, 2 * axis, 3] = here - box[0][axis] - clear.body
+                result[w, i, 2 * axis, 3] = here - box[0][axis] - clearance.body
                 result[w, i, 2 * axis + 1, axis] = -1.0
-                result[w, i, 2 * axis + 1, 3] = box[1][axis] - here - clear.body
-            _near_buildings(result[w, i, FACES:], position, layout, stands, clear, w, i)
+                result[w, i, 2 * axis + 1, 3] = box[1][axis] - here - clearance.body
+            _near_buildings(result[w, i, FACES:], position, layout, buildings, clearance, w, i)
     return result
 
 
@@ -209,50 +218,45 @@ def _near_buildings(
     out: np.ndarray,
     position: np.ndarray,
     layout: np.ndarray,
-    stands: Buildings,
-    clear: Clearance,
+    buildings: Buildings,
+    clearance: ObstacleClearance,
     w: int,
     i: int,
 ) -> int:
-    """Write the surfaces of pieces within reach to `out`, where there is room; count them."""
-    # A world without a city
+    """Write the surfaces of pieces within reach to `out` if they fit; return their number."""
     if layout[w] < 0:
         return 0
     here = vec3(position, w, i)
     count = 0
-    for p in range(stands.layout[layout[w], 0], stands.layout[layout[w], 1]):
-        # The box tells fast whether a piece is near enough
-        low = point(stands.low, p)
-        high = point(stands.high, p)
-        if distance_from_box(here, low, high) > clear.reach:
+    for p in range(buildings.layout[layout[w], 0], buildings.layout[layout[w], 1]):
+        # The bounding box is a fast test of the distance
+        low = point(buildings.low, p)
+        high = point(buildings.high, p)
+        if distance_from_box(here, low, high) > clearance.reach:
             continue
-        # All are counted, so that the caller can make room and ask again
+        # Count all pieces, so that the caller can allocate the rows
         if count < out.shape[0]:
-            n, distance = _nearest_surface(here, stands, p, low, high)
+            n, distance = _nearest_surface(here, buildings, p, low, high)
             for axis in range(3):
                 out[count, axis] = n[axis]
-            out[count, 3] = distance - clear.body - clear.margin
+            out[count, 3] = distance - clearance.body - clearance.margin
         count += 1
     return count
 
 
 @func
 def _nearest_surface(
-    here: Vec3,
-    stands: Buildings,
-    p: int,
-    low: Vec3,
-    high: Vec3,
+    here: Vec3, buildings: Buildings, p: int, low: Vec3, high: Vec3
 ) -> tuple[Vec3, float]:
-    """Find the normal of a piece's surface towards a point, and the distance, m.
+    """Return the normal of a piece's surface towards a point, and the distance, m.
 
-    Of a box it is at the nearest point; of a hull it is the face that is the farthest below the
-    point, whose plane is never farther than the hull.
+    The surface of a box is at the nearest point. The surface of a hull is the face with the largest
+    signed distance to the point, whose plane is never farther than the hull.
     """
     best = (0.0, 0.0, 1.0)
     distance = -np.inf
-    if stands.planes[p, 0] == stands.planes[p, 1]:
-        # A box: the point of it that is nearest; inside of it the distance is 0
+    if buildings.planes[p, 0] == buildings.planes[p, 1]:
+        # A box: the nearest point; inside the box the distance is 0
         nearest = (
             min(max(here[0], low[0]), high[0]),
             min(max(here[1], low[1]), high[1]),
@@ -260,12 +264,12 @@ def _nearest_surface(
         )
         away = minus(here, nearest)
         distance = math.sqrt(dot(away, away))
-        if distance > NO_DIRECTION:
+        if distance > MIN_NORM:
             best = (away[0] / distance, away[1] / distance, away[2] / distance)
-    # A hull: heights over its faces are negative inside
-    for f in range(stands.planes[p, 0], stands.planes[p, 1]):
-        n = point(stands.plane, f)
-        height = dot(n, here) - stands.plane[f, 3]
+    # A hull: signed distances to its faces are negative inside
+    for f in range(buildings.planes[p, 0], buildings.planes[p, 1]):
+        n = point(buildings.plane, f)
+        height = dot(n, here) - buildings.plane[f, 3]
         if height > distance:
             best = n
             distance = height

@@ -1,4 +1,4 @@
-"""One policy for each team: how opponents fly against each other."""
+"""Policies of opposing teams, one policy per team."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -14,69 +14,63 @@ from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
 VERSUS = " vs "
-"""What stands between the policies of teams in a name, such as "lead vs flee" """
-Rows = Callable[[Any], np.ndarray]
+"""Separator between the policies of teams in a name, as in "lead vs flee" (both names)"""
+RowsFunction = Callable[[Any], np.ndarray]
 """Function from M rows of observations, or a dict of such arrays, to M rows of actions"""
 Maker = Callable[[Aviary], Policy]
-"""What makes a policy for an aviary, such as its class"""
+"""Function or class that creates a policy for an aviary"""
 
 
 class Versus:
-    """A policy for each team of a task, by the team's name.
+    """One policy per team of a task, by team name.
 
         bulletuav.evaluate("pursuit_evasion", bulletuav.Versus(chasers="lead", evaders="flee"))
 
     Attributes:
-        sides: What flies each team: all that `find_policy` takes.
+        sides: Policy of each team, as accepted by `find_policy`.
     """
 
     def __init__(self, **sides: Any) -> None:
-        """Keep the policies.
+        """Set the policy of each team.
 
         Args:
-            **sides: A name, a class, a run's folder, or a function of rows of observations, for
-                each team.
+            **sides: Name, class, run folder, or function of rows of observations, for each team.
 
         Raises:
-            ValueError: There are less than two.
+            ValueError: If there are fewer than two teams.
         """
         if len(sides) < 2:
             raise ValueError(
-                f"Versus has {list(sides)}: a policy for each of two teams or more is needed, such "
+                f"Versus has {list(sides)}: policies for at least two teams are needed, such "
                 f"as Versus(chasers='lead', evaders='flee')"
             )
         self.sides = sides
 
     def __repr__(self) -> str:
-        """Write it as it is called."""
+        """Return the constructor call."""
         return f"Versus({', '.join(f'{team}={shown(side)}' for team, side in self.sides.items())})"
 
 
 class TeamPolicies(Policy):
-    """Each team of a task flown by a policy of its own, which sees what all of it observe."""
+    """Policy that controls each team with a separate policy."""
 
     name = "teams"
     actions = ()
     reads_swarm = True
 
-    def __init__(
-        self,
-        aviary: Aviary,
-        makers: Sequence[Maker],
-        teams: Sequence[str] = (),
-    ) -> None:
-        """Make the policies.
+    def __init__(self, aviary: Aviary, makers: Sequence[Maker], teams: Sequence[str] = ()) -> None:
+        """Create the policies of the teams.
 
         Args:
-            aviary: The worlds that they fly.
-            makers: What makes each team's policy.
-            teams: Names of their teams; the task's own, in their order, when left out.
+            aviary: The worlds to control.
+            makers: Functions that create the policy of each team.
+            teams: Names of the teams; by default those of the task, in order.
 
         Raises:
-            ValueError: There is another number of teams, or none of a name.
+            ValueError: If the number of teams does not match, or a name is unknown.
         """
         super().__init__(aviary)
-        # Policies may come in another order than the teams
+        # The order of policies may differ from the order of teams
         names = team_names(aviary.task)
         given = teams or names
         for name in given:
@@ -84,8 +78,8 @@ class TeamPolicies(Policy):
                 raise unknown(f"team of task {aviary.task.name!r}:", name, names)
         if len(makers) != len(names):
             raise ValueError(
-                f"policies of {len(makers)} teams are given, and task {aviary.task.name!r} has "
-                f"{', '.join(names)}: give one for each"
+                f"there are policies for {len(makers)} teams, and task {aviary.task.name!r} has "
+                f"{', '.join(names)}: name one policy for each team"
             )
         self._policies = [
             (aviary.task.team == names.index(name), make(aviary))
@@ -93,12 +87,12 @@ class TeamPolicies(Policy):
         ]
 
     def reset(self, mask: np.ndarray) -> None:
-        """Let all forget the worlds of `mask` (W,)."""
+        """Reset the state of all policies in the worlds of `mask` (W,)."""
         for _, policy in self._policies:
             policy.reset(mask)
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Take of each policy the actions of its own team; see `Policy.act`."""
+        """Combine the actions of each policy for its own team; see `Policy.act`."""
         aviary = self.aviary
         actions = np.zeros((*aviary.alive.shape, aviary.action.low.shape[-1]))
         for own, policy in self._policies:
@@ -107,62 +101,63 @@ class TeamPolicies(Policy):
         return actions
 
     def memory(self) -> dict[str, Any]:
-        """Copy all that the teams' policies remember, by their place; see `Policy.memory`."""
+        """Return a copy of the state of all policies, by index; see `Policy.memory`."""
         return {
             f"{place}: {type(policy).__name__}": policy.memory()
             for place, (_, policy) in enumerate(self._policies)
         }
 
     def restore(self, memory: Mapping[str, Any]) -> None:
-        """Go on with what `memory` gave; see `Policy.restore`.
+        """Restore the state that `memory` returned; see `Policy.restore`.
 
         Raises:
-            ValueError: It is of other policies; nothing has changed then.
+            ValueError: If the state belongs to other policies; nothing is restored in this case.
         """
         own = self.memory()
         if list(memory) != list(own):
             raise ValueError(
-                f"the snapshot is of policies {shown(list(memory))}, and {shown(list(own))} fly "
-                f"here: load it where they are the same"
+                f"the snapshot contains policies {shown(list(memory))}, and this environment has "
+                f"{shown(list(own))}: load it with the same policies"
             )
         for (_, policy), one in zip(self._policies, memory.values(), strict=True):
             policy.restore(one)
 
 
 class RowsPolicy(SharedPolicy):
-    """A function of rows of observations, one for each drone, that gives rows of actions.
+    """Policy from a function that maps rows of observations, one per drone, to rows of actions.
 
-    It is asked anew at every decision: a model that learns meanwhile flies as it has learned.
+    The function is called at every decision, so a model that is being trained flies with its latest
+    weights.
     """
 
-    def __init__(self, aviary: Aviary, function: Rows) -> None:
-        """Take the aviary to fly, and the function."""
+    def __init__(self, aviary: Aviary, function: RowsFunction) -> None:
+        """Set the function; see `Policy`."""
         super().__init__(aviary)
         self._function = function
 
     def _choose(self, rows: Any) -> np.ndarray:
-        """Ask the function; refuse what are no rows of actions."""
+        """Call the function; raise ValueError if the result has the wrong shape."""
         given = np.asarray(self._function(rows))
         drones, size = self.aviary.alive.size, self.aviary.action.low.shape[-1]
         if given.shape != (drones, size) and (size > 1 or given.shape != (drones,)):
             raise ValueError(
-                f"function {shown(self._function)} gave an array {given.shape} of actions: "
+                f"function {shown(self._function)} returned an array {given.shape} of actions: "
                 f"{(drones, size)} is needed, a row for each row of observations"
             )
         return given
 
 
 def joint_actions(kinds: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
-    """Find the actions that all of some policies can give, as the first that has some prefers them.
+    """Return the action types that all policies support, in the order of the first non-empty list.
 
     Args:
-        kinds: Actions that each can give; none named: any.
+        kinds: Action types that each policy supports; empty if all are supported.
 
     Returns:
-        Those that all can give; none named: any.
+        The common action types; empty if all are supported.
 
     Raises:
-        ValueError: There are none.
+        ValueError: If there is no common action type.
     """
     named = [kind for kind in kinds if kind]
     if not named:
@@ -170,26 +165,26 @@ def joint_actions(kinds: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     common = tuple(one for one in named[0] if all(one in kind for kind in named))
     if not common:
         raise ValueError(
-            f"policies of teams give {' and '.join(map(str, named))} actions: no action is common"
+            f"policies of teams support {' and '.join(map(str, named))} actions: none is common"
         )
     return common
 
 
 def joint_options(options: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Join the options that environments need for several policies.
+    """Merge the options that several policies require.
 
     Args:
-        options: Those of each policy.
+        options: Options of each policy.
 
     Raises:
-        ValueError: Two policies need different values of one.
+        ValueError: If two policies require different values of an option.
     """
     joined: dict[str, Any] = {}
     for one in options:
         for name, value in one.items():
             if name in joined and joined[name] != value:
                 raise ValueError(
-                    f"policies of teams learned with {name} {shown(joined[name])} and "
+                    f"policies of teams were trained with {name} {shown(joined[name])} and "
                     f"{shown(value)}: they cannot fly in one environment"
                 )
             joined[name] = value

@@ -1,7 +1,8 @@
 """Policy `voronoi`: buffered Voronoi cells in three dimensions.
 
-D. Zhou, Z. Wang, S. Bandyopadhyay, M. Schwager, Fast, on-line collision avoidance for dynamic
-vehicles using buffered Voronoi cells (2017).
+References:
+    D. Zhou, Z. Wang, S. Bandyopadhyay, M. Schwager, Fast, on-line collision avoidance for dynamic
+    vehicles using buffered Voronoi cells (2017).
 """
 
 import numpy as np
@@ -10,13 +11,13 @@ from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.rotation import Vec3, vec3
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import (
+    AvoidanceParameters,
     HalfSpace,
-    Rules,
-    add,
-    going_round,
-    nearest_first,
-    unit,
-    unyielding,
+    add_half_space,
+    add_obstacle_half_spaces,
+    direction_and_length,
+    find_nearest_drones,
+    solve_with_right_turn,
 )
 from bulletuav.policies.linear_program import DEPTH
 from bulletuav.policies.traffic import Traffic
@@ -25,93 +26,90 @@ from bulletuav.registry import register
 
 @register("policy")
 class Voronoi(Avoidance):
-    """Flight to the point of the drone's own cell that is nearest to its goal.
+    """Flight to the point of the drone's buffered Voronoi cell nearest to its goal.
 
-    Velocities of other drones do not count. Whoever is held up turns to its right.
+    Velocities of other drones are ignored. A blocked drone turns right.
     """
 
     name = "voronoi"
 
     def avoid(
-        self,
-        traffic: Traffic,
-        wish: np.ndarray,
-        rules: Rules,
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
     ) -> np.ndarray:
         """Compute `voronoi_velocities`; see `Avoidance.avoid`."""
-        return voronoi_velocities(traffic, wish, rules)
+        return voronoi_velocities(traffic, preferred, parameters)
 
 
 @allocating
 def voronoi_velocities(
-    traffic: Traffic,
-    wish: np.ndarray,
-    rules: Rules,
+    traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
 ) -> np.ndarray:
-    """Compute the velocities nearest to the preferred ones that stay within the drones' cells.
+    """Compute the velocities nearest to the preferred ones that stay within the Voronoi cells.
 
-    Whoever keeps its velocity is still in its cell after the time for braking.
+    At a permitted velocity, a drone is still in its cell after the braking time.
 
     Args:
-        traffic: What drones know.
-        wish: (W, N, 3) velocities that they prefer, m/s.
-        rules: How they avoid.
+        traffic: The traffic around each drone.
+        preferred: (W, N, 3) preferred velocities, m/s.
+        parameters: Parameters of collision avoidance.
 
     Returns:
         (W, N, 3) velocities, m/s.
     """
-    result = np.empty(wish.shape)
-    # Room for a half-space of each neighbour, each ball and each surface.
+    result = np.empty(preferred.shape)
+    # One half-space for each neighbour, each sphere and each surface.
     others = traffic.known.shape[2]
-    room = others + traffic.ball_radius.shape[2] + traffic.surface.shape[2]
-    rows = np.empty((DEPTH, room, 4))
-    spare = np.empty_like(rows)
+    capacity = others + traffic.sphere_radius.shape[2] + traffic.surface.shape[2]
+    rows = np.empty((DEPTH, capacity, 4))
+    scratch = np.empty_like(rows)
     near = np.empty(others, np.int64)
     distance = np.empty(others)
-    for w in range(wish.shape[0]):
-        for i in range(wish.shape[1]):
-            count = _cell(rows, traffic, rules, near, distance, w, i)
-            count = unyielding(rows, count, traffic, rules, w, i)
-            best = going_round(rows, spare, count, vec3(wish, w, i), rules.max_speed)
+    for w in range(preferred.shape[0]):
+        for i in range(preferred.shape[1]):
+            count = _add_cell_half_spaces(rows, traffic, parameters, near, distance, w, i)
+            count = add_obstacle_half_spaces(rows, count, traffic, parameters, w, i)
+            best = solve_with_right_turn(
+                rows, scratch, count, vec3(preferred, w, i), parameters.max_speed
+            )
             for axis in range(3):
                 result[w, i, axis] = best[axis]
     return result
 
 
 @kernel
-def _cell(
+def _add_cell_half_spaces(
     rows: np.ndarray,
     traffic: Traffic,
-    rules: Rules,
+    parameters: AvoidanceParameters,
     near: np.ndarray,
     distance: np.ndarray,
     w: int,
     i: int,
 ) -> int:
-    """Write the half-spaces of a drone's cell; return how many there are."""
-    # Others farther off cannot come into the way while it brakes
-    reach = rules.separation + 2.0 * rules.max_speed * rules.braking
+    """Write the half-spaces of a drone's cell; return their number."""
+    # Drones beyond this distance cannot be reached within the braking time
+    reach = parameters.separation + 2.0 * parameters.max_speed * parameters.braking_time
     count = 0
-    for k in range(nearest_first(traffic, w, i, reach, near, distance)):
-        # A side for each, between the two
-        space = cell_side(vec3(traffic.gap[w], i, near[k]), rules)
-        count = add(rows, count, space, rules.max_speed)
+    for k in range(find_nearest_drones(traffic, w, i, reach, near, distance)):
+        space = voronoi_half_space(vec3(traffic.offset[w], i, near[k]), parameters)
+        count = add_half_space(rows, count, space, parameters.max_speed)
     return count
 
 
 @func
-def cell_side(gap: Vec3, rules: Rules) -> HalfSpace:
-    """Compute the half-space of velocities that stay on the drone's side of another one.
+def voronoi_half_space(offset: Vec3, parameters: AvoidanceParameters) -> HalfSpace:
+    """Compute the half-space of velocities that stay on the drone's side of the bisecting plane.
 
-    The side of the cell is half-way to the other one, less half the separation (definition 1).
+    The side of the buffered cell is half-way to the other drone, minus half the separation
+    (definition 1).
 
     Args:
-        gap: Way from the drone to the other one, m.
-        rules: How drones avoid.
+        offset: Offset from the drone to the other drone, m.
+        parameters: Parameters of collision avoidance.
 
     Returns:
         Unit normal n and bound b, m/s, of n . v >= b.
     """
-    ahead, distance = unit(gap, (1.0, 0.0, 0.0))
-    room = 0.5 * (distance - rules.separation)
-    return (-ahead[0], -ahead[1], -ahead[2]), -room / rules.braking
+    ahead, distance = direction_and_length(offset, (1.0, 0.0, 0.0))
+    margin = 0.5 * (distance - parameters.separation)
+    return (-ahead[0], -ahead[1], -ahead[2]), -margin / parameters.braking_time

@@ -1,4 +1,4 @@
-"""What drones measure: one file a sensor."""
+"""Sensors of drones, one module per sensor."""
 
 from bulletuav.sensors.base import (
     Image,

@@ -1,4 +1,4 @@
-"""Sensors: one class each that measures and says what its numbers and uncertainties are."""
+"""Base class of sensors, and the data that sensors exchange with the environment."""
 
 import copy
 from abc import ABC, abstractmethod
@@ -16,11 +16,11 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 class Label(NamedTuple):
-    """One number that can be observed; values beyond the bounds are clipped to them.
+    """Name, unit and bounds of an observed number; values are clipped to the bounds.
 
     Attributes:
-        name: What it is, such as "velocity x".
-        unit: Its unit, "1" for none.
+        name: Quantity, such as "velocity x".
+        unit: Unit, "1" for none.
         low: Lower bound.
         high: Upper bound.
     """
@@ -32,18 +32,17 @@ class Label(NamedTuple):
 
 
 def vector_labels(
-    name: str,
-    unit: str,
-    low: Iterable[float],
-    high: Iterable[float],
+    name: str, unit: str, low: Iterable[float], high: Iterable[float]
 ) -> tuple[Label, ...]:
-    """Make the labels of x, y and z of a vector."""
+    """Return the labels of the x, y and z components of a vector."""
     bounds = zip("xyz", low, high, strict=True)
-    return tuple(Label(f"{name} {axis}", unit, least, most) for axis, least, most in bounds)
+    return tuple(
+        Label(f"{name} {axis}", unit, minimum, maximum) for axis, minimum, maximum in bounds
+    )
 
 
 class Image(NamedTuple):
-    """A picture that can be observed.
+    """Bounds and type of an observed image.
 
     Attributes:
         low: Lower bound of a pixel.
@@ -59,13 +58,13 @@ class Image(NamedTuple):
 
 
 class Uncertain(NamedTuple):
-    """A parameter of a sensor that the option `randomization` can set or draw.
+    """Parameter of a sensor that option `randomization` can set or draw.
 
     Attributes:
-        least: Smallest value that makes sense.
-        most: Largest value that makes sense.
-        usual: Value unless the option says otherwise.
-        per: Whether one is drawn for each drone or for each world.
+        least: Minimum valid value.
+        most: Maximum valid value.
+        usual: Default value.
+        per: Whether a value is drawn for each drone or for each world.
     """
 
     least: float
@@ -76,22 +75,22 @@ class Uncertain(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorSetup:
-    """What sensors know of their environment before it has an engine.
+    """Properties of the environment that sensors know before the engine exists.
 
     Attributes:
         shape: Number of worlds and of drones, (W, N).
         period: Time between decisions, s.
-        gravity: m/s^2.
+        gravity: Gravitational acceleration, m/s^2.
         radius: (N,) collision radius of each drone, m.
-        max_range: How far range finder and clearance reach, m.
+        max_range: Range of range finder and clearance, m.
         beams: Directions of the range finder's beams.
-        beam_frame: "yaw" for beams that turn with the drone, "world" for fixed ones.
-        camera_size: Width and height of pictures, pixels.
-        camera_every: Decisions from one picture to the next.
-        num_targets: Number of the task's targets, U.
+        beam_frame: "yaw" for beams that turn with the drone, "world" for fixed beams.
+        camera_size: Width and height of images, pixels.
+        camera_every: Number of decisions between images.
+        num_targets: Number of targets of the task, U.
         arena: Lower and upper corner (3,) of the arena, m.
-        wanted: Readings that are observed or that the task needs.
-        longest_delay: Of messages between drones, s.
+        wanted: Readings that are observed or required by the task.
+        longest_delay: Maximum delay of messages between drones, s.
     """
 
     shape: tuple[int, int] = (1, 1)
@@ -110,16 +109,16 @@ class SensorSetup:
 
 
 class Moment(NamedTuple):
-    """When sensors measure: after a decision, or after a reset.
+    """State of the environment at a measurement: after a decision, or after a reset.
 
     Attributes:
-        before: State of the swarm before the decision; at a reset the same as `after`.
-        after: State of the swarm now.
-        targets: (W, U, 3) the task's targets, m.
-        mask: (W, N) drones that measure: those that flew the decision, or were reset.
-        steps: (W,) decisions since each world's reset, 0 at the reset itself.
-        rngs: Random generator of each world; draw from that of a world alone for that world.
-        readings: What sensors measured earlier at this moment, by name.
+        before: State of the swarm before the decision; equal to `after` at a reset.
+        after: Current state of the swarm.
+        targets: (W, U, 3) targets of the task, m.
+        mask: (W, N) drones that measure: drones that executed the decision, or were reset.
+        steps: (W,) decisions since the reset of each world, 0 at the reset itself.
+        rngs: Random generator of each world; draw numbers of a world from its own generator only.
+        readings: Readings of earlier sensors at this moment, by name.
     """
 
     before: Swarm
@@ -132,28 +131,31 @@ class Moment(NamedTuple):
 
     @property
     def position(self) -> np.ndarray:
-        """(W, N, 3) where drones think that they are, m."""
+        """(W, N, 3) positions as the drones know them, m."""
         return self.readings.get("position", self.after.position)
 
     @property
     def velocity(self) -> np.ndarray:
-        """(W, N, 3) how drones think that they move, m/s."""
+        """(W, N, 3) velocities as the drones know them, m/s."""
         return self.readings.get("velocity", self.after.velocity)
 
     @property
     def flying(self) -> np.ndarray:
-        """(W,) worlds that flew a decision; none of those that were just reset."""
+        """(W,) worlds that executed a decision; excludes worlds that were just reset."""
         flown: np.ndarray = np.any(self.mask, axis=1) & (self.steps > 0)
         return flown
 
     def draw(self, width: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        """Draw for every drone of the worlds that measure, each world from its own generator.
+        """Draw random numbers for all drones of the worlds that measure.
+
+        Each world draws from its own generator.
 
         Args:
-            width: Numbers for each drone.
+            width: Number of normal numbers per drone.
 
         Returns:
-            Standard normal numbers (W, N, width) and uniform ones (W, N) in [0, 1); else zeros.
+            Standard normal numbers (W, N, width) and uniform numbers (W, N) in [0, 1); zeros in
+            worlds that do not measure.
         """
         normal, uniform = np.zeros((*self.mask.shape, width)), np.zeros(self.mask.shape)
         for k in np.flatnonzero(np.any(self.mask, axis=1)).tolist():
@@ -163,7 +165,9 @@ class Moment(NamedTuple):
 
 
 class Sensor(ABC):
-    """A sensor that every drone carries. Derive from it, name the numbers, and measure.
+    """Base class of sensors. Each drone carries every sensor of the environment.
+
+    Subclasses set `name` and `numbers`, and implement `measure`:
 
         class Uwb(Sensor):
             name = "uwb"
@@ -175,19 +179,20 @@ class Sensor(ABC):
                 distance = np.linalg.norm(moment.after.position, axis=-1)
                 return {"uwb": distance + self.noise * normal[..., 0]}
 
-    Give it to an environment as `sensors=(Uwb(),)` and observe it as `observation=("velocity",
-    "uwb")`. Its uncertain parameter is then set or drawn by `randomization={"uwb_noise": (0.1,
-    0.5)}`. An object given as an option is a description: each environment works with a copy of its
-    own.
+    Pass the sensor to an environment as `sensors=(Uwb(),)` and observe its reading with
+    `observation=("velocity", "uwb")`. Its uncertain parameter is set or drawn by
+    `randomization={"uwb_noise": (0.1, 0.5)}`. The object is a template: each environment uses its
+    own copy.
 
     Attributes:
-        name: What users call it.
-        numbers: Labels of its one reading, which bears the sensor's name; see `labels` for several.
-        gives: Names of its readings.
-        uncertain: Its uncertain parameters; each is an attribute, (W, N) or, for worlds, (W,).
-        prefix: What the option `randomization` puts before their names.
-        needs_bodies: Whether the engine's bodies must stand where drones are before it measures.
-        always_if_uncertain: Whether it works unobserved where a parameter is uncertain.
+        name: Name of the sensor in options.
+        numbers: Labels of the single reading, which has the name of the sensor; see `labels` for
+            several readings.
+        gives: Names of the readings.
+        uncertain: Uncertain parameters; each is an attribute, (W, N), or (W,) if drawn per world.
+        prefix: Prefix of the parameter names in option `randomization`.
+        needs_bodies: Whether the engine's bodies must be at the drones' poses before a measurement.
+        always_if_uncertain: Whether the sensor runs unobserved if a parameter is uncertain.
     """
 
     name: ClassVar[str]
@@ -202,17 +207,17 @@ class Sensor(ABC):
     engine: Engine
 
     def __init_subclass__(cls) -> None:
-        """Fill in what follows from the name."""
+        """Set the class attributes that are derived from the name."""
         if "name" in vars(cls):
             cls.gives = vars(cls).get("gives", (cls.name,))
             cls.prefix = vars(cls).get("prefix", f"{cls.name}_")
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
-        """Tell what each reading is, by name; by default the one reading of `numbers`."""
+        """Return the labels of each reading by name; by default the single reading of `numbers`."""
         return {self.name: self.numbers}
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Get ready for an environment: keep the setup and make arrays for uncertain parameters."""
+        """Bind the sensor to an environment, and allocate its uncertain parameters."""
         self.setup = setup
         self.engine = engine
         for key, parameter in self.uncertain.items():
@@ -220,56 +225,52 @@ class Sensor(ABC):
             setattr(self, key, np.full(shape, parameter.usual))
 
     def attached(self, setup: SensorSetup, engine: Engine | None = None) -> Self:
-        """Make a copy that works in an environment."""
+        """Return a copy that is bound to an environment."""
         sensor = copy.deepcopy(self)
-        sensor.attach(setup, engine)  # type: ignore[arg-type]  # None only for sensors that ask no engine
+        sensor.attach(setup, engine)  # type: ignore[arg-type]  # None only for sensors without an engine
         return sensor
 
     def reset(  # noqa: B027
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
+        self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator
     ) -> None:
-        """Begin a new episode of one world; by default nothing to do.
+        """Reset the state of the sensor in one world; by default there is none.
 
         Args:
-            world: Its index.
+            world: Index of the world.
             swarm: True state of all worlds.
-            known: The same as far as drones know it.
-            rng: Random generator of this world.
+            known: State of all worlds as the drones know it.
+            rng: Random generator of the world.
         """
 
     @abstractmethod
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Measure.
+        """Measure the current state.
 
         Args:
             moment: State, drones that measure, and random generators.
 
         Returns:
-            Each reading by name: (W, N) or (W, N, number of its labels). Rows of drones that do not
-            measure are not looked at.
+            Readings by name: (W, N) or (W, N, number of labels). Rows of drones that do not measure
+            are ignored.
         """
 
     def info(self) -> Mapping[str, np.ndarray]:
-        """Tell what infos say of it, (W, N) by name; by default nothing."""
+        """Return the entries of the sensor in infos, (W, N) by name; by default none."""
         return {}
 
     def kept(self) -> Mapping[str, np.ndarray]:
-        """Tell the arrays that its next readings follow from, (W, ...) by name, for snapshots.
+        """Return the arrays that determine the next readings, (W, ...) by name, for snapshots.
 
-        By default all of its attributes that are arrays (W, N, ...).
+        By default these are all attributes that are arrays (W, N, ...).
         """
         shape = self.setup.shape
         arrays = {name: one for name, one in vars(self).items() if isinstance(one, np.ndarray)}
         return {name: array for name, array in arrays.items() if array.shape[:2] == shape}
 
     def kept_bounds(self) -> Mapping[str, tuple[float, float]]:
-        """Return the lowest and highest value of counts and indices in `kept`, by name.
+        """Return the minimum and maximum of counts and indices in `kept`, by name.
 
-        A snapshot with a value beyond them is refused. By default there are none.
+        A snapshot with values out of these bounds raises an error. By default there are none.
         """
         return {}
 
@@ -281,42 +282,45 @@ def check_readings(
     given: Any,
     moment: Moment,
 ) -> None:
-    """Refuse what a sensor gave unless it is what its labels promise.
+    """Check that the readings of a sensor match its labels.
 
     Args:
-        sensor: What measured.
-        labels: Its labels, by name of reading.
-        wanted: Readings that are observed or that the task needs.
-        given: What it gave.
-        moment: When it measured.
+        sensor: The sensor.
+        labels: Labels of the sensor, by name of the reading.
+        wanted: Readings that are observed or required by the task.
+        given: Readings that the sensor returned.
+        moment: Moment of the measurement.
 
     Raises:
-        ValueError: It is not; the sensor, the reading and what is needed are named.
+        ValueError: If the readings do not match; the message names the sensor, the reading and the
+            required format.
     """
-    who = f"measure of sensor {sensor.name!r} gave"
+    source = f"measure of sensor {sensor.name!r} returned"
     if not isinstance(given, Mapping):
-        raise ValueError(f"{who} {shown(given)}: a dict of arrays by name of reading is needed")
+        raise ValueError(f"{source} {shown(given)}: a dict of arrays by name of reading is needed")
     for name in sensor.gives:
         label = labels.get(name)
-        # A reading that nobody uses may be missing
+        # Unused readings may be missing
         if name not in given:
             if label is not None and name in wanted:
-                raise ValueError(f"{who} no reading {name!r}: return it, or leave it out of labels")
+                raise ValueError(
+                    f"{source} no reading {name!r}: return it, or remove it from labels"
+                )
             continue
         reading = given[name]
         if not isinstance(reading, np.ndarray):
-            raise ValueError(f"{who} {shown(reading)} as {name!r}: a NumPy array is needed")
-        # Pictures, and readings without labels, have any shape
+            raise ValueError(f"{source} {shown(reading)} as {name!r}: a NumPy array is needed")
+        # Images and readings without labels may have any shape
         if label is None or isinstance(label, Image):
             continue
         worlds, drones = moment.mask.shape
-        # A single number a drone may go without the last dimension
+        # The last dimension may be missing if there is a single number
         shapes = [(worlds, drones, len(label))] + [(worlds, drones)] * (len(label) == 1)
         if reading.shape not in shapes:
             raise ValueError(
-                f"{who} an array {reading.shape} as {name!r}: {shapes[-1]} is needed, "
+                f"{source} an array {reading.shape} as {name!r}: {shapes[-1]} is needed, "
                 f"one number for each of its {len(label)} labels"
             )
-        # Drones that are not measured may have anything
+        # Rows of drones outside the mask are ignored
         if not np.isfinite(reading[moment.mask]).all():
-            raise ValueError(f"{who} {shown(reading)} as {name!r}: finite numbers are needed")
+            raise ValueError(f"{source} {shown(reading)} as {name!r}: finite numbers are needed")

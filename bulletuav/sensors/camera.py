@@ -1,4 +1,4 @@
-"""A camera on every drone that looks forward: pictures by the renderer, or depths by rays."""
+"""Forward camera on each drone: rendered images, or depth images by ray casting."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -13,7 +13,7 @@ from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup
 from bulletuav.vehicle.swarm import Swarm
 
 FIELD_OF_VIEW = 90.0
-"""Degrees, vertical"""
+"""Vertical field of view, degrees"""
 RENDERED = ("rgb", "depth", "segmentation")
 IMAGES = {
     "rgb": Image(0, 255, np.uint8, (3,)),
@@ -25,14 +25,15 @@ IMAGES = {
 
 @register("sensor")
 class Camera(Sensor):
-    """Forward cameras at the front of each drone, fixed to the body.
+    """Forward-looking camera at the front of each drone, fixed to the body.
 
-    Pictures are held between exposures. "depth" and "ray_depth" differ by what the renderer rounds,
-    and in that rays meet the collision shapes of drones; rays take a tenth of the time.
+    Images are held between exposures. "depth" and "ray_depth" differ by the rounding of the
+    renderer, and rays intersect the collision shapes of drones; ray casting takes a tenth of the
+    time.
 
     Attributes:
-        pictures: Those asked for of "rgb" (W, N, height, width, 3) uint8, "segmentation" (W, N,
-            height, width) uint8 (see `geometry.view.SKY`), "depth" and "ray_depth" (W, N, height,
+        pictures: Requested images: "rgb" (W, N, height, width, 3) uint8; "segmentation" (W, N,
+            height, width) uint8 (see `geometry.view.SKY`); "depth" and "ray_depth" (W, N, height,
             width) float32, m along the view axis.
     """
 
@@ -41,11 +42,11 @@ class Camera(Sensor):
     needs_bodies: ClassVar = True
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
-        """Tell the pixels of each picture."""
+        """Return the pixel types of the images."""
         return dict(IMAGES)
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Make blank pictures, and the rays of one camera."""
+        """Allocate the images, and compute the rays of one camera."""
         super().attach(setup, engine)
         self._radius = np.array(setup.radius)
         width, height = setup.camera_size
@@ -58,8 +59,8 @@ class Camera(Sensor):
             if name in setup.wanted
         }
         half = np.tan(np.radians(FIELD_OF_VIEW) / 2)
-        # Through the corners at which the renderer looks into pixels, to the plane FAR ahead:
-        # shares of them are depths.
+        # Rays through the pixel corners that the renderer samples, up to the plane at distance FAR;
+        # hit fractions of these rays are depths.
         left = half * width / height * (1 - 2 * np.arange(width) / width)
         up = half * (1 - 2 * (np.arange(height) + 1) / height)
         self._rays = FAR * np.stack(
@@ -67,11 +68,11 @@ class Camera(Sensor):
         ).reshape(-1, 3)
 
     def kept(self) -> Mapping[str, np.ndarray]:
-        """Tell the last pictures; see the base class."""
+        """Return the current images; see the base class."""
         return self.pictures
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Take new pictures in worlds whose step count says so; others show the last ones."""
+        """Take new images in worlds at which an exposure is due; hold the others."""
         swarm, mask = moment.after, moment.mask
         exposed = moment.steps % self.setup.camera_every == 0
         due = np.argwhere(mask & exposed[:, None])
@@ -95,21 +96,18 @@ class Camera(Sensor):
                 if name in self.pictures:
                     self.pictures[name][w, i] = picture
 
-    def _cast(
-        self,
-        swarm: Swarm,
-        mask: np.ndarray,
-        due: np.ndarray,
-    ) -> None:
-        """One batch of rays for all cameras."""
-        where, who = due.T
+    def _cast(self, swarm: Swarm, mask: np.ndarray, due: np.ndarray) -> None:
+        """Cast the rays of all cameras in one batch."""
+        where, drone = due.T
         frames = np.array(
-            [np.stack(axes(quaternion)) for quaternion in swarm.quaternion[where, who]]
+            [np.stack(axes(quaternion)) for quaternion in swarm.quaternion[where, drone]]
         )
-        eye = swarm.position[where, who] + self._radius[who, None] * frames[:, 0]
+        eye = swarm.position[where, drone] + self._radius[drone, None] * frames[:, 0]
         start = np.repeat(eye, len(self._rays), axis=0)
         end = start + (self._rays @ frames).reshape(-1, 3)
-        share = self.engine.cast_rays(start, end, np.repeat(where, len(self._rays)), (swarm, mask))
-        self.pictures["ray_depth"][where, who] = FAR * share.reshape(
+        fraction = self.engine.cast_rays(
+            start, end, np.repeat(where, len(self._rays)), (swarm, mask)
+        )
+        self.pictures["ray_depth"][where, drone] = FAR * fraction.reshape(
             -1, *self.setup.camera_size[::-1]
         )

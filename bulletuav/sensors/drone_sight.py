@@ -1,4 +1,4 @@
-"""Which other drones each drone could see: nothing but drones in between, however far away."""
+"""Line of sight between drones, at any distance."""
 
 from collections.abc import Mapping
 
@@ -15,26 +15,26 @@ DRONE_SIGHT = "drone_sight"
 
 @register("sensor")
 class DroneSight(Sensor):
-    """Whether nothing but drones stands between each drone and each other one.
+    """Line of sight from each drone to each other drone; drones do not occlude.
 
-    It sees as far as one likes, to all sides. A drone sees itself.
+    Range and field of view are unlimited. A drone always sees itself.
     """
 
     name = DRONE_SIGHT
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
-        """Tell one number for each drone."""
+        """Return one label for each drone."""
         drones = range(setup.shape[1])
         return {DRONE_SIGHT: tuple(Label(f"sees drone {k}", "1", 0.0, 1.0) for k in drones)}
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Begin with nobody seen."""
+        """Allocate the readings; initially no drone is visible."""
         super().attach(setup, engine)
         worlds, drones = setup.shape
         self._seen = np.zeros((worlds, drones, drones), dtype=bool)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Look from the drones that measure, once for each pair of them."""
+        """Cast one ray for each pair of drones that measure."""
         mask, position = moment.mask, moment.after.position
         pairs = np.triu(mask[:, :, None] & mask[:, None, :], 1)
         w, i, j = np.nonzero(pairs)

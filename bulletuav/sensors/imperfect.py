@@ -1,4 +1,4 @@
-"""Any sensor with a rate, a delay, noise and losses of its own."""
+"""Wrapper that adds sample rate, delay, noise and losses to any sensor."""
 
 from collections.abc import Mapping
 
@@ -9,21 +9,21 @@ from bulletuav.errors import finite, shown
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm
 
-MOST_DELAY = 10.0
-"""s"""
-MOST = {"noise": 1e6, "loss": 1.0}
-"""Largest noise and loss"""
+MAX_DELAY = 10.0
+"""Maximum delay, s"""
+MAX_VALUES = {"noise": 1e6, "loss": 1.0}
+"""Maximum noise and loss"""
 
 
 class Imperfect(Sensor):
-    """Wrap a sensor: readings come at a rate of their own, late, noisy, and sometimes not at all.
+    """Wrapper that adds sample rate, delay, noise and losses to a sensor.
 
-    `Imperfect(Uwb(), rate=5, delay=0.2, noise=0.1, loss=0.05)` is a sensor as any other. Its noise
-    and loss can be drawn anew for each episode, by `randomization={"uwb_noise": (0.0, 0.2)}`. A
-    sensor that has such a parameter already keeps its own.
+    `Imperfect(Uwb(), rate=5, delay=0.2, noise=0.1, loss=0.05)` is used like any other sensor. Its
+    noise and loss can be drawn for each episode with `randomization={"uwb_noise": (0.0, 0.2)}`. If
+    the wrapped sensor has a parameter of the same name, that parameter is kept.
 
-    What is wrapped measures at every decision, as it does alone, so that what it accumulates over
-    time is right.
+    The wrapped sensor measures at every decision, so that quantities which it integrates over time
+    stay correct.
     """
 
     name = "imperfect"
@@ -40,21 +40,21 @@ class Imperfect(Sensor):
         """Wrap a sensor.
 
         Args:
-            sensor: What measures.
-            rate: Readings a second; None for one a decision. The time from one to the next is
-                rounded to decisions, and until then the last one stays.
-            delay: How late readings come, s; rounded to decisions.
-            noise: Standard deviation of white noise on every number, in its own unit. Whole numbers
-                stay whole, truths stay true or false without noise.
-            loss: Probability that a reading fails; then the last one stays.
+            sensor: The sensor.
+            rate: Sample rate, 1/s; None for one sample per decision. The sample period is rounded
+                to decisions, and the last sample is held in between.
+            delay: Delay of the readings, s; rounded to decisions.
+            noise: Standard deviation of white noise on every number, in its unit. Integers are
+                rounded, Boolean readings get no noise.
+            loss: Probability that a sample is lost; the last one is held in this case.
 
         Raises:
-            ValueError: A number is not possible, or the sensor has such a parameter already.
+            ValueError: If a number is out of bounds, or the sensor already has such a parameter.
         """
         if not isinstance(sensor, Sensor):
             raise ValueError(f"sensor is {shown(sensor)}: an object derived from Sensor is needed")
         self.sensor = sensor
-        self.name = sensor.name  # type: ignore[misc]  # that of what is wrapped
+        self.name = sensor.name  # type: ignore[misc]  # name of the wrapped sensor
         self.gives = sensor.gives  # type: ignore[misc]
         self.prefix = sensor.prefix  # type: ignore[misc]
         self.needs_bodies = sensor.needs_bodies  # type: ignore[misc]
@@ -62,24 +62,24 @@ class Imperfect(Sensor):
         self._keys: dict[str, str] = {}
         own: dict[str, Uncertain] = {}
         for what, given in (("noise", noise), ("loss", loss)):
-            usual = finite(what, given, 0.0, MOST[what])
-            # "uwb_noise", whatever the sensor puts before the names of its other parameters.
+            usual = finite(what, given, 0.0, MAX_VALUES[what])
+            # The public name is always "uwb_noise", even if the sensor has another prefix.
             key = f"{sensor.name}_{what}".removeprefix(sensor.prefix)
             if key not in sensor.uncertain:
-                own[key] = Uncertain(0.0, MOST[what], usual)
+                own[key] = Uncertain(0.0, MAX_VALUES[what], usual)
                 self._keys[what] = key
             elif usual:
                 raise ValueError(f"sensor {sensor.name!r} has its own {what}: set it there")
         self.uncertain = {**sensor.uncertain, **own}  # type: ignore[misc]
         self._rate = None if rate is None else finite("rate", rate, least=1e-3)
-        self._delay = finite("delay", delay, 0.0, MOST_DELAY)
+        self._delay = finite("delay", delay, 0.0, MAX_DELAY)
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
-        """Tell what the wrapped sensor gives."""
+        """Return the labels of the wrapped sensor."""
         return self.sensor.labels(setup)
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Attach the wrapped sensor, and find out how many decisions rate and delay are."""
+        """Attach the wrapped sensor, and convert rate and delay to decisions."""
         super().attach(setup, engine)
         self.sensor = self.sensor.attached(setup, engine)
         self._images = {
@@ -87,44 +87,38 @@ class Imperfect(Sensor):
         }
         self._every = 1 if self._rate is None else max(1, round(1 / (self._rate * setup.period)))
         self._late = round(self._delay / setup.period)
-        self._past: dict[str, np.ndarray] = {}  # (delay, W, N, ...), the latest first
+        self._past: dict[str, np.ndarray] = {}  # (delay, W, N, ...), latest first
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
-        """Begin an episode of the wrapped sensor."""
-        self._share()
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
+        """Reset the wrapped sensor in one world."""
+        self._pass_parameters()
         self.sensor.reset(world, swarm, known, rng)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Measure, keep what comes, and give what came `delay` ago.
+        """Measure, store the sample, and return the sample from `delay` ago.
 
-        Each world draws from its own generator, if its noise or loss is above 0.
+        Each world draws from its own generator if its noise or loss is above 0.
         """
-        self._share()
+        self._pass_parameters()
         true = self.sensor.measure(moment)
-        noise, loss = self._own("noise"), self._own("loss")
+        noise, loss = self._parameter("noise"), self._parameter("loss")
         due = moment.mask & (moment.steps % self._every == 0)[:, None]
         uncertain = np.any((noise > 0) | (loss > 0), axis=1)[:, None]
         drawing = moment._replace(mask=due & uncertain)
-        normal, luck = drawing.draw(sum(_width(one) for one in true.values()))
-        # At a reset the first reading comes, and everything before it is as it is.
+        normal, chance = drawing.draw(sum(_width(one) for one in true.values()))
+        # At a reset, the first sample is never lost, and fills the whole delay line.
         fresh = moment.mask & (moment.steps == 0)[:, None]
-        comes = fresh | (due & (luck >= loss))
+        comes = fresh | (due & (chance >= loss))
         flown = np.any(moment.mask, axis=1)
         late: dict[str, np.ndarray] = {}
         used = 0
         for name, reading in true.items():
             error = normal[..., used : used + _width(reading)].reshape(reading.shape)
             used += _width(reading)
-            measured = self._blurred(name, reading, noise, error)
+            measured = self._add_noise(name, reading, noise, error)
             if name not in self._past:
                 self._past[name] = np.stack([reading] * (self._late + 1))
-            # Time goes on in the worlds that measure alone.
+            # Advance the delay line only in worlds that measure.
             past = self._past[name]
             past[1:, flown] = past[:-1, flown]
             past[0, comes] = measured[comes]
@@ -133,38 +127,34 @@ class Imperfect(Sensor):
         return late
 
     def info(self) -> Mapping[str, np.ndarray]:
-        """Tell what the wrapped sensor tells."""
+        """Return the info entries of the wrapped sensor."""
         return self.sensor.info()
 
     def kept(self) -> Mapping[str, np.ndarray]:
-        """Tell what the wrapped sensor keeps, and readings that are on their way."""
+        """Return the state of the wrapped sensor, and the delayed samples."""
         past = {f"past {name}": array.swapaxes(0, 1) for name, array in self._past.items()}
         return {**super().kept(), **self.sensor.kept(), **past}
 
     def kept_bounds(self) -> Mapping[str, tuple[float, float]]:
-        """Return the bounds of what the wrapped sensor keeps."""
+        """Return the bounds of the wrapped sensor's state."""
         return self.sensor.kept_bounds()
 
-    def _share(self) -> None:
-        """Let the wrapped sensor work with what was drawn for it."""
+    def _pass_parameters(self) -> None:
+        """Pass the drawn parameters to the wrapped sensor."""
         for key in self.sensor.uncertain:
             setattr(self.sensor, key, getattr(self, key))
 
-    def _own(self, what: str) -> np.ndarray:
-        """Look up noise or loss, (W, N)."""
+    def _parameter(self, what: str) -> np.ndarray:
+        """Return noise or loss, (W, N)."""
         if what not in self._keys:
             return np.zeros(self.setup.shape)
         values: np.ndarray = getattr(self, self._keys[what])
         return values
 
-    def _blurred(
-        self,
-        name: str,
-        reading: np.ndarray,
-        noise: np.ndarray,
-        error: np.ndarray,
+    def _add_noise(
+        self, name: str, reading: np.ndarray, noise: np.ndarray, error: np.ndarray
     ) -> np.ndarray:
-        """Add noise to a reading, which keeps its type; pictures stay within their bounds."""
+        """Add noise to a reading; preserve its type, and clip images to their bounds."""
         if reading.dtype == bool or not noise.any():
             return reading
         blurred = reading + noise.reshape(noise.shape + (1,) * (reading.ndim - 2)) * error
@@ -177,12 +167,12 @@ class Imperfect(Sensor):
 
 
 def _width(reading: np.ndarray) -> int:
-    """Count the numbers of one drone."""
+    """Return the number of values per drone."""
     return int(np.prod(reading.shape[2:]))
 
 
 def unwrapped(sensor: Sensor) -> Sensor:
-    """Take off what is wrapped around a sensor."""
+    """Return the innermost wrapped sensor."""
     while isinstance(sensor, Imperfect):
         sensor = sensor.sensor
     return sensor

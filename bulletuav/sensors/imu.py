@@ -1,4 +1,4 @@
-"""Inertial measurement: an accelerometer and a gyroscope with white noise and biases that walk."""
+"""Inertial measurement unit: accelerometer and gyroscope with white noise and bias random walks."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -19,33 +19,30 @@ from bulletuav.sensors.base import (
 from bulletuav.vehicle.swarm import Swarm, get
 
 MAX_FORCE = 100.0
-"""m/s^2, bound of an observed specific force"""
+"""Bound of an observed specific force, m/s^2"""
 MAX_BODY_RATE = 50.0
-"""rad/s, bound of an observed angular velocity"""
+"""Bound of an observed angular velocity, rad/s"""
 
 
 @func
 def specific_force(
-    quaternion: Quat4Like,
-    before: Vec3Like,
-    after: Vec3Like,
-    period: float,
-    gravity: float,
+    quaternion: Quat4Like, before: Vec3Like, after: Vec3Like, period: float, gravity: float
 ) -> Vec3:
-    """Compute what an accelerometer feels: R^T (a - g).
+    """Compute the specific force R^T (a - g) that an accelerometer measures.
 
     Args:
         quaternion: Attitude, body to world.
-        before: Velocity before, m/s, world axes.
-        after: Velocity after, m/s, world axes.
-        period: Time between the two, s; a is the mean acceleration in it.
-        gravity: m/s^2.
+        before: Initial velocity, m/s, world axes.
+        after: Final velocity, m/s, world axes.
+        period: Time between the two, s; a is the mean acceleration.
+        gravity: Gravitational acceleration, m/s^2.
 
     Returns:
         Specific force, m/s^2, body axes.
 
-    Source: P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
-    Systems (2013).
+    References:
+        P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems
+        (2013).
     """
     x = (after[0] - before[0]) / period
     y = (after[1] - before[1]) / period
@@ -66,9 +63,10 @@ def _measure(
     bias: np.ndarray,
     reading: np.ndarray,
 ) -> None:
-    """Advance bias and reading (W, N, 2, 3) of the listed worlds.
+    """Update bias and reading (W, N, 2, 3) of the listed worlds.
 
-    `scale` (W, N, 4) and `normal` (W, N, 4, 3) are for the two walks, then the two noises.
+    `scale` (W, N, 4) and `normal` (W, N, 4, 3) are ordered: two random walks, then two white
+    noises.
     """
     for w in worlds:
         for i in range(reading.shape[1]):
@@ -78,7 +76,7 @@ def _measure(
             truth = force, rates
             for s in range(2):
                 for k in range(3):
-                    # The bias walks, then white noise is added to truth and bias.
+                    # Advance the bias, then add bias and white noise to the true value.
                     bias[w, i, s, k] += root * scale[w, i, s] * normal[w, i, s, k]
                     white = scale[w, i, 2 + s] * normal[w, i, 2 + s, k]
                     reading[w, i, s, k] = truth[s][k] + bias[w, i, s, k] + white
@@ -86,14 +84,15 @@ def _measure(
 
 @register("sensor")
 class Imu(Sensor):
-    """What drones feel of their motion, in body axes (forward, left, up).
+    """Specific force and angular velocity in body axes (forward, left, up).
 
     Attributes:
-        accelerometer_noise: (W, N) standard deviation of each axis, m/s^2.
-        gyroscope_noise: (W, N) standard deviation of each axis, rad/s.
-        accelerometer_walk: (W, N) random walk of each axis's bias after one second, m/s^2.
-        gyroscope_walk: (W, N) the same, rad/s; both grow with the root of time.
-        acceleration: (W, N, 3) specific force, m/s^2: gravity upwards at rest, none in free fall.
+        accelerometer_noise: (W, N) standard deviation of the white noise on each axis, m/s^2.
+        gyroscope_noise: (W, N) standard deviation of the white noise on each axis, rad/s.
+        accelerometer_walk: (W, N) random walk of the bias on each axis after one second, m/s^2.
+        gyroscope_walk: (W, N) random walk of the bias on each axis after one second, rad/s; both
+            grow with the square root of time.
+        acceleration: (W, N, 3) specific force, m/s^2: gravity upwards at rest, zero in free fall.
         rates: (W, N, 3) angular velocity, rad/s.
     """
 
@@ -116,29 +115,23 @@ class Imu(Sensor):
     gyroscope_walk: np.ndarray
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Make arrays for biases, readings and random numbers."""
+        """Allocate biases, readings and random numbers."""
         super().attach(setup, engine)
         self._bias, self._reading = np.zeros((2, *setup.shape, 2, 3))
         self.acceleration = self._reading[:, :, 0]
         self.rates = self._reading[:, :, 1]
-        self._normal = np.zeros((*setup.shape, 4, 3))  # for the two walks, then for the two noises
+        self._normal = np.zeros((*setup.shape, 4, 3))  # two random walks, then two white noises
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
-        """Take the first readings of a world, whose drones flew steadily; biases are none yet."""
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
+        """Take the first readings of a world, without acceleration and biases."""
         self._bias[world] = 0
         self._draw(world, rng)
         self._take(np.array([world]), swarm, swarm, 0.0)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Measure in the worlds that flew: mean acceleration of the decision, rates after it.
+        """Measure the mean acceleration over the decision, and the angular velocity after it.
 
-        Each world draws from its own generator, if noise or walk is asked for.
+        Each world draws from its own generator if its noise or walk is above 0.
         """
         worlds = np.flatnonzero(moment.flying)
         for k in worlds.tolist():
@@ -150,14 +143,8 @@ class Imu(Sensor):
         if any(scale[world].any() for scale in self._scales()):
             rng.standard_normal(out=self._normal[world])
 
-    def _take(
-        self,
-        worlds: np.ndarray,
-        before: Swarm,
-        after: Swarm,
-        root: float,
-    ) -> None:
-        """Measure in `worlds`; `root` of the time in s that biases walked."""
+    def _take(self, worlds: np.ndarray, before: Swarm, after: Swarm, root: float) -> None:
+        """Measure in `worlds`; `root` is the square root of the elapsed time, s, for the walks."""
         period, gravity = self.setup.period, self.setup.gravity
         scale = np.stack(self._scales(), axis=-1)
         state = (self._normal, root, self._bias, self._reading)

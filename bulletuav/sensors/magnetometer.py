@@ -1,4 +1,4 @@
-"""Magnetometers: the magnetic field of the Earth as a drone's compass measures it."""
+"""Magnetometer: the Earth's magnetic field in body axes."""
 
 import datetime
 from collections.abc import Mapping
@@ -16,15 +16,16 @@ from bulletuav.sensors.base import Moment, Sensor, SensorSetup, Uncertain, vecto
 from bulletuav.vehicle.swarm import Swarm
 
 NOISE = 0.3
-"""uT; of a Bosch BMM150 at 20 Hz, preset "high accuracy" (BST-BMM150-DS001)"""
+"""uT; Bosch BMM150 at 20 Hz, preset "high accuracy" (BST-BMM150-DS001)"""
 HARD_IRON = 2.0
-"""uT; what is left of a BMM150's offset after calibration (BST-BMM150-DS001)"""
+"""uT; residual offset of a BMM150 after calibration (BST-BMM150-DS001)"""
 MICROTESLA = 1e6
-"""Microteslas in a tesla"""
+"""Microteslas per tesla"""
 MAX_FIELD = 200.0
-"""uT, bound of an observed field; that of the Earth is up to 67, the rest is for hard iron"""
+"""Bound of an observed field, uT; the Earth's field is up to 67, the rest is a margin for hard
+iron"""
 LATITUDE, LONGITUDE, ALTITUDE = 47.397742, 8.545594, 488.0
-"""Place in Zurich at which the simulations of PX4 begin: degrees, and m above the ellipsoid"""
+"""Default origin of PX4 simulations, in Zurich: degrees, and m above the ellipsoid"""
 
 
 @kernel
@@ -35,11 +36,10 @@ def _measure(
     mask: np.ndarray,
     reading: np.ndarray,
 ) -> None:
-    """Turn the field (3,) into body axes and add errors (W, N, 3), for the drones of `mask`."""
+    """Rotate the field (3,) to body axes and add errors (W, N, 3), for the drones in `mask`."""
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if mask[w, i]:
-                # The field is the same everywhere; the body turns in it
                 felt = to_body(quat4(quaternion, w, i), (field[0], field[1], field[2]))
                 for k in range(3):
                     reading[w, i, k] = felt[k] + error[w, i, k]
@@ -49,17 +49,17 @@ def _measure(
 class Magnetometer(Sensor):
     """Magnetic field of the Earth in body axes (forward, left, up), uT.
 
-    The field is that of IGRF-14 at the world's origin. It is computed once for an environment, in
-    a millisecond, and is the same in all worlds: within 10 km it changes by less than 0.1 uT. A uT
-    is 1e-6 T, the unit of ROS, and 0.01 gauss, that of PX4. `bulletuav.earth.flu_to_frd` gives the
-    axes of autopilots. `Imperfect(Magnetometer(), rate=20)` measures as often as a BMM150.
+    The field is that of IGRF-14 at the world's origin. It is computed once per environment, in a
+    millisecond, and is the same in all worlds: within 10 km it changes by less than 0.1 uT. A uT is
+    1e-6 T, the unit of ROS, and 0.01 gauss, the unit of PX4. `bulletuav.earth.flu_to_frd` converts
+    to the axes of autopilots. `Imperfect(Magnetometer(), rate=20)` has the sample rate of a BMM150.
 
-    Iron on board adds a constant in body axes, which an episode draws anew. Left out are iron that
-    bends the field (soft iron), and currents of motors.
+    Hard iron adds a constant error in body axes, drawn for each episode. Soft iron and motor
+    currents are not modelled.
 
     Attributes:
-        noise: (W, N) standard deviation of each axis, uT.
-        hard_iron: (W, N) standard deviation of each axis's constant error, uT.
+        noise: (W, N) standard deviation of the white noise on each axis, uT.
+        hard_iron: (W, N) standard deviation of the constant error on each axis, uT.
     """
 
     name = "magnetometer"
@@ -79,16 +79,16 @@ class Magnetometer(Sensor):
         altitude: float = ALTITUDE,
         date: float | datetime.date = EPOCH,
     ) -> None:
-        """Set the sensor up.
+        """Set the location and date.
 
         Args:
-            latitude: Of the world's origin, geodetic, from -90 to 90 deg.
-            longitude: Of the origin, from -180 to 180 deg.
-            altitude: Of the origin above the ellipsoid of WGS-84, from -10 to 1000 km, in m.
-            date: Decimal year from 2025.0 to 2030.0, or a day in them.
+            latitude: Geodetic latitude of the world's origin, from -90 to 90 deg.
+            longitude: Longitude of the origin, from -180 to 180 deg.
+            altitude: Altitude of the origin above the WGS-84 ellipsoid, from -10 to 1000 km, in m.
+            date: Decimal year from 2025.0 to 2030.0, or a date in this range.
 
         Raises:
-            ValueError: A number is not finite or out of bounds.
+            ValueError: If a number is not finite or out of bounds.
         """
         self._place = (
             finite("latitude", latitude, -90.0, 90.0),
@@ -98,28 +98,22 @@ class Magnetometer(Sensor):
         self._year = decimal_year(date)
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Compute the field, and make arrays for readings and constant errors."""
+        """Compute the field, and allocate readings and constant errors."""
         super().attach(setup, engine)
         self._field = MICROTESLA * magnetic_field(*self._place, self._year)
         self._iron, self._reading = np.zeros((2, *setup.shape, 3))
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
-        """Draw the constant errors of a world, if they are asked for."""
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
+        """Draw the hard-iron errors of a world, if enabled."""
         scale = self.hard_iron[world]
         self._iron[world] = 0.0
         if scale.any():
             self._iron[world] = scale[:, None] * rng.standard_normal((len(scale), 3))
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Measure from the drones that measure; others keep their readings.
+        """Measure the field for the drones in the mask; other readings do not change.
 
-        Each world draws from its own generator, if its noise is above 0.
+        Each world draws from its own generator if its noise is above 0.
         """
         mask = moment.mask
         uncertain = np.any(self.noise > 0, axis=1)

@@ -1,4 +1,4 @@
-"""Optical flow and a range finder that look down, as on the Flow deck of a Crazyflie."""
+"""Downward optical flow sensor and range finder, as on the Flow deck of a Crazyflie."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -14,12 +14,12 @@ from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm, get
 
-NEAREST, FASTEST = 0.08, 7.4
-"""m, rad/s; least distance and greatest flow of a PMW3901 (PixArt's datasheet, as in PX4)"""
-FARTHEST = 4.0
+MIN_DISTANCE, DEFAULT_MAX_FLOW = 0.08, 7.4
+"""m, rad/s; minimum distance and maximum flow of a PMW3901 (PixArt's datasheet, as in PX4)"""
+DEFAULT_MAX_DISTANCE = 4.0
 """m; range of a VL53L1x (ST's datasheet)"""
-TILTED = 45.0
-"""deg; tilt up to which PX4 uses range finders and flow (`range_cos_max_tilt`)"""
+DEFAULT_MAX_TILT = 45.0
+"""deg; maximum tilt at which PX4 uses range finders and flow (`range_cos_max_tilt`)"""
 NOISE = 0.09
 """rad/s; over good ground at 100 Hz: 0.43 counts, each of 0.1 of 35 pixels in 0.717 rad
 
@@ -28,19 +28,16 @@ Source: Crazyflie firmware, flowdeck_v1v2.c (fitted to flights) and mm_flow.c.
 RANGE_NOISE = 0.0025
 """m; near the ground, see `range_deviation`"""
 LOG_80 = 4.382026634673881
-MOST_DISTANCE, MOST_FLOW = 1000.0, 1000.0
-"""m, rad/s; greatest values that limits can have"""
+MAX_DISTANCE, MAX_FLOW = 1000.0, 1000.0
+"""m, rad/s; upper bounds of the limits"""
 
 
 @func
-def angular_flow(
-    velocity: Vec3Like,
-    rates: Vec3Like,
-    distance: float,
-) -> tuple[float, float]:
-    """Compute how the ground passes the middle of a picture that looks down.
+def angular_flow(velocity: Vec3Like, rates: Vec3Like, distance: float) -> tuple[float, float]:
+    """Compute the optical flow at the centre of a downward image.
 
-    The flow is the angular velocity at which a drone that only turned would see the same.
+    The flow is the angular velocity at which a purely rotating drone would see the same image
+    motion.
 
     Args:
         velocity: Velocity above the ground, m/s, body axes.
@@ -48,27 +45,29 @@ def angular_flow(
         distance: Distance of the ground along the body's -z axis, m.
 
     Returns:
-        Flow about the body's x and y axes, rad/s: right-handed turns are positive, flight to the
-        left is positive about x, and flight ahead negative about y.
+        Flow about the body's x and y axes, rad/s: right-handed rotations are positive, flight to
+        the left is positive about x, and forward flight is negative about y.
 
-    Sources: D. Honegger et al., An open source and open hardware embedded metric optical flow CMOS
-    camera (ICRA 2013); mm_flow.c of the Crazyflie's firmware. Signs are those of MAVLink's
-    OPTICAL_FLOW_RAD, in axes forward, left, up.
+    References:
+        D. Honegger et al., An open source and open hardware embedded metric optical flow CMOS
+        camera (ICRA 2013); mm_flow.c of the Crazyflie's firmware. Signs are those of MAVLink's
+        OPTICAL_FLOW_RAD, in axes forward, left, up.
     """
     return rates[0] + velocity[1] / distance, rates[1] - velocity[0] / distance
 
 
 def range_deviation(distance: np.ndarray, reach: float) -> np.ndarray:
-    """Tell how the noise of a range finder grows towards the end of its range.
+    """Return the noise factor of a range finder, which grows towards the end of its range.
 
     Args:
         distance: Distances, m, of any shape.
-        reach: Length of the range, m.
+        reach: Maximum range, m.
 
     Returns:
         Factors on the noise near the ground: 2 at 5/8 of the range, and 81 at its end.
 
-    Source: zranger2.c of the Crazyflie's firmware, for a range of 4 m.
+    References:
+        zranger2.c of the Crazyflie's firmware, for a range of 4 m.
     """
     return 1.0 + exp(LOG_80 * (distance / reach - 0.625) / 0.375)
 
@@ -82,19 +81,18 @@ def _look_down(
     end: np.ndarray,
     world: np.ndarray,
 ) -> None:
-    """List the rays (M, 3) of the drones of `mask` (W, N), along their -z axes."""
+    """Write the rays (M, 3) of the drones in `mask` (W, N), along their -z axes."""
     m = 0
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if not mask[w, i]:
                 continue
-            # The sensor looks along the body, so tilt turns it away from the ground
+            # The sensor is fixed to the body, so it tilts with the drone
             up = axes(quat4(swarm.quaternion, w, i))[2]
             position = vec3(swarm.position, w, i)
             for k in range(3):
                 start[m, k] = position[k]
                 end[m, k] = position[k] - reach * up[k]
-            # Rays are listed without gaps for the drones that are left out
             world[m] = w
             m += 1
 
@@ -109,10 +107,10 @@ def _measure(
     fails: np.ndarray,
     flow: np.ndarray,
 ) -> None:
-    """Measure flow and quality (W, N, 3) of the drones of `mask`.
+    """Measure flow and quality (W, N, 3) of the drones in `mask`.
 
-    `distance` (W, N) is that of the ground, `error` (W, N, 2) is added, and `fails` (W, N) tells
-    who finds nothing to follow. See `OpticalFlow` for the limits.
+    `distance` (W, N) is the distance of the ground, `error` (W, N, 2) is added, and `fails` (W, N)
+    marks drones without visual features. See `OpticalFlow` for the limits.
     """
     nearest, farthest, fastest, upright = limits
     for w in range(mask.shape[0]):
@@ -121,14 +119,14 @@ def _measure(
                 continue
             for k in range(3):
                 flow[w, i, k] = 0.0
-            # Is there ground that it can see?
+            # Is the ground visible and within range?
             _, quaternion, velocity, rates = get(swarm, w, i)
             far = distance[w, i]
             if fails[w, i] or far < nearest or far >= farthest:
                 continue
             if axes(quaternion)[2][2] < upright:
                 continue
-            # Does the ground pass slowly enough?
+            # Is the flow within the limit?
             true = angular_flow(to_body(quaternion, velocity), rates, far)
             if hypot(true[0], true[1]) > fastest:
                 continue
@@ -139,23 +137,24 @@ def _measure(
 
 @register("sensor")
 class OpticalFlow(Sensor):
-    """Flow of the ground below a drone, and its distance, both along the body's -z axis.
+    """Optical flow of the ground and its distance, both along the body's -z axis.
 
-    The reading "optical_flow" is the flow about the body's x and y axes, rad/s, see `angular_flow`,
-    and its quality. It is that of the moment, not summed up over time. The quality is 1, or 0 where
-    flow cannot be measured, and flow is 0 then: the ground is too near or out of range, passes too
-    fast, or the drone is too tilted. The reading "ground_distance" is that of the range finder, m,
-    and `max_distance` where nothing is in range.
+    The reading "optical_flow" contains the instantaneous flow about the body's x and y axes, rad/s,
+    see `angular_flow`, and its quality. The quality is 1, or 0 if flow cannot be measured, in which
+    case the flow is 0: the ground is too near or out of range, the flow is too fast, or the drone
+    is too tilted. The reading "ground_distance" is the range, m; `max_distance` if nothing is in
+    range.
 
-    Both look from the drone's centre, along one ray, at ground, buildings, obstacles and other
-    drones, as the range finder `lidar` does. What they see is taken to stand still.
-    `Imperfect(OpticalFlow(), rate=100)` measures as often as a Flow deck.
+    Both use one ray from the centre of the drone, which hits the ground, buildings, obstacles and
+    other drones, as those of the range finder `lidar`. Hit objects are assumed to be static.
+    `Imperfect(OpticalFlow(), rate=100)` has the sample rate of a Flow deck.
 
     Attributes:
         noise: (W, N) standard deviation of each axis of the flow, rad/s.
         range_noise: (W, N) standard deviation of a distance near the ground, m; it grows with the
             distance, see `range_deviation`.
-        dropout: (W, N) probability that there is nothing to follow, as above smooth or dark floors.
+        dropout: (W, N) probability that there are no visual features, as above smooth or dark
+            floors.
     """
 
     name = "optical_flow"
@@ -172,25 +171,26 @@ class OpticalFlow(Sensor):
 
     def __init__(
         self,
-        min_distance: float = NEAREST,
-        max_distance: float = FARTHEST,
-        max_flow: float = FASTEST,
-        max_tilt: float = TILTED,
+        min_distance: float = MIN_DISTANCE,
+        max_distance: float = DEFAULT_MAX_DISTANCE,
+        max_flow: float = DEFAULT_MAX_FLOW,
+        max_tilt: float = DEFAULT_MAX_TILT,
     ) -> None:
-        """Set the sensor up.
+        """Set the limits of the sensor.
 
         Args:
-            min_distance: Least distance of ground whose flow is measured, m.
-            max_distance: Range, m.
-            max_flow: Greatest flow, about any level axis, rad/s.
-            max_tilt: Greatest angle between the body's z axis and the vertical, deg.
+            min_distance: Minimum ground distance for flow, m.
+            max_distance: Maximum range, m.
+            max_flow: Maximum flow about any horizontal axis, rad/s.
+            max_tilt: Maximum angle between the body's z axis and the vertical, deg.
 
         Raises:
-            ValueError: A limit is not finite or out of bounds, or the range ends before it begins.
+            ValueError: If a limit is not finite or out of bounds, or min_distance is not below
+                max_distance.
         """
-        self._nearest = finite("min_distance", min_distance, 1e-3, MOST_DISTANCE)
-        self._reach = finite("max_distance", max_distance, 1e-3, MOST_DISTANCE)
-        self._fastest = finite("max_flow", max_flow, 1e-3, MOST_FLOW)
+        self._nearest = finite("min_distance", min_distance, 1e-3, MAX_DISTANCE)
+        self._reach = finite("max_distance", max_distance, 1e-3, MAX_DISTANCE)
+        self._fastest = finite("max_flow", max_flow, 1e-3, MAX_FLOW)
         self._tilt = finite("max_tilt", max_tilt, 0.0, 90.0)
         if self._nearest >= self._reach:
             raise ValueError(
@@ -199,16 +199,16 @@ class OpticalFlow(Sensor):
             )
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
-        """Tell the bounds of flow, quality and distance."""
-        most = self._fastest
-        flow = [Label(f"flow {axis}", "rad/s", -most, most) for axis in "xy"]
+        """Return the labels and bounds of flow, quality and distance."""
+        bound = self._fastest
+        flow = [Label(f"flow {axis}", "rad/s", -bound, bound) for axis in "xy"]
         return {
             "optical_flow": (*flow, Label("flow quality", "1", 0.0, 1.0)),
             "ground_distance": (Label("ground distance", "m", 0.0, self._reach),),
         }
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Make arrays for readings."""
+        """Allocate the readings."""
         super().attach(setup, engine)
         upright = float(cos(np.radians(self._tilt)))
         self._limits = (self._nearest, self._reach, self._fastest, upright)
@@ -216,16 +216,17 @@ class OpticalFlow(Sensor):
         self._distance = np.full(setup.shape, self._reach)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Measure from the drones that measure; others keep their readings, and are not seen.
+        """Measure flow and distance for the drones in the mask; other readings do not change.
 
-        Each world draws from its own generator, if its drones' readings are uncertain.
+        Drones outside the mask are not hit by rays. Each world draws from its own generator if its
+        noise or dropout is above 0.
         """
         swarm, mask = moment.after, moment.mask
         scales = (self.noise, self.range_noise, self.dropout)
         uncertain = np.any([scale > 0 for scale in scales], axis=(0, 2))
-        normal, luck = moment._replace(mask=mask & uncertain[:, None]).draw(3)
+        normal, chance = moment._replace(mask=mask & uncertain[:, None]).draw(3)
         true = self._true_distance(swarm, mask)
-        fails = luck < self.dropout
+        fails = chance < self.dropout
         error = self.noise[..., None] * normal[..., :2]
         _measure(swarm, mask, true, self._limits, error, fails, self._flow)
         deviation = self.range_noise * range_deviation(true, self._reach)
@@ -234,7 +235,7 @@ class OpticalFlow(Sensor):
         return {"optical_flow": self._flow.copy(), "ground_distance": self._distance.copy()}
 
     def _true_distance(self, swarm: Swarm, mask: np.ndarray) -> np.ndarray:
-        """Find the distance (W, N) of what is below the drones of `mask`, at most the range, m."""
+        """Return the distance (W, N) below the drones in `mask`, at most the range, m."""
         count = np.count_nonzero(mask)
         start, end, world = np.empty((count, 3)), np.empty((count, 3)), np.empty(count, np.int64)
         _look_down(swarm, mask, self._reach, start, end, world)

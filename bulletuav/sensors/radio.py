@@ -1,4 +1,4 @@
-"""Drones tell each other where they are: messages with a delay, a range and losses."""
+"""Broadcast of positions and velocities between drones, with delay, range and losses."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -12,18 +12,18 @@ from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Un
 from bulletuav.vehicle.swarm import Swarm
 
 MEMORY = 1.0
-"""s; a drone that was not heard for longer is forgotten"""
+"""s; a drone that has not been received for longer is forgotten"""
 
 
 @kernel
-def _hear(
+def _deliver_messages(
     sent: np.ndarray,
     earlier: np.ndarray,
     between: float,
     position: np.ndarray,
     range_: float,
     loss: float,
-    luck: np.ndarray,
+    chance: np.ndarray,
     flying: np.ndarray,
     delay: float,
     period: float,
@@ -32,7 +32,7 @@ def _hear(
     age: np.ndarray,
     received: np.ndarray,
 ) -> None:
-    """Deliver messages (N, 6) to all pairs (i, j) of one world; see `Radio`."""
+    """Deliver messages (N, 6) between all pairs (i, j) of one world; see `Radio`."""
     drones = flying.shape[0]
     for i in range(drones):
         received[i] = 0
@@ -40,13 +40,13 @@ def _hear(
             age[i, j] += period
             if i == j or not (flying[i] and flying[j]):
                 continue
-            # Is the sender within range, and is the message not lost?
+            # Skip senders out of range, and lost messages.
             square = 0.0
             for k in range(3):
                 square += (position[j, k] - position[i, k]) ** 2
-            if square > range_ * range_ or (luck[i, j] < loss and not start):
+            if square > range_ * range_ or (chance[i, j] < loss and not start):
                 continue
-            # What the sender knew `delay` ago, between two of its decisions.
+            # State of the sender `delay` ago, interpolated between two decisions.
             for k in range(6):
                 message[i, j, k] = sent[j, k] + between * (earlier[j, k] - sent[j, k])
             age[i, j] = delay
@@ -55,18 +55,18 @@ def _hear(
 
 @register("sensor")
 class Radio(Sensor):
-    """Every drone always tells the others its position and velocity, as far as it knows them.
+    """Broadcast of each drone's own position and velocity, as the drone knows them, to all others.
 
-    At a decision drone i hears what drone j knew `delay` ago, interpolated between two decisions.
-    It hears it if j is within `range` and the message is not lost. Otherwise what it heard last
-    stays, for up to a second.
+    At a decision, drone i receives the state that drone j knew `delay` ago, interpolated between
+    two decisions, if j is within `range` and the message is not lost. Otherwise the last received
+    message is held for up to a second.
 
     Attributes:
-        delay: (W,) s.
+        delay: (W,) delay, s.
         loss: (W,) probability that a message is lost.
-        range: (W,) how far messages reach, m.
-        message: (W, N, N, 6) position and velocity that i last heard of j.
-        received: (W, N) messages that came in the last decision.
+        range: (W,) radio range, m.
+        message: (W, N, N, 6) position and velocity that i last received from j.
+        received: (W, N) number of messages received in the last decision.
     """
 
     name = "radio"
@@ -83,41 +83,35 @@ class Radio(Sensor):
     range: np.ndarray
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
-        """Tell nothing: the observations of other drones show what was heard."""
+        """Return no labels: the observation blocks of other drones use these readings."""
         return {}
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Make arrays for messages on their way and for those that were heard."""
+        """Allocate messages in transit and received messages."""
         super().attach(setup, engine)
         worlds, drones = setup.shape
         past = 2 + int(setup.longest_delay / setup.period)
-        self._sent = np.zeros((past, worlds, drones, 6))  # the latest first
+        self._sent = np.zeros((past, worlds, drones, 6))  # latest first
         self.message = np.zeros((worlds, drones, drones, 6))
         self._age = np.full((worlds, drones, drones), np.inf)
         self.received = np.zeros(setup.shape, dtype=np.int64)
 
     @property
     def heard(self) -> np.ndarray:
-        """(W, N, N) bool: whose last message is at most a second (and the delay) old."""
+        """(W, N, N) bool: pairs whose last message is at most a second (plus the delay) old."""
         known: np.ndarray = self._age <= MEMORY + self.delay[:, None, None]
         return known
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        known: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
-        """Begin an episode: all within range have heard of each other, as they are."""
-        told = np.concatenate([known.position[world], known.velocity[world]], axis=-1)
-        self._sent[:, world] = told
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
+        """Reset one world: all drones in range have received the current states."""
+        state = np.concatenate([known.position[world], known.velocity[world]], axis=-1)
+        self._sent[:, world] = state
         self._age[world] = np.inf
         everyone = np.ones(self.setup.shape[1], dtype=bool)
         self._deliver(world, swarm.position[world], everyone, rng, start=True)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Send what drones know of themselves, and hear, in the worlds that flew a decision."""
+        """Send and receive messages in the worlds that executed a decision."""
         for k in np.flatnonzero(moment.flying).tolist():
             self._sent[1:, k] = self._sent[:-1, k]
             self._sent[0, k] = np.concatenate([moment.position[k], moment.velocity[k]], axis=-1)
@@ -128,11 +122,11 @@ class Radio(Sensor):
         return {**heard, "heard": self.heard}
 
     def info(self) -> Mapping[str, np.ndarray]:
-        """Tell the messages that came in the last decision."""
+        """Return the number of messages received in the last decision."""
         return {"messages": self.received}
 
     def kept(self) -> Mapping[str, np.ndarray]:
-        """Tell what was heard, and what is on its way; see the base class."""
+        """Return received messages and messages in transit; see the base class."""
         arrays = {"message": self.message, "age": self._age, "received": self.received}
         return {**arrays, "sent": self._sent.swapaxes(0, 1)}
 
@@ -149,18 +143,18 @@ class Radio(Sensor):
         *,
         start: bool,
     ) -> None:
-        # The delay lies between two states that were kept: how many steps back, and how far on
+        # The delayed state lies between two stored states: whole steps and fraction
         steps, between = divmod(self.delay[world] / self.setup.period, 1)
-        # One number for each pair, whoever flies, so that numbers stay the same
-        luck = rng.random((len(flying), len(flying)))
-        _hear(
+        # One number per pair, flying or not, so that the sequence does not depend on the mask
+        chance = rng.random((len(flying), len(flying)))
+        _deliver_messages(
             self._sent[int(steps), world],
             self._sent[int(steps) + 1, world],
             between,
             position,
             self.range[world],
             self.loss[world],
-            luck,
+            chance,
             flying,
             self.delay[world],
             self.setup.period,

@@ -1,4 +1,4 @@
-"""Line of sight to targets, and how near the nearest thing is."""
+"""Line of sight to targets, and clearance to the nearest object."""
 
 from collections.abc import Mapping
 
@@ -14,31 +14,30 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 def line_of_sight(
-    engine: Engine,
-    start: np.ndarray,
-    end: np.ndarray,
-    where: np.ndarray,
+    engine: Engine, start: np.ndarray, end: np.ndarray, where: np.ndarray
 ) -> np.ndarray:
-    """Tell for pairs of points whether nothing but drones is in between.
+    """Check the line of sight between pairs of points; drones do not occlude.
+
+    The result is symmetric: each ray is cast from the higher to the lower point; at equal heights
+    ordered by x, then y.
 
     Args:
         engine: The engine with the worlds.
-        start: (M, 3) m.
-        end: (M, 3) m.
+        start: (M, 3) points, m.
+        end: (M, 3) points, m.
         where: (M,) world of each pair.
 
     Returns:
         (M,) bool.
-
-    Either way gives the same answer: the ray goes from the higher point to the lower, on the level
-    by x, then y.
     """
-    rises = (np.sign(end - start) @ [3, 1, 9] > 0)[:, None]
-    return engine.cast_rays(np.where(rises, end, start), np.where(rises, start, end), where) >= 1
+    descends = (np.sign(end - start) @ [3, 1, 9] > 0)[:, None]
+    return (
+        engine.cast_rays(np.where(descends, end, start), np.where(descends, start, end), where) >= 1
+    )
 
 
 @kernel
-def _links(
+def _list_rays(
     position: np.ndarray,
     targets: np.ndarray,
     mask: np.ndarray,
@@ -46,14 +45,14 @@ def _links(
     end: np.ndarray,
     where: np.ndarray,
 ) -> None:
-    """List rays from drones (W, N) to targets (W, U, 3), ordered as in `line_of_sight`."""
+    """Write rays from drones (W, N) to targets (W, U, 3), ordered as in `line_of_sight`."""
     m = 0
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if not mask[w, i]:
                 continue
             for j in range(targets.shape[1]):
-                # From the higher end to the lower one, so that both ways give the same answer.
+                # From the higher to the lower end, so that the result is symmetric.
                 order = 0.0
                 for k, weight in ((0, 3.0), (1, 1.0), (2, 9.0)):
                     order += weight * np.sign(targets[w, j, k] - position[w, i, k])
@@ -65,18 +64,15 @@ def _links(
 
 
 def sights(
-    engine: Engine,
-    position: np.ndarray,
-    targets: np.ndarray,
-    mask: np.ndarray,
+    engine: Engine, position: np.ndarray, targets: np.ndarray, mask: np.ndarray
 ) -> np.ndarray:
-    """Tell which targets drones see.
+    """Check the line of sight from drones to targets.
 
     Args:
         engine: The engine with the worlds.
-        position: (W, N, 3) of the drones, m.
-        targets: (W, U, 3) m.
-        mask: (W, N) drones that look; others see none.
+        position: (W, N, 3) positions of the drones, m.
+        targets: (W, U, 3) positions of the targets, m.
+        mask: (W, N) drones to check; False for all others.
 
     Returns:
         (W, N, U) bool.
@@ -84,35 +80,30 @@ def sights(
     count = targets.shape[1]
     rays = np.count_nonzero(mask) * count
     start, end, where = np.empty((rays, 3)), np.empty((rays, 3)), np.empty(rays, dtype=np.int64)
-    _links(position, targets, mask, start, end, where)
+    _list_rays(position, targets, mask, start, end, where)
     free = engine.cast_rays(start, end, where) >= 1
-    if rays == mask.size * count:  # all look
+    if rays == mask.size * count:  # no drone is masked
         return free.reshape(*mask.shape, count)
     seen = np.zeros((*mask.shape, count), dtype=bool)
     seen[mask] = free.reshape(-1, count)
     return seen
 
 
-def clearances(
-    engine: Engine,
-    swarm: Swarm,
-    mask: np.ndarray,
-    most: float,
-) -> np.ndarray:
-    """Measure how near the nearest thing is: ground, building, obstacle, body or drone.
+def clearances(engine: Engine, swarm: Swarm, mask: np.ndarray, max_distance: float) -> np.ndarray:
+    """Compute the distance to the nearest object: ground, building, obstacle, body or drone.
 
     Args:
-        engine: The engine; it tells what stands, and nothing in it moves.
-        swarm: Where the drones are.
-        mask: (W, N) drones that measure; others are not measured either.
-        most: Distance beyond which nothing is looked for, m.
+        engine: The engine, whose scenery is read and not modified.
+        swarm: Poses of the drones.
+        mask: (W, N) drones to measure; others are ignored as objects, too.
+        max_distance: Maximum distance, m.
 
     Returns:
-        (W, N) distance between collision shapes, m, to 1e-6; negative where shapes overlap. It is
-        `most` where nothing is nearer, and for drones that are not in `mask`.
+        (W, N) distance between collision shapes, m, to 1e-6; negative if shapes overlap. It is
+        `max_distance` if nothing is nearer, and for drones outside `mask`.
     """
     poses = swarm.position, swarm.quaternion
-    return measure_clearance(engine.scenery, *poses, mask, most, make_room())
+    return measure_clearance(engine.scenery, *poses, mask, max_distance, make_room())
 
 
 AHEAD = {
@@ -121,27 +112,27 @@ AHEAD = {
     "west": (-30.0, 0.0, 0.0),
     "south": (0.0, -30.0, 0.0),
 }
-"""Ways, m, at whose ends `sight_ahead` looks"""
+"""Offsets from which `sight_ahead` checks the line of sight, m"""
 
 
 @register("sensor")
-class Sight(Sensor):
-    """Which of the task's targets each drone sees: nothing but drones in between."""
+class SightSensor(Sensor):
+    """Line of sight from each drone to each target of the task; drones do not occlude."""
 
     name = "sight"
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
-        """Tell one number for each target."""
+        """Return one label for each target."""
         numbers = range(1, setup.num_targets + 1)
         return {"sight": tuple(Label(f"sees {k}", "1", 0.0, 1.0) for k in numbers)}
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Begin with nothing seen."""
+        """Allocate the readings; initially no target is visible."""
         super().attach(setup, engine)
         self._seen = np.zeros((*setup.shape, setup.num_targets), dtype=bool)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Look from the drones that measure."""
+        """Check the line of sight of the drones in the mask."""
         if self.setup.num_targets:
             seen = sights(self.engine, moment.after.position, moment.targets, moment.mask)
             np.copyto(self._seen, seen, where=moment.mask[..., None])
@@ -150,23 +141,23 @@ class Sight(Sensor):
 
 @register("sensor")
 class SightAhead(Sensor):
-    """Which targets a drone would see from 30 m east, north, west and south of it, by a map."""
+    """Line of sight to targets from positions 30 m east, north, west and south of a drone."""
 
     name = "sight_ahead"
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
-        """Tell one number for each way and target."""
+        """Return one label for each direction and target."""
         targets = range(1, setup.num_targets + 1)
         labels = [Label(f"{way} sees {k}", "1", 0.0, 1.0) for way in AHEAD for k in targets]
         return {"sight_ahead": tuple(labels)}
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Begin with nothing seen."""
+        """Allocate the readings; initially no target is visible."""
         super().attach(setup, engine)
         self._seen = np.zeros((*setup.shape, len(AHEAD), setup.num_targets), dtype=bool)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Look from places within the airspace."""
+        """Check the line of sight from the offset positions, clipped to the airspace."""
         low, high = self.setup.arena
         position, mask = moment.after.position, moment.mask
         for k, way in enumerate(AHEAD.values() if self.setup.num_targets else ()):
@@ -176,23 +167,23 @@ class SightAhead(Sensor):
 
 
 @register("sensor")
-class Clearance(Sensor):
-    """Distance of each drone's collision shape from the nearest thing; see `clearances`."""
+class ClearanceSensor(Sensor):
+    """Distance of each drone's collision shape to the nearest object; see `clearances`."""
 
     name = "clearance"
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
-        """Tell the distance and how far it reaches."""
+        """Return the label of the distance, bounded by the maximum range."""
         return {"clearance": (Label("clearance", "m", -1.0, setup.max_range),)}
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Begin with nothing near."""
+        """Allocate the readings at the maximum range."""
         super().attach(setup, engine)
         self._distance = np.full(setup.shape, setup.max_range)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Measure from the drones that measure."""
+        """Measure the clearance of the drones in the mask."""
         mask = moment.mask
-        most = self.setup.max_range
-        self._distance[mask] = clearances(self.engine, moment.after, mask, most)[mask]
+        max_distance = self.setup.max_range
+        self._distance[mask] = clearances(self.engine, moment.after, mask, max_distance)[mask]
         return {"clearance": self._distance.copy()}

@@ -1,4 +1,4 @@
-"""All sensors of an environment: those that its observations and its task ask for."""
+"""Sensor suite of an environment: the sensors that observations and task require."""
 
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -35,15 +35,15 @@ ORDER = (
     "optical_flow",
     "drone_sight",
 )
-"""In which the package's own sensors measure, and draw random numbers; others follow"""
+"""Order in which the package's sensors measure and draw random numbers; others follow"""
 
 
 def find_sensor(source: Any) -> Sensor:
-    """Find a sensor: an object, a class, a registered name, or `module:Name`.
+    """Find a sensor by object, class, registered name, or `module:Name`.
 
     Raises:
-        ValueError: There is none of that name, it is no sensor, or its class has an unknown public
-            attribute.
+        ValueError: If there is no such sensor, the object is not a sensor, or its class has an
+            unknown public attribute.
     """
     found = find("sensor", source, _is_sensor)
     kind = found if isinstance(found, type) else type(found)
@@ -57,12 +57,13 @@ def _is_sensor(found: Any) -> bool:
 
 
 def known_sensors(given: Iterable[Any] = ()) -> dict[str, Sensor]:
-    """List all sensors by name: the package's own and registered ones, and those that were given.
+    """Return all sensors by name: built-in, registered, and given ones.
 
-    A given sensor replaces the registered one of its name.
+    A given sensor replaces the registered sensor with the same name.
 
     Raises:
-        ValueError: Two given sensors bear the same name, or one is none; the option is named.
+        ValueError: If two given sensors have the same name, or an object is not a sensor; the
+            message names the option.
     """
     own: dict[str, Sensor] = {}
     for source in given:
@@ -71,16 +72,16 @@ def known_sensors(given: Iterable[Any] = ()) -> dict[str, Sensor]:
         except ValueError as error:
             raise ValueError(f"sensors: {error}") from None
         if not isinstance(getattr(sensor, "name", None), str):
-            raise ValueError(f"sensor {type(sensor).__name__} has no name: give its class one")
+            raise ValueError(f"sensor {type(sensor).__name__} has no name: set name in its class")
         if sensor.name in own:
-            raise ValueError(f"sensors has {sensor.name!r} twice: give each a name of its own")
+            raise ValueError(f"sensors has {sensor.name!r} twice: unique names are needed")
         own[sensor.name] = sensor
     order = [*ORDER, *(name for name in names("sensor") if name not in ORDER)]
     return {**{name: find_sensor(name) for name in order}, **own}
 
 
 def uncertain_parameters(sensors: Mapping[str, Sensor]) -> dict[str, Uncertain]:
-    """List what `randomization` can set of sensors, by the names that it uses."""
+    """Return the sensor parameters that `randomization` can set, by option name."""
     return {
         f"{sensor.prefix}{key}": parameter
         for sensor in sensors.values()
@@ -89,7 +90,7 @@ def uncertain_parameters(sensors: Mapping[str, Sensor]) -> dict[str, Uncertain]:
 
 
 def provider(sensors: Mapping[str, Sensor], reading: str) -> Sensor | None:
-    """Find the sensor whose reading can be observed, the last of several; else None."""
+    """Return the last sensor that provides an observable reading, or None."""
     setup = SensorSetup()
     found = [
         one for one in sensors.values() if reading in one.gives and reading in one.labels(setup)
@@ -98,10 +99,10 @@ def provider(sensors: Mapping[str, Sensor], reading: str) -> Sensor | None:
 
 
 class SensorSuite:
-    """The sensors of an environment, in the order in which they measure.
+    """Sensors of an environment, in the order of measurement.
 
     Attributes:
-        sensors: Those that work, by name.
+        sensors: Active sensors by name.
     """
 
     def __init__(
@@ -111,60 +112,55 @@ class SensorSuite:
         engine: Engine,
         drawn: Mapping[str, np.ndarray],
     ) -> None:
-        """Attach the sensors that are needed.
+        """Attach the required sensors.
 
         Args:
-            sensors: All that there are, by name.
-            setup: What they know of their environment.
-            engine: The engine in which drones fly.
-            drawn: What `randomization` draws, by name: (W, N), or (W, 1) for worlds. Sensors read
-                these arrays where they stand.
+            sensors: All available sensors by name.
+            setup: Properties of the environment.
+            engine: The physics engine.
+            drawn: Parameters that `randomization` draws, by name: (W, N), or (W, 1) if per world.
+                Sensors hold views of these arrays.
         """
         self.sensors: dict[str, Sensor] = {}
         self._labels: dict[str, Mapping[str, tuple[Label, ...] | Image]] = {}
         self._unchecked: set[str] = set()
         self._wanted = setup.wanted
-        # Only sensors that somebody reads cost time
+        # Attach only sensors with a consumer
         for name, sensor in sensors.items():
-            # Names that users write carry the sensor's prefix
+            # Option names include the sensor's prefix
             uncertain = {f"{sensor.prefix}{key}": key for key in sensor.uncertain}
-            # Tasks with targets need to know who sees them
+            # Tasks with targets need the lines of sight
             needed = bool(setup.wanted.intersection(sensor.gives))
             needed |= name == "sight" and setup.num_targets > 0
-            # Some change what drones know even where nobody reads them
+            # Some sensors change the known state even if they are not observed
             if not needed and not (
                 sensor.always_if_uncertain and not drawn.keys().isdisjoint(uncertain)
             ):
                 continue
-            # A copy that knows its environment; the one given stays as it is
+            # Bind a copy to the environment; the given object does not change
             attached = sensor.attached(setup, engine)
-            # Arrays that resets write into, not copies of them
+            # Share the arrays, as resets write new values into them
             for public, key in uncertain.items():
                 if public in drawn:
                     per_world = sensor.uncertain[key].per == "world"
                     setattr(attached, key, drawn[public][:, 0] if per_world else drawn[public])
             self.sensors[name] = attached
             self._labels[name] = attached.labels(setup)
-            # The first measurement of each is checked against its labels
+            # The first measurement of each sensor is checked against its labels
             self._unchecked.add(name)
         self._last = next(reversed(self.sensors.values()), None)
 
     @property
     def keep_others(self) -> bool:
-        """Whether what drones of one world measure leaves the readings of all others alone."""
+        """Whether a measurement in one world leaves all other readings unchanged."""
         return all(type(sensor) is Gps for sensor in self.sensors.values())
 
-    def reset(
-        self,
-        world: int,
-        swarm: Swarm,
-        rng: np.random.Generator,
-    ) -> None:
-        """Begin a new episode of one world."""
+    def reset(self, world: int, swarm: Swarm, rng: np.random.Generator) -> None:
+        """Reset all sensors in one world."""
         known = swarm
         for sensor in self.sensors.values():
             sensor.reset(world, swarm, known, rng)
-            if sensor is self._last:  # nobody is left to know it
+            if sensor is self._last:  # no later sensor reads the known state
                 return
             gps = unwrapped(sensor)
             if isinstance(gps, Gps):
@@ -176,14 +172,14 @@ class SensorSuite:
         """Measure with all sensors.
 
         Args:
-            moment: State, drones that measure, and random generators; its readings are filled.
-            show: Put the engine's bodies of some drones where the swarm is.
+            moment: State, drones that measure, and random generators; its readings are updated.
+            show: Function that moves the engine's bodies of the drones in a mask to their poses.
 
         Returns:
             All readings by name.
 
         Raises:
-            ValueError: A sensor gave something else than its labels promise (looked at once).
+            ValueError: If the first readings of a sensor do not match its labels.
         """
         shown_bodies = False
         for name, sensor in self.sensors.items():
@@ -198,7 +194,7 @@ class SensorSuite:
         return moment.readings
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Tell the arrays that the next readings follow from, (W, ...) by name."""
+        """Return the arrays that determine the next readings, (W, ...) by name."""
         return {
             f"{name} {key}": array
             for name, sensor in self.sensors.items()
@@ -214,7 +210,7 @@ class SensorSuite:
         }
 
     def numbers(self) -> dict[str, tuple[Label, ...]]:
-        """Tell the labels of all readings but pictures, by the readings' names."""
+        """Return the labels of all readings except images, by reading."""
         return {
             name: label
             for labels in self._labels.values()
@@ -223,19 +219,17 @@ class SensorSuite:
         }
 
     def info(self) -> dict[str, np.ndarray]:
-        """Tell what infos say of sensors, (W, N) by name."""
+        """Return the entries of all sensors in infos, (W, N) by name."""
         return {key: value for one in self.sensors.values() for key, value in one.info().items()}
 
 
 def reading_labels(
-    sensors: Mapping[str, Sensor],
-    reading: str,
-    setup: SensorSetup,
+    sensors: Mapping[str, Sensor], reading: str, setup: SensorSetup
 ) -> tuple[Label, ...] | Image | None:
-    """Tell what a reading is; None where no sensor has labels for it.
+    """Return the labels of a reading, or None if no sensor provides it.
 
     Raises:
-        ValueError: A sensor tells no labels for what it gives.
+        ValueError: If the sensor has no labels for its reading.
     """
     sensor = provider(sensors, reading)
     if sensor is None:
@@ -244,6 +238,6 @@ def reading_labels(
     if isinstance(label, tuple) and not isinstance(label, Image) and not label:
         raise ValueError(
             f"reading {reading!r} of sensor {shown(sensor.name)} has no numbers here: the task has "
-            f"no targets, or the sensor tells no labels (give it `numbers`, one Label for each)"
+            f"no targets, or the sensor has no labels (set `numbers`, one Label per number)"
         )
     return label

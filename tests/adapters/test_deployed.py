@@ -9,7 +9,7 @@ from bulletuav.adapters.c_source import run_c, write_c
 from bulletuav.adapters.deployed import AFFINE_ACTIONS, LIMITED_ACTIONS, Deployed, deployed
 from bulletuav.cli import main
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.policies.layers import Choose, Dense
+from bulletuav.policies.layers import Argmax, Dense
 from bulletuav.policies.neural_network import ACTORS, HIGH, LOW
 from bulletuav.policies.run import RunConfig, shipped
 from bulletuav.policies.swarm_features import find_layout
@@ -113,7 +113,7 @@ def test_onnx_does_what_the_policy_does(policy, precision, tmp_path):
 
 
 def test_what_has_no_form_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="features 'user_sum' have no form"):
+    with pytest.raises(ValueError, match="features 'user_sum' cannot be exported"):
         deployed(shipped("mec"))
     config = RunConfig("crossing", options={"action": "velocity_increment"})
     (tmp_path / "run.yaml").write_text(config.text())
@@ -139,7 +139,7 @@ def test_what_has_no_form_is_refused(tmp_path):
 
 def test_labels_cannot_end_the_comment_of_a_header(tmp_path):
     label = Label("evil */ int x;", "1", -1.0, np.inf)
-    layers = (Dense(np.ones((2, 1)), np.zeros(2)), Choose())
+    layers = (Dense(np.ones((2, 1)), np.zeros(2)), Argmax())
     one = Deployed("x", (label,), (label,), layers, lambda rows: 0 * rows)
     source, header = write_c(one, tmp_path / "policy.c", "double")
     assert header.read_text().count("*/") == 1

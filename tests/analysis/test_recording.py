@@ -371,7 +371,7 @@ def test_policies_say_which_actions_they_give():
     aviary = bulletuav.Aviary("hover")
     with pytest.raises(
         ValueError,
-        match="gives velocity or velocity_increment or target_position actions, not 'rotor'",
+        match="supports velocity or velocity_increment or target_position actions, not 'rotor'",
     ):
         find_policy("straight")(aviary)
     with pytest.raises(ValueError, match="did you mean 'straight'"):

@@ -84,14 +84,14 @@ def test_obj_by_others(obj):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("v 0 0 0\n", "holds no buildings"),
+        ("v 0 0 0\n", "contains no buildings"),
         ("v 0 0\n", "line 1 cannot be read: not enough values"),
         ("v 0 0 high\n", "line 1 cannot be read: could not convert"),
         ("v 0 0 inf\n", "line 1 cannot be read: a coordinate is inf"),
         ("v 0 0 0\nf 1 2 3\n", "line 2 cannot be read: there is no vertex 2 among the 1"),
         ("v 0 0 0\nf 0 0 0\n", "line 2 cannot be read: there is no vertex 0"),
         ("o plate\nv 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nf 1 2 3 4\n", "left out .object plate"),
-        ("o dot\nv 0 0 0\nf 1 1 1\n", "holds no buildings: 1 .* left out .object dot"),
+        ("o dot\nv 0 0 0\nf 1 1 1\n", "contains no buildings: 1 .* left out .object dot"),
     ],
 )
 def test_obj_that_cannot_be_read(obj, text, message):
@@ -106,7 +106,7 @@ def test_obj_that_does_not_fit(tmp_path):
 
 
 def test_a_city_without_free_ground(geojson):
-    with pytest.raises(ValueError, match="no room for streets .* 10 m: give a greater side"):
+    with pytest.raises(ValueError, match="no space for streets .* 10 m: increase side"):
         from_geojson(geojson(feature([[0, 0], [10, 0], [10, 10], [0, 10], [0, 0]])), metres=True)
 
 
@@ -180,7 +180,7 @@ def test_footprints_in_degrees(geojson):
                     "coordinates": [[[0, 0], [5, 5], [5, 0], [0, 5], [0, 0]]],
                 }
             },
-            r"feature 1 \(from 0\): it is no valid polygon: Self-intersection",
+            r"feature 1 \(from 0\): it is not a valid polygon: Self-intersection",
         ),
     ],
 )
@@ -200,15 +200,15 @@ def test_files_that_are_no_footprints(tmp_path, geojson):
     path = tmp_path / "no.geojson"
     for text, message in (
         ("{", "is not valid GeoJSON"),
-        ("[]", "no FeatureCollection"),
-        ('{"features": 3}', "no FeatureCollection"),
+        ("[]", "not a FeatureCollection"),
+        ('{"features": 3}', "not a FeatureCollection"),
     ):
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
             from_geojson(path)
-    with pytest.raises(ValueError, match="holds no buildings"):
+    with pytest.raises(ValueError, match="contains no buildings"):
         from_geojson(geojson())
-    with pytest.raises(ValueError, match="no degrees: are they metres"):
+    with pytest.raises(ValueError, match="not degrees: are they metres"):
         from_geojson(geojson(feature([[0, 0], [200, 0], [200, 10], [0, 10], [0, 0]])))
 
 

@@ -269,7 +269,11 @@ def test_a_mesh_that_crosses_itself_has_less_time(crosses, obj, tmp_path, monkey
     monkeypatch.setattr(decomposer, "MAX_SECONDS_CROSSING", 0.1)
     monkeypatch.setattr(decomposer, "MAX_SECONDS", 600 if crosses else 0.3)
     text = f"o tower\n{OPEN_BOX}" if crosses else written(("tower", *podium()))
-    said = "0.1 s; its faces cross each other, such as at .8.88889" if crosses else "0.3 s: repair"
+    said = (
+        "0.1 s; its faces intersect each other, for example at .8.88889"
+        if crosses
+        else "0.3 s: repair"
+    )
     with pytest.raises(ValueError, match=rf"town\.obj, object tower: CoACD.* longer than {said}"):
         from_obj(obj(text))
 

@@ -6,7 +6,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bulletuav.city.generator import generate
-from bulletuav.city.graphs import join
+from bulletuav.city.graphs import connect_components
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
 from bulletuav.geometry.solids import Solids
@@ -124,7 +124,7 @@ def test_free_streets_go_round_buildings():
 def test_parts_of_a_graph_are_those_of_scipy(edges):
     pairs = np.random.default_rng(edges).integers(0, 60, (edges, 2))
     part = np.arange(60)
-    join(part, pairs)
+    connect_components(part, pairs)
     graph = coo_array((np.ones(edges), pairs.T), shape=(60, 60))
     count, known = connected_components(graph, directed=False)
     assert len(set(part.tolist())) == count

@@ -119,7 +119,7 @@ SKIPPED = [
     (feature(STANDS, coordinates=[]), "it is an empty Polygon"),
     (feature(STANDS, kind="MultiPolygon", coordinates=[]), "it is an empty MultiPolygon"),
     (feature(STANDS, LOT[:-1]), "its geometry cannot be read"),
-    (feature(STANDS, [[0, 0], [5, 0], [9, 0], [0, 0]]), "no valid polygon|no area"),
+    (feature(STANDS, [[0, 0], [5, 0], [9, 0], [0, 0]]), "not a valid polygon|no area"),
     (feature(STANDS, [[0, 0], [0.005, 0], [0, 0.005], [0, 0]]), None),
     ({**OTHER, "geometry": None}, "its geometry cannot be read"),
     (None, "its geometry cannot be read"),
@@ -216,11 +216,11 @@ def test_parts_count_in_place_of_their_outline(geojson):
 
 def test_parts_that_leave_a_hole_are_warned_of(geojson):
     path = geojson(*tower(height=30)[:2], OTHER)
-    with pytest.warns(MendedWarning, match=r"1 outlines left out whose parts .*\(feature 0"):
+    with pytest.warns(MendedWarning, match=r"1 outlines replaced by parts .*\(feature 0"):
         city = from_geojson(path, metres=True)
     assert spans(city) == [(0, 5)]
     assert city.roof([-25.0, 0.0]) == 0
-    with pytest.raises(ValueError, match=r"feature 0 \(from 0\): its parts, 1, cover 50% of it"):
+    with pytest.raises(ValueError, match=r"feature 0 \(from 0\): its 1 parts cover 50% of it"):
         from_geojson(path, metres=True, strict=True)
 
 
@@ -238,8 +238,8 @@ def test_the_library_warns_once_and_only_where_something_was_mended(geojson):
     assert len(told) == 1
     text = str(told[0].message)
     assert text.count("\n") == 0
-    assert "1 heights that cannot be, taken as not told (feature 0 (from 0))" in text
-    assert "2 heights not told, guessed (feature 0 (from 0), ...)" in text
+    assert "1 invalid heights, ignored (feature 0 (from 0))" in text
+    assert "2 missing heights, estimated (feature 0 (from 0), ...)" in text
     assert told[0].filename == __file__
     assert list(city.report.counts) == [kind for kind in KINDS if kind in city.report.counts]
     exact = from_geojson(geojson(feature({"height": "12 m"}), OTHER), metres=True)

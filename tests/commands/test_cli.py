@@ -394,7 +394,7 @@ def test_help(arguments, capsys):
         (["fly", "crossing", "--airframe", "nowhere.urdf"], "nowhere.urdf"),
         (
             ["fly", "crossing", "--action", "rpm"],
-            "gives velocity or velocity_increment actions",
+            "supports velocity or velocity_increment actions",
         ),
         (
             ["fly", "crossing", "--out", "/dev/null/x"],

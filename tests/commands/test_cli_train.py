@@ -280,15 +280,15 @@ def test_a_shipped_policy_flies_its_task_without_what_it_was_trained_with(
         ),
         (
             ["fly", "crossing", "--policy", "trained", "--action", "target_position"],
-            "gives velocity actions, not",
+            "supports velocity actions, not",
         ),
         (
             ["evaluate", "crossing", "--policy", "trained", "--action", "attitude"],
-            "gives velocity actions, not",
+            "supports velocity actions, not",
         ),
         (
             ["fly", "pursuit", "--policy", "trained"],
-            "no policy for task 'pursuit' comes with the package",
+            "the package has no policy for task 'pursuit'",
         ),
     ],
 )

@@ -106,7 +106,7 @@ def test_policies_fly_by_an_action_that_the_dynamics_takes():
 
 
 def test_a_policy_whose_actions_the_dynamics_cannot_take_is_refused():
-    with pytest.raises(ValueError, match="policy 'trained' gives rates actions, which dynamics"):
+    with pytest.raises(ValueError, match="policy 'trained' supports rates actions, which dynamics"):
         find_policy("trained", "hover").complete("hover", {"dynamics": "point_mass"})
 
 

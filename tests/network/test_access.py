@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from bulletuav.network.access import ACCESS, NOBODY, OFDMA, SHARED, TDMA, uplink_rates
+from bulletuav.network.access import ACCESS, NO_DRONE, OFDMA, SHARED, TDMA, uplink_rates
 from bulletuav.network.antenna import PEAK, element_gain
-from bulletuav.network.assignment import DTLCM, MAX_RATE, NEAREST, STRATEGIES, assign, dtlcm_score
+from bulletuav.network.assignment import (
+    DTLCM,
+    MAX_RATE,
+    NEAREST,
+    STRATEGIES,
+    assign_users,
+    dtlcm_score,
+)
 from bulletuav.network.link import decibel, noise_power, ratio
 from bulletuav.network.pathloss import PATHLOSS_MODELS
 from bulletuav.network.propagation import log_distance
@@ -82,7 +89,7 @@ def test_no_drone_gives_more_than_its_band(access, seed):
         # OFDMA: 1/n of the band at up to n times the density, which gains log2(n) bit/s/Hz at most
         gain = np.log2(own.sum()) * BAND / alone[own] if access == OFDMA else 0.0
         assert (band <= 1 / own.sum() * (1 + gain) + 1e-9).all()
-    assert (shared[servers == NOBODY] == 0).all()
+    assert (shared[servers == NO_DRONE] == 0).all()
 
 
 @pytest.mark.parametrize("access", list(ACCESS.values()))
@@ -90,12 +97,12 @@ def test_no_drone_gives_more_than_its_band(access, seed):
 def test_one_more_user_of_another_drone_never_raises_a_rate(access, seed):
     power, servers = scattered(seed)
     before = rates(power, servers, access)
-    for newcomer in np.flatnonzero(servers == NOBODY):
+    for newcomer in np.flatnonzero(servers == NO_DRONE):
         for drone in range(3):
             after = rates(
                 power, np.where(np.arange(len(servers)) == newcomer, drone, servers), access
             )
-            others = (servers != drone) & (servers != NOBODY)
+            others = (servers != drone) & (servers != NO_DRONE)
             assert (after[others] <= before[others] * (1 + 1e-12)).all()
 
 
@@ -103,7 +110,7 @@ def test_one_more_user_of_another_drone_never_raises_a_rate(access, seed):
 def test_names_of_drones_and_users_do_not_matter(access):
     power, servers = scattered(3)
     drones, users = np.array([2, 0, 1]), np.random.default_rng(0).permutation(20)
-    renamed = np.append(np.argsort(drones), NOBODY)[servers]
+    renamed = np.append(np.argsort(drones), NO_DRONE)[servers]
     expected = rates(power, servers, access)[users]
     assert rates(power[drones][:, users], renamed[users], access) == pytest.approx(expected)
 
@@ -118,7 +125,9 @@ def serving(strategy, position, users, power=None, alive=None, load=None):
     power = np.ones((*shape, users.shape[1])) if power is None else np.array([power], dtype=float)
     alive = np.ones(shape, dtype=bool) if alive is None else np.array([alive])
     load = np.zeros(shape) if load is None else np.array([load], dtype=float)
-    return assign(strategy, position, alive, users, power, 20e9, 1.25e9, load, 0.7)[0].tolist()
+    return assign_users(strategy, position, alive, users, power, 20e9, 1.25e9, load, 0.7)[
+        0
+    ].tolist()
 
 
 def test_matching_by_distance_task_and_load():
@@ -143,7 +152,7 @@ def test_nearest_counts_height_and_matching_does_not():
 
 def test_the_best_heard_drone_serves_and_none_where_none_hears():
     drones, users = [(0, 0, 50), (300, 0, 50)], [(0, 0, 0), (0, 0, 0), (0, 0, 0)]
-    assert serving(MAX_RATE, drones, users, power=[[1, 2, 0], [3, 1, 0]]) == [1, 0, NOBODY]
+    assert serving(MAX_RATE, drones, users, power=[[1, 2, 0], [3, 1, 0]]) == [1, 0, NO_DRONE]
 
 
 @pytest.mark.parametrize("strategy", list(STRATEGIES.values()))
@@ -151,7 +160,7 @@ def test_only_living_drones_serve_and_the_first_of_equals(strategy):
     drones, user = [(0, 0, 50), (0, 0, 50), (0, 0, 50)], [(100, 0, 1.5)]
     assert serving(strategy, drones, user) == [0]
     assert serving(strategy, drones, user, alive=[False, True, True]) == [1]
-    assert serving(strategy, drones, user, alive=[False] * 3) == [NOBODY]
+    assert serving(strategy, drones, user, alive=[False] * 3) == [NO_DRONE]
 
 
 # The link

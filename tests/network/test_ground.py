@@ -9,7 +9,7 @@ from bulletuav.city.streets import Streets, free_streets
 from bulletuav.geometry.solids import Solids
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import OFF_GRID, Ground
-from bulletuav.network.mobility.raster import MARGIN, bounce, walk
+from bulletuav.network.mobility.raster import MARGIN, bounce, move_straight
 
 NO_STREETS = Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int))
 
@@ -117,7 +117,7 @@ def test_places_are_uniform_over_free_ground(ground):
 )
 def test_walk_ends_where_free_cells_end(start, way, end, share, stopped):
     ground = Ground([city_of([[[2, 2, 0], [6, 6, 9]]], 20.0)])
-    found = walk(ground.raster, 0, *start, *way)
+    found = move_straight(ground.raster, 0, *start, *way)
     assert found[:2] == pytest.approx(end, abs=2e-9)
     assert found[2:] == (pytest.approx(share, abs=1e-12), stopped)
 
@@ -130,7 +130,7 @@ def test_walk_agrees_with_points_along_it(cities, ground, layout):
     shares = np.linspace(0, 1, 2001)  # at most 3 cm apart
     stopped = 0
     for start, way in zip(starts, ways, strict=True):
-        x, y, share, axis = walk(ground.raster, layout, *start, *way)
+        x, y, share, axis = move_straight(ground.raster, layout, *start, *way)
         points = start + shares[:, None] * way
         inside = (np.abs(points) < ground.raster.reach).all(axis=1)
         free = inside.copy()
@@ -238,7 +238,7 @@ def streets_of(streets):
         (lambda: streets_of(NO_STREETS), "'own' has no streets"),
         (
             lambda: streets_of(Streets(np.zeros((3, 2)), np.array([[1, 2]]))),
-            "'own' has a street of no length at node 1",
+            "'own' has a street of zero length at node 1",
         ),
     ],
 )

@@ -11,10 +11,10 @@ from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
 from bulletuav.geometry.solids import Solids
 from bulletuav.network.mobility import find_mobility
-from bulletuav.network.mobility.base import Walking, uniform
+from bulletuav.network.mobility.base import Walking, stream_uniform
 from bulletuav.network.mobility.gauss_markov import CORRELATION_TIME, GaussMarkov, gauss_markov
 from bulletuav.network.mobility.ground import OFF_GRID, Ground
-from bulletuav.network.mobility.hotspot import TURNING_TIME, Hotspot
+from bulletuav.network.mobility.hotspot import TURNING_TIME, HotspotMobility
 from bulletuav.network.mobility.manhattan import next_node
 from bulletuav.network.mobility.waypoint import Waypoint
 from bulletuav.registry import names
@@ -205,7 +205,7 @@ def test_streams_are_those_of_splitmix64():
         4593380528125082431,
         16408922859458223821,
     )
-    assert [uniform(np.uint64(1234567), k) for k in range(5)] == [
+    assert [stream_uniform(np.uint64(1234567), k) for k in range(5)] == [
         (value >> 11) * 2.0**-53 for value in known
     ]
 
@@ -407,7 +407,7 @@ def test_headings_blend_on_the_circle():
 
 @pytest.mark.parametrize("steps", [1, 10])
 def test_hotspot_users_turn_towards_their_hotspot(steps):
-    model = Hotspot(speed=(1e-6, 1e-6), drift=(0.0, 0.0), wobble=0.0, num_hotspots=1)
+    model = HotspotMobility(speed=(1e-6, 1e-6), drift=(0.0, 0.0), wobble=0.0, num_hotspots=1)
     crowd = Crowd(model, Ground([city_of(200.0)]), [0], 1)
     crowd.state["users"][0, 0, :2], crowd.state["hotspots"][0, 0] = (
         (0, 0),
@@ -424,7 +424,7 @@ def test_hotspot_users_turn_towards_their_hotspot(steps):
 
 def test_hotspots_and_their_users_turn_at_walls():
     """One cell is closed before the wall, whose face is at x = 0."""
-    model = Hotspot(wobble=0.0, num_hotspots=1)
+    model = HotspotMobility(wobble=0.0, num_hotspots=1)
     crowd = Crowd(model, Ground([city_of(100.0, [[[0, -50, 0], [9, 50, 9]]])]), [0], 1)
     crowd.state["hotspots"][0, 0], crowd.state["hotspot_velocity"][0, 0] = (-1.5, 3.0), (0.5, 0.25)
     crowd.state["users"][0, 0, :2], crowd.state["user_heading"][0, 0] = (-2.0, 0.0), (0.6, -0.8)

@@ -304,13 +304,17 @@ def test_laws_of_arrays_and_in_kernels_are_those_of_numbers():
 @pytest.mark.parametrize(
     ("name", "values", "message"),
     [
-        ("umi", {"frequency": 0.4}, "frequency is 0.4: TR 38.901 UMi is for 0.5 to 100 GHz"),
-        ("uma", {"frequency": 101}, "frequency is 101: TR 38.901 UMa is for 0.5 to 100 GHz"),
-        ("uma_av", {"frequency": 29}, "frequency is 29: TR 36.777 UMa-AV is for 0.5 to 6 GHz"),
+        ("umi", {"frequency": 0.4}, "frequency is 0.4: TR 38.901 UMi is valid for 0.5 to 100 GHz"),
+        ("uma", {"frequency": 101}, "frequency is 101: TR 38.901 UMa is valid for 0.5 to 100 GHz"),
+        (
+            "uma_av",
+            {"frequency": 29},
+            "frequency is 29: TR 36.777 UMa-AV is valid for 0.5 to 6 GHz",
+        ),
         (
             "log_distance",
             {"frequency": 29e9},
-            "frequency is .*: log-distance is for 3e-06 to 3000 GHz",
+            "frequency is .*: log-distance is valid for 3e-06 to 3000 GHz",
         ),
         ("log_distance", {"frequency": math.nan}, "frequency is nan"),
         ("log_distance", {"frequency": 2, "drone": math.inf}, "drone is inf"),
@@ -336,7 +340,7 @@ def test_what_a_model_is_not_for_is_refused_by_name(name, values, message):
     ("name", "end", "height"), [("umi", "drone", 10), ("uma", "drone", 25), ("umi_av", "user", 10)]
 )
 def test_a_base_at_another_height_is_warned_about(name, end, height):
-    with pytest.warns(UserWarning, match=f"{end} is 5.0: .* the base, which .* has at {height} m"):
+    with pytest.warns(UserWarning, match=f"{end} is 5.0: .* the base station, at {height} m in"):
         check_validity(name, 2.0, **{end: 5.0})
 
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bulletuav.network.arrivals import Arrivals, Tasks, spread
+from bulletuav.network.arrivals import Arrivals, Tasks, make_tasks
 from bulletuav.network.queueing import mean_wait, response_exceeds, wait_exceeds
-from bulletuav.network.server import serve
+from bulletuav.network.server import serve_tasks
 
 INF = np.inf
 
@@ -18,7 +18,7 @@ def drawn(arrivals, rngs, flying=None):
     flying = np.ones(len(rngs), dtype=bool) if flying is None else flying
     first = np.zeros(len(flying) + 1, dtype=np.int64)
     uniform = arrivals.draw(rngs, flying, first, np.empty(0))
-    return Tasks(first, *spread(first, uniform, arrivals.cumulative, *arrivals.decision))
+    return Tasks(first, *make_tasks(first, uniform, arrivals.cumulative, *arrivals.decision))
 
 
 def draw(worlds, rates, dt, seed=0, bits=(1.0, 3.0)):
@@ -64,7 +64,7 @@ class Server:
 
     def __call__(self, tasks, dt=1.0):
         network = (self.assignment, self.uplink, 1.0, self.frequency, self.deadline, dt)
-        return serve(tasks, *network, self.link_free, self.core_free)
+        return serve_tasks(tasks, *network, self.link_free, self.core_free)
 
 
 def totals(*served):
@@ -385,7 +385,7 @@ def test_worlds_draw_from_their_own_generators_alone():
         ({"rates": 3.0}, r"shape \(\)"),
         ({"rates": "many"}, "rates are not numbers"),
         ({"dt": 0.0}, "dt is 0.0: seconds above 0"),
-        ({"bits": (2.0, 1.0)}, "ascending order"),
+        ({"bits": (2.0, 1.0)}, "low <= high"),
         ({"bits": (0.0, 1.0)}, "above 0"),
         ({"bits": 5.0}, "bits is 5.0: a list or tuple"),
     ],

@@ -8,11 +8,17 @@ from scipy.sparse.csgraph import dijkstra
 import bulletuav
 import bulletuav.policies.planner as planner
 from bulletuav.geometry.solids import Solids
-from bulletuav.policies.astar import plan, shortened, shortest_path
-from bulletuav.policies.planner import Limits, Planner, braking, corner_speed, follow
-from bulletuav.policies.voxels import Voxels, is_clear, nearest_free, voxels
+from bulletuav.policies.astar import plan_path, shorten_path, shortest_path
+from bulletuav.policies.planner import (
+    PathLimits,
+    PathPlanner,
+    braking_speed,
+    corner_speed,
+    follow_paths,
+)
+from bulletuav.policies.voxels import Voxels, build_voxels, is_segment_free, nearest_free
 
-LIMITS = Limits(speed=15.0, acceleration=5.0, delay=0.6, half_width=2.0)
+LIMITS = PathLimits(speed=15.0, acceleration=5.0, delay=0.6, half_width=2.0)
 NOTHING = np.zeros((0, 2, 3))
 WALL = np.array(
     [[(40.0, 0.0, 0.0), (45.0, 70.0, 60.0)]]
@@ -51,7 +57,7 @@ def test_cells_are_occupied_where_their_centre_is_too_near():
         [[(10, 12, 0), (20, 14, 9)], [(-50, 20, 3), (3, 21, 5)], [(27, 5, 8), (60, 6, 70)]], float
     )
     low, high = np.array((-2.0, 0, 0)), np.array((31.0, 28, 22))
-    grid = voxels(boxes, low, high, 2.0, 3.5)
+    grid = build_voxels(boxes, low, high, 2.0, 3.5)
     assert grid.occupied.shape == (18, 16, 13)  # whole cells in the arena, and the rim
     for cell in np.ndindex(grid.occupied.shape):
         centre = grid.origin + 2.0 * (np.array(cell) + 0.5)
@@ -62,14 +68,16 @@ def test_cells_are_occupied_where_their_centre_is_too_near():
 
 def test_the_ground_is_where_height_is_zero_even_in_deeper_or_higher_arenas():
     for bottom, lowest in ((-10.0, 5.0), (0.0, 5.0), (20.0, 21.0)):
-        grid = voxels(NOTHING, np.array((0, 0, bottom)), np.array((10, 10, bottom + 30)), 2.0, 3.5)
+        grid = build_voxels(
+            NOTHING, np.array((0, 0, bottom)), np.array((10, 10, bottom + 30)), 2.0, 3.5
+        )
         free = np.argwhere(~grid.occupied)[:, 2].min()
         assert grid.origin[2] + 2.0 * (free + 0.5) == lowest
 
 
 def test_an_arena_smaller_than_a_cell_has_no_way():
-    grid = voxels(NOTHING, np.array((0.0, 0, 5)), np.array((20.0, 20, 7)), 4.0, 1.0)
-    assert plan(grid, np.array((1.0, 1, 6)), np.array((19.0, 1, 6))).shape == (0, 3)
+    grid = build_voxels(NOTHING, np.array((0.0, 0, 5)), np.array((20.0, 20, 7)), 4.0, 1.0)
+    assert plan_path(grid, np.array((1.0, 1, 6)), np.array((19.0, 1, 6))).shape == (0, 3)
 
 
 def graph(occupied):
@@ -134,25 +142,25 @@ def test_segments_are_clear_unless_they_cut_an_occupied_cell():
             ((low - start) / (end - start), (low + 1.5 - start) / (end - start)), axis=0
         )
         cuts = (enter.max(axis=1).clip(0) < leave.min(axis=1).clip(None, 1)).any()
-        assert is_clear(grid, start, end) == is_clear(grid, end, start) == (not cuts)
+        assert is_segment_free(grid, start, end) == is_segment_free(grid, end, start) == (not cuts)
         seen += not cuts
     assert 30 < seen < 270
-    assert not is_clear(grid, start, np.array((1e3, 3, 3)))
-    assert not is_clear(grid, np.array((-1e3, 3, 3)), start)
+    assert not is_segment_free(grid, start, np.array((1e3, 3, 3)))
+    assert not is_segment_free(grid, np.array((-1e3, 3, 3)), start)
 
 
 def test_segments_through_edges_and_corners_end():
     grid = Voxels(random_grid(0, share=0.0), np.zeros(3), 1.0)
-    assert is_clear(grid, np.array((1.5, 1.5, 1.5)), np.array((5.5, 5.5, 5.5)))
-    assert is_clear(grid, np.array((4.0, 5.0, 3.0)), np.array((1.0, 2.0, 3.0)))
-    assert is_clear(grid, np.array((1.5, 2.5, 3.5)), np.array((1.5, 2.5, 3.5)))
+    assert is_segment_free(grid, np.array((1.5, 1.5, 1.5)), np.array((5.5, 5.5, 5.5)))
+    assert is_segment_free(grid, np.array((4.0, 5.0, 3.0)), np.array((1.0, 2.0, 3.0)))
+    assert is_segment_free(grid, np.array((1.5, 2.5, 3.5)), np.array((1.5, 2.5, 3.5)))
 
 
 def test_way_around_a_wall_keeps_clear_of_it():
     """A taut rope 3 m off its edges is the shortest; what cells of 2 m allow is a little longer."""
-    grid = voxels(WALL, LOW, HIGH, 2.0, 4.0)
+    grid = build_voxels(WALL, LOW, HIGH, 2.0, 4.0)
     start, goal = np.array((10.3, 20.1, 40.2)), np.array((90.2, 30.4, 39.7))
-    way = plan(grid, start, goal)
+    way = plan_path(grid, start, goal)
     np.testing.assert_array_equal(way[[0, -1]], [start, goal])
     assert distance(along(way), WALL).min() >= 4.0 - 1.0
     taut = np.array([start, (37, 73, 40), (48, 73, 40), goal])
@@ -166,28 +174,28 @@ def test_ways_through_random_cities_keep_clear(seed):
     rng = np.random.default_rng(seed)
     corner = np.append(rng.uniform(0, 90, (25, 2)), np.zeros((25, 1)), axis=1)
     boxes = np.stack([corner, corner + rng.uniform((4, 4, 10), (15, 15, 60), (25, 3))], axis=1)
-    grid = voxels(boxes, LOW, HIGH, 3.0, 3.5)
+    grid = build_voxels(boxes, LOW, HIGH, 3.0, 3.5)
     start, goal = (
         grid.origin + 3.0 * (np.array(nearest_free(grid, rng.uniform(LOW, HIGH))) + 0.4)
         for _ in range(2)
     )
-    way = plan(grid, start, goal)
+    way = plan_path(grid, start, goal)
     np.testing.assert_array_equal(way[[0, -1]], [start, goal])
     assert distance(along(way), boxes).min() >= 3.5 - 1.5
-    np.testing.assert_array_equal(way, plan(grid, start, goal))
+    np.testing.assert_array_equal(way, plan_path(grid, start, goal))
 
 
 def test_in_sight_the_way_is_straight():
-    grid = voxels(WALL, LOW, HIGH, 2.0, 4.0)
+    grid = build_voxels(WALL, LOW, HIGH, 2.0, 4.0)
     start, goal = np.array((10.3, 80.1, 20.2)), np.array((90.2, 85.4, 39.7))
-    np.testing.assert_array_equal(plan(grid, start, goal), [start, goal])
-    np.testing.assert_array_equal(plan(grid, start, start), [start, start])
+    np.testing.assert_array_equal(plan_path(grid, start, goal), [start, goal])
+    np.testing.assert_array_equal(plan_path(grid, start, start), [start, start])
 
 
 def test_ends_near_walls_and_ground_are_joined_by_straight_legs():
-    grid = voxels(WALL, LOW, HIGH, 2.0, 4.0)
+    grid = build_voxels(WALL, LOW, HIGH, 2.0, 4.0)
     start, goal = np.array((39.5, 20.5, 30.5)), np.array((60.5, 20.5, 0.5))
-    way = plan(grid, start, goal)
+    way = plan_path(grid, start, goal)
     np.testing.assert_array_equal(way[[0, -1]], [start, goal])
     np.testing.assert_allclose(way[1], (35, 21, 31))  # the nearest free centre
     np.testing.assert_allclose(way[-2], (61, 21, 5))
@@ -198,17 +206,17 @@ def test_no_way_into_a_closed_room():
     lid = [[(40.0, y, 0.0), (60.0, y + 2, 58.0)] for y in (40, 60)] + [
         [(x, 40.0, 0.0), (x + 2, 62.0, 58.0)] for x in (40, 60)
     ]
-    grid = voxels(np.array([*lid, [(40, 40, 50), (62, 62, 60)]]), LOW, HIGH, 2.0, 2.0)
-    assert plan(grid, np.array((10.0, 10, 10)), np.array((51.0, 51, 20))).shape == (0, 3)
-    assert plan(grid, np.array((51.0, 51, 20)), np.array((10.0, 10, 10))).shape == (0, 3)
+    grid = build_voxels(np.array([*lid, [(40, 40, 50), (62, 62, 60)]]), LOW, HIGH, 2.0, 2.0)
+    assert plan_path(grid, np.array((10.0, 10, 10)), np.array((51.0, 51, 20))).shape == (0, 3)
+    assert plan_path(grid, np.array((51.0, 51, 20)), np.array((10.0, 10, 10))).shape == (0, 3)
 
 
 def test_shortening_keeps_what_it_cannot_see_past():
     grid = Voxels(random_grid(0, share=0.0), np.zeros(3), 1.0)
     points = np.array([(1.5, 1.5, 1.5), (3.5, 1.5, 1.5), (3.5, 2.5, 1.5), (3.5, 3.5, 1.5)])
-    np.testing.assert_array_equal(shortened(grid, points), points[[0, 3]])
+    np.testing.assert_array_equal(shorten_path(grid, points), points[[0, 3]])
     grid.occupied[2, 2, 1] = True
-    np.testing.assert_array_equal(shortened(grid, points), points[[0, 1, 3]])
+    np.testing.assert_array_equal(shorten_path(grid, points), points[[0, 1, 3]])
 
 
 def test_corner_speeds_by_hand():
@@ -225,17 +233,17 @@ def test_corner_speeds_by_hand():
 
 def test_braking_covers_the_distance():
     for far, speed in ((0.0, 4.0), (3.0, 0.0), (12.0, 2.5)):
-        v = braking(far, speed, LIMITS)
+        v = braking_speed(far, speed, LIMITS)
         assert v * 0.6 + (v**2 - speed**2) / (2 * 5.0) == pytest.approx(far)
-    assert braking(1e3, 0.0, LIMITS) == 15
-    assert braking(-1.0, 0.0, LIMITS) == 0
+    assert braking_speed(1e3, 0.0, LIMITS) == 15
+    assert braking_speed(-1.0, 0.0, LIMITS) == 0
 
 
 def one(way, position, velocity=(0, 0, 0), target=1):
     """The velocity of a single drone, and its waypoint."""
     args = (np.array(value, float).reshape(1, 1, -1) for value in (position, velocity))
     way = np.array(way, float)
-    result, target = follow(
+    result, target = follow_paths(
         *args, way[None, None], np.array([[len(way)]]), np.array([[target]]), LIMITS
     )
     return result[0, 0], target[0, 0]
@@ -273,7 +281,7 @@ def test_several_short_legs_ahead_are_braked_for_in_time():
     """The corner after the next one is a turn back: 2 m before it the speed is at most 2.4 m/s."""
     way = [(0, 0, 9), (50, 0, 9), (52, 0, 9), (0, 0, 9)]
     np.testing.assert_allclose(
-        one(way, (48, 0, 9))[0], (braking(2.0, braking(2.0, 0.0, LIMITS), LIMITS), 0, 0)
+        one(way, (48, 0, 9))[0], (braking_speed(2.0, braking_speed(2.0, 0.0, LIMITS), LIMITS), 0, 0)
     )
 
 
@@ -285,7 +293,7 @@ def test_drones_without_a_way_get_no_velocity_and_worlds_do_not_mix():
         rng.normal(0, 20, (2, 3, 4, 3)),
     )
     count, target = np.array([(4, 0, 2), (3, 4, 4)]), np.ones((2, 3), int)
-    result, reached = follow(position, velocity, way, count, target, LIMITS)
+    result, reached = follow_paths(position, velocity, way, count, target, LIMITS)
     assert (result[0, 1] == 0).all()
     assert (target == 1).all()  # as it was given
     for w, i in ((0, 0), (0, 2), (1, 0), (1, 1), (1, 2)):
@@ -355,7 +363,7 @@ def fly(aviary, policy):
     indirect=True,
 )
 def test_planner_flies_around_the_block(aviary):
-    least, arrived = fly(aviary, Planner(aviary))
+    least, arrived = fly(aviary, PathPlanner(aviary))
     assert least > aviary.task.context.collision_radius
     assert arrived == 4
 
@@ -363,9 +371,13 @@ def test_planner_flies_around_the_block(aviary):
 @pytest.mark.parametrize("aviary", [{}], indirect=True)
 def test_city_is_looked_at_once_and_plans_last_until_a_reset(aviary, monkeypatch):
     looked, planned = [], []
-    monkeypatch.setattr(planner, "voxels", lambda **given: looked.append(given) or voxels(**given))
-    monkeypatch.setattr(planner, "plan", lambda *args: planned.append(args) or plan(*args))
-    policy, observations = Planner(aviary), aviary.reset(seeds=0)
+    monkeypatch.setattr(
+        planner, "build_voxels", lambda **given: looked.append(given) or build_voxels(**given)
+    )
+    monkeypatch.setattr(
+        planner, "plan_path", lambda *args: planned.append(args) or plan_path(*args)
+    )
+    policy, observations = PathPlanner(aviary), aviary.reset(seeds=0)
     aviary.alive[1, 3] = False
     first = policy.act(observations, aviary.swarm)
     np.testing.assert_array_equal(policy.act(observations, aviary.swarm), first)
@@ -386,7 +398,7 @@ def test_without_a_way_it_flies_straight_to_the_goal(aviary, monkeypatch):
     monkeypatch.setattr(aviary, "solids", lambda w: everywhere)
     observations = aviary.reset(seeds=0)
     aviary.alive[:, 1:] = False  # nobody pushes
-    action = Planner(aviary).act(observations, aviary.swarm)[:, 0]
+    action = PathPlanner(aviary).act(observations, aviary.swarm)[:, 0]
     gap = (aviary.scene.goal - aviary.swarm.position)[:, 0]
     np.testing.assert_allclose(action, gap / np.linalg.norm(gap, axis=-1, keepdims=True), atol=1e-9)
 
@@ -397,7 +409,7 @@ def test_drones_push_each_other_modestly(aviary):
     aviary.alive[:, 2:] = False
     aviary.swarm.position[:, :2] = (-60, 70, 60), (-60, 71.5, 60)
     aviary.scene.goal[:, :2] = (60, 70, 60), (60, 71.5, 60)
-    action = aviary.options.max_speed * Planner(aviary).act(observations, aviary.swarm)
+    action = aviary.options.max_speed * PathPlanner(aviary).act(observations, aviary.swarm)
     np.testing.assert_allclose(action[:, 1] * (1, -1, 1), action[:, 0], atol=1e-9)
     sideways = action[:, 1, 1] / action[:, 1, 0]
     np.testing.assert_allclose(sideways, planner.HALF_WIDTH / aviary.options.max_speed)

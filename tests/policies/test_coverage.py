@@ -11,13 +11,13 @@ from bulletuav.city.streets import Streets
 from bulletuav.geometry.solids import Solids
 from bulletuav.policies import find_policy
 from bulletuav.policies.coverage_geometry import (
+    assign_greedily,
+    assign_optimally,
     best_responses,
     farthest_first,
     greedy_coverage,
     kmeans,
-    matched,
-    nearest_left,
-    ring,
+    ring_positions,
 )
 from bulletuav.tasks.los import Los
 
@@ -41,12 +41,12 @@ def scatter(points, centres):
 
 
 def test_rings_by_hand():
-    np.testing.assert_allclose(ring(SHIFT, 1, 20.0, LOW, HIGH), [SHIFT])
+    np.testing.assert_allclose(ring_positions(SHIFT, 1, 20.0, LOW, HIGH), [SHIFT])
     np.testing.assert_allclose(
-        ring(SHIFT, 2, 20.0, LOW, HIGH), SHIFT + [(10, 0), (-10, 0)], atol=1e-12
+        ring_positions(SHIFT, 2, 20.0, LOW, HIGH), SHIFT + [(10, 0), (-10, 0)], atol=1e-12
     )
     np.testing.assert_allclose(
-        ring(SHIFT, 4, 20.0, LOW, HIGH),
+        ring_positions(SHIFT, 4, 20.0, LOW, HIGH),
         SHIFT + np.sqrt(200) * np.array([(1, 0), (0, 1), (-1, 0), (0, -1)]),
         atol=1e-12,
     )
@@ -54,15 +54,15 @@ def test_rings_by_hand():
 
 @pytest.mark.parametrize("count", [2, 3, 7, 16])
 def test_neighbours_on_a_ring_are_apart_as_asked(count):
-    places = ring(np.zeros(2), count, 20.0, LOW, HIGH)
+    places = ring_positions(np.zeros(2), count, 20.0, LOW, HIGH)
     assert pdist(places).min() == pytest.approx(20.0)
 
 
 def test_rings_are_moved_and_shrunk_to_fit():
-    moved = ring(np.array((99.0, -99.0)), 5, 20.0, LOW, HIGH)
+    moved = ring_positions(np.array((99.0, -99.0)), 5, 20.0, LOW, HIGH)
     assert pdist(moved).min() == pytest.approx(20.0)
     assert np.abs(moved).max() <= 100
-    shrunk = ring(SHIFT, 6, 150.0, LOW, HIGH)
+    shrunk = ring_positions(SHIFT, 6, 150.0, LOW, HIGH)
     np.testing.assert_allclose(np.linalg.norm(shrunk, axis=1), 100)
 
 
@@ -123,10 +123,12 @@ def test_places_are_apart_while_there_is_room():
 @pytest.mark.parametrize("seed", range(5))
 def test_greedy_coverage_keeps_its_guarantee(seed):
     rng = np.random.default_rng(seed)
-    serves = np.where(rng.random((9, 20)) < 0.2, rng.random((9, 20)), 0.0)
-    chosen = greedy_coverage(serves, np.ones(serves.shape), scattered(seed, 9), 3, 0.0)
-    best = max(serves[list(some)].max(axis=0).sum() for some in itertools.combinations(range(9), 3))
-    assert (1 - 1 / np.e) * best <= serves[chosen].max(axis=0).sum() <= best
+    service = np.where(rng.random((9, 20)) < 0.2, rng.random((9, 20)), 0.0)
+    chosen = greedy_coverage(service, np.ones(service.shape), scattered(seed, 9), 3, 0.0)
+    best = max(
+        service[list(some)].max(axis=0).sum() for some in itertools.combinations(range(9), 3)
+    )
+    assert (1 - 1 / np.e) * best <= service[chosen].max(axis=0).sum() <= best
 
 
 def test_a_drone_leaves_its_place_only_for_a_better_one():
@@ -154,16 +156,16 @@ def test_matches_have_the_least_sum_of_ways():
         np.linalg.norm(places[list(order)] - position, axis=1).sum()
         for order in itertools.permutations(range(6))
     ]
-    assert np.linalg.norm(matched(places, position) - position, axis=1).sum() == pytest.approx(
-        min(sums)
-    )
+    assert np.linalg.norm(
+        assign_optimally(places, position) - position, axis=1
+    ).sum() == pytest.approx(min(sums))
 
 
 def test_the_first_takes_the_nearest_even_when_the_next_has_far_to_go():
     places, position = np.array([(0.0, 0), (10, 0)]), np.array([(1.0, 0), (-50, 0)])
-    np.testing.assert_array_equal(nearest_left(places, position), places)
-    np.testing.assert_array_equal(nearest_left(places[::-1], position), places)
-    np.testing.assert_array_equal(matched(places, position), places[::-1])
+    np.testing.assert_array_equal(assign_greedily(places, position), places)
+    np.testing.assert_array_equal(assign_greedily(places[::-1], position), places)
+    np.testing.assert_array_equal(assign_optimally(places, position), places[::-1])
 
 
 # Policies

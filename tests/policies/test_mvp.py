@@ -4,10 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from traffic_around import fly, velocities
 
-from bulletuav.policies.half_spaces import Rules
-from bulletuav.policies.mvp import change, mvp_velocities
+from bulletuav.policies.half_spaces import AvoidanceParameters
+from bulletuav.policies.mvp import mvp_velocities, resolve_conflict
 
-RULES = Rules(5.0, 20.0, 2.0, 1.0, 10.0)
+RULES = AvoidanceParameters(5.0, 20.0, 2.0, 1.0, 10.0)
 numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
@@ -19,7 +19,7 @@ def test_change_of_a_pass_by_hand():
     """
     cosine = np.cos(np.arcsin(5 / np.sqrt(2509)) - np.arcsin(3 / np.sqrt(2509)))
     np.testing.assert_allclose(
-        change((50.0, -3.0, 0.0), (5.0, 0.0, 0.0), RULES),
+        resolve_conflict((50.0, -3.0, 0.0), (5.0, 0.0, 0.0), RULES),
         (0, (5 / cosine - 3) / 10, 0),
         atol=1e-12,
     )
@@ -33,7 +33,7 @@ def test_changed_velocities_pass_at_the_separation(rng):
     gap *= rng.uniform(6, 60) / np.linalg.norm(gap)
     relative = gap / 5 + rng.normal(0, 0.3, 3)
     time = gap @ relative / (relative @ relative)
-    added = np.array(change(tuple(gap), tuple(relative), RULES))
+    added = np.array(resolve_conflict(tuple(gap), tuple(relative), RULES))
     least = np.linalg.norm(gap - time * relative)
     if least >= 5:
         assert (added == 0).all()
@@ -54,17 +54,17 @@ def test_changed_velocities_pass_at_the_separation(rng):
     ],
 )
 def test_nothing_is_changed_without_a_conflict_ahead(gap, relative):
-    assert change(gap, relative, RULES) == (0, 0, 0)
+    assert resolve_conflict(gap, relative, RULES) == (0, 0, 0)
 
 
 def test_conflicts_that_are_there_are_left():
     """3 m apart, 2 m too near, to be made up for in 1 s."""
-    np.testing.assert_allclose(change((0.0, 0, 3.0), (9.0, 0, 0), RULES), (0, 0, -2))
+    np.testing.assert_allclose(resolve_conflict((0.0, 0, 3.0), (9.0, 0, 0), RULES), (0, 0, -2))
 
 
 def test_head_on_both_turn_right():
-    one = change((50.0, 0, 0), (10.0, 0, 0), RULES)
-    other = change((-50.0, 0, 0), (-10.0, 0, 0), RULES)
+    one = resolve_conflict((50.0, 0, 0), (10.0, 0, 0), RULES)
+    other = resolve_conflict((-50.0, 0, 0), (-10.0, 0, 0), RULES)
     assert one[1] < 0
     np.testing.assert_allclose(other, -np.array(one))
 

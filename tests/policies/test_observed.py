@@ -90,7 +90,7 @@ def test_without_its_position_a_drone_knows_no_bounds():
             "obstacles",
             "orca",
             ("velocity", "goal", "neighbours"),
-            "'obstacles', and there are only velocity, goal, neighbours: add it by the option",
+            "'obstacles', and the observation has velocity, goal, neighbours: add it with option",
         ),
         ("crossing", "straight", ("velocity",), "block 'goal_offset' or 'goal', and"),
     ],

@@ -14,8 +14,14 @@ from traffic_around import velocities as chosen
 from urban import TOWER, WALL, placed
 
 import bulletuav
-from bulletuav.policies.half_spaces import SLIGHT_TURN, Rules, half_space, turn_of, turned
-from bulletuav.policies.linear_program import DEPTH, best_velocity, nearest
+from bulletuav.policies.half_spaces import (
+    SYMMETRY_BREAKING_TURN,
+    AvoidanceParameters,
+    choose_turn,
+    orca_half_space,
+    turn_right,
+)
+from bulletuav.policies.linear_program import DEPTH, solve_linear_program, solve_velocity
 from bulletuav.policies.orca import Orca, orca_velocities
 
 # Time step, time horizon, radius of an agent, max speed; position, velocity and preferred velocity
@@ -127,12 +133,14 @@ def without_turns(state, rules, wishes=None):
     found = []
     for i, (here, own, wish) in enumerate(state):
         spaces = [
-            half_space(tuple(there - here), tuple(own), tuple(other), rules.separation, rules, 0.5)
+            orca_half_space(
+                tuple(there - here), tuple(own), tuple(other), rules.separation, rules, 0.5
+            )
             for there, other, _ in np.delete(state, i, axis=0)
         ]
         room, spare = rows(np.array([(*n, bound) for n, bound in spaces]))
         aim = wish if wishes is None else wishes[i]
-        found.append(best_velocity(room, spare, len(spaces), tuple(aim), rules.max_speed))
+        found.append(solve_velocity(room, spare, len(spaces), tuple(aim), rules.max_speed))
     return np.array(found)
 
 
@@ -145,7 +153,7 @@ def crowd(rng, drones=8, side=8.0):
 @pytest.mark.parametrize("name", REFERENCE)
 def test_velocities_are_those_of_the_reference_library(name):
     (step, horizon, radius, speed), state, expected = REFERENCE[name]
-    rules = Rules(2.0 * radius, float(horizon), 1.0, step, float(speed))
+    rules = AvoidanceParameters(2.0 * radius, float(horizon), 1.0, step, float(speed))
     np.testing.assert_allclose(without_turns(state, rules), expected, atol=1e-5)
 
 
@@ -153,11 +161,11 @@ def test_velocities_are_those_of_the_reference_library(name):
 def test_wishes_turn_right_by_as_much_as_is_not_given(name):
     """The same half-spaces, with wishes that turn a little, and then by what is left of them."""
     (step, horizon, radius, speed), state, _ = REFERENCE[name]
-    rules = Rules(2.0 * radius, float(horizon), 1.0, step, float(speed))
-    first = [turned(row[6:], SLIGHT_TURN) for row in state]
+    rules = AvoidanceParameters(2.0 * radius, float(horizon), 1.0, step, float(speed))
+    first = [turn_right(row[6:], SYMMETRY_BREAKING_TURN) for row in state]
     given = without_turns(state, rules, first)
-    angles = [turn_of(one, tuple(best)) for one, best in zip(first, given, strict=True)]
-    again = [turned(one, angle) for one, angle in zip(first, angles, strict=True)]
+    angles = [choose_turn(one, tuple(best)) for one, best in zip(first, given, strict=True)]
+    again = [turn_right(one, angle) for one, angle in zip(first, angles, strict=True)]
     expected = without_turns(state, rules, again)
     np.testing.assert_allclose(velocities(state, rules), expected, atol=1e-6)
 
@@ -197,8 +205,8 @@ def minimum(cost, gradient, begin, spaces, slack):
 def test_linear_program_finds_the_optimum(rng):
     spaces, wanted = half_spaces(rng), rng.normal(0, 6, 3)
     room, spare = rows(spaces)
-    met, nearby = nearest(room, len(spaces), tuple(wanted), 5.0, False)
-    best = np.array(best_velocity(room, spare, len(spaces), tuple(wanted), 5.0))
+    met, nearby = solve_linear_program(room, len(spaces), tuple(wanted), 5.0, False)
+    best = np.array(solve_velocity(room, spare, len(spaces), tuple(wanted), 5.0))
     assert np.linalg.norm(best) <= 5 + 1e-9
     least = minimum(
         lambda x: x[3], lambda x: np.array((0, 0, 0, 1.0)), np.array((0, 0, 0, 9.0)), spaces, 1
@@ -244,7 +252,7 @@ def test_linear_program_finds_the_optimum(rng):
 def test_linear_program_by_hand(spaces, wanted, expected):
     room, spare = rows(np.array(spaces, float))
     np.testing.assert_allclose(
-        best_velocity(room, spare, len(spaces), wanted, 5.0), expected, atol=1e-9
+        solve_velocity(room, spare, len(spaces), wanted, 5.0), expected, atol=1e-9
     )
 
 
@@ -252,14 +260,16 @@ def test_linear_program_by_hand(spaces, wanted, expected):
 def test_a_pair_changes_places(axis):
     """Both turn to their right, also where one is above the other."""
     places = 10 * np.array((axis, -np.array(axis)))
-    end, least = fly_points(orca_velocities, places, -places, Rules(2.0, 3.0, 1.0, 0.1, 2.0), 20.0)
+    end, least = fly_points(
+        orca_velocities, places, -places, AvoidanceParameters(2.0, 3.0, 1.0, 0.1, 2.0), 20.0
+    )
     np.testing.assert_allclose(end, -places, atol=1e-2)
     assert least >= 2 - 1e-3
 
 
 @given(numbers)
 def test_the_order_of_drones_and_their_heading_do_not_matter(rng):
-    state, rules = crowd(rng), Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    state, rules = crowd(rng), AvoidanceParameters(1.6, 4.0, 1.0, 0.25, 1.5)
     expected = velocities(state, rules)
     order, angle = rng.permutation(len(state)), rng.uniform(0, 2 * np.pi)
     np.testing.assert_allclose(velocities(state[order], rules), expected[order], atol=1e-6)
@@ -272,7 +282,7 @@ def test_the_order_of_drones_and_their_heading_do_not_matter(rng):
 
 @given(numbers)
 def test_up_and_down_are_alike(rng):
-    state, rules = crowd(rng), Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    state, rules = crowd(rng), AvoidanceParameters(1.6, 4.0, 1.0, 0.25, 1.5)
     mirrored = state * np.tile((1, 1, -1), 3)
     expected = velocities(state, rules) * (1, 1, -1)
     np.testing.assert_allclose(velocities(mirrored, rules), expected, atol=1e-6)
@@ -280,7 +290,7 @@ def test_up_and_down_are_alike(rng):
 
 def test_all_drones_count_that_can_come_too_close_within_the_horizon():
     """At 1.5 m/s each, 1.6 m apart for 4 s: those within 13.6 m, and no others."""
-    rules = Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    rules = AvoidanceParameters(1.6, 4.0, 1.0, 0.25, 1.5)
     own = (0, 0, 0, 0, 0, 0, 1.5, 0, 0)
     for distance, is_free in ((13.5, False), (13.7, True)):
         state = [own, (distance, 0, 0, -1.5, 0, 0, -1.5, 0, 0)]
@@ -294,7 +304,10 @@ def test_all_drones_count_that_can_come_too_close_within_the_horizon():
 
 
 def test_drones_that_do_not_fly_do_not_count():
-    state, rules = crowd(np.random.default_rng(1), 12, 3.0), Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    state, rules = (
+        crowd(np.random.default_rng(1), 12, 3.0),
+        AvoidanceParameters(1.6, 4.0, 1.0, 0.25, 1.5),
+    )
     alive = np.arange(12) < 5
     masked = velocities(state, rules, alive=alive)
     np.testing.assert_array_equal(masked[alive], velocities(state[alive], rules))
@@ -346,7 +359,7 @@ def test_policy_keeps_off_buildings(fly, dynamics):
 def test_policy_gives_velocities_only():
     with pytest.raises(
         ValueError,
-        match="policy 'orca' gives velocity or velocity_increment actions, not 'rotor': "
+        match="policy 'orca' supports velocity or velocity_increment actions, not 'rotor': "
         "choose action='velocity'",
     ):
         Orca(bulletuav.Aviary("crossing", action="rotor"))

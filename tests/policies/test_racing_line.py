@@ -9,12 +9,12 @@ from bulletuav.policies import find_policy
 from bulletuav.policies.race_pilot import RacePilot
 from bulletuav.policies.racing_line import (
     SAMPLES,
-    Limits,
-    Way,
-    fastest_choice,
-    line_of,
-    time_line,
-    usual_choice,
+    GatePath,
+    RacingLimits,
+    compute_speed_profile,
+    default_parameters,
+    make_line,
+    optimize_line,
 )
 from bulletuav.tasks.parts.tracks import list_tracks
 
@@ -23,21 +23,23 @@ AXES = np.eye(3)
 
 def straight_way(*places, first_speed=0.0):
     point = np.array([(x, 0.0, 0.0) for x in places])
-    return Way(point, np.tile(AXES, (len(point), 1, 1)), np.zeros(len(point)), first_speed)
+    return GatePath(point, np.tile(AXES, (len(point), 1, 1)), np.zeros(len(point)), first_speed)
 
 
 def timed(position, first_speed, limits):
     count = len(position)
     velocity, room = np.empty((2, count, 3))
     time = np.empty(count)
-    time_line(position, count, first_speed, limits, time, velocity, room)
+    compute_speed_profile(position, count, first_speed, limits, time, velocity, room)
     return time, velocity
 
 
 @pytest.mark.parametrize("first_speed", [0.0, 3.0, 10.0])
 def test_a_straight_is_flown_as_by_the_formulas_of_motion(first_speed):
-    limits = Limits(10.0, 4.0, 0.0)
-    line = line_of(straight_way(0.0, 40.0, first_speed=first_speed), usual_choice(2), limits)
+    limits = RacingLimits(10.0, 4.0, 0.0)
+    line = make_line(
+        straight_way(0.0, 40.0, first_speed=first_speed), default_parameters(2), limits
+    )
     rise = (10.0 - first_speed) / 4.0
     way = (10.0**2 - first_speed**2) / 8.0
     assert line.time[-1] == pytest.approx(rise + (40.0 - way) / 10.0, rel=5e-3)
@@ -46,7 +48,7 @@ def test_a_straight_is_flown_as_by_the_formulas_of_motion(first_speed):
 
 
 def test_drag_slows_down_as_the_differential_equation_says():
-    limits = Limits(100.0, 4.0, 0.5)
+    limits = RacingLimits(100.0, 4.0, 0.5)
     position = np.zeros((4001, 3))
     position[:, 0] = np.linspace(0.0, 60.0, 4001) ** 2 / 60.0
     time, velocity = timed(position, 0.0, limits)
@@ -62,7 +64,7 @@ def test_drag_slows_down_as_the_differential_equation_says():
 def test_the_speed_in_a_circle_is_what_turning_and_drag_leave(drag):
     angle = np.linspace(0, 6 * np.pi, 4000)
     position = np.stack([6 * np.cos(angle), 6 * np.sin(angle), np.full(4000, 2.0)], axis=1)
-    _, velocity = timed(position, 0.0, Limits(50.0, 9.0, drag))
+    _, velocity = timed(position, 0.0, RacingLimits(50.0, 9.0, drag))
     speed = np.linalg.norm(velocity, axis=1)[3000]
     assert np.hypot(speed**2 / 6.0, drag * speed) == pytest.approx(9.0, rel=1e-3)
 
@@ -82,7 +84,7 @@ def test_a_line_brakes_in_time_for_a_corner_and_keeps_within_its_limits():
             np.stack([np.full(300, 2.0), np.linspace(2.1, 32, 300), np.zeros(300)], axis=1),
         ]
     )
-    time, velocity = timed(corner, 10.0, Limits(10.0, 5.0, 0.0))
+    time, velocity = timed(corner, 10.0, RacingLimits(10.0, 5.0, 0.0))
     speed = np.linalg.norm(velocity, axis=1)
     assert speed[330] == pytest.approx(np.sqrt(5.0 * 2.0), rel=0.03)
     fast = int(np.flatnonzero(speed[:301] > 9.9)[-1])
@@ -94,15 +96,15 @@ def test_a_line_brakes_in_time_for_a_corner_and_keeps_within_its_limits():
 def test_lines_pass_gates_where_and_how_they_choose():
     rng = np.random.default_rng(0)
     axis = np.linalg.qr(rng.normal(size=(4, 3, 3)))[0]
-    way = Way(rng.uniform(-20, 20, (4, 3)), axis, np.array((0.0, 0.5, 0.7, 0.9)), 0.0)
-    choice = usual_choice(4)
+    way = GatePath(rng.uniform(-20, 20, (4, 3)), axis, np.array((0.0, 0.5, 0.7, 0.9)), 0.0)
+    choice = default_parameters(4)
     choice[:4] = rng.uniform(-0.5, 0.5, (4, 4))
-    line = line_of(way, choice, Limits(10.0, 5.0, 0.1))
+    line = make_line(way, choice, RacingLimits(10.0, 5.0, 0.1))
     assert len(line.time) == 3 * SAMPLES + 1
     assert (np.diff(line.time) > 0).all()
     for m in range(1, 4):
         off = axis[m] @ (line.position[m * SAMPLES] - way.point[m])
-        np.testing.assert_allclose(off, (0.0, *way.room[m] * choice[:2, m]), atol=1e-12)
+        np.testing.assert_allclose(off, (0.0, *way.clearance[m] * choice[:2, m]), atol=1e-12)
         turn, rise = choice[2:4, m]
         wanted = (np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise))
         seen = axis[m] @ (line.position[m * SAMPLES] - line.position[m * SAMPLES - 1])
@@ -110,13 +112,16 @@ def test_lines_pass_gates_where_and_how_they_choose():
 
 
 def test_the_fastest_line_is_faster_and_straight_where_it_can_be():
-    limits = Limits(10.0, 5.0, 0.1)
+    limits = RacingLimits(10.0, 5.0, 0.1)
     way = straight_way(0.0, 10.0, 25.0)
     way.point[1, 1] = 0.4  # within the room: the straight line is free
-    free = way._replace(room=np.array((0.0, 0.5, 0.5)))
-    best, plain = line_of(straight_way(0.0, 25.0), usual_choice(2), limits), usual_choice(3)
-    found = line_of(free, fastest_choice(free, limits), limits)
-    assert found.time[-1] < line_of(free, plain, limits).time[-1]
+    free = way._replace(clearance=np.array((0.0, 0.5, 0.5)))
+    best, plain = (
+        make_line(straight_way(0.0, 25.0), default_parameters(2), limits),
+        default_parameters(3),
+    )
+    found = make_line(free, optimize_line(free, limits), limits)
+    assert found.time[-1] < make_line(free, plain, limits).time[-1]
     assert found.time[-1] == pytest.approx(best.time[-1], rel=5e-3)
 
 
@@ -184,5 +189,5 @@ def test_a_pilot_that_is_pushed_off_its_line_plans_anew():
 
 def test_the_pilot_flies_races_alone():
     aviary = bulletuav.Aviary("crossing", dynamics="point_mass")
-    with pytest.raises(ValueError, match="flies task 'race', not 'crossing'"):
+    with pytest.raises(ValueError, match="supports task 'race', not 'crossing'"):
         find_policy("race_pilot")(aviary)

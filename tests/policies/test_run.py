@@ -50,7 +50,7 @@ def test_another_version_is_refused_with_the_remedy(line, found, tmp_path):
     path.write_text(f"{line}task: crossing\n")
     said = (
         f"{path} has {found}, and version: {VERSION} is needed: "
-        f"train anew, or use the version of bulletuav that made it"
+        f"train again, or use the version of bulletuav that wrote the file"
     )
     for reader in (RunConfig.read, lambda path: find_policy(path.parent)):
         with pytest.raises(ValueError, match=re.escape(said)):

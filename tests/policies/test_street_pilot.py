@@ -7,9 +7,9 @@ from placing import city_of
 import bulletuav
 from bulletuav.policies import find_policy
 from bulletuav.policies.lidar_hop import LidarHop
-from bulletuav.policies.over_roofs import OverRoofs, crossing
-from bulletuav.policies.readings import climb, goal_offset
-from bulletuav.policies.street_map import EVIDENCE, grow, level_beams, scan
+from bulletuav.policies.over_roofs import OverRoofs, next_phase
+from bulletuav.policies.readings import cruise_height_difference, decode_goal_offset
+from bulletuav.policies.street_map import EVIDENCE, inflate, level_beams, update_maps
 from bulletuav.policies.street_pilot import StreetPilot
 from bulletuav.tasks import find_task
 from bulletuav.tasks.frame import Spawn
@@ -25,7 +25,7 @@ def look(ranges, directions=COMPASS, evidence=None):
     evidence = np.zeros((1, 1, 20, 20), np.int8) if evidence is None else evidence
     place = np.full((1, 1, 2), 21.0)
     looks = np.ones((1, 1), dtype=bool)
-    scan(evidence, place, np.array([[ranges]], float), directions, REACH, looks)
+    update_maps(evidence, place, np.array([[ranges]], float), directions, REACH, looks)
     return evidence
 
 
@@ -58,7 +58,7 @@ def test_walls_grow_by_two_cells_and_edges_are_walls():
     evidence = np.zeros((9, 9), np.int8)
     evidence[4, 4] = 1
     occupied = np.zeros((11, 11, 3), dtype=bool)
-    grow(evidence, occupied, np.full(2, -np.inf), np.array([np.inf, 16.0]))
+    inflate(evidence, occupied, np.full(2, -np.inf), np.array([np.inf, 16.0]))
     free = ~occupied[1:-1, 1:-1, 1]
     taken = {(a, b) for a, b in np.argwhere(~free).tolist() if b < 8}
     assert taken == {(a, b) for a in range(9) for b in range(9) if (a - 4) ** 2 + (b - 4) ** 2 <= 4}
@@ -71,11 +71,11 @@ def test_the_height_of_the_crossing_by_hand():
     offset = np.array([(30.0, 0.0, 2.0), (30.0, 0.0, -55.0)])
     room = np.full((2, 6), 60.0)
     room[0, 2] = 5.0
-    np.testing.assert_allclose(climb(offset, room), (2.5, -5.0))
-    pieces = crossing(offset, np.array((2.5, -0.5)))
+    np.testing.assert_allclose(cruise_height_difference(offset, room), (2.5, -5.0))
+    pieces = next_phase(offset, np.array((2.5, -0.5)))
     np.testing.assert_allclose(pieces, [(0, 0, 2.5), (30, 0, -0.5)])
-    np.testing.assert_allclose(crossing(np.array([(1.0, 0, -9)]), np.zeros(1)), [(1, 0, -9)])
-    np.testing.assert_allclose(goal_offset(np.array((0.6, 0.0, -0.8, 10.0))), (6, 0, -8))
+    np.testing.assert_allclose(next_phase(np.array([(1.0, 0, -9)]), np.zeros(1)), [(1, 0, -9)])
+    np.testing.assert_allclose(decode_goal_offset(np.array((0.6, 0.0, -0.8, 10.0))), (6, 0, -8))
 
 
 @pytest.fixture
@@ -184,7 +184,7 @@ def test_form_and_scale_of_observations_change_nothing(put, kind):
 def test_a_block_that_is_not_observed_is_told_with_the_remedy(put, kind, block):
     kept = [one for one in ("velocity", "goal", "room", "lidar") if one != block]
     aviary = put(WALL, [(-30, 5, 10)], [(60, 0, 10)], observation=kept)
-    with pytest.raises(ValueError, match=f"reads block '{block}'.*choose observation='.*{block}'"):
+    with pytest.raises(ValueError, match=f"reads block '{block}'.*set observation='.*{block}'"):
         kind(aviary)
 
 
@@ -194,7 +194,7 @@ def test_level_beams_are_needed(put):
     assert chosen.tolist() == [4, 5, 6, 7]
     np.testing.assert_allclose(directions, COMPASS, atol=1e-15)
     aviary = put(WALL, [(-30, 5, 10)], [(60, 0, 10)], lidar_elevations=(-45.0,))
-    with pytest.raises(ValueError, match="choose lidar_elevations=0"):
+    with pytest.raises(ValueError, match="set lidar_elevations=0"):
         level_beams(aviary)
 
 

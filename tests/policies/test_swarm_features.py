@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 import bulletuav
 from bulletuav.adapters.swarm_features import SwarmFeatures as Learned
 from bulletuav.policies.neural_network import Network
-from bulletuav.policies.swarm_features import Kind, SwarmFeatures, find_layout
+from bulletuav.policies.swarm_features import EntityKind, NumpySwarmFeatures, find_layout
 from bulletuav.sensors.base import Label, vector_labels
 
 SIZE = 4
@@ -42,7 +42,7 @@ def flown(layer, count):
         ]
         for word, each in layer.each.items()
     }
-    return SwarmFeatures(find_layout(labels(count)), layers, 2.0)
+    return NumpySwarmFeatures(find_layout(labels(count)), layers, 2.0)
 
 
 def rows(count, neighbours=None, seed=0):
@@ -57,10 +57,10 @@ def test_labels_tell_which_numbers_belong_together():
     layout = find_layout(labels(2))
     assert layout.own == (0, 1, 2)
     assert layout.kinds == {
-        "neighbour": Kind(
+        "neighbour": EntityKind(
             ((3, 4, 5, 6, 7, 8, 9), (10, 11, 12, 13, 14, 15, 16)), (1, 2, 3, 4, 5, 6)
         ),
-        "target": Kind(((17, 18, 19),), ()),
+        "target": EntityKind(((17, 18, 19),), ()),
     }
     # What two blocks tell of the same neighbour is of the same neighbour.
     both = find_layout(
@@ -111,7 +111,7 @@ def test_the_closest_approach_is_the_least_distance_on_the_way():
     # A layer that passes on where the other comes closest, how far that is, and when.
     weight = np.zeros((3, 7 + 5 + 3))
     weight[0, 10], weight[1, 11], weight[2, 7] = 1, 1, 1
-    features = SwarmFeatures(find_layout(of_one), {"neighbour": [(weight, np.zeros(3))]})
+    features = NumpySwarmFeatures(find_layout(of_one), {"neighbour": [(weight, np.zeros(3))]})
     place = np.array([[30.0, 4.0, 1.0], [30.0, 4.0, 1.0], [900.0, 4.0, 1.0]])
     speed = np.array([[-10.0, 1.0, 0.5], [10.0, 1.0, 0.5], [-10.0, 1.0, 0.5]])
     given = np.concatenate([np.zeros((3, 4)), place, speed], axis=1)
@@ -129,11 +129,9 @@ def test_the_closest_approach_is_the_least_distance_on_the_way():
 def test_layers_for_other_numbers_are_refused():
     layer = learned(2)
     layers = {"neighbour": flown(layer, 2)._layers["neighbour"]}
-    with pytest.raises(
-        ValueError, match="features of each target take 0 numbers, and here they are 6"
-    ):
-        SwarmFeatures(find_layout(labels(2)), layers)
-    with pytest.raises(ValueError, match="features of each neighbour take 15 numbers, and here"):
+    with pytest.raises(ValueError, match="features of each target expect 0 numbers, not 6"):
+        NumpySwarmFeatures(find_layout(labels(2)), layers)
+    with pytest.raises(ValueError, match="features of each neighbour expect 15 numbers"):
         Network(
             {
                 "action_net.weight": np.ones((1, 3)),

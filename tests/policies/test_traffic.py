@@ -3,7 +3,7 @@ import pytest
 from traffic_around import traffic_of
 
 from bulletuav.geometry.solids import Solids
-from bulletuav.policies.traffic import FACES, Clearance
+from bulletuav.policies.traffic import FACES, ObstacleClearance
 
 BOX = np.array([[(0.0, 0, 0), (10, 20, 30)]])
 PRISM = np.array([(x, y, z) for x, y in ((0, 0), (10, 0), (0, 10)) for z in (0, 30)], float)
@@ -11,7 +11,7 @@ PRISM = np.array([(x, y, z) for x, y in ((0, 0), (10, 0), (0, 10)) for z in (0, 
 
 def building(place, solids, clear=None):
     """Rows of the buildings about a drone at a place."""
-    clear = clear or Clearance(0.0, 0.0, 50.0)
+    clear = clear or ObstacleClearance(0.0, 0.0, 50.0)
     return traffic_of([(*place, 0, 0, 0)], solids=solids, clear=clear).surface[0, 0, FACES:]
 
 
@@ -19,16 +19,16 @@ def test_others_are_seen_from_the_drone():
     state = [(1, 2, 3, 4, 5, 6), (3, 2, 1, -1, 0, 0), (0, 0, 0, 1, 1, 1)]
     traffic = traffic_of(state, balls=[(5, 5, 5, 1, 0, 0, 2)], alive=[True, True, False])
     np.testing.assert_array_equal(traffic.known[0], [[0, 1, 0], [1, 0, 0], [0, 0, 0]])
-    np.testing.assert_array_equal(traffic.gap[0, 0, 1], (2, 0, -2))
-    np.testing.assert_array_equal(traffic.other[0, 0, 1], (-1, 0, 0))
+    np.testing.assert_array_equal(traffic.offset[0, 0, 1], (2, 0, -2))
+    np.testing.assert_array_equal(traffic.other_velocity[0, 0, 1], (-1, 0, 0))
     np.testing.assert_array_equal(traffic.goal[0, 1], (-3, -2, -1))
-    np.testing.assert_array_equal(traffic.ball[0, :, 0], [(4, 3, 2), (2, 3, 4), (5, 5, 5)])
-    np.testing.assert_array_equal(traffic.ball_velocity[0, 2, 0], (1, 0, 0))
-    np.testing.assert_array_equal(traffic.ball_radius[0], [[2], [2], [2]])
+    np.testing.assert_array_equal(traffic.sphere[0, :, 0], [(4, 3, 2), (2, 3, 4), (5, 5, 5)])
+    np.testing.assert_array_equal(traffic.sphere_velocity[0, 2, 0], (1, 0, 0))
+    np.testing.assert_array_equal(traffic.sphere_radius[0], [[2], [2], [2]])
 
 
 def test_faces_of_the_arena_are_as_far_as_the_body_may_go():
-    clear = Clearance(0.5, 9.0, 0.0)
+    clear = ObstacleClearance(0.5, 9.0, 0.0)
     rows = traffic_of([(1, 2, 3, 0, 0, 0)], box=((-10, -10, 0), (10, 10, 20)), clear=clear).surface
     expected = [
         (1, 0, 0, 10.5), (-1, 0, 0, 8.5), (0, 1, 0, 11.5), (0, -1, 0, 7.5), (0, 0, 1, 2.5),
@@ -67,9 +67,9 @@ def test_nearest_face_of_a_prism_by_hand(place, surface):
 
 def test_buildings_keep_drones_off_by_body_and_margin_within_their_reach():
     solids = Solids(np.concatenate([BOX, BOX + 100]), (PRISM - (40, 0, 0),))
-    near = building((-5, 10, 10), solids, Clearance(0.5, 1.5, 6.0))
+    near = building((-5, 10, 10), solids, ObstacleClearance(0.5, 1.5, 6.0))
     np.testing.assert_allclose(near, [(-1, 0, 0, 3)])
-    assert len(building((-5, 10, 10), solids, Clearance(0.5, 1.5, 4.9))) == 0
+    assert len(building((-5, 10, 10), solids, ObstacleClearance(0.5, 1.5, 4.9))) == 0
     assert len(building((-5, 10, 10), solids)) == 2
     # One row each where another drone has more of them.
     state = [(-5, 10, 10, 0, 0, 0), (500, 0, 10, 0, 0, 0)]

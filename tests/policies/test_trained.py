@@ -10,7 +10,7 @@ import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.adapters.sb3_policy import policy_network
 from bulletuav.policies import find_policy
-from bulletuav.policies.features import UserFeatures, log_gain, symlog
+from bulletuav.policies.features import UserFeatures, log_path_gain, symlog
 from bulletuav.policies.neural_network import Network, is_plain, read_weights
 from bulletuav.policies.run import SHIPPED, RunConfig, shipped_tasks
 from bulletuav.policies.trained import Trained
@@ -140,7 +140,7 @@ def test_features_by_hand():
     np.testing.assert_allclose(
         symlog(np.array([-2.0, 0.0, 1.0]), 3.0), [-np.log(7), 0.0, np.log(4)], rtol=1e-15
     )
-    gains = log_gain(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]), np.array([1.0, 0.0]))
+    gains = log_path_gain(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]), np.array([1.0, 0.0]))
     np.testing.assert_allclose(gains, [-2 * np.log(6), 0.0], atol=1e-15)
 
 
@@ -167,11 +167,11 @@ def test_users_count_whatever_their_order():
         ),
         (
             lambda w: {**w, "action_net.weight": np.zeros((3, 7), np.float32)},
-            "does not fit the one before it",
+            "does not match the layer before",
         ),
         (
             lambda w: {**w, "action_net.bias": np.zeros((3, 1), np.float32)},
-            "does not fit the one before it",
+            "does not match the layer before",
         ),
         (lambda w: {**w, "action_net.bias": np.full(3, np.nan, np.float32)}, "not finite"),
         (

@@ -62,7 +62,9 @@ def test_a_function_of_rows_is_a_policy(aviary):
 
 
 def test_a_function_that_gives_other_rows_is_refused(aviary):
-    with pytest.raises(ValueError, match=r"gave an array \(3,\) of actions: \(8, 3\) is needed"):
+    with pytest.raises(
+        ValueError, match=r"returned an array \(3,\) of actions: \(8, 3\) is needed"
+    ):
         acted(lambda rows: rows[0, :3], aviary)
 
 
@@ -74,7 +76,7 @@ def test_versus_is_evaluated():
 
 
 def test_wrong_sides_are_refused(aviary):
-    with pytest.raises(ValueError, match="Versus has .*: a policy for each of two teams"):
+    with pytest.raises(ValueError, match="Versus has .*: policies for at least two teams"):
         bulletuav.Versus(chasers="lead")
     with pytest.raises(ValueError, match="unknown policy 'leed'"):
         find_policy("leed vs flee")
@@ -90,10 +92,10 @@ def test_actions_and_options_of_sides_must_agree():
     assert joint_actions([(), ()]) == ()
     assert joint_actions([(), ("rpm",)]) == ("rpm",)
     assert joint_actions([("a", "b"), ("b", "a"), ()]) == ("a", "b")
-    with pytest.raises(ValueError, match="no action is common"):
+    with pytest.raises(ValueError, match="none is common"):
         joint_actions([("a",), ("b",)])
     assert joint_options([{"x": 1}, {}, {"x": 1, "y": 2}]) == {"x": 1, "y": 2}
-    with pytest.raises(ValueError, match="learned with x 1 and 2"):
+    with pytest.raises(ValueError, match="trained with x 1 and 2"):
         joint_options([{"x": 1}, {"x": 2}])
 
 

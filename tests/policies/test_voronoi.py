@@ -4,18 +4,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from traffic_around import fly, velocities
 
-from bulletuav.policies.half_spaces import Rules
-from bulletuav.policies.voronoi import cell_side, voronoi_velocities
+from bulletuav.policies.half_spaces import AvoidanceParameters
+from bulletuav.policies.voronoi import voronoi_half_space, voronoi_velocities
 
-RULES = Rules(2.0, 4.0, 2.0, 1.0, 5.0)
+RULES = AvoidanceParameters(2.0, 4.0, 2.0, 1.0, 5.0)
 numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
 def test_side_of_a_cell_by_hand():
     """12 m to the other one: half-way less 1 m are 5 m, in 2 s; 1 m too near, 0.25 m/s back."""
-    n, bound = cell_side((0.0, 12.0, 0.0), RULES)
+    n, bound = voronoi_half_space((0.0, 12.0, 0.0), RULES)
     np.testing.assert_allclose((*n, bound), (0, -1, 0, -2.5))
-    n, bound = cell_side((0.0, 0.0, -1.0), RULES)
+    n, bound = voronoi_half_space((0.0, 0.0, -1.0), RULES)
     np.testing.assert_allclose((*n, bound), (0, 0, 1, 0.25))
 
 
@@ -28,7 +28,7 @@ def test_drones_stay_in_their_cells(rng):
         return
     state = np.concatenate([place, rng.uniform(-5, 5, (7, 6))], axis=1)
     chosen = velocities(voronoi_velocities, state, RULES)
-    later = place + RULES.braking * chosen
+    later = place + RULES.braking_time * chosen
     apart = np.linalg.norm(later[:, None] - later, axis=-1)
     assert apart[~np.eye(7, dtype=bool)].min() >= RULES.separation - 1e-6
     # Nearer to the old place of nobody else than to their own one.

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import sensing
 
-from bulletuav.sensors.gps import VELOCITY_SHARE, Gps
+from bulletuav.sensors.gps import VELOCITY_FRACTION, Gps
 
 
 def readings(gps, count, seed=0):
@@ -32,7 +32,7 @@ def test_white_noise_has_the_standard_deviation_asked_for():
     rows = readings(gps, 1000).reshape(1000, 2, 20, 2, 3)
     expected = np.array([[2.0] * 3, [0.5] * 3])
     np.testing.assert_allclose(rows[:, 0].std(axis=(0, 1)), expected, rtol=0.03)
-    np.testing.assert_allclose(rows[:, 1].std(axis=(0, 1)), VELOCITY_SHARE * expected, rtol=0.03)
+    np.testing.assert_allclose(rows[:, 1].std(axis=(0, 1)), VELOCITY_FRACTION * expected, rtol=0.03)
     before, after = rows[:-1, 0, :, 0, 0].ravel(), rows[1:, 0, :, 0, 0].ravel()
     assert abs(np.corrcoef(before, after)[0, 1]) < 0.03
 

@@ -11,7 +11,7 @@ import sensing
 import bulletuav
 from bulletuav.sensors.base import Image, Label, Sensor, Uncertain
 from bulletuav.sensors.gps import Gps
-from bulletuav.sensors.imperfect import MOST_DELAY, Imperfect
+from bulletuav.sensors.imperfect import MAX_DELAY, Imperfect
 from bulletuav.sensors.imu import Imu
 from bulletuav.sensors.suite import find_sensor
 
@@ -377,7 +377,7 @@ def test_parameters_keep_the_names_that_they_have_without_it(sensor, expected):
         ({"rate": True}, "rate is True: a finite number"),
         ({"delay": -0.1}, "delay is -0.1: at least 0"),
         ({"delay": NAN}, "delay is nan: a finite number"),
-        ({"delay": 10 * MOST_DELAY}, "delay is 100: at most 10"),
+        ({"delay": 10 * MAX_DELAY}, "delay is 100: at most 10"),
         ({"noise": -1.0}, "noise is -1: at least 0"),
         ({"noise": NAN}, "noise is nan: a finite number"),
         ({"noise": 1e9}, "noise is 1e.09: at most"),

@@ -493,7 +493,7 @@ def test_sensors_are_found_in_every_form():
 
 
 def test_two_sensors_of_one_name_are_refused():
-    with pytest.raises(ValueError, match="sensors has 'anchor' twice: give each a name of its own"):
+    with pytest.raises(ValueError, match="sensors has 'anchor' twice: unique names are needed"):
         known_sensors((Anchor(), Anchor))
     with pytest.raises(ValueError, match="sensors: unknown sensor 'gsp': did you mean 'gps'"):
         known_sensors(("gsp",))
@@ -542,7 +542,7 @@ def giving(readings):
     [
         (np.zeros((1, 2, 2)), "array.*: a dict of arrays by name"),
         (None, "None: a dict of arrays by name"),
-        ({}, "no reading 'wrong': return it, or leave it out of labels"),
+        ({}, "no reading 'wrong': return it, or remove it from labels"),
         ({"rong": np.zeros((1, 2, 2))}, "no reading 'wrong': return it"),
         ({"wrong": 5.0}, "5.0 as 'wrong': a NumPy array is needed"),
         ({"wrong": [[0.0]]}, "as 'wrong': a NumPy array is needed"),
@@ -555,7 +555,7 @@ def giving(readings):
 def test_readings_that_labels_do_not_promise_are_refused(readings, said):
     setup = SensorSetup(shape=(1, 2), wanted=frozenset({"wrong"}))
     suite = SensorSuite({"wrong": giving(readings)}, setup, None, {})
-    with pytest.raises(ValueError, match=f"measure of sensor 'wrong' gave .*{said}"):
+    with pytest.raises(ValueError, match=f"measure of sensor 'wrong' returned .*{said}"):
         suite.measure(sensing.moment_of(sensing.swarm_of(1, 2)), None)
 
 
@@ -577,7 +577,7 @@ def test_a_sensor_without_numbers_cannot_be_observed(make_aviary):
         def measure(self, moment):
             return {"blank": moment.after.position}
 
-    with pytest.raises(ValueError, match="reading 'blank' of sensor 'blank' .* tells no labels"):
+    with pytest.raises(ValueError, match="reading 'blank' of sensor 'blank' .* has no labels"):
         make_aviary("converge", sensors=Blank, observation="blank")
 
 

@@ -66,7 +66,9 @@ def test_path_losses_of_the_standards(put, name):
 
 @pytest.mark.parametrize("name", ["umi_av", "uma_av"])
 def test_path_losses_for_other_bands_are_refused(make, name):
-    with pytest.raises(ValueError, match="frequency is 29.0: TR 36.777 .* is for 0.5 to 6 GHz"):
+    with pytest.raises(
+        ValueError, match="frequency is 29.0: TR 36.777 .* is valid for 0.5 to 6 GHz"
+    ):
         make("mec", path_loss=name)
 
 

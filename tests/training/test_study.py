@@ -148,7 +148,7 @@ def varied(**space):
     [
         (varied(modle={"gamma": {"low": 0.1, "high": 1}}), "did you mean 'model'"),
         (varied(seed={"low": 0, "high": 1}), "unknown setting that varies: 'seed'"),
-        (varied(), "nothing varies"),
+        (varied(), "the search space is empty"),
         (varied(worlds=3), "worlds is 3: low and high are needed"),
         (varied(worlds={"low": 3}), "worlds: high is None"),
         (varied(worlds={"low": 3, "high": 4, "lgo": True}), "unknown key of worlds: 'lgo'"),
@@ -158,7 +158,7 @@ def varied(**space):
         (varied(worlds={"low": 1, "high": 3, "step": 0}), "step is 0"),
         (varied(worlds={"choices": 3}), "choices is 3: a list"),
         (varied(options={"max_sped": {"low": 1, "high": 3}}), "did you mean 'max_speed'"),
-        (varied(options={"num_drones": {"low": 1, "high": 3}}), "so would the evaluations"),
+        (varied(options={"num_drones": {"low": 1, "high": 3}}), "would change evaluations"),
         (varied(**{"worlds.more": {"low": 1, "high": 3}}), "worlds is 32, which has no names"),
         (lambda: Study(RUN, SPACE, metric="retrun"), "did you mean 'return'"),
     ],
@@ -212,7 +212,7 @@ def test_the_command_searches_writes_and_reads_its_study(trained, tmp_path, caps
         ([], "tune what?"),
         (["hover", "--study", "x"], "tune what?"),
         (["--study", "nowhere.yaml"], "no file nowhere.yaml: the study.yaml of a study"),
-        (["hover"], "nothing varies"),
+        (["hover"], "the search space is empty"),
         (["hover", "--search", "model.gamma"], "--search model.gamma: NAME=VALUE is needed"),
         (["hover", "--search", "model.gamma=1"], "A,B,C is needed"),
         (["hover", "--search", "worlds=1:2:3:4"], "A,B,C is needed"),
@@ -230,7 +230,7 @@ def test_bad_input_ends_in_one_line(arguments, said, capsys, tmp_path, monkeypat
     ("text", "said"),
     [
         ("version: 1\nrun: {task: hover}\n", "space is None: names with values are needed"),
-        ("version: 1\nrun: {task: hover}\nspace: {}\n", "nothing varies"),
+        ("version: 1\nrun: {task: hover}\nspace: {}\n", "the search space is empty"),
         ("version: 1\nspase: {}\n", "did you mean 'space'"),
     ],
 )

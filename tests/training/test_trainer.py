@@ -509,7 +509,7 @@ def test_what_a_run_of_a_campaign_raises_is_raised(tmp_path):
     [
         ("task: crosing", "did you mean 'crossing'"),
         ("task: crossing\nstep: 5", "did you mean 'steps'"),
-        ("steps: 5", "a run without a task"),
+        ("steps: 5", "a run needs a task"),
         ("task: crossing\nsteps: 2.5", "steps is 2.5"),
         ("task: crossing\nalgo: pppo", "did you mean 'ppo'"),
         ("task: crossing\nstages: {a: 1}", "stages is"),
@@ -630,7 +630,7 @@ def test_features_of_a_swarm_are_learned_and_fly_among_any_number(tmp_path):
     train(learned, tmp_path)
     many = {"num_drones": 5, "num_neighbours": 4, "horizon": 5, "dynamics": "point_mass"}
     assert bulletuav.evaluate("converge", tmp_path, 1, 0, **many).estimates()["length"].mean == 0.5
-    with pytest.raises(ValueError, match="features of each intruder take 19 numbers, and here"):
+    with pytest.raises(ValueError, match="features of each intruder expect 19 numbers"):
         bulletuav.evaluate(
             "converge", tmp_path, 1, 0, **many, observation=["velocity", "intruders"]
         )
@@ -641,5 +641,5 @@ def test_a_policy_of_other_constants_is_told(run, tmp_path):
     shutil.copytree(run[0], folder)
     settings = (folder / "run.yaml").read_text()
     (folder / "run.yaml").write_text(re.sub(r"constants: \d+", "constants: 1", settings))
-    with pytest.warns(UserWarning, match=r"learned with constants 1, and this package has 2"):
+    with pytest.warns(UserWarning, match=r"trained with constants 1, and this package has 2"):
         find_policy(folder)

@@ -1,6 +1,6 @@
-"""How users on the ground move: mobility models by name, all outdoors and in bounds.
+"""Mobility models of ground users, by name. All models keep users outdoors and in bounds.
 
-Each model is a class in a module of its own, registered by `@register("mobility")`.
+Each model is a class in its own module, registered by `@register("mobility")`.
 """
 
 import dataclasses
@@ -13,29 +13,29 @@ from bulletuav.network.mobility.base import Mobility
 from bulletuav.registry import find, names
 
 MobilitySource = str | Mapping[str, Any] | type[Mobility] | Mobility
-"""A model by its name, as an object, or by a mapping of "model" and options to their values"""
+"""Name, class or object of a model, or a mapping with "model" and options"""
 
 
 def find_mobility(source: MobilitySource) -> Mobility:
-    """Find a mobility model, or make one with given options.
+    """Find a mobility model, and create it with the given options.
 
     Args:
-        source: A name, such as "gauss_markov"; `module:Name`; a class; or a model made already.
-            A mapping has one of the first three under "model", and options of it, such as
-            {"model": "gauss_markov", "deviation": 0.3}.
+        source: A name, such as "gauss_markov"; `module:Name`; a class; or a model object. A mapping
+            contains one of the first three under "model", and options, such as {"model":
+            "gauss_markov", "deviation": 0.3}.
 
     Returns:
         The model.
 
     Raises:
-        ValueError: There is no such model or option (the nearest names are told), or an option
-            cannot have that value.
+        ValueError: If there is no such model or option (the message suggests similar names), or a
+            value is invalid.
     """
     if isinstance(source, Mobility):
         return source
     options: dict[str, Any] = dict(source) if isinstance(source, Mapping) else {"model": source}
     model = _find_model(options.pop("model", None))
-    # The fields of a model are its options
+    # The dataclass fields of a model are its options
     known = {"model"} | {field.name for field in dataclasses.fields(model)}
     for name in options:
         if name not in known:
@@ -45,8 +45,8 @@ def find_mobility(source: MobilitySource) -> Mobility:
 
 
 def _find_model(source: Any) -> type[Mobility]:
-    """Find the class of a model by its name, by `module:Name`, or as given."""
-    # Messages of this room say "mobility model", those of the registry only its kind
+    """Find the class of a model by name, `module:Name`, or class."""
+    # Messages say "mobility model"; those of the registry would say "mobility" only
     is_named = isinstance(source, str) and (":" in source or source in names("mobility"))
     if not is_named and not _is_model(source):
         raise unknown("mobility model", source, names("mobility"))
@@ -55,6 +55,6 @@ def _find_model(source: Any) -> type[Mobility]:
 
 
 def _is_model(candidate: Any) -> bool:
-    """Tell whether an object is a class of mobility models that can be made."""
+    """Return True if an object is a concrete class of mobility models."""
     is_class = isinstance(candidate, type) and issubclass(candidate, Mobility)
     return is_class and not inspect.isabstract(candidate)

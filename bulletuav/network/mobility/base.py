@@ -1,4 +1,4 @@
-"""The interface of mobility models, and where their random numbers come from."""
+"""Interface of mobility models, and their random streams."""
 
 import math
 from abc import ABC, abstractmethod
@@ -14,44 +14,38 @@ from bulletuav.errors import as_sequence, finite, shown
 from bulletuav.network.mobility.ground import Ground
 
 SPEED_LIMIT = 100.0
-"""Greatest speed that an option may give users, m/s"""
+"""Maximum speed in options, m/s"""
 MAX_VELOCITY = 10 * SPEED_LIMIT
 """Bound of a user's velocity in a snapshot, m/s"""
 MAX_TIME = 1e6
-"""Longest time that an option may give, s"""
+"""Maximum time in options, s"""
 MAX_LENGTH = 1e6
-"""Greatest length that an option may give, m"""
+"""Maximum length in options, m"""
 State = Mapping[str, np.ndarray]
 """Arrays by name, float64: of one world, or of W worlds with W as the first axis"""
 Generators = Sequence[np.random.Generator | None]
-"""Generator of each of W worlds; None is possible for worlds that do not fly"""
+"""Generator of each of W worlds; may be None for worlds that do not fly"""
 
 
 @dataclass(frozen=True)
 class Mobility(ABC):
-    """A mobility model: how U users walk in each of W worlds.
+    """Base class of mobility models for U users in each of W worlds.
 
-    Users are always outdoors and in bounds, at the height that the ground tells. A model is a
-    frozen dataclass whose fields are its options. It raises ValueError for impossible options.
+    Users are always outdoors and in bounds, at the height of `Ground`. A model is a frozen
+    dataclass whose fields are its options. The constructor raises ValueError for invalid options.
 
     Attributes:
-        name: Name of the model, which `find_mobility` knows it by.
+        name: Name of the model in `find_mobility`.
     """
 
     name: ClassVar[str]
 
     def _set_option(self, name: str, value: Any) -> None:
-        """Store an option as its check gave it, so that kernels see one type of it."""
+        """Store a validated option of the frozen dataclass."""
         object.__setattr__(self, name, value)
 
-    def _check_number(
-        self,
-        name: str,
-        unit: str,
-        most: float,
-        above_zero: bool,
-    ) -> None:
-        """Store an option as a float, and refuse one below 0 (or 0 itself) or above `most`."""
+    def _check_number(self, name: str, unit: str, most: float, above_zero: bool) -> None:
+        """Validate an option, and store it as a float; raise ValueError if out of bounds."""
         given = getattr(self, name)
         value = finite(name, given, most=most)
         if value < 0 or (above_zero and value == 0):
@@ -61,29 +55,29 @@ class Mobility(ABC):
 
     @property
     def max_speed(self) -> float:
-        """Speed that no user ever exceeds, m/s."""
+        """Maximum speed of users, m/s."""
         return 0.0
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
-        """Tell the names and shapes of the arrays that the model keeps in one world.
+        """Return the names and shapes of the state arrays of one world.
 
         Args:
             count: Number U of users.
 
         Returns:
-            Shapes by name: "users" (U, 3), positions, m; "user_velocity" (U, 2), m/s; and what
-            else the model keeps.
+            Shapes by name: "users" (U, 3), positions, m; "user_velocity" (U, 2), m/s; and further
+            arrays of the model.
         """
         return {"users": (count, 3), "user_velocity": (count, 2)}
 
     def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
-        """Return the bounds of the arrays that the model keeps, for snapshots.
+        """Return the bounds of the state arrays, for snapshots.
 
         Args:
             ground: Ground of all layouts.
 
         Returns:
-            Lowest and highest values by name; they broadcast to the array of one world.
+            Lower and upper bounds by name; they broadcast to the array of one world.
         """
         reach = float(ground.raster.reach)
         return {
@@ -92,24 +86,18 @@ class Mobility(ABC):
         }
 
     def require(self, ground: Ground) -> None:  # noqa: B027
-        """Check that users can walk on a ground in this way.
+        """Check that the model supports a ground.
 
         Args:
             ground: Ground of all layouts.
 
         Raises:
-            ValueError: They cannot.
+            ValueError: If the model does not support it.
         """
 
     @abstractmethod
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
-        """Draw where users are and how they move when an episode begins.
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
+        """Draw the initial state of an episode.
 
         Args:
             rng: Generator of the world.
@@ -118,7 +106,7 @@ class Mobility(ABC):
             count: Number U of users.
 
         Returns:
-            The arrays that `state` names, of one world.
+            The state arrays of one world, see `state`.
         """
 
     def move(
@@ -130,19 +118,19 @@ class Mobility(ABC):
         dt: float,
         rng: Generators,
     ) -> None:
-        """Move users through a time step, in place.
+        """Advance users by one time step, in place.
 
         Args:
-            state: Arrays of all W worlds; changed.
+            state: State arrays of all W worlds; modified.
             ground: Ground of all layouts.
             layout: Layout (W,) of each world, int.
-            flying: Whether (W,) users of each world move: an episode is under way. The other
-                worlds stay as they are.
+            flying: Whether (W,) an episode of each world is running. Other worlds do not change.
             dt: Length of the step, s.
-            rng: Generator of each world. A world draws from its own alone, whatever others do.
+            rng: Generator of each world. Each world draws from its own generator, independently of
+                the others.
 
         Raises:
-            ValueError: `dt` is not above 0.
+            ValueError: If `dt` is not positive.
         """
         if not finite("dt", dt) > 0:
             raise ValueError(f"dt is {dt!r} s: a number above 0 is needed")
@@ -158,48 +146,44 @@ class Mobility(ABC):
         dt: float,
         rng: Generators,
     ) -> None:
-        """Move users as `move` tells, with a `dt` that is checked."""
+        """Advance users as `move`, with a validated `dt`."""
 
 
 @dataclass(frozen=True)
 class Walking(Mobility):
-    """A mobility model of users who walk.
+    """Base class of mobility models with walking users.
 
     Attributes:
-        speed: Lowest and highest speed, m/s; each user's is drawn uniformly.
+        speed: Minimum and maximum speed, m/s; the speed of each user is drawn uniformly.
     """
 
     speed: tuple[float, float] = (0.5, 3.0)
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Validate the options."""
         speed = check_range("speed", self.speed, unit="m/s", most=SPEED_LIMIT, above_zero=True)
         self._set_option("speed", speed)
 
     @property
     def max_speed(self) -> float:
-        """Speed that no user ever exceeds, m/s."""
+        """Maximum speed of users, m/s."""
         return self.speed[1]
 
 
 def check_range(
-    name: str,
-    value: Any,
-    unit: str,
-    most: float,
-    above_zero: bool,
+    name: str, value: Any, unit: str, most: float, above_zero: bool
 ) -> tuple[float, float]:
-    """Return an option that is a range, (low, high), as floats.
+    """Validate an option that is a range (low, high), and return it as floats.
 
     Args:
         name: Name of the option, for messages.
-        value: What the user gave.
+        value: Value of the option.
         unit: Unit, for messages.
-        most: Greatest value that is possible.
-        above_zero: Whether low must be above 0, and not only at least 0.
+        most: Maximum value.
+        above_zero: Whether low must be positive, not only non-negative.
 
     Raises:
-        ValueError: It is no such range.
+        ValueError: If the value is not a valid range.
     """
     low, high = (finite(name, end, most=most) for end in as_sequence(name, value, 2))
     if not 0 <= low <= high or (above_zero and low == 0):
@@ -209,16 +193,12 @@ def check_range(
 
 
 def random_headings(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Draw unit vectors (count, 2), uniform on the circle."""
+    """Draw unit vectors (count, 2) with uniformly distributed angles."""
     angle = rng.uniform(-math.pi, math.pi, count)
     return np.column_stack([cos(angle), sin(angle)])
 
 
-def standard_normals(
-    rng: Generators,
-    flying: np.ndarray,
-    *shape: int,
-) -> np.ndarray:
+def standard_normals(rng: Generators, flying: np.ndarray, *shape: int) -> np.ndarray:
     """Draw standard normal numbers for worlds that fly, each from its own generator.
 
     Args:
@@ -227,7 +207,7 @@ def standard_normals(
         *shape: Shape of the numbers of one world.
 
     Returns:
-        Numbers (W, *shape); those of worlds that do not fly have no meaning.
+        Numbers (W, *shape); undefined for worlds that do not fly.
     """
     values = np.empty((len(flying), *shape))
     for w, generator in _flying_generators(rng, flying):
@@ -236,9 +216,9 @@ def standard_normals(
 
 
 def stream_keys(rng: Generators, flying: np.ndarray) -> np.ndarray:
-    """Draw a key for `uniform` in each world that flies.
+    """Draw a key of a counter-based random stream for each world that flies, see `stream_uniform`.
 
-    So a move draws one number from the generator, however many numbers its users take.
+    One step consumes a single number of the generator, independent of how many numbers users need.
 
     Args:
         rng: Generator of each world.
@@ -256,25 +236,27 @@ def stream_keys(rng: Generators, flying: np.ndarray) -> np.ndarray:
 def _flying_generators(
     rng: Generators, flying: np.ndarray
 ) -> Iterator[tuple[int, np.random.Generator]]:
-    """Yield the index and the generator of each world that flies."""
+    """Yield index and generator of each world that flies."""
     for w in np.flatnonzero(flying).tolist():
         generator = rng[w]
-        assert generator is not None  # a world that flies was started
+        assert generator is not None  # set by the reset of the world
         yield w, generator
 
 
 @func
-def uniform(key: int, index: int) -> float:
-    """Return a number of the random stream of a key, uniform in [0, 1).
+def stream_uniform(key: int, index: int) -> float:
+    """Return a number of a counter-based random stream, uniform in [0, 1).
 
-    SplitMix64: G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number generators, OOPSLA
-    2014. The constants of its 64-bit mixer are by D. Stafford (variant 13).
+    The generator is SplitMix64; the constants of its 64-bit mixer are by D. Stafford (variant 13).
 
     Args:
         key: Key of the stream, uint64.
         index: Position in the stream, from 0.
+
+    References:
+        G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014.
     """
-    # State of the generator at that position, then two rounds of mixing
+    # State at that position, then two rounds of mixing
     mixed = np.uint64(key) + np.uint64(index + 1) * np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -1,8 +1,9 @@
-"""Users whose velocities change gradually: the Gauss-Markov model.
+"""Gauss-Markov mobility model: users with gradually changing velocities.
 
-B. Liang and Z. Haas, Predictive distance-based mobility management for PCS networks, INFOCOM 1999;
-T. Camp, J. Boleng and V. Davies, A survey of mobility models for ad hoc network research, WCMC
-2(5), 2002.
+References:
+    B. Liang and Z. Haas, Predictive distance-based mobility management for PCS networks, INFOCOM
+    1999; T. Camp, J. Boleng and V. Davies, A survey of mobility models for ad hoc network research,
+    WCMC 2(5), 2002.
 """
 
 import math
@@ -28,28 +29,24 @@ from bulletuav.network.mobility.raster import Raster, bounce, length
 from bulletuav.registry import register
 
 CORRELATION_TIME = -1 / log(0.75)
-"""Correlation time by default, s: velocities a second apart have the correlation 0.75"""
+"""Default correlation time, s: velocities one second apart have correlation 0.75"""
 MAX_DEVIATIONS = 4.0
-"""Standard deviations that a user may be faster than its mean speed"""
+"""Maximum excess over the mean speed, in standard deviations"""
 
 
 @elementwise
 def gauss_markov(
-    value: float,
-    mean: float,
-    correlation: float,
-    deviation: float,
-    normal: float,
+    value: float, mean: float, correlation: float, deviation: float, normal: float
 ) -> float:
     """Return the next value of a Gauss-Markov process (Liang and Haas).
 
-    With a correlation a it is a v + (1 - a) mean + deviation sqrt(1 - a^2) w. The correlation over
-    k steps is a^k. Steps of dt in a process of correlation time tau have a = exp(-dt / tau).
+    For a correlation a, the next value is a v + (1 - a) mean + deviation sqrt(1 - a^2) w. The
+    correlation over k steps is a^k. For steps of dt and a correlation time tau, a = exp(-dt / tau).
 
     Args:
-        value: Present value v.
+        value: Current value v.
         mean: Stationary mean.
-        correlation: Correlation a of values one step apart.
+        correlation: Correlation a of consecutive values.
         deviation: Stationary standard deviation.
         normal: Standard normal number w.
     """
@@ -60,16 +57,15 @@ def gauss_markov(
 @register("mobility")
 @dataclass(frozen=True)
 class GaussMarkov(Walking):
-    """The Gauss-Markov model.
+    """Gauss-Markov mobility model.
 
-    Each user's velocity is a Gauss-Markov process about a mean velocity of its own, which has a
-    random heading and is `speed` fast. Nobody is faster than the mean speed and 4 deviations: such
-    velocities are shortened. At walls and the edge users turn as light does at mirrors, and their
-    mean velocity turns away from the wall.
+    The velocity of each user is a Gauss-Markov process around a mean velocity with a random heading
+    and a speed drawn from `speed`. Speeds are limited to the mean speed plus 4 deviations. At walls
+    and at the edge, users are reflected, and their mean velocity is turned away from the wall.
 
     Attributes:
         correlation_time: Correlation time of velocities, s.
-        deviation: Standard deviation of each axis of the velocity, m/s.
+        deviation: Standard deviation of each component of the velocity, m/s.
     """
 
     name: ClassVar[str] = "gauss_markov"
@@ -77,45 +73,38 @@ class GaussMarkov(Walking):
     deviation: float = 0.5
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Validate the options."""
         super().__post_init__()
         self._check_number("correlation_time", unit=" s", most=MAX_TIME, above_zero=True)
         self._check_number("deviation", unit=" m/s", most=SPEED_LIMIT, above_zero=False)
 
     @property
     def max_speed(self) -> float:
-        """Speed that no user ever exceeds, m/s."""
+        """Maximum speed of users, m/s."""
         return self.speed[1] + MAX_DEVIATIONS * self.deviation
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
-        """Tell the arrays that the model keeps, see `Mobility.state`.
+        """Return the state arrays, see `Mobility.state`.
 
-        Beside those of every model this is "user_mean_velocity" (U, 2), m/s.
+        The additional array is "user_mean_velocity" (U, 2), m/s.
         """
         return super().state(count) | {"user_mean_velocity": (count, 2)}
 
     def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
-        """Return the bounds of what the model keeps, see `Mobility.bounds`."""
+        """Return the bounds of the state arrays, see `Mobility.bounds`."""
         mean = {"user_mean_velocity": (-MAX_VELOCITY, MAX_VELOCITY)}
         return super().bounds(ground) | mean
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
-        """Draw random positions, and velocities of the stationary distribution.
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
+        """Draw random positions, and velocities from the stationary distribution.
 
         See `Mobility.start`.
         """
         places = ground.places(rng, layout, count)
-        # Velocities scatter about a mean velocity of each user
         speed = rng.uniform(*self.speed, (count, 1))
         mean = speed * random_headings(rng, count)
         velocity = mean + self.deviation * rng.standard_normal((count, 2))
-        # Shorten velocities that are too fast
+        # Limit the speed
         fastest = np.linalg.norm(mean, axis=1) + MAX_DEVIATIONS * self.deviation
         velocity *= np.minimum(1, fastest / np.linalg.norm(velocity, axis=1))[:, None]
         return {"users": places, "user_velocity": velocity, "user_mean_velocity": mean}
@@ -129,12 +118,12 @@ class GaussMarkov(Walking):
         dt: float,
         rng: Generators,
     ) -> None:
-        """Move users as `move` tells."""
+        """Advance users as `move`."""
         velocity = state["user_velocity"]
         # One normal number for each user and axis
         noise = standard_normals(rng, flying, *velocity.shape[1:])
         correlation = exp(-dt / self.correlation_time)
-        advance(
+        advance_gauss_markov(
             state["users"],
             velocity,
             state["user_mean_velocity"],
@@ -149,7 +138,7 @@ class GaussMarkov(Walking):
 
 
 @kernel
-def advance(
+def advance_gauss_markov(
     users: np.ndarray,
     velocity: np.ndarray,
     mean: np.ndarray,
@@ -161,25 +150,25 @@ def advance(
     correlation: float,
     deviation: float,
 ) -> None:
-    """Move users through a time step, in place.
+    """Advance users by one time step, in place.
 
     Args:
-        users: Positions (W, U, 3), m; changed.
-        velocity: Velocities (W, U, 2), m/s; changed.
-        mean: Mean velocities (W, U, 2), m/s; changed at walls.
+        users: Positions (W, U, 3), m; modified.
+        velocity: Velocities (W, U, 2), m/s; modified.
+        mean: Mean velocities (W, U, 2), m/s; modified at walls.
         noise: Standard normal numbers (W, U, 2).
         raster: Free cells of all layouts.
         layout: Layout (W,) of each world.
         flying: Whether (W,) users of each world move.
         dt: Length of the step, s.
         correlation: Correlation of velocities `dt` apart.
-        deviation: Standard deviation of each axis of the velocity, m/s.
+        deviation: Standard deviation of each component of the velocity, m/s.
     """
     for w in range(users.shape[0]):
         if not flying[w]:
             continue
         for i in range(users.shape[1]):
-            # Next velocity, shortened where it is too fast
+            # Next velocity
             x = gauss_markov(
                 velocity[w, i, 0], mean[w, i, 0], correlation, deviation, noise[w, i, 0]
             )
@@ -187,12 +176,12 @@ def advance(
                 velocity[w, i, 1], mean[w, i, 1], correlation, deviation, noise[w, i, 1]
             )
             speed = length(x, y)
-            # Rare large numbers would make somebody run
+            # Limit the speed in the tails of the distribution
             fastest = length(mean[w, i, 0], mean[w, i, 1]) + MAX_DEVIATIONS * deviation
             if speed > fastest:
                 x = x * fastest / speed
                 y = y * fastest / speed
-            # Walk, and turn at walls together with the mean velocity
+            # Move, with reflections at walls
             end_x, end_y, turned_x, turned_y = bounce(
                 raster, layout[w], users[w, i, 0], users[w, i, 1], x * dt, y * dt
             )
@@ -200,7 +189,7 @@ def advance(
             users[w, i, 1] = end_y
             velocity[w, i, 0] = turned_x * x
             velocity[w, i, 1] = turned_y * y
-            # Else the mean would push users along the wall for long
+            # Turn the mean velocity, too, so that users do not stay at the wall
             if turned_x < 0.0:
                 mean[w, i, 0] = math.copysign(mean[w, i, 0], velocity[w, i, 0])
             if turned_y < 0.0:

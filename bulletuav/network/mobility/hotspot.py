@@ -1,6 +1,6 @@
-"""Users who gather about places that drift, as crowds do about what they came to see.
+"""Hotspot mobility model: users gather around drifting hotspots, as crowds do.
 
-The model is our own.
+The model is specific to this package.
 """
 
 from dataclasses import dataclass
@@ -29,34 +29,34 @@ from bulletuav.network.mobility.raster import Raster, bounce, length
 from bulletuav.registry import register
 
 TURNING_TIME = 1 / log(2.5)
-"""Turning time by default, s: after a second 0.4 of a heading is left"""
+"""Default turning time, s: after one second a fraction of 0.4 of a heading remains"""
 MAX_HOTSPOTS = 1000
-"""Most hotspots that an option may give"""
+"""Maximum number of hotspots in options"""
 MAX_WOBBLE = 100.0
-"""Greatest wobble that an option may give"""
+"""Maximum wobble in options"""
 SHORT = 1e-12
-"""Length below which vectors have no direction"""
+"""Minimum length of a vector that has a direction"""
 
 
 @register("mobility")
 @dataclass(frozen=True)
-class Hotspot(Walking):
-    """A model of users who gather about hotspots.
+class HotspotMobility(Walking):
+    """Hotspot mobility model.
 
-    Each user belongs to a hotspot and walks at its own constant speed, the way its heading vector
-    points. That vector is a Gauss-Markov process about the unit vector towards the hotspot. So
-    headings blend on the circle, alike for any time step. Nearer than `radius` to the hotspot it is
-    a process about its own direction, and users mill around.
+    Each user belongs to a hotspot and walks with its own constant speed along its heading vector.
+    The heading vector is a Gauss-Markov process around the unit vector to the hotspot, so that
+    headings change smoothly and independently of the time step. Within `radius` of the hotspot, the
+    mean is the user's own direction, and users mill around.
 
-    Hotspots drift straight on. At walls and the edge all turn as light does at mirrors. Users know
-    no way round a building but find one in time, by their wobble.
+    Hotspots drift with constant velocity. At walls and at the edge, hotspots and users are
+    reflected. Users have no path planning; their wobble leads them around buildings eventually.
 
     Attributes:
         num_hotspots: Number of hotspots in each world.
-        drift: Lowest and highest speed of hotspots, m/s; each is drawn uniformly.
+        drift: Minimum and maximum speed of hotspots, m/s; each is drawn uniformly.
         radius: Distance within which users mill around, m.
-        turning_time: Time until 1 / e of a heading is left, s.
-        wobble: Standard deviation of each axis of the heading vector.
+        turning_time: Time constant of heading changes (decay to 1 / e), s.
+        wobble: Standard deviation of each component of the heading vector.
     """
 
     name: ClassVar[str] = "hotspot"
@@ -67,7 +67,7 @@ class Hotspot(Walking):
     wobble: float = 0.3
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Validate the options."""
         super().__post_init__()
         count = as_int("num_hotspots", self.num_hotspots, 1, MAX_HOTSPOTS)
         self._set_option("num_hotspots", count)
@@ -78,11 +78,11 @@ class Hotspot(Walking):
         self._check_number("wobble", unit="", most=MAX_WOBBLE, above_zero=False)
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
-        """Tell the arrays that the model keeps, see `Mobility.state`.
+        """Return the state arrays, see `Mobility.state`.
 
-        Beside those of every model these are, for H hotspots: "hotspots" (H, 2), positions, m;
+        The additional arrays are, for H hotspots: "hotspots" (H, 2), positions, m;
         "hotspot_velocity" (H, 2), m/s; "user_hotspot" (U,), the index of each user's hotspot;
-        "user_speed" (U,), m/s; and "user_heading" (U, 2), about as long as unit vectors.
+        "user_speed" (U,), m/s; and "user_heading" (U, 2), with a length of about 1.
         """
         return super().state(count) | {
             "hotspots": (self.num_hotspots, 2),
@@ -93,7 +93,7 @@ class Hotspot(Walking):
         }
 
     def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
-        """Return the bounds of what the model keeps, see `Mobility.bounds`."""
+        """Return the bounds of the state arrays, see `Mobility.bounds`."""
         reach = float(ground.raster.reach)
         return super().bounds(ground) | {
             "hotspots": (-reach, reach),
@@ -103,24 +103,16 @@ class Hotspot(Walking):
             "user_heading": (-MAX_VELOCITY, MAX_VELOCITY),
         }
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """Draw random positions of users and hotspots, with random headings.
 
         See `Mobility.start`.
         """
-        # Users walk in random directions at first
         number = self.num_hotspots
         speed = rng.uniform(*self.speed, count)
         heading = random_headings(rng, count)
         users = ground.places(rng, layout, count)
         hotspots = ground.places(rng, layout, number)[:, :2]
-        # Hotspots drift in directions of their own
         drift_speed = rng.uniform(*self.drift, (number, 1))
         drift_heading = random_headings(rng, number)
         return {
@@ -142,12 +134,12 @@ class Hotspot(Walking):
         dt: float,
         rng: Generators,
     ) -> None:
-        """Move hotspots and users as `move` tells."""
-        # Hotspots first: users follow to where they are now
+        """Advance hotspots and users as `move`."""
+        # Hotspots first: users follow the new positions
         drift(state["hotspots"], state["hotspot_velocity"], ground.raster, layout, flying, dt)
-        # Numbers are drawn only for worlds that fly, so pauses change nothing
+        # Draw only for worlds that fly, so that paused worlds stay reproducible
         noise = standard_normals(rng, flying, *state["user_heading"].shape[1:])
-        advance(
+        advance_hotspot_users(
             state["users"],
             state["user_velocity"],
             state["user_heading"],
@@ -174,11 +166,11 @@ def drift(
     flying: np.ndarray,
     dt: float,
 ) -> None:
-    """Move hotspots straight on through a time step, in place.
+    """Advance hotspots with constant velocity by one time step, in place.
 
     Args:
-        hotspots: Positions (W, H, 2), m; changed.
-        velocity: Velocities (W, H, 2), m/s; changed at walls.
+        hotspots: Positions (W, H, 2), m; modified.
+        velocity: Velocities (W, H, 2), m/s; modified at walls.
         raster: Free cells of all layouts.
         layout: Layout (W,) of each world.
         flying: Whether (W,) hotspots of each world move.
@@ -190,19 +182,19 @@ def drift(
         for i in range(hotspots.shape[1]):
             place = hotspots[w, i]
             own = velocity[w, i]
-            # Walls turn hotspots, as they turn users
+            # Move, with reflections at walls
             end_x, end_y, turned_x, turned_y = bounce(
                 raster, layout[w], place[0], place[1], dt * own[0], dt * own[1]
             )
             place[0] = end_x
             place[1] = end_y
-            # Turn as the walk was turned at walls
+            # Apply the reflections to the direction
             own[0] = turned_x * own[0]
             own[1] = turned_y * own[1]
 
 
 @kernel
-def advance(
+def advance_hotspot_users(
     users: np.ndarray,
     velocity: np.ndarray,
     heading: np.ndarray,
@@ -218,12 +210,12 @@ def advance(
     radius: float,
     wobble: float,
 ) -> None:
-    """Move users through a time step, in place.
+    """Advance users by one time step, in place.
 
     Args:
-        users: Positions (W, U, 3), m; changed.
+        users: Positions (W, U, 3), m; modified.
         velocity: Velocities (W, U, 2), m/s; overwritten.
-        heading: Heading vectors (W, U, 2); changed.
+        heading: Heading vectors (W, U, 2); modified.
         speed: Speeds (W, U), m/s.
         hotspot: Index (W, U) of each user's hotspot.
         hotspots: Positions (W, H, 2) of hotspots, m.
@@ -234,7 +226,7 @@ def advance(
         dt: Length of the step, s.
         correlation: Correlation of headings `dt` apart.
         radius: Distance within which users mill around, m.
-        wobble: Standard deviation of each axis of the heading vector.
+        wobble: Standard deviation of each component of the heading vector.
     """
     for w in range(users.shape[0]):
         if not flying[w]:
@@ -243,14 +235,14 @@ def advance(
             place = users[w, i]
             own = heading[w, i]
             goal = hotspots[w, int(hotspot[w, i])]
-            # Mean heading: towards the hotspot, or the way that the user goes where it is near
+            # Mean heading: towards the hotspot, or the user's own heading near the hotspot
             x = goal[0] - place[0]
             y = goal[1] - place[1]
             if length(x, y) < radius:
                 x = own[0]
                 y = own[1]
             size = max(length(x, y), SHORT)
-            # Next heading, and a walk along it at the user's speed
+            # Next heading, and a move along it at the user's speed
             x = gauss_markov(own[0], x / size, correlation, wobble, noise[w, i, 0])
             y = gauss_markov(own[1], y / size, correlation, wobble, noise[w, i, 1])
             pace = speed[w, i] / max(length(x, y), SHORT)
@@ -259,7 +251,7 @@ def advance(
             )
             place[0] = end_x
             place[1] = end_y
-            # Turn as the walk was turned at walls
+            # Apply the reflections to the direction
             own[0] = turned_x * x
             own[1] = turned_y * y
             velocity[w, i, 0] = pace * own[0]

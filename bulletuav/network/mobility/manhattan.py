@@ -1,8 +1,10 @@
-"""Users who walk along streets and turn at crossings: the Manhattan model.
+"""Manhattan mobility model: users walk along streets and turn at crossings.
 
-F. Bai, N. Sadagopan and A. Helmy, IMPORTANT: a framework to systematically analyze the impact of
-mobility on performance of routing protocols for ad hoc networks, INFOCOM 2003. Its lanes and its
-distance between those who follow each other are left out.
+Lanes and the distance between successive users are not modelled.
+
+References:
+    F. Bai, N. Sadagopan and A. Helmy, IMPORTANT: a framework to systematically analyze the impact
+    of mobility on performance of routing protocols for ad hoc networks, INFOCOM 2003.
 """
 
 from dataclasses import dataclass
@@ -18,57 +20,57 @@ from bulletuav.network.mobility.base import (
     State,
     Walking,
     stream_keys,
-    uniform,
+    stream_uniform,
 )
 from bulletuav.network.mobility.ground import OFF_GRID, Graph, Ground
 from bulletuav.network.mobility.raster import length
 from bulletuav.registry import register
 
 MAX_WEIGHT = 1e6
-"""Greatest weight of a turn that an option may give"""
+"""Maximum weight of a turn in options"""
 STRAIGHT, LEFT, RIGHT = range(3)
 
 
 @register("mobility")
 @dataclass(frozen=True)
 class Manhattan(Walking):
-    """The Manhattan model.
+    """Manhattan mobility model.
 
-    Users walk on the centre lines of streets, each at its own constant speed, and turn only at
-    nodes. There one of the streets that lead on is drawn, by the weights of their turns. Users turn
-    back only where a street ends.
+    Users walk on the centre lines of streets, each with its own constant speed, and turn only at
+    nodes. At a node, one of the outgoing streets is drawn according to the weights of the turns.
+    Users turn back only at dead ends.
 
     Attributes:
-        turns: Weights of streets that lead straight on (up to 45 degrees off), left and right.
+        turns: Weights of outgoing streets: straight on (up to 45 degrees off), left and right.
     """
 
     name: ClassVar[str] = "manhattan"
     turns: tuple[float, float, float] = (0.5, 0.25, 0.25)
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Validate the options."""
         super().__post_init__()
         given = as_sequence("turns", self.turns, 3)
         turns = tuple(finite("turns", weight, most=MAX_WEIGHT) for weight in given)
         self._set_option("turns", turns)
         for weight in turns:
-            # A turn may be the only one that a node has, so 0 will not do
+            # A turn may be the only option at a node, so weights must not be 0
             if not weight > 0:
                 raise ValueError(
-                    f"turns has {weight!r}: three numbers above 0 are needed, "
-                    "of straight on, left and right"
+                    f"turns has {weight!r}: three positive weights are needed, "
+                    "for straight on, left and right"
                 )
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
-        """Tell the arrays that the model keeps, see `Mobility.state`.
+        """Return the state arrays, see `Mobility.state`.
 
-        Beside those of every model these are "user_speed" (U,), m/s, and "user_street" (U, 3): the
-        node behind, the node ahead, and the distance from the former, m.
+        The additional arrays are "user_speed" (U,), m/s, and "user_street" (U, 3): previous node,
+        next node, and distance from the previous node, m.
         """
         return super().state(count) | {"user_speed": (count,), "user_street": (count, 3)}
 
     def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
-        """Return the bounds of what the model keeps, see `Mobility.bounds`."""
+        """Return the bounds of the state arrays, see `Mobility.bounds`."""
         last = ground.graph.node.shape[1] - 1
         longest = 4.0 * float(ground.raster.reach)  # longer than the diagonal of the square
         return super().bounds(ground) | {
@@ -83,18 +85,12 @@ class Manhattan(Walking):
             ground: Ground of all layouts.
 
         Raises:
-            ValueError: A city has no streets, or a street of no length.
+            ValueError: If a city has no streets, or a street of zero length.
         """
-        ground.graph  # noqa: B018 - made here, or refused
+        ground.graph  # noqa: B018 - the property validates the streets
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
-        """Draw positions that are uniform along the streets, see `Mobility.start`."""
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
+        """Draw positions uniformly along the streets, see `Mobility.start`."""
         street = ground.street_places(rng, layout, count)
         speed = rng.uniform(*self.speed, count)
         # Position and direction on the street
@@ -117,8 +113,8 @@ class Manhattan(Walking):
         dt: float,
         rng: Generators,
     ) -> None:
-        """Move users as `move` tells."""
-        advance(
+        """Advance users as `move`."""
+        advance_manhattan(
             state["users"],
             state["user_velocity"],
             state["user_speed"],
@@ -133,7 +129,7 @@ class Manhattan(Walking):
 
 
 @kernel
-def advance(
+def advance_manhattan(
     users: np.ndarray,
     velocity: np.ndarray,
     speed: np.ndarray,
@@ -145,37 +141,37 @@ def advance(
     dt: float,
     turns: tuple[float, float, float],
 ) -> None:
-    """Move users along their streets through a time step, in place.
+    """Advance users along their streets by one time step, in place.
 
     Args:
-        users: Positions (W, U, 3), m; changed.
+        users: Positions (W, U, 3), m; modified.
         velocity: Velocities (W, U, 2), m/s; overwritten.
         speed: Speeds (W, U), m/s.
-        street: Node behind, node ahead, and distance from the former, m (W, U, 3); changed.
-        key: Keys (W,) of `uniform`, uint64.
+        street: Previous node, next node, and distance from the previous node, m (W, U, 3);
+            modified.
+        key: Keys (W,) of the random streams, uint64.
         graph: Street graphs of all layouts.
         layout: Layout (W,) of each world.
         flying: Whether (W,) users of each world move.
         dt: Length of the step, s.
-        turns: Weights of streets that lead straight on, left and right.
+        turns: Weights of outgoing streets: straight on, left and right.
     """
     for w in range(users.shape[0]):
         if not flying[w]:
             continue
-        # All users of a world draw from one stream
+        # All users of a world share one random stream
         node = graph.node[layout[w]]
         drawn = 0
         for i in range(users.shape[1]):
-            # Where on its street the user would be by now
+            # Distance along the current street
             behind = int(street[w, i, 0])
             ahead = int(street[w, i, 1])
             along = street[w, i, 2] + speed[w, i] * dt
             extent = street_length(node, behind, ahead)
-            # Go on into the next street at every node that is passed
+            # Continue on the next street at every passed node
             while along >= extent:
                 along -= extent
-                # One number a crossing: the same crossings, the same numbers
-                chance = uniform(key[w], drawn)
+                chance = stream_uniform(key[w], drawn)
                 following = next_node(graph, layout[w], behind, ahead, turns, chance)
                 behind = ahead
                 ahead = following
@@ -192,11 +188,7 @@ def advance(
 
 
 @func
-def street_length(
-    node: np.ndarray,
-    behind: int,
-    ahead: int,
-) -> float:
+def street_length(node: np.ndarray, behind: int, ahead: int) -> float:
     """Return the length of the street between two of the nodes (S, 2), m."""
     x = node[ahead, 0] - node[behind, 0]
     y = node[ahead, 1] - node[behind, 1]
@@ -212,25 +204,25 @@ def next_node(
     turns: tuple[float, float, float],
     chance: float,
 ) -> int:
-    """Choose the node that a user goes to from another node.
+    """Draw the next node of a user at a node.
 
     Args:
         graph: Street graphs of all layouts.
         layout: Index of the layout.
-        before: Node that the user came from.
-        node: Node where the user is.
-        turns: Weights of streets that lead straight on, left and right.
+        before: Previous node.
+        node: Current node.
+        turns: Weights of outgoing streets: straight on, left and right.
         chance: Uniform random number in [0, 1).
 
     Returns:
-        A neighbour other than `before`, drawn by the weights; `before` where there is no other.
+        A neighbour other than `before`, drawn by the weights; `before` at a dead end.
     """
-    # Total weight of the streets that lead on
+    # Total weight of the outgoing streets
     total = 0.0
     for ahead in graph.neighbour[layout, node]:
         if ahead != OFF_GRID and ahead != before:
             total += turns[turn(graph.node[layout], before, node, ahead)]
-    # The street in which the share `chance` of it is used up
+    # Inverse transform sampling
     left = chance * total
     chosen = before
     for ahead in graph.neighbour[layout, node]:
@@ -241,29 +233,24 @@ def next_node(
 
 
 @func
-def turn(
-    place: np.ndarray,
-    before: int,
-    node: int,
-    ahead: int,
-) -> int:
-    """Tell how a way from one node to the next goes on to a third.
+def turn(place: np.ndarray, before: int, node: int, ahead: int) -> int:
+    """Classify the turn from one street to the next.
 
     Args:
         place: Positions (S, 2) of nodes, m.
-        before: Node that the way comes from.
-        node: Node that it passes.
-        ahead: Node that it goes on to.
+        before: Previous node.
+        node: Current node.
+        ahead: Next node.
 
     Returns:
         `STRAIGHT` (up to 45 degrees off), `LEFT` or `RIGHT`.
     """
-    # The way before the node, and the way after it
+    # Directions before and after the node
     x = place[node, 0] - place[before, 0]
     y = place[node, 1] - place[before, 1]
     next_x = place[ahead, 0] - place[node, 0]
     next_y = place[ahead, 1] - place[node, 1]
-    # Components of the latter across and along the former
+    # Cross and dot product of the directions
     across = x * next_y - y * next_x
     onward = x * next_x + y * next_y
     if abs(across) <= onward:

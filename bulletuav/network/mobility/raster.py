@@ -1,4 +1,4 @@
-"""The free cells of cities as a raster, and straight walks through them."""
+"""Raster of the free ground of cities, and straight moves on it."""
 
 import math
 from collections.abc import Sequence
@@ -12,18 +12,19 @@ from bulletuav.compiled.kernel import allocating, func
 MARGIN = 0.1
 """Distance between free cells and walls, m"""
 INSET = 1e-9
-"""Least distance of positions from the sides of their cell, m: rounding puts none into the next"""
+"""Minimum distance of positions from the sides of their cell, m; prevents rounding into the next
+cell"""
 
 
 class Raster(NamedTuple):
-    """Free cells of L layouts, x by columns and y by rows.
+    """Free cells of L layouts; columns along x, rows along y.
 
-    Free cells are wholly in bounds, and `MARGIN` m or more from footprints of buildings.
+    Free cells are entirely in bounds, and at least `MARGIN` m from footprints of buildings.
 
     Attributes:
         free: Whether (L, C, C) each cell is free.
-        sides: Lengths (L, 2) of each layout's ground along x and y, m.
-        cell: Side of a cell, m.
+        sides: Lengths (L, 2) of the ground of each layout along x and y, m.
+        cell: Edge length of a cell, m.
         reach: Half of the side of the raster, m: cells cover [-reach, reach]^2.
     """
 
@@ -34,11 +35,11 @@ class Raster(NamedTuple):
 
 
 def rasterise(cities: Sequence[City], cell: float) -> Raster:
-    """Find the free cells of cities on one grid about the origin.
+    """Rasterise the free ground of cities on a common grid around the origin.
 
     Args:
         cities: City of each layout.
-        cell: Side of a cell, m.
+        cell: Edge length of a cell, m.
     """
     count = int(max(city.sides.max() for city in cities) / cell)
     raster = Raster(
@@ -47,10 +48,10 @@ def rasterise(cities: Sequence[City], cell: float) -> Raster:
         cell=cell,
         reach=count * cell / 2,
     )
-    # Lines between columns, and alike between rows
+    # Grid lines, the same for columns and rows
     lines = np.arange(count + 1) * cell - raster.reach
     for own, city in zip(raster.free, cities, strict=True):
-        # Cells between two lines in bounds are in bounds; allow for rounding
+        # Cells between two lines in bounds are in bounds; the tolerance covers rounding
         reached = np.abs(lines) <= city.sides[:, None] / 2 * (1 + 1e-12)
         inside = reached[:, :-1] & reached[:, 1:]
         own[:] = inside[0][:, None] & inside[1]
@@ -60,41 +61,38 @@ def rasterise(cities: Sequence[City], cell: float) -> Raster:
 
 
 @allocating
-def block_outline(
-    free: np.ndarray,
-    outline: np.ndarray,
-    cell: float,
-    reach: float,
-) -> None:
+def block_outline(free: np.ndarray, outline: np.ndarray, cell: float, reach: float) -> None:
     """Mark the cells that are nearer than `MARGIN` m to a convex outline as not free, in place.
 
-    A cell that is widened by the margin on all sides is clear of the outline if one side of either
-    parts them (separating axes: S. Gottschalk, M. Lin, D. Manocha, OBBTree, SIGGRAPH 1996).
+    The test is a separating axis test of each cell, inflated by the margin, against the outline.
+
+    References:
+        S. Gottschalk, M. Lin, D. Manocha, OBBTree, SIGGRAPH 1996.
 
     Args:
-        free: Whether (C, C) each cell is free; changed.
-        outline: Corners (V, 2) of the outline, which turns left, m.
-        cell: Side of a cell, m.
+        free: Whether (C, C) each cell is free; modified.
+        outline: Corners (V, 2) of the outline, counter-clockwise, m.
+        cell: Edge length of a cell, m.
         reach: Half of the side of the raster, m.
     """
     half = 0.5 * cell + MARGIN
-    # Columns and rows that the outline can reach
+    # Range of columns and rows of the inflated bounding box
     low = np.empty(2, dtype=np.int64)
     high = np.empty(2, dtype=np.int64)
     for axis in range(2):
         left = right = outline[0, axis]
         for k in range(1, len(outline)):
             left, right = min(left, outline[k, axis]), max(right, outline[k, axis])
-        least = (left - MARGIN + reach) / cell
-        most = (right + MARGIN + reach) / cell
-        low[axis] = max(0, math.floor(least))
-        high[axis] = min(len(free), math.floor(most) + 1)
+        lower = (left - MARGIN + reach) / cell
+        upper = (right + MARGIN + reach) / cell
+        low[axis] = max(0, math.floor(lower))
+        high[axis] = min(len(free), math.floor(upper) + 1)
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
             # Centre of the cell
             x = (i + 0.5) * cell - reach
             y = (j + 0.5) * cell - reach
-            # Is the widened cell wholly beyond any side of the outline?
+            # Is the inflated cell entirely outside any side of the outline?
             clear = False
             for k in range(len(outline)):
                 end = outline[(k + 1) % len(outline)]
@@ -107,138 +105,118 @@ def block_outline(
 
 @func
 def length(x: float, y: float) -> float:
-    """Return the length of a vector; `math.hypot` costs ten times as much."""
+    """Return the length of a vector; ten times faster than `math.hypot`."""
     return math.sqrt(x * x + y * y)
 
 
 @func
-def cell_of(coordinate: float, raster: Raster) -> int:
-    """Return the column of an x, or the row of a y, m."""
+def cell_index(coordinate: float, raster: Raster) -> int:
+    """Return the column of an x coordinate, or the row of a y coordinate, m."""
     return math.floor((coordinate + raster.reach) / raster.cell)
 
 
 @func
-def is_free(
-    raster: Raster,
-    layout: int,
-    column: int,
-    row: int,
-) -> bool:
-    """Tell whether there is such a cell and it is free."""
+def is_free(raster: Raster, layout: int, column: int, row: int) -> bool:
+    """Return True if a cell is inside the raster and free."""
     count = raster.free.shape[1]
-    # One expression: with an early return numba counts references, which makes walks 4 times slower
+    # One expression: with an early return, numba's reference counting makes it 4 times slower
     return 0 <= column < count and 0 <= row < count and bool(raster.free[layout, column, row])
 
 
 @func
-def clamp_to_cell(
-    coordinate: float,
-    index: int,
-    raster: Raster,
-) -> float:
-    """Return an x or y (m), moved into its column or row where rounding left it outside."""
+def clamp_to_cell(coordinate: float, index: int, raster: Raster) -> float:
+    """Clamp a coordinate, m, to its column or row, against rounding errors."""
     line = index * raster.cell - raster.reach
     return min(max(coordinate, line + INSET), line + raster.cell - INSET)
 
 
 @func
-def walk(
-    raster: Raster,
-    layout: int,
-    x: float,
-    y: float,
-    way_x: float,
-    way_y: float,
+def move_straight(
+    raster: Raster, layout: int, x: float, y: float, dx: float, dy: float
 ) -> tuple[float, float, float, int]:
-    """Walk straight on through free cells, up to the first that is not free.
+    """Move straight through free cells, up to the first cell that is not free.
 
-    Cells are visited by J. Amanatides and A. Woo, A fast voxel traversal algorithm, 1987.
+    References:
+        J. Amanatides and A. Woo, A fast voxel traversal algorithm, 1987.
 
     Args:
         raster: Free cells of all layouts.
         layout: Index of the layout.
-        x: Position at the start, m.
-        y: Position at the start, m.
-        way_x: Displacement along x if nothing is in the way, m.
-        way_y: Displacement along y if nothing is in the way, m.
+        x: Start position, m.
+        y: Start position, m.
+        dx: Displacement along x if nothing blocks the move, m.
+        dy: Displacement along y if nothing blocks the move, m.
 
     Returns:
-        x and y of the end, m, in the last free cell; the share of the way that is gone; and the
-        axis, 0 (x) or 1 (y), across which the next cell stopped the walk, or -1 if none did. Who
-        starts in no free cell stays: the share is 0, and the axis -1.
+        x and y of the end, m, in the last free cell; the completed fraction of the move; and the
+        axis, 0 (x) or 1 (y), across which the next cell blocked the move, or -1 if none did. A move
+        that starts outside free cells is not executed: fraction 0 and axis -1.
     """
-    # Who stands in a wall stays
-    column = cell_of(x, raster)
-    row = cell_of(y, raster)
+    # No move from inside a wall
+    column = cell_index(x, raster)
+    row = cell_index(y, raster)
     if not is_free(raster, layout, column, row):
         return x, y, 0.0, -1
-    # Share of the way at which the next column and the next row begin
-    east = 1 if way_x > 0.0 else -1
-    north = 1 if way_y > 0.0 else -1
+    # Fractions of the move at the next column and the next row
+    east = 1 if dx > 0.0 else -1
+    north = 1 if dy > 0.0 else -1
     next_x = np.inf
     next_y = np.inf
-    if way_x != 0.0:
-        next_x = ((column + max(east, 0)) * raster.cell - raster.reach - x) / way_x
-    if way_y != 0.0:
-        next_y = ((row + max(north, 0)) * raster.cell - raster.reach - y) / way_y
-    # The whole way, unless something is in it
-    share = 1.0
+    if dx != 0.0:
+        next_x = ((column + max(east, 0)) * raster.cell - raster.reach - x) / dx
+    if dy != 0.0:
+        next_y = ((row + max(north, 0)) * raster.cell - raster.reach - y) / dy
+    fraction = 1.0
     stopped = -1
-    # Enter the cells on the way one by one, until one is not free
+    # Traverse the cells until one is not free
     while min(next_x, next_y) < 1.0:
-        # Whichever side of the cell is reached first
         if next_x <= next_y:
             if not is_free(raster, layout, column + east, row):
-                share = next_x
+                fraction = next_x
                 stopped = 0
                 break
             column += east
-            next_x += raster.cell / abs(way_x)
+            next_x += raster.cell / abs(dx)
         else:
             if not is_free(raster, layout, column, row + north):
-                share = next_y
+                fraction = next_y
                 stopped = 1
                 break
             row += north
-            next_y += raster.cell / abs(way_y)
-    # Rounding may have left the end beyond the side of its cell
-    end_x = clamp_to_cell(x + share * way_x, column, raster)
-    end_y = clamp_to_cell(y + share * way_y, row, raster)
-    return end_x, end_y, share, stopped
+            next_y += raster.cell / abs(dy)
+    # Rounding may have moved the end outside its cell
+    end_x = clamp_to_cell(x + fraction * dx, column, raster)
+    end_y = clamp_to_cell(y + fraction * dy, row, raster)
+    return end_x, end_y, fraction, stopped
 
 
 @func
 def bounce(
-    raster: Raster,
-    layout: int,
-    x: float,
-    y: float,
-    way_x: float,
-    way_y: float,
+    raster: Raster, layout: int, x: float, y: float, dx: float, dy: float
 ) -> tuple[float, float, float, float]:
-    """Walk through free cells, turned at walls as light is by mirrors.
+    """Move through free cells with specular reflections at walls.
 
     Args:
         raster: Free cells of all layouts.
         layout: Index of the layout.
-        x: Position at the start, m.
-        y: Position at the start, m.
-        way_x: Displacement along x if nothing is in the way, m.
-        way_y: Displacement along y if nothing is in the way, m.
+        x: Start position, m.
+        y: Start position, m.
+        dx: Displacement along x if nothing blocks the move, m.
+        dy: Displacement along y if nothing blocks the move, m.
 
     Returns:
-        x and y of the end, m; and for each axis -1 if the walk is turned about in it, else 1.
+        x and y of the end, m; and for each axis -1 if the direction is reversed, else 1.
     """
     turned_x = 1.0
     turned_y = 1.0
     left = 1.0
     stopped = 0
     while stopped >= 0 and left > 0.0:
-        x, y, share, stopped = walk(
-            raster, layout, x, y, left * turned_x * way_x, left * turned_y * way_y
+        x, y, fraction, stopped = move_straight(
+            raster, layout, x, y, left * turned_x * dx, left * turned_y * dy
         )
-        # Go on with the rest of the way, turned about in the axis of the wall
-        left *= 1.0 - share
+        # Continue with the rest of the move, reflected at the wall
+        left *= 1.0 - fraction
         if stopped == 0:
             turned_x = -turned_x
         elif stopped == 1:

@@ -1,4 +1,4 @@
-"""Users who stand still."""
+"""Mobility model of static users."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,17 +13,11 @@ from bulletuav.registry import register
 @register("mobility")
 @dataclass(frozen=True)
 class Still(Mobility):
-    """A mobility model where nobody moves; positions are uniform over free ground."""
+    """Static users, uniformly distributed over free ground."""
 
     name: ClassVar[str] = "still"
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """Draw random positions, see `Mobility.start`."""
         return {"users": ground.places(rng, layout, count), "user_velocity": np.zeros((count, 2))}
 
@@ -36,4 +30,4 @@ class Still(Mobility):
         dt: float,
         rng: Generators,
     ) -> None:
-        """Leave users where they are."""
+        """Do nothing."""

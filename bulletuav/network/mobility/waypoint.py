@@ -1,7 +1,9 @@
-"""Users who walk straight from place to place and rest there: the random waypoint model.
+"""Random waypoint mobility model: users walk straight from one waypoint to the next, with pauses.
 
-D. Johnson and D. Maltz, Dynamic source routing in ad hoc wireless networks, 1996. Among buildings
-users walk only to places in straight view, as in ns-3's outdoor random walk.
+Among buildings, waypoints are always in direct view, as in ns-3's outdoor random walk.
+
+References:
+    D. Johnson and D. Maltz, Dynamic source routing in ad hoc wireless networks, 1996.
 """
 
 from dataclasses import dataclass
@@ -19,49 +21,52 @@ from bulletuav.network.mobility.base import (
     Walking,
     check_range,
     stream_keys,
-    uniform,
+    stream_uniform,
 )
 from bulletuav.network.mobility.ground import Ground
-from bulletuav.network.mobility.raster import Raster, cell_of, is_free, length, walk
+from bulletuav.network.mobility.raster import Raster, cell_index, is_free, length, move_straight
 from bulletuav.registry import register
 
 MAX_TRIES = 100
-"""Places that a user draws before giving up for a while"""
+"""Maximum number of candidate waypoints before a user pauses"""
 RETRY_PAUSE = 1.0
-"""Time until a user who saw no place to go to looks again, s"""
+"""Pause of a user without a visible waypoint, s"""
 
 
 @register("mobility")
 @dataclass(frozen=True)
 class Waypoint(Walking):
-    """The random waypoint model.
+    """Random waypoint mobility model.
 
-    Each user picks a place, uniform over the free ground in straight view. It walks there at a
-    speed drawn anew, and rests. After 100 places out of view a user stays for a second.
+    Each user draws a waypoint, uniformly over the free ground in direct view, walks there at a
+    newly drawn speed, and pauses. After 100 candidates out of view, a user waits for a second.
 
-    The time average of the speed on the way is (high - low) / ln(high / low). This is less than the
-    middle, since slow legs take long. Speeds of first legs are drawn from that stationary
-    distribution, so that the mean does not decay: W. Navidi and T. Camp, Stationary distributions
-    for the random waypoint mobility model, IEEE Trans. Mobile Computing 3(1), 2004.
+    The time average of the walking speed is (high - low) / ln(high / low). This is less than the
+    mean of low and high, since slow legs take longer. The speeds of first legs are drawn from this
+    stationary distribution, so that the mean speed does not decay.
+
+    References:
+        W. Navidi and T. Camp, Stationary distributions for the random waypoint mobility model, IEEE
+        Trans. Mobile Computing 3(1), 2004.
 
     Attributes:
-        pause: Shortest and longest rest, s; each is drawn uniformly.
+        pause: Minimum and maximum pause, s; each is drawn uniformly.
     """
 
     name: ClassVar[str] = "waypoint"
     pause: tuple[float, float] = (0.0, 30.0)
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Validate the options."""
         super().__post_init__()
         pause = check_range("pause", self.pause, unit="s", most=MAX_TIME, above_zero=False)
         self._set_option("pause", pause)
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
-        """Tell the arrays that the model keeps, see `Mobility.state`.
+        """Return the state arrays, see `Mobility.state`.
 
-        Beside those of every model these are "user_goal" (U, 2), m; "user_speed" (U,) of this or
-        the next leg, m/s; and "user_pause" (U,), the rest that is left, s.
+        The additional arrays are "user_goal" (U, 2), m; "user_speed" (U,) of the current or next
+        leg, m/s; and "user_pause" (U,), the remaining pause, s.
         """
         return super().state(count) | {
             "user_goal": (count, 2),
@@ -70,7 +75,7 @@ class Waypoint(Walking):
         }
 
     def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
-        """Return the bounds of what the model keeps, see `Mobility.bounds`."""
+        """Return the bounds of the state arrays, see `Mobility.bounds`."""
         reach = float(ground.raster.reach)
         return super().bounds(ground) | {
             "user_goal": (-reach, reach),
@@ -78,19 +83,13 @@ class Waypoint(Walking):
             "user_pause": (0.0, MAX_TIME),
         }
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        ground: Ground,
-        layout: int,
-        count: int,
-    ) -> State:
-        """Draw random positions, from which users set out when they first move.
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
+        """Draw random positions; users choose their first waypoint at the first step.
 
         See `Mobility.start`.
         """
         users = ground.places(rng, layout, count)
-        # Speeds in the mean over time: their density falls as 1 / speed
+        # Stationary distribution of speeds: density proportional to 1 / speed
         low, high = self.speed
         return {
             "users": users,
@@ -109,8 +108,8 @@ class Waypoint(Walking):
         dt: float,
         rng: Generators,
     ) -> None:
-        """Move users as `move` tells."""
-        advance(
+        """Advance users as `move`."""
+        advance_waypoint(
             state["users"],
             state["user_velocity"],
             state["user_goal"],
@@ -126,7 +125,7 @@ class Waypoint(Walking):
 
 
 @kernel
-def advance(
+def advance_waypoint(
     users: np.ndarray,
     velocity: np.ndarray,
     goal: np.ndarray,
@@ -139,42 +138,41 @@ def advance(
     dt: float,
     ranges: tuple[float, float, float, float],
 ) -> None:
-    """Move users through a time step, in place.
+    """Advance users by one time step, in place.
 
     Args:
-        users: Positions (W, U, 3), m; changed.
+        users: Positions (W, U, 3), m; modified.
         velocity: Velocities (W, U, 2), m/s; overwritten.
-        goal: Places (W, U, 2) that users walk to, m; changed.
-        speed: Speeds (W, U) of this or the next leg, m/s; changed.
-        pause: Rests (W, U) that are left, s; changed.
-        key: Keys (W,) of `uniform`, uint64.
+        goal: Waypoints (W, U, 2), m; modified.
+        speed: Speeds (W, U) of the current or next leg, m/s; modified.
+        pause: Remaining pauses (W, U), s; modified.
+        key: Keys (W,) of the random streams, uint64.
         raster: Free cells of all layouts.
         layout: Layout (W,) of each world.
         flying: Whether (W,) users of each world move.
         dt: Length of the step, s.
-        ranges: Lowest and highest speed, m/s; shortest and longest rest, s.
+        ranges: Minimum and maximum speed, m/s; minimum and maximum pause, s.
     """
     slowest, fastest, shortest, longest = ranges
     for w in range(users.shape[0]):
         if not flying[w]:
             continue
-        # All users of a world draw from one stream
+        # All users of a world share one random stream
         drawn = 0
         for i in range(users.shape[1]):
             place = users[w, i]
             aim = goal[w, i]
             left = dt
-            # Rests and legs one after the other, until the step is over
+            # Pauses and legs until the step is over
             while left > 0.0:
                 spent = 0.0
                 gap = length(aim[0] - place[0], aim[1] - place[1])
                 if pause[w, i] > 0.0:
-                    # Rest
                     spent = min(pause[w, i], left)
                     pause[w, i] -= spent
                 elif gap == 0.0:
-                    # Rested at the goal: choose the next one, or wait where none is in view
-                    aim[0], aim[1], drawn = seen_place(
+                    # Pause is over: draw the next waypoint, or wait if none is visible
+                    aim[0], aim[1], drawn = draw_visible_position(
                         raster, layout[w], place[0], place[1], key[w], drawn
                     )
                     if aim[0] == place[0] and aim[1] == place[1]:
@@ -185,15 +183,17 @@ def advance(
                     for axis in range(2):
                         place[axis] += left * speed[w, i] * (aim[axis] - place[axis]) / gap
                 else:
-                    # Reach the goal, and draw the rest there and the speed of the next leg
+                    # Reach the waypoint; draw the pause and the speed of the next leg
                     spent = gap / speed[w, i]
                     place[0] = aim[0]
                     place[1] = aim[1]
-                    speed[w, i] = slowest + (fastest - slowest) * uniform(key[w], drawn)
-                    pause[w, i] = shortest + (longest - shortest) * uniform(key[w], drawn + 1)
+                    speed[w, i] = slowest + (fastest - slowest) * stream_uniform(key[w], drawn)
+                    pause[w, i] = shortest + (longest - shortest) * stream_uniform(
+                        key[w], drawn + 1
+                    )
                     drawn += 2
                 left -= spent
-            # Velocity towards the goal; none for who has reached it
+            # Velocity towards the waypoint; zero at the waypoint
             gap = length(aim[0] - place[0], aim[1] - place[1])
             for axis in range(2):
                 if gap > 0.0:
@@ -203,35 +203,30 @@ def advance(
 
 
 @func
-def seen_place(
-    raster: Raster,
-    layout: int,
-    x: float,
-    y: float,
-    key: int,
-    drawn: int,
+def draw_visible_position(
+    raster: Raster, layout: int, x: float, y: float, key: int, drawn: int
 ) -> tuple[float, float, int]:
-    """Draw a place, uniform over the free ground in straight view of a user.
+    """Draw a position, uniformly over the free ground in direct view of a user.
 
     Args:
         raster: Free cells of all layouts.
         layout: Index of the layout.
         x: Position of the user, m.
         y: Position of the user, m.
-        key: Key of `uniform`.
-        drawn: How many numbers of its stream are drawn already.
+        key: Key of the random stream.
+        drawn: Number of consumed numbers of the stream.
 
     Returns:
-        x and y of the place, or of the user where no place was found, m; and how many numbers are
-        drawn then.
+        x and y of the position, or of the user if no position was found, m; and the new number of
+        consumed numbers.
     """
-    # Draw from the whole ground until a place is free and in view
+    # Rejection sampling over the whole ground
     for _ in range(MAX_TRIES):
-        new_x = raster.sides[layout, 0] * (uniform(key, drawn) - 0.5)
-        new_y = raster.sides[layout, 1] * (uniform(key, drawn + 1) - 0.5)
+        new_x = raster.sides[layout, 0] * (stream_uniform(key, drawn) - 0.5)
+        new_y = raster.sides[layout, 1] * (stream_uniform(key, drawn + 1) - 0.5)
         drawn += 2
-        if is_free(raster, layout, cell_of(new_x, raster), cell_of(new_y, raster)):
-            end_x, end_y, share, _ = walk(raster, layout, x, y, new_x - x, new_y - y)
-            if share == 1.0:
+        if is_free(raster, layout, cell_index(new_x, raster), cell_index(new_y, raster)):
+            end_x, end_y, fraction, _ = move_straight(raster, layout, x, y, new_x - x, new_y - y)
+            if fraction == 1.0:
                 return end_x, end_y, drawn
     return x, y, drawn

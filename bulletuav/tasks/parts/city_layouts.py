@@ -13,7 +13,7 @@ import numpy as np
 from bulletuav.city.generator import generate
 from bulletuav.city.imports import READERS
 from bulletuav.city.model import City
-from bulletuav.city.statistics import KINDS, MOST, Statistics, parameters
+from bulletuav.city.statistics import KINDS, MAX_VALUES, Statistics, parameters
 from bulletuav.city.streets import Streets
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import as_sequence, find_choice, finite, shown
@@ -36,8 +36,8 @@ OPEN = "open"
 """Name of the city in which nothing stands"""
 MEASURES = (
     Label("city_alpha", "1", 0.0, 1.0),
-    Label("city_beta", "1/km^2", 0.0, MOST["beta"]),
-    Label("city_gamma", "m", 0.0, MOST["gamma"]),
+    Label("city_beta", "1/km^2", 0.0, MAX_VALUES["beta"]),
+    Label("city_gamma", "m", 0.0, MAX_VALUES["gamma"]),
 )
 """What infos and the global state have of a city"""
 MAX_TRIES = 200

@@ -11,7 +11,14 @@ from bulletuav.errors import finite
 from bulletuav.network.access import ACCESS
 from bulletuav.network.arrivals import Arrivals
 from bulletuav.network.assignment import STRATEGIES
-from bulletuav.network.exchange import Band, Drawn, Queue, Strategy, connect, work
+from bulletuav.network.exchange import (
+    Band,
+    Queue,
+    Strategy,
+    TaskNumbers,
+    associate_users,
+    process_tasks,
+)
 from bulletuav.network.link import capacity
 from bulletuav.network.queueing import core_power, service_rate
 from bulletuav.network.service_stats import ServiceStats
@@ -232,10 +239,10 @@ class EdgeComputing(Service):
         scheme, noise = ACCESS[config.access], self.uplink.noise
         band = Band(float(config.bandwidth), noise, scheme, self._activity)
         who = (swarm.position, frame.alive, users, received, memory["utilisation"])
-        working.call(connect, strategy, band, *who, servers, memory["serves"], rates)
+        working.call(associate_users, strategy, band, *who, servers, memory["serves"], rates)
         # Tasks are computed one by one, or in the mean
         dt, *bits = self._arrivals.decision
-        drawn = Drawn(first, uniform, self._arrivals.cumulative, *bits)
+        drawn = TaskNumbers(first, uniform, self._arrivals.cumulative, *bits)
         queue = Queue(
             on_average=config.queue == "erlang",
             cycles_per_bit=float(config.cycles_per_bit),
@@ -249,7 +256,7 @@ class EdgeComputing(Service):
         )
         stats = ServiceStats(*(memory[name] for name in ServiceStats._fields))
         free = (memory["link_free"], memory["core_free"])
-        working.call(work, drawn, queue, servers, rates, *free, frame.time, stats)
+        working.call(process_tasks, drawn, queue, servers, rates, *free, frame.time, stats)
         return _Service(frame, sight, first, uniform, receiving, working)
 
     def quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.network.dwell_time import watch
+from bulletuav.network.dwell_time import update_dwell_time
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import Ground
 from bulletuav.sensors.base import vector_labels
@@ -94,7 +94,7 @@ class Users(Part):
         """Note for how long each living drone has seen each user without a break."""
         memory, period = frame.scene.memory, self._task.context.period
         times = (memory["dwell_time"], memory["mean_dwell_time"])
-        watch(*times, frame.readings["sight"], frame.alive, period)
+        update_dwell_time(*times, frame.readings["sight"], frame.alive, period)
 
     def served(self, frame: Frame) -> np.ndarray:
         """Compute the share of users that some living drone sees, (W, N)."""
