@@ -360,7 +360,7 @@ def test_an_entry_point_whose_name_is_no_word_is_left_out(offer):
         pass
 
     offer("sensor", **{"rye-bread": lambda: Bread})
-    with pytest.warns(UserWarning, match="'rye-bread' .* is left out: .* a word is needed"):
+    with pytest.warns(UserWarning, match="'rye-bread' .* is ignored: .* a word is needed"):
         assert "rye-bread" not in names("sensor")
 
 

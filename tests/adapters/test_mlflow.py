@@ -107,7 +107,7 @@ def test_several_seeds_are_several_runs(client, tmp_path, monkeypatch):
 
 def test_a_place_that_is_none_is_told_before_anything_is_trained(tmp_path, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "nowhere://here")
-    with pytest.raises(RuntimeError, match="MLflow does not take the run: .*MLFLOW_TRACKING_URI"):
+    with pytest.raises(RuntimeError, match="MLflow rejects the run: .*MLFLOW_TRACKING_URI"):
         MlflowWriter(CONFIG, tmp_path)
     assert not list(tmp_path.iterdir())
 

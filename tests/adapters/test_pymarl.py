@@ -334,7 +334,7 @@ def test_a_registry_makes_environments_of_env_args():
 def test_a_replay_is_the_last_episode_in_pictures(tmp_path):
     options = {"render_mode": "rgb_array", "render_size": (64, 48)}
     env = PymarlEnv("converge", **SHORT, **options, replay_dir=tmp_path / "replays")
-    with pytest.raises(RuntimeError, match="no pictures for a replay"):
+    with pytest.raises(RuntimeError, match="no images for a replay"):
         env.save_replay()
     for k in range(2):
         run_epymarl(env, np.random.default_rng(k), render=True)

@@ -310,7 +310,7 @@ def test_rollouts_break_at_the_first_or_the_last_end():
     assert last["next", "done"][:, -1].all()
     held = env.rand_action(env.reset())
     held["_step"] = torch.tensor([[True], [False]])
-    with pytest.raises(NotImplementedError, match="all of the 2 worlds fly"):
+    with pytest.raises(NotImplementedError, match="all of the 2 worlds are stepped together"):
         env.step(held)
     env.close()
 

@@ -74,7 +74,7 @@ def test_options_that_are_given_go_before_those_of_the_run(run, tmp_path, capsys
 def test_a_run_and_a_policy_are_one_too_many(run, capsys):
     with pytest.raises(SystemExit):
         main(["evaluate", str(run), "--policy", "straight"])
-    assert "give a task for another one" in capsys.readouterr().err
+    assert "give a task to evaluate another policy" in capsys.readouterr().err
 
 
 def configured(*words):
