@@ -229,7 +229,7 @@ class NotCalled:
             r"metric 'of_drones' returned an array \(10, 3\) of float64: an array \(10,\)",
         ),
         ((number,), r"metric 'number' returned 1.0: an array \(10,\) of numbers"),
-        ((NotCalled,), "metric 'NotCalled' makes .*__call__"),
+        ((NotCalled,), "metric 'NotCalled' constructs .*__call__"),
     ],
 )
 def test_what_is_no_metric_is_refused(metrics, said):

@@ -67,25 +67,27 @@ def test_the_followed_drone_is_in_the_middle(flight, film):
 
 def test_the_camera_comes_behind_its_drone(flight, film):
     follows = film(flight, "", "follow", 0, SMALL)
-    _, away = follows._look(0.0, flight.position[0], float(follows._behind[0]))
+    _, away = follows._camera_position(0.0, flight.position[0], float(follows._camera_azimuth[0]))
     way = flight.velocity[0, 0]
     cosine = away[:2] @ way[:2] / np.linalg.norm(away[:2]) / np.linalg.norm(way[:2])
     assert cosine == pytest.approx(-1)
     assert away[2] > 0
     # Directions change by less than a decision could turn a drone.
-    assert np.abs(np.diff(follows._behind)).max() < 0.3
+    assert np.abs(np.diff(follows._camera_azimuth)).max() < 0.3
 
 
 def test_cameras_turn_or_stand(flight, film):
     position = flight.position[0]
     orbit, still = (film(flight, "", name, size=SMALL) for name in ("orbit", "still"))
-    (middle, start), (_, later) = (orbit._look(time, position, 0.0) for time in (0.0, 5.0))
+    (middle, start), (_, later) = (
+        orbit._camera_position(time, position, 0.0) for time in (0.0, 5.0)
+    )
     angle = [np.arctan2(away[1], away[0]) for away in (start, later)]
     assert (angle[1] - angle[0]) % (2 * np.pi) == pytest.approx(5 * TURN)
     assert np.linalg.norm(start) == pytest.approx(np.linalg.norm(later))
     whole = np.concatenate([flight.position.reshape(-1, 3), flight.goal.reshape(-1, 3)])
     np.testing.assert_allclose(middle, (whole.min(axis=0) + whole.max(axis=0)) / 2)
-    first, last = (still._look(time, position, 0.0)[1] for time in (0.0, 5.0))
+    first, last = (still._camera_position(time, position, 0.0)[1] for time in (0.0, 5.0))
     np.testing.assert_array_equal(first, last)
 
 
@@ -103,7 +105,7 @@ def test_between_decisions_drones_are_between(flight, film):
 def test_what_is_behind_a_building_is_not_seen(flight, film):
     drone = flight.position[3, 0]
     follows = film(flight, "", "follow", 0, SMALL)
-    _, away = follows._look(0.3, flight.position[3], float(follows._behind[3]))
+    _, away = follows._camera_position(0.3, flight.position[3], float(follows._camera_azimuth[3]))
     wall = drone + 0.5 * away
     building = np.array([[wall - 1.0, wall + 1.0]])
     hidden = film(dataclasses.replace(flight, building=building), "", "follow", 0, SMALL)
