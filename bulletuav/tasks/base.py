@@ -14,12 +14,12 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks.config import ConfigT, TaskConfig
 from bulletuav.tasks.frame import UPRIGHT, Frame, Scene, Spawn, StepResult, TaskContext
-from bulletuav.tasks.given import Given
-from bulletuav.tasks.ingredients import Binding, Bound, BoundTerms, find_term, numbers_in
+from bulletuav.tasks.given import GivenPositions
+from bulletuav.tasks.ingredients import Binding, Bound, BoundTerms, find_term, numeric_fields
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.base import Part, Rngs
 
-SHOWS: Mapping[str, str] = MappingProxyType(
+DEFAULT_SHOWS: Mapping[str, str] = MappingProxyType(
     {
         "success": "reached",
         "separation": "nearest (m)",
@@ -123,7 +123,7 @@ class Task(ABC, Generic[ConfigT]):
     baseline: ClassVar[str] = "straight"
     places: ClassVar[tuple[str, ...]] = ()
     has_goals: ClassVar[bool] = True
-    shows: ClassVar[Mapping[str, str]] = SHOWS
+    shows: ClassVar[Mapping[str, str]] = DEFAULT_SHOWS
 
     team_names: ClassVar[tuple[str, ...]] = ()
 
@@ -156,7 +156,7 @@ class Task(ABC, Generic[ConfigT]):
         self.context = context
         given = self.reward.items()
         usual = {name: value[1] if isinstance(value, tuple) else value for name, value in given}
-        self.weights = merged_weights(usual, config.weights)
+        self.weights = merge_weights(usual, config.weights)
         self.zone = 2 * config.d_safe
         self.parts: list[Part] = []
         self.bound = BoundTerms()
@@ -170,7 +170,7 @@ class Task(ABC, Generic[ConfigT]):
         self.parts.append(part)
         return part
 
-    def has_own(self, method: str) -> bool:
+    def overrides_method(self, method: str) -> bool:
         """Return whether the task, or one of its parts, does anything in a method of `Task`."""
         return getattr(type(self), method) is not getattr(Task, method) or any(
             getattr(type(part), method) is not getattr(Part, method) for part in self.parts
@@ -191,7 +191,7 @@ class Task(ABC, Generic[ConfigT]):
         """
         kind = type(self)
         # All names that ingredients may use as arguments
-        numbers = {**numbers_in(self.context), **numbers_in(self.config), "zone": self.zone}
+        numbers = {**numeric_fields(self.context), **numeric_fields(self.config), "zone": self.zone}
         corners = np.ravel([self.arena_high, self.arena_low]).tolist()
         bounds = {f"bound_{side}": bound for side, bound in zip(SIDES, corners, strict=False)}
         quantities = {"outside": self.outside, **bounds, **self.quantities()}
@@ -247,7 +247,7 @@ class Task(ABC, Generic[ConfigT]):
         """Draw the starts of several worlds, each from its own generator; by default one by one."""
         return [self.spawn(rng) for rng in rngs]
 
-    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
+    def finish(self, spawn: Spawn, given: GivenPositions, rng: np.random.Generator) -> Spawn:
         """Complete the start of one world: put in what users gave, and drones on the ground.
 
         Then its parts complete it. Drones without goals have their starts as goals.
@@ -257,7 +257,7 @@ class Task(ABC, Generic[ConfigT]):
             given: Places in their stead.
             rng: Generator of the world, for what depends on them.
         """
-        spawn = given.put_into(spawn)
+        spawn = given.apply_to(spawn)
         if self.takes_off:
             place = self.on_ground(np.asarray(spawn.position))
             spawn = spawn._replace(position=place, velocity=0.0, rates=0.0, quaternion=UPRIGHT)
@@ -335,7 +335,7 @@ class Task(ABC, Generic[ConfigT]):
         Returns:
             Shape of each array in one world by name; by default those of its parts.
         """
-        return _joined(part.memory() for part in self.parts)
+        return _merge_tables(part.memory() for part in self.parts)
 
     def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
         """Return the bounds of what `memory` has, by name, for snapshots that come from elsewhere.
@@ -346,7 +346,7 @@ class Task(ABC, Generic[ConfigT]):
             Lowest and highest values, which broadcast to the array of one world; by default those
             of its parts.
         """
-        return _joined(part.memory_bounds() for part in self.parts)
+        return _merge_tables(part.memory_bounds() for part in self.parts)
 
     def start_memory(self, frame: Frame) -> None:
         """Fill the memory of worlds that were reset from their first frame; draws nothing.
@@ -378,11 +378,11 @@ class Task(ABC, Generic[ConfigT]):
             Functions of a frame that give (W, N, ...), or numbers; by default those of its parts.
             "outside" is always there.
         """
-        return _joined(part.quantities() for part in self.parts)
+        return _merge_tables(part.quantities() for part in self.parts)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Return further infos, (W, N) by name; by default those of its parts."""
-        return _joined(part.info(frame) for part in self.parts)
+        return _merge_tables(part.info(frame) for part in self.parts)
 
     def world_state(self) -> Mapping[str, Block]:
         """List what the global state has beside drones; by default that of its parts.
@@ -390,7 +390,7 @@ class Task(ABC, Generic[ConfigT]):
         Returns:
             Blocks of (W, labels) by name.
         """
-        return _joined(part.world_state() for part in self.parts)
+        return _merge_tables(part.world_state() for part in self.parts)
 
     def outside(self, frame: Frame) -> np.ndarray:
         """Tell who is outside the arena, or held back at its bounds, (W, N) bool."""
@@ -455,12 +455,12 @@ class Task(ABC, Generic[ConfigT]):
         return StepResult(self.reward_terms(frame), terminated, success)
 
 
-def _joined(tables: Iterable[Mapping[str, Value]]) -> dict[str, Value]:
+def _merge_tables(tables: Iterable[Mapping[str, Value]]) -> dict[str, Value]:
     """Join tables of different names."""
     return {name: value for table in tables for name, value in table.items()}
 
 
-def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
+def merge_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
     """Change some reward weights. Raises ValueError for a term that does not exist."""
     for term in changes:
         if term not in defaults:

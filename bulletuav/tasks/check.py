@@ -40,21 +40,21 @@ def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> N
     Raises:
         ValueError: With the task, the term and the remedy.
     """
-    judged = f"evaluate_step of task {task.name!r} gave"
+    gave = f"evaluate_step of task {task.name!r} gave"
     if not isinstance(result, StepResult):
-        raise ValueError(f"{judged} {shown(result)}: a StepResult is needed")
+        raise ValueError(f"{gave} {shown(result)}: a StepResult is needed")
     if not isinstance(result.terms, Mapping):
         raise ValueError(
-            f"{judged} the terms {shown(result.terms)}: a dict of arrays by name is needed"
+            f"{gave} the terms {shown(result.terms)}: a dict of arrays by name is needed"
         )
     # Terms and weights must go together: neither may be left over
     for name in result.terms:
         if name not in task.weights:
-            raise unknown(f"reward term in what {judged},", name, task.weights)
+            raise unknown(f"reward term in what {gave},", name, task.weights)
     for name, weight in task.weights.items():
         if weight != 0 and name not in result.terms and name in task.reward:
             raise ValueError(
-                f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the "
+                f"{gave} no reward term {name!r}: its weight is {weight:g}; give it, or the "
                 f"weight 0"
             )
     # Then the arrays: numbers for terms, truth for ends and successes
@@ -70,7 +70,7 @@ def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> N
             )
             kind = "bool" if kinds == "b" else "numbers"
             raise ValueError(
-                f"{judged} {form} as {name}: an array {shape} (worlds, drones) of {kind} is needed"
+                f"{gave} {form} as {name}: an array {shape} (worlds, drones) of {kind} is needed"
             )
 
 
@@ -80,18 +80,18 @@ def check_info(task: Task[Any], info: Any, shape: tuple[int, int]) -> None:
     Raises:
         ValueError: With the task, the name and the remedy.
     """
-    told = f"info of task {task.name!r} gave"
+    gave = f"info of task {task.name!r} gave"
     if not isinstance(info, Mapping):
-        raise ValueError(f"{told} {shown(info)}: a dict of arrays by name is needed")
+        raise ValueError(f"{gave} {shown(info)}: a dict of arrays by name is needed")
     for name, value in info.items():
         if not isinstance(name, str):
-            raise ValueError(f"{told} the name {shown(name)}: a text is needed")
+            raise ValueError(f"{gave} the name {shown(name)}: a text is needed")
         if name in STANDARD_INFOS or name.startswith(STANDARD_PREFIXES):
-            raise ValueError(f"{told} {name!r}, which infos tell already: choose another name")
+            raise ValueError(f"{gave} {name!r}, which infos tell already: choose another name")
         if not isinstance(value, np.ndarray) or value.shape != shape:
             form = f"an array {value.shape}" if isinstance(value, np.ndarray) else shown(value)
             raise ValueError(
-                f"{told} {form} as {name!r}: an array {shape} (worlds, drones) is needed; "
+                f"{gave} {form} as {name!r}: an array {shape} (worlds, drones) is needed; "
                 f"np.broadcast_to makes one of a number"
             )
 

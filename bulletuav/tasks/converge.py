@@ -13,7 +13,7 @@ from bulletuav.tasks.parts.airspace import (
     AirspaceOptions,
     circle_arena,
     clearance,
-    least_distance,
+    min_start_distance,
 )
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 
@@ -78,7 +78,7 @@ class Converge(GoalFlight[ConvergeConfig]):
         """
         super().__init__(config, context)
         chord = 2 * config.radius * sin(np.pi / max(context.num_drones, 2))
-        nearest = least_distance(config, chord)
+        nearest = min_start_distance(config, chord)
         clear = clearance(config, context)
         if nearest <= clear:
             raise ValueError(

@@ -17,9 +17,9 @@ from bulletuav.tasks.parts.city_layouts import CityOptions, add_city, ground_cel
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_COVERAGE
-from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_share
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
 from bulletuav.tasks.rewards.users import served
-from bulletuav.tasks.targets import served_by_any, share_of
+from bulletuav.tasks.targets import compute_seen_fraction, get_served_fraction
 
 MAX_CELLS = 1e6
 """Most squares into which the ground of a city may be divided"""
@@ -119,10 +119,10 @@ class Coverage(Task[CoverageConfig]):
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
-        self.town = add_city(self)
-        check_share("wanted", config.wanted)
+        self.city_layouts = add_city(self)
+        check_fraction("wanted", config.wanted)
         self._check_cell()
-        cells = [ground_cells(city, config.cell) for city in self.town.cities]
+        cells = [ground_cells(city, config.cell) for city in self.city_layouts.cities]
         if not all(map(len, cells)):
             raise ValueError(
                 f"cell is {config.cell:g} m: "
@@ -143,7 +143,7 @@ class Coverage(Task[CoverageConfig]):
     def _check_cell(self) -> None:
         """Refuse squares that are larger than a city, or too many."""
         cell = self.config.cell
-        sides = np.array([city.sides for city in self.town.cities])
+        sides = np.array([city.sides for city in self.city_layouts.cities])
         if not 0 < cell <= sides.min():
             raise ValueError(
                 f"cell is {cell:g} m: it must be above 0 and at most the side of the city"
@@ -167,8 +167,8 @@ class Coverage(Task[CoverageConfig]):
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start at rest, anywhere outdoors."""
-        layout = self.town.draw(rng)
-        return self.town.hovering(rng, layout, self.context.num_drones)
+        layout = self.city_layouts.draw(rng)
+        return self.city_layouts.hovering(rng, layout, self.context.num_drones)
 
     def quantities(self) -> Mapping[str, Any]:
         """Tell the shares of the ground in sight, and how many drones are too near."""
@@ -177,7 +177,7 @@ class Coverage(Task[CoverageConfig]):
 
     def _served(self, frame: Frame) -> np.ndarray:
         """Compute the share of the squares that some living drone sees, (W, N)."""
-        return served_by_any(frame, self.active_targets(frame.scene))
+        return get_served_fraction(frame, self.active_targets(frame.scene))
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Return infos of the city, and the covered share as "served"."""
@@ -185,7 +185,7 @@ class Coverage(Task[CoverageConfig]):
 
     def _seen_share(self, frame: Frame) -> np.ndarray:
         """Compute the share of the squares that each drone sees, (W, N)."""
-        return share_of(frame.seen, self.active_targets(frame.scene)[:, None])
+        return compute_seen_fraction(frame.seen, self.active_targets(frame.scene)[:, None])
 
     def _drones_too_near(self, frame: Frame) -> np.ndarray:
         """Count the living drones nearer than `min_separation`, (W, N)."""

@@ -128,11 +128,11 @@ class Default(Task[DefaultConfig]):
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
-        self.town = add_city(self)
+        self.city_layouts = add_city(self)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start at rest outdoors, with goals outdoors."""
-        layout = self.town.draw(rng)
-        goal = self.town.places(rng, layout, self.context.num_drones)
-        start = self.town.hovering(rng, layout, self.context.num_drones)
+        layout = self.city_layouts.draw(rng)
+        goal = self.city_layouts.places(rng, layout, self.context.num_drones)
+        start = self.city_layouts.hovering(rng, layout, self.context.num_drones)
         return start._replace(goal=goal)

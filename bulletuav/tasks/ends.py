@@ -30,7 +30,7 @@ def leaves_arena(outside: bool) -> bool:
     return outside
 
 
-def affected(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
+def affected_drones(happened: np.ndarray, frame: Frame, scope: str) -> np.ndarray:
     """Tell whose episode is concerned, (W, N) bool.
 
     Args:
@@ -38,7 +38,7 @@ def affected(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
         frame: The decision.
         whom: "drone" for these, "world" for all drones of their worlds.
     """
-    if whom == "world":
+    if scope == "world":
         happened = np.logical_or.reduce(happened & frame.alive, axis=1, keepdims=True)
         return happened | np.zeros(frame.alive.shape, dtype=bool)
     return happened

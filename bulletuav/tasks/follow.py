@@ -17,7 +17,7 @@ from bulletuav.tasks.frame import Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.rewards.station import speed_to_goal
-from bulletuav.tasks.starts import refuse_early_end, refuse_overlap
+from bulletuav.tasks.starts import check_overlap, check_start_distance
 
 TURN_ACCELERATION = 3.0
 """Greatest acceleration of targets across their way, m/s^2: that of a car in a curve"""
@@ -25,7 +25,7 @@ RED = (0.75, 0.2, 0.15, 1.0)
 """Colour of targets, RGBA"""
 
 
-class Target(NamedTuple):
+class FollowTarget(NamedTuple):
     """A body that can be followed.
 
     Attributes:
@@ -40,12 +40,12 @@ class Target(NamedTuple):
 
 
 TARGETS = {
-    "vehicle": Target(
+    "vehicle": FollowTarget(
         body=Obstacle("box", (3.0, 3.0, 1.6), RED),
         height=0.8,
         station_height=8.0,
     ),
-    "drone": Target(
+    "drone": FollowTarget(
         body=Obstacle("sphere", (0.3,), RED),
         height=20.0,
         station_height=0.0,
@@ -182,20 +182,20 @@ class Follow(Task[FollowConfig]):
         circle = config.distance * directions
         self._station = circle + np.array((0, 0, target.station_height))
         self._check_start(target)
-        refuse_early_end(config.max_distance, config.start_offset)
+        check_start_distance(config.max_distance, config.start_offset)
         half_circle = 2 * config.target_speed**2 / TURN_ACCELERATION
         reach = config.arena + half_circle + config.distance + config.max_distance
         top = self._height + target.station_height + config.max_distance
         self.arena_low = np.array([-reach, -reach, 0.0])
         self.arena_high = np.array([reach, reach, top])
 
-    def _check_start(self, target: Target) -> None:
+    def _check_start(self, target: FollowTarget) -> None:
         """Refuse starts that could touch each other, the target or the ground."""
         config = self.config
         radius = self.context.collision_radius
         # Each drone may be shifted on all three axes at once
         largest_offset = config.start_offset * np.sqrt(3)
-        refuse_overlap(self._station, radius + largest_offset)
+        check_overlap(self._station, radius + largest_offset)
         nearest = float(np.linalg.norm(self._station, axis=1).min()) - largest_offset
         if nearest <= target.body.radius + radius:
             raise ValueError(
@@ -245,7 +245,7 @@ class Follow(Task[FollowConfig]):
         """
         config = self.config
         period, course = self.context.period, scene.memory["course"]
-        most = TURN_ACCELERATION * period / max(config.target_speed, period)
+        max_turn = TURN_ACCELERATION * period / max(config.target_speed, period)
         for w in np.flatnonzero(flying).tolist():
             x, y, _ = scene.obstacle[w, 0]
             vx, vy, _ = scene.obstacle_velocity[w, 0]
@@ -254,7 +254,7 @@ class Follow(Task[FollowConfig]):
             if hypot(x, y) > config.arena and x * vx + y * vy > 0:
                 course[w] = atan2(-y, -x)
             heading = atan2(vy, vx)
-            heading += min(max(angle_between(heading, course[w]), -most), most)
+            heading += min(max(angle_between(heading, course[w]), -max_turn), max_turn)
             direction = np.array([cos(heading), sin(heading), 0.0])
             scene.obstacle_velocity[w, 0] = config.target_speed * direction
             scene.obstacle[w, 0] += period * scene.obstacle_velocity[w, 0]

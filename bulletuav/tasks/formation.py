@@ -10,14 +10,14 @@ from bulletuav.geometry.rotation import Vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
-from bulletuav.tasks.given import Given
+from bulletuav.tasks.given import GivenPositions
 from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, GoalFlight
 from bulletuav.tasks.ingredients import block, reward
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.parts.airspace import circle_arena, clearance, least_distance
+from bulletuav.tasks.parts.airspace import circle_arena, clearance, min_start_distance
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
-from bulletuav.tasks.parts.formation_plan import FormationConfig, Plan
+from bulletuav.tasks.parts.formation_plan import FormationConfig, FormationPlan
 from bulletuav.tasks.parts.formations import Course, Leader, in_world, off_places, off_shape
 
 
@@ -141,7 +141,7 @@ class Formation(GoalFlight[FormationConfig]):
                 start in conflict.
         """
         super().__init__(config, context)
-        self.plan = Plan(config, context)
+        self.plan = FormationPlan(config, context)
         turn = float(np.radians(config.turn_rate))
         clock = (context.duration, context.period)
         self.course = Course(config.leader_speed, turn, config.altitude, *clock)
@@ -151,7 +151,7 @@ class Formation(GoalFlight[FormationConfig]):
     def _starts(self, drones: int) -> np.ndarray:
         """Lay out a square block about the leader, (N, 3) m, or refuse one that is too narrow."""
         config, apart = self.config, clearance(self.config, self.context)
-        nearest = least_distance(config, config.spacing)
+        nearest = min_start_distance(config, config.spacing)
         if drones > 1 and nearest <= apart:
             raise ValueError(
                 f"start positions may be in conflict: spacing {config.spacing:g} m with jitter "
@@ -208,16 +208,16 @@ class Formation(GoalFlight[FormationConfig]):
         }
         along = np.tile((cos(course), sin(course), 0.0), (len(start), 1))
         spawn = self.launch(start, start, rng, along, memory=memory)
-        return self._told(spawn, start, leader)
+        return self._assign_start_places(spawn, start, leader)
 
-    def _told(self, spawn: Spawn, start: np.ndarray, leader: Leader) -> Spawn:
+    def _assign_start_places(self, spawn: Spawn, start: np.ndarray, leader: Leader) -> Spawn:
         """Tell drones that start at (N, 3), m, their places."""
         place = self.plan.first(start, leader)
         goal, goal_velocity = in_world(self.plan.shapes[None, 0, place], leader)
         memory = {**spawn.memory, "place": place}
         return spawn._replace(goal=goal[0], goal_velocity=goal_velocity[0], memory=memory)
 
-    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
+    def finish(self, spawn: Spawn, given: GivenPositions, rng: np.random.Generator) -> Spawn:
         """Put given places into a start, and assign drones to places from there.
 
         Raises:
@@ -226,7 +226,7 @@ class Formation(GoalFlight[FormationConfig]):
         if given.start is not None:
             course, turn = (np.atleast_1d(spawn.memory[name]) for name in ("course", "turn"))
             leader = self.course.at(np.zeros(1), course, turn)
-            spawn = self._told(spawn, given.start, leader)
+            spawn = self._assign_start_places(spawn, given.start, leader)
         return super().finish(spawn, given, rng)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
@@ -252,10 +252,10 @@ class Formation(GoalFlight[FormationConfig]):
         np.copyto(memory["formed"], frame.time - memory["asked"], where=is_first)
         # Nobody is told anything at the end.
         for w in np.flatnonzero(flies & ~frame.last).tolist():
-            self._tell_places(frame, w, rngs[w])
+            self._reassign_places(frame, w, rngs[w])
         super().update_memory(frame, rngs)
 
-    def _tell_places(self, frame: Frame, w: int, rng: np.random.Generator) -> None:
+    def _reassign_places(self, frame: Frame, w: int, rng: np.random.Generator) -> None:
         """Tell the living drones of a world their places, where the shape or they change."""
         now, memory = frame.time[w], frame.scene.memory
         due = self.plan.due(now, self.context.period)
@@ -265,7 +265,7 @@ class Formation(GoalFlight[FormationConfig]):
         alive = np.flatnonzero(frame.alive[w])
         position = frame.after.position[w, alive]
         place = memory["place"][w]
-        place[alive] = self.plan.told(place[alive], position, leader, now, due, rng)
+        place[alive] = self.plan.reassign(place[alive], position, leader, now, due, rng)
         memory["asked"][w], memory["formed"][w] = now, 0.0
 
     def goals_end(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
@@ -283,9 +283,9 @@ class Formation(GoalFlight[FormationConfig]):
             "shape_error": off_shape(*swarm),
             "time_to_form": formed,
         }
-        told = {name: np.broadcast_to(one[:, None], shape) for name, one in of_world.items()}
+        by_name = {name: np.broadcast_to(one[:, None], shape) for name, one in of_world.items()}
         share = memory["held"] / np.maximum(frame.time, self.context.period)[:, None]
-        return {**super().info(frame), **told, "in_place": share}
+        return {**super().info(frame), **by_name, "in_place": share}
 
     def world_state(self) -> Mapping[str, Block]:
         """Tell where the leader is, and how it moves and turns."""

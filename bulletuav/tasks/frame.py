@@ -18,20 +18,20 @@ from bulletuav.vehicle.swarm import Contacts, Swarm
 
 NO_OBSTACLES = np.zeros((0, 3))
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-RESTING_SPEED = 0.01
+MAX_RESTING_SPEED = 0.01
 """m/s, of a drone at rest at most: far above what contacts leave over, far below any flight"""
-RESTING_SPIN = 0.1
+MAX_RESTING_SPIN = 0.1
 """rad/s, of a drone at rest at most; a rim at 0.1 m from the middle then moves at 0.01 m/s"""
 
-TOUCHDOWN_SPEED = 2.0
+MAX_TOUCHDOWN_SPEED = 2.0
 """m/s against the ground, of a landing at most; a fall from 0.2 m ends with it"""
-TOUCHDOWN_UPRIGHT = np.sqrt(0.75)
+MIN_TOUCHDOWN_COSINE = np.sqrt(0.75)
 """Cosine of the tilt of a landing at least, before and after the decision: 30 degrees"""
-STANDING_GAP = 0.001
+STANDING_TOLERANCE = 0.001
 """m, above the ground at most, of kinematic drones that stand there without a touch"""
 
 
-NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
+NO_MEMORY: Mapping[str, np.ndarray] = MappingProxyType({})
 """Memory of a start that gives none"""
 
 
@@ -62,10 +62,10 @@ class Spawn(NamedTuple):
     obstacle_velocity: np.ndarray = NO_OBSTACLES
     obstacle_quaternion: np.ndarray | tuple[float, float, float, float] = UPRIGHT
     layout: int = NO_LAYOUT
-    memory: Mapping[str, np.ndarray] = NOTHING
+    memory: Mapping[str, np.ndarray] = NO_MEMORY
 
 
-class Memory(Mapping[str, np.ndarray]):
+class TaskMemory(Mapping[str, np.ndarray]):
     """Arrays that a task keeps over an episode, by name: written into, never replaced."""
 
     def __init__(self, arrays: Mapping[str, np.ndarray]) -> None:
@@ -158,7 +158,9 @@ class Scene(NamedTuple):
             obstacle_velocity=np.zeros(of_obstacles),
             obstacle_quaternion=np.tile(UPRIGHT, (num_worlds, num_obstacles, 1)),
             layout=np.full(num_worlds, NO_LAYOUT),
-            memory=Memory({name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}),
+            memory=TaskMemory(
+                {name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}
+            ),
         )
 
 
@@ -218,7 +220,7 @@ class Frame:
     after: Swarm
     action: np.ndarray
     scene: Scene
-    tell: Callable[[], Contacts]
+    read_contacts: Callable[[], Contacts]
     alive: np.ndarray
     time: np.ndarray
     last: np.ndarray
@@ -231,7 +233,7 @@ class Frame:
     @property
     def contacts(self) -> Contacts:
         """What touched what."""
-        return self.tell()
+        return self.read_contacts()
 
     @cached_property
     def conflict(self) -> Conflict:
@@ -283,7 +285,7 @@ class Frame:
             rows = self.contacts.world, self.contacts.drone
             speed = np.linalg.norm(self.after.velocity[rows], axis=-1)
             spin = np.linalg.norm(self.after.rates[rows], axis=-1)
-            resting[rows] = (speed <= RESTING_SPEED) & (spin <= RESTING_SPIN)
+            resting[rows] = (speed <= MAX_RESTING_SPEED) & (spin <= MAX_RESTING_SPIN)
         return resting
 
     @cached_property

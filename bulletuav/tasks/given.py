@@ -10,7 +10,7 @@ PLACES = ("start", "goal")
 """Options that give places"""
 
 
-class Given(NamedTuple):
+class GivenPositions(NamedTuple):
     """Places of one world's drones that are given; None where they are drawn.
 
     Attributes:
@@ -26,7 +26,7 @@ class Given(NamedTuple):
         """Whether nothing is given."""
         return self.start is None and self.goal is None
 
-    def put_into(self, spawn: Spawn) -> Spawn:
+    def apply_to(self, spawn: Spawn) -> Spawn:
         """Replace what was drawn by what is given."""
         if self.start is not None:
             spawn = spawn._replace(position=self.start)

@@ -10,17 +10,17 @@ import numpy as np
 from bulletuav.geometry.closest_approach import distances
 from bulletuav.tasks.base import Task, Weighted
 from bulletuav.tasks.config import REBOUND, TaskConfig
-from bulletuav.tasks.ends import affected
+from bulletuav.tasks.ends import affected_drones
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.parts.base import Rngs, Starts
-from bulletuav.tasks.parts.draws import source_of
+from bulletuav.tasks.parts.draws import get_random_source
 from bulletuav.tasks.parts.headings import draw_velocities
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import UAVCONFLICT
 from bulletuav.tasks.rewards.airspace import (
-    follow_encounters,
     sum_obstacle_nearness,
+    update_encounters,
     variance_nearby,
 )
 
@@ -220,7 +220,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         (slowest, fastest), limit = self.config.start_speed, self.context.max_speed
         velocity, ways = np.empty(start.shape), goal - start if along is None else along
         speeds = (float(min(slowest, limit)), float(min(fastest, limit)))
-        draw_velocities(source_of(rng), *speeds, ways, velocity)
+        draw_velocities(get_random_source(rng), *speeds, ways, velocity)
         return Spawn(position=start, goal=goal, **{**others, "velocity": velocity})
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
@@ -230,7 +230,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
             "reached" (N,), time at which a drone first came to its goal, s, 0 before; where goals
             respawn the last time. "goals" (N,), how many it reached then. "first_way" (N,), how far
             it had to go from its start, m. "encounter" and "effort" (N, N), see
-            `bulletuav.tasks.rewards.airspace.follow_encounters`.
+            `bulletuav.tasks.rewards.airspace.update_encounters`.
         """
         drones = self.context.num_drones
         shapes = {"reached": (drones,), "first_way": (drones,), **super().memory()}
@@ -301,7 +301,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
             self._respawn(frame, rngs)
         if "encounter" in memory:
             pairs = (memory["encounter"], memory["effort"])
-            follow_encounters(*pairs, frame.before, frame.after, frame.d_safe, frame.alive)
+            update_encounters(*pairs, frame.before, frame.after, frame.d_safe, frame.alive)
 
     def _respawn(self, frame: Frame, rngs: Rngs) -> None:
         """Draw new goals for drones at theirs.
@@ -367,7 +367,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         config = self.config
         finished = self.finished(frame)
         # Crashes and empty batteries always end an episode.
-        crashed = affected(frame.collision, frame, config.contact_ends)
+        crashed = affected_drones(frame.collision, frame, config.contact_ends)
         ended: np.ndarray = crashed | frame.depleted
         ended = ended | self.goals_end(frame, finished)
         # Bounds and conflicts end it where options say so.
@@ -375,7 +375,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
             ended = ended | self.outside(frame)
         if config.conflict_ends != "nothing":
             in_conflict = frame.conflict.separation < config.d_safe
-            ended = ended | affected(in_conflict, frame, config.conflict_ends)
+            ended = ended | affected_drones(in_conflict, frame, config.conflict_ends)
         # Reward terms read these events by name.
         reached = frame.scene.memory["reached"]
         frame.derived["finished"] = finished

@@ -17,8 +17,8 @@ from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.base import Rngs
-from bulletuav.tasks.parts.draws import between
-from bulletuav.tasks.starts import refuse_early_end
+from bulletuav.tasks.parts.draws import scale_to_range
+from bulletuav.tasks.starts import check_start_distance
 
 SQRT_3 = math.sqrt(3.0)
 
@@ -71,7 +71,7 @@ def _disturb(
     axis: np.ndarray,
     disturbed: np.ndarray,
     middle: np.ndarray,
-    most: tuple[float, float, float, float],
+    limits: tuple[float, float, float, float],
     position: np.ndarray,
     quaternion: np.ndarray,
     velocity: np.ndarray,
@@ -90,7 +90,7 @@ def _disturb(
         velocity: (W, N, 3) written, m/s.
         rates: (W, N, 3) written, rad/s.
     """
-    far, tilt, speed, rate = most
+    far, tilt, speed, rate = limits
     drones = middle.shape[0]
     for w in range(offset.shape[0]):
         for i in range(drones):
@@ -103,11 +103,11 @@ def _disturb(
                 quaternion[w, i, k] = turned[k]
             # Components up to the limit over sqrt(3), so that norms stay below it
             for k in range(3):
-                position[w, i, k] = middle[i, k] + between(offset[w, i, k], -far, far)
+                position[w, i, k] = middle[i, k] + scale_to_range(offset[w, i, k], -far, far)
                 moving = disturbed[w, drones + 3 * i + k]
                 spinning = disturbed[w, 4 * drones + 3 * i + k]
-                velocity[w, i, k] = between(moving, -1.0, 1.0) / SQRT_3 * speed
-                rates[w, i, k] = between(spinning, -1.0, 1.0) / SQRT_3 * rate
+                velocity[w, i, k] = scale_to_range(moving, -1.0, 1.0) / SQRT_3 * speed
+                rates[w, i, k] = scale_to_range(spinning, -1.0, 1.0) / SQRT_3 * rate
 
 
 @register("task")
@@ -207,7 +207,7 @@ class Hover(Task[HoverConfig]):
         if config.land and config.take_off:
             raise ValueError("land and take_off are both on: drones that stand are to fly first")
         rise = config.height if config.land or config.take_off else 0.0
-        refuse_early_end(config.max_distance, config.start_offset, rise)
+        check_start_distance(config.max_distance, config.start_offset, rise)
         # Targets on a square grid about the origin.
         columns = int(np.ceil(np.sqrt(context.num_drones)))
         index = np.arange(context.num_drones)
@@ -261,7 +261,7 @@ class Hover(Task[HoverConfig]):
             rng.random(out=rows[0])
             rng.standard_normal(out=rows[1])
             rng.random(out=rows[2])
-        most = (
+        limits = (
             float(config.start_offset),
             math.radians(config.start_tilt),
             float(config.start_speed),
@@ -270,7 +270,7 @@ class Hover(Task[HoverConfig]):
         position, velocity, rates, goal = np.empty((4, *shape))
         quaternion = np.empty((*shape[:2], 4))
         starts = (position, quaternion, velocity, rates)
-        _disturb(offset, axis, disturbed, self._middle, most, *starts)
+        _disturb(offset, axis, disturbed, self._middle, limits, *starts)
         goal[:] = self.target
         parts = zip(position, goal, velocity, quaternion, rates, strict=True)
         return [

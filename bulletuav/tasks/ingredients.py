@@ -45,12 +45,12 @@ def reward(function: Ingredient) -> Ingredient:
     The term is told, unweighted or weighted, by the function's name. An undecorated function of
     `frame` that returns (W, N) is a reward term, too.
     """
-    return _marked(function, "reward")
+    return _mark(function, "reward")
 
 
 def end(function: Ingredient) -> Ingredient:
     """Mark a function as an end or a success: it tells whether a drone has come to it."""
-    return _marked(function, "end")
+    return _mark(function, "end")
 
 
 def block(
@@ -74,19 +74,19 @@ def block(
                 f"{shown(labels)}: write @block([Label(...)]) above the function"
             )
         function.labels = labels if callable(labels) else lambda task: tuple(labels)  # type: ignore[attr-defined]
-        return _marked(function, "block")
+        return _mark(function, "block")
 
     return decorated
 
 
-def _marked(function: Ingredient, kind: str) -> Ingredient:
+def _mark(function: Ingredient, kind: str) -> Ingredient:
     if not isinstance(function, FunctionType):
         raise TypeError(f"@{kind} is for functions, and {shown(function)} is none")
     function.ingredient = kind  # type: ignore[attr-defined]
     return function
 
 
-class Source(NamedTuple):
+class ArgumentSource(NamedTuple):
     """Where an argument comes from.
 
     Attributes:
@@ -97,7 +97,7 @@ class Source(NamedTuple):
 
     read: Callable[[Frame], Any]
     whole_world: bool = False
-    stays: bool = True
+    is_persistent: bool = True
 
 
 @dataclass(frozen=True)
@@ -127,29 +127,29 @@ class Binding:
                 f"{name!r} is an array in memory and a quantity of task {self.task!r}: rename one"
             )
 
-    def source(self, name: str, who: str) -> Source:
+    def source(self, name: str, title: str) -> ArgumentSource:
         """Find what an argument name stands for. Raises ValueError with the nearest names."""
         whole_world = name.startswith(ALL)
         key = name.removeprefix(ALL)
         # Worked out from the state when first asked for
         if key in (PRESENT, *self.events):
-            return Source(lambda frame: frame.derived[key], whole_world, key == PRESENT)
+            return ArgumentSource(lambda frame: frame.derived[key], whole_world, key == PRESENT)
         # The task's own, before fields of the frame
         if key in self.quantities:
             quantity = self.quantities[key]
             if not callable(quantity):
-                return Source(lambda frame: quantity)
-            return Source(quantity, whole_world, stays=False)
+                return ArgumentSource(lambda frame: quantity)
+            return ArgumentSource(quantity, whole_world, is_persistent=False)
         if key in FIELDS:
-            return Source(FIELDS[key][1], whole_world)
+            return ArgumentSource(FIELDS[key][1], whole_world)
         if key in self.readings:
-            return Source(lambda frame: frame.readings[key], whole_world)
+            return ArgumentSource(lambda frame: frame.readings[key], whole_world)
         if key in self.memory:
-            return Source(lambda frame: frame.scene.memory[key], whole_world)
+            return ArgumentSource(lambda frame: frame.scene.memory[key], whole_world)
         # Numbers of config and context are the same for all drones
         if name in self.numbers:
             number = self.numbers[name]
-            return Source(lambda frame: number)
+            return ArgumentSource(lambda frame: number)
         # All that there is, for the message that names the nearest
         known = {*FIELDS, *self.readings, *self.memory, *self.quantities, *self.events}
         choices = {
@@ -162,7 +162,7 @@ class Binding:
             WHOLE,
         }
         raise ValueError(
-            f"{who} of task {self.task!r} asks for {name!r}, which is no field, reading, memory or "
+            f"{title} of task {self.task!r} asks for {name!r}, which is no field, reading, memory or "
             f"number of the task: {nearest(name, choices)}"
         )
 
@@ -170,7 +170,7 @@ class Binding:
 Run = Callable[[Frame, np.ndarray], None]
 
 
-def _joined(loop: Callable[..., None], readers: list[Callable[[Frame], Any]]) -> Run:
+def _join_readers(loop: Callable[..., None], readers: list[Callable[[Frame], Any]]) -> Run:
     """Join a loop with what reads its arguments; few arguments are the usual case, and fast."""
     if len(readers) == 1:
         (one,) = readers
@@ -191,7 +191,7 @@ class Bound:
     """
 
     def __init__(
-        self, function: Any, binding: Binding, who: str, dtype: Any, labels: int | None = None
+        self, function: Any, binding: Binding, title: str, dtype: Any, labels: int | None = None
     ) -> None:
         """Find what the function's arguments stand for.
 
@@ -206,25 +206,25 @@ class Bound:
             ValueError: It is no function, or asks for a name that there is not.
         """
         if not callable(function):
-            raise ValueError(f"{who} is {shown(function)}: a function is needed")
-        self._function, self._who = function, f"{who} of task {binding.task!r}"
+            raise ValueError(f"{title} is {shown(function)}: a function is needed")
+        self._function, self._title = function, f"{title} of task {binding.task!r}"
         self._dtype, self._labels = dtype, labels
         self._names = list(inspect.signature(function).parameters)
         self.whole = WHOLE in self._names
         self.loop: Callable[..., None] | None = None
         self.sources = {
-            name: binding.source(name, who)
+            name: binding.source(name, title)
             for name in self._names
             if name not in ("i", "out", WHOLE)
         }
         self._run: Run | None = None
         if self.whole and len(self._names) > 1:
             raise ValueError(
-                f"{self._who} has arguments beside frame: {self._names}; one of all drones takes "
+                f"{self._title} has arguments beside frame: {self._names}; one of all drones takes "
                 f"the frame alone"
             )
         if not self.whole and not isinstance(function, FunctionType):
-            raise ValueError(f"{self._who} is {shown(function)}: a plain function is needed")
+            raise ValueError(f"{self._title} is {shown(function)}: a plain function is needed")
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Compute for all drones.
@@ -255,22 +255,22 @@ class Bound:
     def _check_first(self, frame: Frame, out: np.ndarray) -> None:
         """Refuse numbers of a block that are none; rewards are looked at in every decision."""
         if self._labels is not None and not np.isfinite(out[frame.alive]).all():
-            raise ValueError(f"{self._who} gave {shown(out)}: finite numbers are needed")
+            raise ValueError(f"{self._title} gave {shown(out)}: finite numbers are needed")
 
     def _make_run(self, frame: Frame, out: np.ndarray) -> Run:
         """Make what is run for every frame, from the first one."""
         if self.whole:
 
             def run(frame: Frame, out: np.ndarray) -> None:
-                out[...] = self._checked(self._function(frame), out.shape)
+                out[...] = self._check_result(self._function(frame), out.shape)
 
             return run
         readers = [source.read for source in self.sources.values()]
         given = {name: source.read(frame) for name, source in self.sources.items()}
         self.loop = self._make_loop(given, out)
-        return _joined(self.loop, readers)
+        return _join_readers(self.loop, readers)
 
-    def _checked(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
+    def _check_result(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
         kinds = "b" if self._dtype is bool else "fiub"
         if (
             not isinstance(given, np.ndarray)
@@ -283,7 +283,7 @@ class Bound:
                 else shown(given)
             )
             what = "bool" if self._dtype is bool else "numbers"
-            raise ValueError(f"{self._who} gave {form}: an array {shape} of {what} is needed")
+            raise ValueError(f"{self._title} gave {form}: an array {shape} of {what} is needed")
         return given
 
     def _make_loop(self, given: Mapping[str, Any], out: np.ndarray) -> Callable[..., None]:
@@ -294,14 +294,14 @@ class Bound:
                 forms.append((name, "index" if name == "i" else "out"))
             else:
                 forms.append((name, self._form(name, given[name], out.shape)))
-        self._try(forms, given, out)
+        self._call_once(forms, given, out)
         results = None if "out" in self._names else self._labels or 0
         loop = make_loop(self._function, forms, results)
         try:
             loop(*given.values(), out)
         except Exception as error:  # numba's own, and what it lets through
             raise ValueError(
-                f"{self._who} cannot be compiled: {_reason(error)}; write it "
+                f"{self._title} cannot be compiled: {_pick_reason(error)}; write it "
                 f"with plain numbers and `math`, or as a function of `frame` with NumPy"
             ) from None
         return loop
@@ -315,7 +315,7 @@ class Bound:
             return "world"
         if value.shape[:2] != shape[:2]:
             raise ValueError(
-                f"{self._who} asks for {name!r}, an array {value.shape} that has no entry for each "
+                f"{self._title} asks for {name!r}, an array {value.shape} that has no entry for each "
                 f"of "
                 f"the {shape[1]} drones: ask for {ALL + name!r}"
             )
@@ -323,15 +323,15 @@ class Bound:
             return "drone"
         return value.shape[2] if value.ndim == 3 and value.shape[2] in TUPLES else "drone"
 
-    def _try(
+    def _call_once(
         self, forms: list[tuple[str, Form]], given: Mapping[str, Any], out: np.ndarray
     ) -> None:
         """Call the function for the first drone: compiled code would hide its errors."""
-        room = np.zeros(out.shape[2:], dtype=np.float64)
+        buffer = np.zeros(out.shape[2:], dtype=np.float64)
         values = []
         for name, form in forms:
             if form in ("index", "out", "number"):
-                values.append(0 if form == "index" else room if form == "out" else given[name])
+                values.append(0 if form == "index" else buffer if form == "out" else given[name])
             elif form in ("world", "array"):
                 values.append(given[name][0])
             else:
@@ -343,16 +343,16 @@ class Bound:
         except ZeroDivisionError:
             return  # the compiled loop gives inf or NaN, as NumPy does
         except Exception as error:
-            raise ValueError(f"{self._who} failed: {type(error).__name__}: {error}") from error
+            raise ValueError(f"{self._title} failed: {type(error).__name__}: {error}") from error
         if "out" in self._names:
             return
         numbers = result if isinstance(result, tuple) else (result,)
         wanted = self._labels or 1
         if self._dtype is bool and not isinstance(result, bool | np.bool_):
-            raise ValueError(f"{self._who} gave {shown(result)}: a bool, True or False, is needed")
+            raise ValueError(f"{self._title} gave {shown(result)}: a bool, True or False, is needed")
         if len(numbers) != wanted or not all(map(_is_number, numbers)):
             raise ValueError(
-                f"{self._who} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one "
+                f"{self._title} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one "
                 f"drone "
                 f"{'are' if wanted > 1 else 'is'} needed"
             )
@@ -371,15 +371,15 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, bool | int | float | np.generic)
 
 
-def _reason(error: Exception) -> str:
+def _pick_reason(error: Exception) -> str:
     """Pick the line of numba's message that says what is wrong."""
     lines = [line.strip() for line in str(error).splitlines()]
-    told = [
+    candidates = [
         one for one in lines if one and not one.startswith(("During", "File", "Enable", "-", "["))
     ]
     words = ("name", "attribute", "Cannot", "No implementation", "Unknown", "determine", "type")
-    useful = [one for one in told if any(word in one for word in words)]
-    return (useful or told or ["numba gives no reason"])[0]
+    useful = [one for one in candidates if any(word in one for word in words)]
+    return (useful or candidates or ["numba gives no reason"])[0]
 
 
 def find_term(kind: str, source: Any) -> Any:
@@ -387,7 +387,7 @@ def find_term(kind: str, source: Any) -> Any:
     return find(kind, source, callable)
 
 
-def numbers_in(options: Any) -> dict[str, Any]:
+def numeric_fields(options: Any) -> dict[str, Any]:
     """List the numbers among the fields of a dataclass."""
     values = {one.name: getattr(options, one.name) for one in fields(options)}
     return {

@@ -91,8 +91,8 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
             FileNotFoundError: The city's file is not there.
         """
         super().__init__(config, context)
-        self.town = add_city(self)
-        self.starts = CityLegs(self, self.town)
+        self.city_layouts = add_city(self)
+        self.starts = CityLegs(self, self.city_layouts)
         if config.proximity_range == 0:
             raise ValueError(
                 "proximity_range is 0 m: it must be above 0; to leave the term out, weigh it by 0"

@@ -66,5 +66,5 @@ class Navigation(GoalFlight[NavigationConfig]):
             FileNotFoundError: The city's file is not there.
         """
         super().__init__(config, context)
-        self.town = add_city(self)
-        self.starts = CityLegs(self, self.town)
+        self.city_layouts = add_city(self)
+        self.starts = CityLegs(self, self.city_layouts)

@@ -15,7 +15,7 @@ from bulletuav.tasks.parts.airspace import (
     AirspaceOptions,
     circle_arena,
     clearance,
-    least_distance,
+    min_start_distance,
 )
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
@@ -150,7 +150,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
             )
         # Spacing is along the circle; straight on it is less
         chord = 2 * config.radius * sin(config.spacing / (2 * config.radius))
-        nearest = least_distance(config, chord)
+        nearest = min_start_distance(config, chord)
         clear = clearance(config, self.context)
         if drones > 1 and nearest <= clear:
             raise ValueError(
@@ -194,7 +194,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
     def start_memory(self, frame: Frame) -> None:
         """Find the ways to the end of the laps from the start."""
-        self._follow_ways(frame)
+        self._update_distances(frame)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Count conflicts and laps, beside what every airspace notes."""
@@ -205,10 +205,10 @@ class Pursuit(GoalFlight[PursuitConfig]):
         memory["swept"][:] += np.where(frame.alive, turned, 0.0)
         memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
         memory["laps_left_before"][:] = memory["laps_left"]
-        self._follow_ways(frame)
+        self._update_distances(frame)
         super().update_memory(frame, rngs)
 
-    def _follow_ways(self, frame: Frame) -> None:
+    def _update_distances(self, frame: Frame) -> None:
         """Bring the ways that are left up to date: along the track, and to the goal."""
         memory = frame.scene.memory
         angle = np.maximum(2 * np.pi * self.config.laps - memory["swept"], 0.0)

@@ -12,20 +12,20 @@ from bulletuav.sensors.drone_sight import DRONE_SIGHT
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import REBOUND, TaskConfig
 from bulletuav.tasks.frame import Frame, Spawn, TaskContext
-from bulletuav.tasks.given import Given
+from bulletuav.tasks.given import GivenPositions
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.city_layouts import MAX_TRIES, OPEN, CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import UNCERTAINTY
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.teams import (
-    NOBODY,
-    follow_chase,
+    NO_OPPONENT,
+    measure_chase,
     nearest_opponents,
     team_sizes,
     zero_sum,
 )
-from bulletuav.tasks.parts.urban import check_share
+from bulletuav.tasks.parts.urban import check_fraction
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
-        self.town = add_city(self)
+        self.city_layouts = add_city(self)
         # One in four evades, unless teams are told
         drones = context.num_drones
         evaders = max(drones // 4, 1) if drones > 1 else 0
@@ -217,7 +217,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         # Teams may be slower than drones can fly, each by a share
         speeds = []
         for name in ("chaser_speed", "evader_speed"):
-            check_share(name, getattr(config, name))
+            check_fraction(name, getattr(config, name))
             speeds.append(getattr(config, name))
         if min(speeds) < 1:
             self.speed_limit = context.max_speed * np.array(speeds)[self.team]
@@ -242,10 +242,10 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         Raises:
             ValueError: There is no room for so many, or for the head start.
         """
-        layout = self.town.draw(rng)
+        layout = self.city_layouts.draw(rng)
         chasers = self.context.num_drones - int(self._is_evader.sum())
         for _ in range(MAX_TRIES):
-            place = self.town.places(rng, layout, self.context.num_drones)
+            place = self.city_layouts.places(rng, layout, self.context.num_drones)
             # In a random direction, those that are the farthest ahead are evaders.
             place = place[np.argsort(place[:, :2] @ rng.normal(size=2), kind="stable")]
             gaps = np.linalg.norm(place[:chasers, None] - place[None, chasers:], axis=-1)
@@ -256,13 +256,13 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
             f"{self.context.num_drones} drones; lower it, or raise area"
         )
 
-    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
+    def finish(self, spawn: Spawn, given: GivenPositions, rng: np.random.Generator) -> Spawn:
         """Put given places into a start; goals are the nearest opponents."""
         spawn = super().finish(spawn, given, rng)
         nearest = np.empty((1, len(spawn.position)), dtype=np.int64)
         everyone = np.ones(nearest.shape, dtype=bool)
         nearest_opponents(spawn.position[None], everyone, self.team, nearest)
-        found = (nearest != NOBODY).T
+        found = (nearest != NO_OPPONENT).T
         return spawn._replace(goal=np.where(found, spawn.position[nearest[0]], spawn.position))
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
@@ -280,16 +280,16 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         """Note who was captured or lost, and set goals anew."""
         memory, flown = frame.scene.memory, frame.alive
         places = (frame.before.position, frame.after.position)
-        least, closed = np.empty((2, *flown.shape))
+        min_distance, closed = np.empty((2, *flown.shape))
         by = np.empty(flown.shape, dtype=np.int64)
-        follow_chase(*places, flown, self.team, least, by, closed)
+        measure_chase(*places, flown, self.team, min_distance, by, closed)
         memory["closed"][:] = closed
         harmless, touched = self._contacts(frame)
         if self.config.capture == "contact":
             captured = touched.any(axis=2)
             by = touched.argmax(axis=2)
         else:
-            captured = least <= self.config.capture_radius
+            captured = min_distance <= self.config.capture_radius
         captured = captured & flown & self._is_evader
         w, i = np.nonzero(captured)
         np.add.at(memory["captures"], (w, by[w, i]), 1.0)
@@ -300,7 +300,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         now = np.broadcast_to(frame.time[:, None], flown.shape)
         np.copyto(memory["captured_at"], now, where=captured)
         np.copyto(memory["lost_at"], now, where=lost & flown)
-        self._chase(frame, flown & ~lost)
+        self._update_goals(frame, flown & ~lost)
 
     def _contacts(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
         """Tell whose contacts were with opponents alone, (W, N), and with which, (W, N, N) bool."""
@@ -314,12 +314,12 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         harmless[world[~opposed], drone[~opposed]] = False
         return harmless, touched
 
-    def _chase(self, frame: Frame, present: np.ndarray) -> None:
+    def _update_goals(self, frame: Frame, present: np.ndarray) -> None:
         """Put goals where the nearest opponents of `present` (W, N) are; others stay."""
         scene, swarm = frame.scene, frame.after
         nearest = np.empty(present.shape, dtype=np.int64)
         nearest_opponents(swarm.position, present, self.team, nearest)
-        found = (nearest != NOBODY)[..., None]
+        found = (nearest != NO_OPPONENT)[..., None]
         for goal, own in ((scene.goal, swarm.position), (scene.goal_velocity, swarm.velocity)):
             np.copyto(goal, np.take_along_axis(own, nearest[..., None], axis=1), where=found)
         fill_distances(scene.goal, swarm.position, frame.distance)

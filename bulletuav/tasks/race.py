@@ -13,9 +13,9 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.ends import leaves_arena
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
-from bulletuav.tasks.observations.base import Block, of_drones
+from bulletuav.tasks.observations.base import Block, make_drone_block
 from bulletuav.tasks.parts.base import Rngs
-from bulletuav.tasks.parts.gates import cross_gates, rank_drones, ways_left
+from bulletuav.tasks.parts.gates import compute_remaining_distances, cross_gates, rank_drones
 from bulletuav.tasks.parts.race_course import RaceConfig, RaceCourse
 
 
@@ -194,11 +194,11 @@ class Race(Task[RaceConfig]):
         of_gates = {"gate": (3,), "gate_before": (3,), "gate_velocity": (3,), "gate_axis": (3, 3)}
         of_gates |= {"gate_size": (), "gate_phase": (), "leg": ()}
         counts = ("passed", "passing", "missing", "missed", "overtaken", "overtakes", "contacts")
-        of_drones = dict.fromkeys(
+        make_drone_block = dict.fromkeys(
             (*counts, "touching", "way", "way_before", "rank", "rank_before"), drones
         )
         shapes = {name: (gates, *shape) for name, shape in of_gates.items()}
-        return {**shapes, **of_drones, "split": (*drones, self.turns)}
+        return {**shapes, **make_drone_block, "split": (*drones, self.turns)}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a track, unless one is given, and put drones on its blocks."""
@@ -207,7 +207,7 @@ class Race(Task[RaceConfig]):
     def start_memory(self, frame: Frame) -> None:
         """Find the ways to the finish from the start, and the order there."""
         memory = frame.scene.memory
-        self._follow_ways(frame)
+        self._update_distances(frame)
         memory["way_before"][:] = memory["way"]
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
@@ -231,11 +231,11 @@ class Race(Task[RaceConfig]):
         for goal, gate in ((scene.goal, "gate"), (scene.goal_velocity, "gate_velocity")):
             goal[:] = np.take_along_axis(memory[gate], turn[..., None], axis=1)
 
-    def _follow_ways(self, frame: Frame) -> None:
+    def _update_distances(self, frame: Frame) -> None:
         """Bring the ways that are left up to date, and the order; count who was overtaken."""
         memory = frame.scene.memory
         gates = (memory["passed"], memory["gate"], memory["leg"], self.turns)
-        ways_left(frame.after.position, *gates, memory["way"])
+        compute_remaining_distances(frame.after.position, *gates, memory["way"])
         last = memory["split"][..., -1]
         order = (memory["rank"], memory["rank_before"], memory["overtaken"])
         rank_drones(memory["way"], last, frame.alive, *order)
@@ -262,7 +262,7 @@ class Race(Task[RaceConfig]):
         )
         # Order by the ways left, now that gates are credited
         memory["way_before"][:] = memory["way"]
-        self._follow_ways(frame)
+        self._update_distances(frame)
         # Counts of the episode
         memory["missed"][:] += memory["missing"]
         memory["overtakes"][:] += memory["overtaken"]
@@ -331,8 +331,8 @@ class Race(Task[RaceConfig]):
 
         def stands(frame: Frame, present: np.ndarray) -> np.ndarray:
             memory = frame.scene.memory
-            told = (memory["gate"], memory["gate_axis"][:, :, 0], memory["gate_velocity"])
-            return np.concatenate(told, axis=-1).reshape(len(present), -1)
+            columns = (memory["gate"], memory["gate_axis"][:, :, 0], memory["gate_velocity"])
+            return np.concatenate(columns, axis=-1).reshape(len(present), -1)
 
-        passed = of_drones("passed", "1", float(self.turns), drones)
+        passed = make_drone_block("passed", "1", float(self.turns), drones)
         return {"gates": Block(tuple(labels), stands), "passed": passed}

@@ -16,20 +16,20 @@ from bulletuav.geometry.closest_approach import offset
 from bulletuav.geometry.rotation import dot, quat4, vec3
 from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE, Shape
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.frame import NOTHING, UPRIGHT, Spawn
-from bulletuav.tasks.starts import refuse_overlap
+from bulletuav.tasks.frame import NO_MEMORY, UPRIGHT, Spawn
+from bulletuav.tasks.starts import check_overlap
 from bulletuav.vehicle.airframe import Airframe
 
-UNIT = 1e-6
+NORM_TOLERANCE = 1e-6
 """How far the norm of a start's quaternion may be off 1"""
-GRAZE = 1e-6
+MAX_GROUND_DEPTH = 1e-6
 """m, how deep a drone that stands on the ground may be in it"""
 FLOAT = np.dtype(float)
 MEMORY = "memory "
 """What is before the names of a task's arrays in those of rows"""
 
 
-class Starts:
+class SpawnBuffer:
     """Room for starts of some of W worlds, one after the other; they are checked on their way in.
 
     Attributes:
@@ -63,7 +63,7 @@ class Starts:
         shapes["obstacle_quaternion"] = (obstacles, 4)
         self._fields = {name: np.zeros((worlds, *shape)) for name, shape in shapes.items()}
         assert list(shapes) == list(Spawn._fields[: len(shapes)])
-        self._columns = [_Column(task, *field) for field in self._fields.items()]
+        self._columns = [_FieldColumn(task, *field) for field in self._fields.items()]
         self._layout = np.zeros(worlds, dtype=int)
         self._kept = {name: np.zeros_like(array) for name, array in memory.items()}
         kept = {f"{MEMORY}{name}": array for name, array in self._kept.items()}
@@ -72,12 +72,12 @@ class Starts:
         flat = tuple(array.reshape(worlds, -1) for array in self._fields.values())
         places = (self._fields["position"], self._fields["quaternion"])
         radius = float(task.context.collision_radius)
-        self._count, self._in_doubt = np.zeros(1, dtype=np.int64), False
+        self._count, self._is_in_doubt = np.zeros(1, dtype=np.int64), False
         self._check = Program()
         given = (self._count, flat, *places, radius)
-        self._check.call(_is_doubtful, *given, otherwise=self._doubt)
+        self._check.call(_needs_full_check, *given, otherwise=self._mark_doubtful)
 
-    def take(self, spawns: Sequence[Any]) -> None:
+    def store(self, spawns: Sequence[Any]) -> None:
         """Take the starts of S worlds together, and refuse those that no world can have.
 
         Args:
@@ -97,45 +97,47 @@ class Starts:
         if len(spawns) == 1:
             *fields, layout, memory = spawns[0]
             for column, value in zip(self._columns, fields, strict=True):
-                column.take_one(value)
+                column.store_one(value)
             layouts, memories = (layout,), (memory,)
         else:
             *columns, layouts, memories = zip(*spawns, strict=True)
             for column, values in zip(self._columns, columns, strict=True):
-                column.take(values)
-        self._count[0], self._in_doubt = len(spawns), False
+                column.store(values)
+        self._count[0], self._is_in_doubt = len(spawns), False
         self._check.run()
         # Python only looks at what may be wrong, and words the error
-        if self._in_doubt:
-            self._look_closer(len(spawns))
+        if self._is_in_doubt:
+            self._check_fully(len(spawns))
         if self._fields["obstacle"].size:
-            _check_turns(self._task, self._fields["obstacle_quaternion"][: len(spawns)])
-        self._take_memory(spawns, layouts, memories)
+            _check_obstacle_quaternions(
+                self._task, self._fields["obstacle_quaternion"][: len(spawns)]
+            )
+        self._store_memory(spawns, layouts, memories)
 
-    def _doubt(self) -> None:
-        self._in_doubt = True
+    def _mark_doubtful(self) -> None:
+        self._is_in_doubt = True
 
-    def _look_closer(self, count: int) -> None:
+    def _check_fully(self, count: int) -> None:
         """Raise ValueError for a number that is not finite, or a place where no drone can be."""
         for name, values in self._fields.items():
             for one in values[:count]:
                 if not np.isfinite(one).all():
                     what = f"is {shown(one)}"
-                    raise _refused(self._task, name, what, "finite numbers are needed")
+                    raise _make_error(self._task, name, what, "finite numbers are needed")
         places = (self._fields["position"][:count], self._fields["quaternion"][:count])
         for position, quaternion in zip(*places, strict=True):
-            _check_places(self._task, position, quaternion, self._airframes)
-            refuse_overlap(position, self._task.context.collision_radius)
+            _check_poses(self._task, position, quaternion, self._airframes)
+            check_overlap(position, self._task.context.collision_radius)
 
-    def _take_memory(
+    def _store_memory(
         self,
         spawns: Sequence[Spawn],
         layouts: tuple[int, ...],
         memories: tuple[Mapping[str, np.ndarray], ...],
     ) -> None:
         """Take what the task remembers from the start, and what stands; the rest is zero."""
-        is_usual = layouts.count(NO_LAYOUT) == len(layouts) and not self._layouts
-        if not is_usual or any([memory is not NOTHING for memory in memories]):  # noqa: C419
+        is_default = layouts.count(NO_LAYOUT) == len(layouts) and not self._layouts
+        if not is_default or any([memory is not NO_MEMORY for memory in memories]):  # noqa: C419
             for spawn in spawns:
                 _check_memory(self._task, spawn, self._memory, self._layouts)
         self._layout[: len(layouts)] = layouts
@@ -144,7 +146,7 @@ class Starts:
                 array[k] = memory.get(name, 0)
 
 
-class _Column:
+class _FieldColumn:
     """One field of starts, written to the first rows of an array."""
 
     def __init__(self, task: Task[Any], name: str, array: np.ndarray) -> None:
@@ -152,33 +154,37 @@ class _Column:
         self._task, self._name, self._array = task, name, array
         self._first, self._shape = array[0], array.shape[1:]
         # What starts leave out, and whether all rows hold it
-        self._usual, self._is_usual = Spawn._field_defaults.get(name), False
+        self._default, self._holds_default = Spawn._field_defaults.get(name), False
 
-    def take_one(self, value: Any) -> None:
-        """Do what `take` does, of one start."""
-        if value is self._usual and self._is_usual:
+    def store_one(self, value: Any) -> None:
+        """Do what `store` does, of one start."""
+        if value is self._default and self._holds_default:
             return
-        self._is_usual = False
+        self._holds_default = False
         if type(value) is np.ndarray and value.dtype is FLOAT and value.shape == self._shape:
             self._first[:] = value
         else:
             self._first[:] = _numbers(self._task, self._name, value, self._shape)
 
-    def take(self, given: tuple[Any, ...]) -> None:
+    def store(self, given: tuple[Any, ...]) -> None:
         """Write values (S,) of starts. Raises ValueError for what does not fill the shape."""
         count, one = len(given), given[0]
-        is_usual, was_usual, self._is_usual = one is self._usual, self._is_usual, False
+        is_default, was_default, self._holds_default = (
+            one is self._default,
+            self._holds_default,
+            False,
+        )
         # Lists, as generators that are left early swallow interrupts
         if all([value is one for value in given]):  # noqa: C419
-            if not (is_usual and was_usual):  # else it stands there already
-                rows = self._array if is_usual else self._array[:count]
+            if not (is_default and was_default):  # else it stands there already
+                rows = self._array if is_default else self._array[:count]
                 rows[:] = _numbers(self._task, self._name, one, self._shape)
-            self._is_usual = is_usual
-        elif not self._takes_together(given):
+            self._holds_default = is_default
+        elif not self._store_together(given):
             for row, value in zip(self._array, given, strict=False):
                 row[:] = _numbers(self._task, self._name, value, self._shape)
 
-    def _takes_together(self, given: tuple[Any, ...]) -> bool:
+    def _store_together(self, given: tuple[Any, ...]) -> bool:
         """Write values at once where all are plain arrays of the shape; tells whether it did."""
         if set(map(type, given)) != {np.ndarray} or {a.shape for a in given} != {self._shape}:
             return False
@@ -191,7 +197,7 @@ class _Column:
 
 
 @kernel
-def _is_doubtful(
+def _needs_full_check(
     count: np.ndarray,
     fields: tuple[np.ndarray, ...],
     position: np.ndarray,
@@ -215,12 +221,12 @@ def _is_doubtful(
                     return True
     # Comparisons are written so that NaN is doubtful, too
     half = TILE_PITCH / 2 - radius
-    apart = 2 * radius * (1 + UNIT)
+    apart = 2 * radius * (1 + NORM_TOLERANCE)
     for s in range(count[0]):
         for i in range(position.shape[1]):
             x, y, z, w = quat4(quaternion, s, i)
             # A unit quaternion
-            if not abs(x * x + y * y + z * z + w * w - 1.0) <= UNIT:
+            if not abs(x * x + y * y + z * z + w * w - 1.0) <= NORM_TOLERANCE:
                 return True
             # On its own tile, off the ground, below what is parked
             east, north, up = vec3(position, s, i)
@@ -234,7 +240,7 @@ def _is_doubtful(
     return False
 
 
-def _refused(task: Task[Any], name: str, what: str, remedy: str) -> ValueError:
+def _make_error(task: Task[Any], name: str, what: str, remedy: str) -> ValueError:
     return ValueError(f"{name} of the spawn of task {task.name!r} {what}: {remedy}")
 
 
@@ -257,7 +263,7 @@ def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> 
         return value
     array = numbers_of(f"{name} of the spawn of task {task.name!r} is", value)
     if array.shape != shape and array.shape not in ONE_FOR_ALL.get(name, ()):
-        raise _refused(task, name, f"has shape {array.shape}", f"{shape} is needed")
+        raise _make_error(task, name, f"has shape {array.shape}", f"{shape} is needed")
     return array
 
 
@@ -267,7 +273,7 @@ def _check_memory(
     if spawn.layout != NO_LAYOUT or layouts:
         as_int(f"layout of the spawn of task {task.name!r}", spawn.layout, NO_LAYOUT, layouts - 1)
     if not isinstance(spawn.memory, Mapping):
-        raise _refused(
+        raise _make_error(
             task, "memory", f"is {shown(spawn.memory)}", "a dict of arrays by name is needed"
         )
     for name, value in spawn.memory.items():
@@ -275,32 +281,32 @@ def _check_memory(
             raise unknown(f"memory in the spawn of task {task.name!r}:", name, remembered)
         if np.shape(value) not in ((), remembered[name].shape[1:]):
             what = f"has shape {np.shape(value)}"
-            raise _refused(
+            raise _make_error(
                 task, f"memory {name!r}", what, f"{remembered[name].shape[1:]} is needed"
             )
 
 
-def _check_turns(task: Task[Any], quaternion: np.ndarray) -> None:
+def _check_obstacle_quaternions(task: Task[Any], quaternion: np.ndarray) -> None:
     """Refuse obstacles (S, K) that are not turned by unit quaternions."""
     off = np.abs(np.einsum("skj,skj->sk", quaternion, quaternion) - 1)
-    if off.max(initial=0.0) > 2 * UNIT:
+    if off.max(initial=0.0) > 2 * NORM_TOLERANCE:
         world, k = np.unravel_index(int(off.argmax()), off.shape)
         what = f"of obstacle {k} has the norm {np.linalg.norm(quaternion[world, k]):g}"
-        raise _refused(
+        raise _make_error(
             task, "obstacle_quaternion", what, "a unit quaternion is needed: divide by it"
         )
 
 
-def _check_places(
+def _check_poses(
     task: Task[Any], position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]
 ) -> None:
     """Refuse starts that are not turned by unit quaternions, too far out, or in the ground."""
     # Squares of norms differ from 1 by twice as much as norms
     off = np.abs(np.einsum("ij,ij->i", quaternion, quaternion) - 1)
-    if off.max() > 2 * UNIT:
+    if off.max() > 2 * NORM_TOLERANCE:
         i = int(off.argmax())
         what = f"has the norm {np.linalg.norm(quaternion[i]):g}"
-        raise _refused(
+        raise _make_error(
             task, f"quaternion of drone {i}", what, "a unit quaternion is needed: divide by it"
         )
     # Beyond it are other worlds, or what is parked above
@@ -309,15 +315,15 @@ def _check_places(
     if aside.max() >= half or height.max() >= PARKING_HEIGHT:
         i = int(((aside >= half).any(axis=1) | (height >= PARKING_HEIGHT)).argmax())
         remedy = f"start it less than {half:g} m aside and {PARKING_HEIGHT:g} m up"
-        raise _refused(task, f"position of drone {i}", f"is {position[i]} m", remedy)
+        raise _make_error(task, f"position of drone {i}", f"is {position[i]} m", remedy)
     if height.min() >= radius:  # clear, whatever the attitude
         return
     # Near the ground the attitude tells how far down the shape reaches
     depth = _depth([one.shape for one in airframes], quaternion)
-    if (sunk := height < depth - GRAZE).any():
+    if (sunk := height < depth - MAX_GROUND_DEPTH).any():
         i = int(sunk.argmax())
         what = f"is {height[i]:g} m up, and its shape reaches {depth[i]:g} m down"
-        raise _refused(
+        raise _make_error(
             task, f"position of drone {i}", what, f"start it at z = {depth[i]:.6g} m or more"
         )
 

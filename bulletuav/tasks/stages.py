@@ -12,7 +12,7 @@ from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import Bound
 
 
-class Judgement(NamedTuple):
+class Evaluation(NamedTuple):
     """What a task makes of a decision, in arrays (W, N) that a program fills.
 
     Attributes:
@@ -26,7 +26,7 @@ class Judgement(NamedTuple):
     terms: Mapping[str, np.ndarray]
 
 
-class Kept:
+class StableArrays:
     """Arrays that a task makes anew for each decision, kept where compiled loops find them."""
 
     def __init__(self, program: Program, frame: Frame) -> None:
@@ -52,7 +52,7 @@ class Kept:
         if name in self._arrays:
             return self._arrays[name]
         value = source.read(self._frame)
-        if source.stays or not isinstance(value, np.ndarray):
+        if source.is_persistent or not isinstance(value, np.ndarray):
             return value
         kept = self._arrays[name] = np.array(value)
 
@@ -63,7 +63,7 @@ class Kept:
         return kept
 
 
-def add_outcome(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
+def add_outcome(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
     """Add to a program that a task works out ends and successes, and what it needs for them.
 
     The task has evaluated a frame before.
@@ -77,9 +77,9 @@ def add_outcome(program: Program, task: Task[Any], frame: Frame, judgement: Judg
 
     def evaluate() -> None:
         result = task.evaluate_step(frame)
-        judgement.ended[:] = result.terminated
-        judgement.success[:] = result.success
-        _copy(result.terms, judgement)
+        evaluation.ended[:] = result.terminated
+        evaluation.success[:] = result.success
+        _copy(result.terms, evaluation)
 
     # A task that judges by itself takes Python's turn
     kind, bound = type(task), task.bound
@@ -88,26 +88,26 @@ def add_outcome(program: Program, task: Task[Any], frame: Frame, judgement: Judg
         return
     # Own methods where there are some, and compiled ingredients beside them
     own = None if kind.terminated is Task.terminated else task.terminated
-    _add_flags(program, frame, judgement.ended, own, bound.ends)
+    _add_flags(program, frame, evaluation.ended, own, bound.ends)
     own = None if kind.succeeded is Task.succeeded else task.succeeded
     success = () if bound.success is None else (bound.success,)
-    _add_flags(program, frame, judgement.success, own, success)
+    _add_flags(program, frame, evaluation.success, own, success)
 
 
-def add_judgement(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
+def add_evaluation(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
     """Add to a program that a task works out what `add_outcome` tells, and reward terms."""
-    add_outcome(program, task, frame, judgement)
+    add_outcome(program, task, frame, evaluation)
     kind, bound = type(task), task.bound
     if kind.evaluate_step is Task.evaluate_step:
-        _add_terms(program, task, frame, judgement)
+        _add_terms(program, task, frame, evaluation)
     # Terms that users add, by the task's own way or as ingredients
     if kind.extra_terms is not Task.extra_terms:
-        program.turn(lambda: _copy(task.extra_terms(frame), judgement))
+        program.turn(lambda: _copy(task.extra_terms(frame), evaluation))
         return
-    kept = Kept(program, frame)
+    kept = StableArrays(program, frame)
     for name, term in bound.extra.items():
-        if name in judgement.terms:
-            kept.add(term, judgement.terms[name])
+        if name in evaluation.terms:
+            kept.add(term, evaluation.terms[name])
 
 
 def _add_flags(
@@ -122,36 +122,36 @@ def _add_flags(
         method = own
         program.turn(lambda: np.copyto(out, method(frame)))
         return
-    kept = Kept(program, frame)
+    kept = StableArrays(program, frame)
     for bound in bounds[:1]:
         kept.add(bound, out)
     for bound in bounds[1:]:
         another = np.zeros(out.shape, dtype=bool)
         kept.add(bound, another)
-        program.call(_join, another, out)
+        program.call(_merge_flags, another, out)
 
 
-def _add_terms(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
+def _add_terms(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
     """Add to a program that a task's own reward terms are worked out."""
     if type(task).reward_terms is not Task.reward_terms:
-        program.turn(lambda: _copy(task.reward_terms(frame), judgement))
+        program.turn(lambda: _copy(task.reward_terms(frame), evaluation))
         return
-    kept = Kept(program, frame)
+    kept = StableArrays(program, frame)
     for name, term in task.bound.terms.items():
-        kept.add(term, judgement.terms[name])
+        kept.add(term, evaluation.terms[name])
     if any(task.weights.get(name) for name in task.computed_terms):
-        own = {name: judgement.terms[name] for name in task.bound.terms}
-        program.turn(lambda: _copy(task.compute_terms(frame, own), judgement))
+        own = {name: evaluation.terms[name] for name in task.bound.terms}
+        program.turn(lambda: _copy(task.compute_terms(frame, own), evaluation))
 
 
-def _copy(terms: Mapping[str, np.ndarray], judgement: Judgement) -> None:
+def _copy(terms: Mapping[str, np.ndarray], evaluation: Evaluation) -> None:
     """Keep terms that a task gave."""
     for name, term in terms.items():
-        judgement.terms[name][:] = term
+        evaluation.terms[name][:] = term
 
 
 @kernel
-def _join(another: np.ndarray, out: np.ndarray) -> None:
+def _merge_flags(another: np.ndarray, out: np.ndarray) -> None:
     """Set `out` (W, N) also where `another` is set."""
     for w in range(out.shape[0]):
         for i in range(out.shape[1]):

@@ -6,10 +6,12 @@ import numpy as np
 
 from bulletuav.errors import numbers_of, shown
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.given import PLACES, Given
+from bulletuav.tasks.given import PLACES, GivenPositions
 
 
-def take_given(task: Task[Any], start: object = None, goal: object = None) -> Given:
+def read_given_positions(
+    task: Task[Any], start: object = None, goal: object = None
+) -> GivenPositions:
     """Take places that users give, and refuse those that cannot be.
 
     Args:
@@ -29,7 +31,7 @@ def take_given(task: Task[Any], start: object = None, goal: object = None) -> Gi
         if name not in task.places:
             remedy = " or ".join(task.places) or "nothing"
             raise ValueError(f"{name} cannot be given in task {task.name!r}: {remedy} can")
-        places[name] = _given_positions(task, name, value)
+        places[name] = _read_positions(task, name, value)
     # Who starts in the air must not touch the ground
     if "start" in places and not task.takes_off:
         lowest = float(places["start"][:, 2].min())
@@ -39,11 +41,11 @@ def take_given(task: Task[Any], start: object = None, goal: object = None) -> Gi
                 f"{task.context.collision_radius:.3g} m is needed; or choose take_off=True"
             )
     if "start" in places:
-        refuse_overlap(places["start"], task.context.collision_radius)
-    return Given(**places)
+        check_overlap(places["start"], task.context.collision_radius)
+    return GivenPositions(**places)
 
 
-def _given_positions(task: Task[Any], name: str, value: object) -> np.ndarray:
+def _read_positions(task: Task[Any], name: str, value: object) -> np.ndarray:
     """Return an option as positions (N, 3), m, and refuse all but those in the free."""
     drones = task.context.num_drones
     # Anything may be given: numbers first, then their shape
@@ -77,7 +79,7 @@ def _given_positions(task: Task[Any], name: str, value: object) -> np.ndarray:
     return positions
 
 
-def refuse_overlap(position: np.ndarray, radius: float) -> None:
+def check_overlap(position: np.ndarray, radius: float) -> None:
     """Raise ValueError when two of (N, 3) positions are closer than two collision radii."""
     if len(position) < 2:
         return
@@ -94,7 +96,7 @@ def refuse_overlap(position: np.ndarray, radius: float) -> None:
         )
 
 
-def refuse_early_end(max_distance: float, start_offset: float, rise: float = 0.0) -> None:
+def check_start_distance(max_distance: float, start_offset: float, rise: float = 0.0) -> None:
     """Refuse starts that are too far from the goal.
 
     Args:

@@ -6,10 +6,10 @@ from bulletuav.compiled.kernel import allocating
 from bulletuav.tasks.frame import Frame
 
 SERVED = "served share"
-"""Where a frame keeps what `served_by_any` returns"""
+"""Where a frame keeps what `get_served_fraction` returns"""
 
 
-def served_by_any(frame: Frame, active: np.ndarray) -> np.ndarray:
+def get_served_fraction(frame: Frame, active: np.ndarray) -> np.ndarray:
     """Compute the share of active targets that some living drone sees.
 
     Args:
@@ -21,12 +21,12 @@ def served_by_any(frame: Frame, active: np.ndarray) -> np.ndarray:
     """
     known = frame.derived.get(SERVED)
     if known is None:  # else asked before, of the same frame
-        known = served_share(frame.readings["sight"], frame.alive, active)
+        known = compute_served_fraction(frame.readings["sight"], frame.alive, active)
         frame.derived[SERVED] = known
     return known
 
 
-def share_of(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
+def compute_seen_fraction(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
     """Compute the share of active targets that are seen.
 
     Args:
@@ -41,7 +41,7 @@ def share_of(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
 
 
 @allocating
-def served_share(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np.ndarray:
+def compute_served_fraction(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np.ndarray:
     """Compute the share of active targets that any living drone sees.
 
     Args:
@@ -54,14 +54,14 @@ def served_share(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np
     """
     share = np.zeros(alive.shape)
     for w in range(alive.shape[0]):
-        seen, most = 0, 0
+        seen, num_active = 0, 0
         for j in range(active.shape[1]):
             if active[w, j]:
-                most += 1
+                num_active += 1
                 # One drone that sees it is enough.
                 for i in range(alive.shape[1]):
                     if alive[w, i] and sight[w, i, j]:
                         seen += 1
                         break
-        share[w] = seen / max(most, 1)
+        share[w] = seen / max(num_active, 1)
     return share

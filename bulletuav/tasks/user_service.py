@@ -7,12 +7,12 @@ import numpy as np
 
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import REBOUND, TaskConfig
-from bulletuav.tasks.ends import affected
+from bulletuav.tasks.ends import affected_drones
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
-from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_share
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
 from bulletuav.tasks.parts.users import Service, UserOptions, Users
 
 
@@ -50,7 +50,7 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
     otherwise. Success is the share `wanted` of users in sight of some drone.
 
     Attributes:
-        town: The cities.
+        city_layouts: The cities.
         users: The users, who are the targets.
         service_kind: Class of `service`.
         service: What drones do for users.
@@ -78,10 +78,10 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
-        self.town = add_city(self)
-        check_share("wanted", config.wanted)
+        self.city_layouts = add_city(self)
+        check_fraction("wanted", config.wanted)
         self.rebound = REBOUND.get(config.boundary)
-        self.users = self.add(Users(self, self.town))
+        self.users = self.add(Users(self, self.city_layouts))
         self.service = self.add(self.service_kind(self, self.users))
 
     def targets(self, scene: Scene) -> np.ndarray:
@@ -90,8 +90,8 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start of drones at rest, and of users, all outdoors."""
-        layout = self.town.draw(rng)
-        start = self.town.hovering(rng, layout, self.context.num_drones)
+        layout = self.city_layouts.draw(rng)
+        start = self.city_layouts.hovering(rng, layout, self.context.num_drones)
         return start._replace(memory=self.users.start(layout, rng))
 
     def terminated(self, frame: Frame) -> np.ndarray:
@@ -100,7 +100,7 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
         Returns:
             (W, N) bool.
         """
-        ended = affected(frame.collision, frame, self.config.contact_ends)
+        ended = affected_drones(frame.collision, frame, self.config.contact_ends)
         if self.config.boundary == "end":
             ended = ended | self.outside(frame)
         return ended

@@ -37,23 +37,23 @@ Maker = Callable[[Any], Block]
 """Makes a block for a task"""
 
 
-def of_drones(name: str, unit: str, most: float, drones: int) -> Block:
-    """Make the part of a global state that is memory (W, N) of this name, from 0 to `most`."""
-    labels = tuple(Label(f"{name} of drone_{i}", unit, 0.0, most) for i in range(drones))
+def make_drone_block(name: str, unit: str, high: float, drones: int) -> Block:
+    """Make the part of a global state that is memory (W, N) of this name, from 0 to `high`."""
+    labels = tuple(Label(f"{name} of drone_{i}", unit, 0.0, high) for i in range(drones))
     return Block(labels, lambda frame, present: frame.scene.memory[name])
 
 
-def require_memory(task: Any, block: str, names: tuple[str, ...]) -> None:
+def require_task_memory(task: Any, block: str, names: tuple[str, ...]) -> None:
     """Refuse a block that shows what the task does not remember.
 
     Raises:
         ValueError: The task has no memory of one of these names.
     """
     if not task.memory().keys() >= set(names):
-        raise refused(task, block)
+        raise make_missing_error(task, block)
 
 
-def refused(task: Any, block: str) -> ValueError:
+def make_missing_error(task: Any, block: str) -> ValueError:
     """Make an error for a block that shows what a task does not have."""
     return ValueError(
         f"observation block {block!r} shows what task {task.name!r} does not have: leave it out"

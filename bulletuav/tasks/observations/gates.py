@@ -8,7 +8,7 @@ from bulletuav.geometry.rotation import Quat4, to_body
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.ingredients import block
-from bulletuav.tasks.observations.base import require_memory
+from bulletuav.tasks.observations.base import require_task_memory
 
 PER_GATE = 10
 """Numbers of each: position, direction, velocity; width"""
@@ -16,7 +16,7 @@ PER_GATE = 10
 
 def gate_labels(task: Any) -> tuple[Label, ...]:
     """Label what is seen of the next gates."""
-    require_memory(task, "next_gates", ("gate", "gate_axis", "gate_velocity", "gate_size"))
+    require_task_memory(task, "next_gates", ("gate", "gate_axis", "gate_velocity", "gate_size"))
     size = np.full(3, float(np.linalg.norm(task.arena_high - task.arena_low)))
     fast = np.full(3, task.course.fastest)
     labels: list[Label] = []

@@ -19,9 +19,9 @@ HEARD = "heard"
 """Reading that tells which others drones have heard of; there only with communication"""
 PER_NEIGHBOUR, PER_OBSTACLE = 7, 8
 """Numbers of each: distance, relative position, relative velocity; of obstacles the radius, too"""
-NOW = 0.0
+NO_HORIZON = 0.0
 """Horizon, s, of what is nearest now"""
-AHEAD = 10.0
+INTRUDER_HORIZON = 10.0
 """Horizon of `intruders`, s: at 20 m/s two that fly at each other are 400 m apart"""
 
 
@@ -44,7 +44,7 @@ def neighbours(task: Any) -> Block:
 
     Nearest first; zeros where there are fewer.
     """
-    return _others(task, "neighbour", NOW)
+    return _others(task, "neighbour", NO_HORIZON)
 
 
 @register("observation")
@@ -54,7 +54,7 @@ def intruders(task: Any) -> Block:
     That one first which comes nearest; zeros where there are fewer. Few of them say what many
     neighbours do not: whom to avoid among those that fly side by side.
     """
-    return _others(task, "intruder", AHEAD)
+    return _others(task, "intruder", INTRUDER_HORIZON)
 
 
 def _others(task: Any, name: str, horizon: float) -> Block:
@@ -70,16 +70,16 @@ def _others(task: Any, name: str, horizon: float) -> Block:
         own = (frame.known_position, frame.known_velocity)
         # With a radio drones know of those that they heard, else of all
         if HEARD in frame.readings:
-            nearest(*own, *heard(frame, present), horizon, count, out)
+            write_nearest_known(*own, *known_others(frame, present), horizon, count, out)
         else:
-            nearest_present(*own, present, horizon, count, out)
+            write_nearest_present(*own, present, horizon, count, out)
         return out
 
     def add(program: Program, frame: Frame, out: np.ndarray) -> bool:
         if HEARD in frame.readings:
             return False
         own = (frame.known_position, frame.known_velocity)
-        program.call(nearest_present, *own, frame.derived[PRESENT], horizon, count, out)
+        program.call(write_nearest_present, *own, frame.derived[PRESENT], horizon, count, out)
         return True
 
     return Block(tuple(labels), compute, add)
@@ -97,7 +97,7 @@ def all_neighbours(task: Any) -> Block:
     others = np.array(listed, dtype=int).reshape(drones, drones - 1)
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        position, velocity, known = heard(frame, present)
+        position, velocity, known = known_others(frame, present)
         own = np.concatenate([frame.known_position, frame.known_velocity], axis=-1)
         theirs = np.concatenate([position, velocity], axis=-1)
         seen = np.where(known[..., None], theirs - own[:, :, None], 0.0)
@@ -126,19 +126,19 @@ def obstacles(task: Any) -> Block:
         out = np.zeros((*present.shape, len(labels)))
         own = (frame.known_position, frame.known_velocity)
         scene = frame.scene
-        nearest_obstacles(*own, scene.obstacle, scene.obstacle_velocity, radius, count, out)
+        write_nearest_obstacles(*own, scene.obstacle, scene.obstacle_velocity, radius, count, out)
         return out
 
     def add(program: Program, frame: Frame, out: np.ndarray) -> bool:
         own = (frame.known_position, frame.known_velocity)
         them = (frame.scene.obstacle, frame.scene.obstacle_velocity, radius)
-        program.call(nearest_obstacles, *own, *them, count, out)
+        program.call(write_nearest_obstacles, *own, *them, count, out)
         return True
 
     return Block(tuple(labels), compute, add)
 
 
-def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def known_others(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Tell what drones know of each other.
 
     Without communication that is what the others know of themselves.
@@ -165,7 +165,9 @@ def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 
 @func
-def _least(theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3], horizon: float) -> float:
+def _min_distance_within(
+    theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3], horizon: float
+) -> float:
     """Compute how near another comes within `horizon`, s, if both fly straight on, m."""
     gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
     # Where the other will be, relative to the drone
@@ -193,7 +195,7 @@ def _write(
 
 
 @allocating
-def nearest(
+def write_nearest_known(
     position: np.ndarray,
     velocity: np.ndarray,
     their_position: np.ndarray,
@@ -205,7 +207,7 @@ def nearest(
 ) -> None:
     """Fill `out` (W, N, 7 count) with others that are `known` (W, N, N).
 
-    They are those that come nearest within `horizon`, s. See `heard` for what drones know of each
+    They are those that come nearest within `horizon`, s. See `known_others` for what drones know of each
     other.
     """
     near, least = np.empty(count, dtype=np.int64), np.empty(count)
@@ -217,7 +219,9 @@ def nearest(
             for j in range(known.shape[1]):
                 if known[w, i, j]:
                     theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
-                    found = keep_nearest(near, least, found, j, _least(theirs, own, horizon))
+                    found = keep_nearest(
+                        near, least, found, j, _min_distance_within(theirs, own, horizon)
+                    )
             for slot in range(found):
                 j = near[slot]
                 theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
@@ -225,7 +229,7 @@ def nearest(
 
 
 @allocating
-def nearest_present(
+def write_nearest_present(
     position: np.ndarray,
     velocity: np.ndarray,
     present: np.ndarray,
@@ -246,7 +250,9 @@ def nearest_present(
             for j in range(present.shape[1]):
                 if present[w, j] and j != i:
                     theirs = (vec3(position, w, j), vec3(velocity, w, j))
-                    found = keep_nearest(near, least, found, j, _least(theirs, own, horizon))
+                    found = keep_nearest(
+                        near, least, found, j, _min_distance_within(theirs, own, horizon)
+                    )
             for slot in range(found):
                 j = near[slot]
                 theirs = (vec3(position, w, j), vec3(velocity, w, j))
@@ -254,7 +260,7 @@ def nearest_present(
 
 
 @allocating
-def nearest_obstacles(
+def write_nearest_obstacles(
     position: np.ndarray,
     velocity: np.ndarray,
     obstacle: np.ndarray,

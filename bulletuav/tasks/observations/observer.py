@@ -17,7 +17,7 @@ from bulletuav.sensors.suite import provider, reading_labels
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import ALL, PRESENT, Binding, Bound
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.stages import Kept, clear
+from bulletuav.tasks.stages import StableArrays, clear
 
 STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
 """Blocks of the global state, of every drone"""
@@ -89,7 +89,7 @@ class ObservationBuilder:
         self.labels: list[Label] = []
         self.slices: dict[str, slice] = {}
         self.images: dict[str, Image] = {}
-        self._writers: list[tuple[slice, Bound | _Shown]] = []
+        self._writers: list[tuple[slice, Bound | _BlockWriter]] = []
         self._size, self._form = setup.camera_size, form
         for source in sources:
             made = _make(source, task, action, binding, sensors, setup)
@@ -140,7 +140,7 @@ class ObservationBuilder:
             (W, N, D) float32, or a dict of arrays (W, N, ...).
         """
         frame.derived[PRESENT] = present
-        vector = self.make_room(present.shape)
+        vector = self.make_vector(present.shape)
         for part, writer in self._writers:
             writer.fill(frame, vector[..., part])
         _bound(vector, *self._bounds)
@@ -152,7 +152,7 @@ class ObservationBuilder:
         asked = {name.removeprefix(ALL) for bound in bounds for name in bound.sources}
         return asked.isdisjoint(names)
 
-    def make_room(self, shape: tuple[int, ...]) -> np.ndarray:
+    def make_vector(self, shape: tuple[int, ...]) -> np.ndarray:
         """Make room for the numbers of all drones, (W, N, D) float32."""
         return np.zeros((*shape, len(self.labels)), dtype=np.float32)
 
@@ -165,7 +165,7 @@ class ObservationBuilder:
             vector: (W, N, D) float32, written.
         """
         program.call(clear, vector)
-        kept = Kept(program, frame)
+        kept = StableArrays(program, frame)
         for part, writer in self._writers:
             out = vector[..., part]
             if isinstance(writer, Bound):
@@ -240,7 +240,7 @@ def _make(
     binding: Binding,
     sensors: Mapping[str, Sensor],
     setup: SensorSetup,
-) -> "tuple[tuple[Label, ...], Bound | _Shown] | Image":
+) -> "tuple[tuple[Label, ...], Bound | _BlockWriter] | Image":
     """Make the labels and the writer of a block, or a picture."""
     name = observation_name(source)
     # A name that is no block may be a reading of a sensor
@@ -251,49 +251,49 @@ def _make(
         if isinstance(labels, Image):
             return labels
         checked = _checked(labels, f"reading {source!r} of a sensor")
-        return checked, _Shown(f"reading {source!r}", _reading(source))
+        return checked, _BlockWriter(f"reading {source!r}", _make_reading_block(source))
     block = source if isinstance(source, Block) else find("observation", source, callable)
-    who = f"observation block {name!r}"
+    title = f"observation block {name!r}"
     # A function of one drone's numbers, which gets its loop here
     if getattr(block, "ingredient", None) == "block":
         make: Any = block.labels
         wants_action = "action" in inspect.signature(make).parameters
         labels = make(action if wants_action else task)
         if not labels:
-            raise ValueError(f"labels of {who} are empty: a label for each number is needed")
-        return _checked(labels, who), Bound(block, binding, who, np.float32, len(labels))
+            raise ValueError(f"labels of {title} are empty: a label for each number is needed")
+        return _checked(labels, title), Bound(block, binding, title, np.float32, len(labels))
     # Else it must make a block of the task
     if isinstance(block, type):
         raise ValueError(f"observation block {shown(block)} is a class: a function is needed")
     if not isinstance(block, Block) and len(inspect.signature(block).parameters) != 1:
         raise ValueError(
-            f"{who} takes other arguments than the task: decorate it with @block(labels)"
+            f"{title} takes other arguments than the task: decorate it with @block(labels)"
         )
     made = block if isinstance(block, Block) else block(task)
     if not isinstance(made, Block):
         raise ValueError(
-            f"{who} gave {shown(made)} for the task: a Block is needed; decorate a function of one "
+            f"{title} gave {shown(made)} for the task: a Block is needed; decorate a function of one "
             f"drone's numbers with @block(labels)"
         )
-    return _checked(made.labels, who), _Shown(who, made)
+    return _checked(made.labels, title), _BlockWriter(title, made)
 
 
-def _checked(labels: Any, who: str) -> tuple[Label, ...]:
+def _checked(labels: Any, title: str) -> tuple[Label, ...]:
     """Refuse labels that are none, or whose bounds are none."""
-    several = isinstance(labels, list | tuple) and not isinstance(labels, Label)
-    if not several or not all(isinstance(one, Label) for one in labels):
+    as_shape_list = isinstance(labels, list | tuple) and not isinstance(labels, Label)
+    if not as_shape_list or not all(isinstance(one, Label) for one in labels):
         raise ValueError(
-            f"labels of {who} are {shown(labels)}: a list of Label(name, unit, low, high) is needed"
+            f"labels of {title} are {shown(labels)}: a list of Label(name, unit, low, high) is needed"
         )
     for one in labels:
         if not one.low <= one.high:
             raise ValueError(
-                f"bounds of {shown(one)} of {who} must be numbers, the lower one first"
+                f"bounds of {shown(one)} of {title} must be numbers, the lower one first"
             )
     return tuple(labels)
 
 
-def _reading(name: str) -> Block:
+def _make_reading_block(name: str) -> Block:
     """Make the block that shows a reading as it is."""
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
@@ -302,19 +302,19 @@ def _reading(name: str) -> Block:
     return Block((), compute)
 
 
-class _Shown:
+class _BlockWriter:
     """What writes the numbers of a block that is no function of one drone's numbers."""
 
-    def __init__(self, who: str, block: Block) -> None:
+    def __init__(self, title: str, block: Block) -> None:
         """Keep the block, and what messages call it."""
-        self._who, self._block = who, block
+        self._title, self._block = title, block
 
     def fill(self, frame: Frame, out: np.ndarray) -> None:
         """Write the numbers of a frame to `out` (W, N, labels)."""
         numbers = self._block.compute(frame, frame.derived[PRESENT])
         if np.shape(numbers) != out.shape:
             raise ValueError(
-                f"{self._who} gave an array {np.shape(numbers)}: {out.shape} is needed, a number "
+                f"{self._title} gave an array {np.shape(numbers)}: {out.shape} is needed, a number "
                 f"for each of its labels"
             )
         out[...] = numbers
@@ -336,11 +336,11 @@ def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> se
         block = source
         if isinstance(source, str) and (":" in source or source in names("observation")):
             block = find("observation", source, callable)
-        wanted |= asked_readings(block, sensors)
+        wanted |= requested_readings(block, sensors)
     return wanted
 
 
-def asked_readings(ingredient: Any, sensors: Mapping[str, Sensor]) -> set[str]:
+def requested_readings(ingredient: Any, sensors: Mapping[str, Sensor]) -> set[str]:
     """List the readings that a function of one drone's numbers asks for by argument name."""
     if not getattr(ingredient, "ingredient", None):
         return set()

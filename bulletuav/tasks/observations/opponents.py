@@ -9,7 +9,12 @@ from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.sensors.drone_sight import DRONE_SIGHT
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.observations.neighbours import NOW, PER_NEIGHBOUR, heard, nearest
+from bulletuav.tasks.observations.neighbours import (
+    NO_HORIZON,
+    PER_NEIGHBOUR,
+    known_others,
+    write_nearest_known,
+)
 
 PER_OPPONENT = 1 + PER_NEIGHBOUR
 """Numbers of each: whether it is seen, distance, relative position, relative velocity"""
@@ -39,14 +44,14 @@ def opponents_in_sight(task: Any, frame: Frame, present: np.ndarray) -> np.ndarr
     return seen
 
 
-def _labels(task: Any, who: str) -> tuple[Label, ...]:
+def _labels(task: Any, name: str) -> tuple[Label, ...]:
     """Label distance, relative position and relative velocity of another drone."""
     size = task.arena_high - task.arena_low
     speed = np.full(3, 4 * task.context.max_speed)
     return (
-        Label(f"{who} distance", "m", 0.0, float(np.linalg.norm(size))),
-        *vector_labels(f"{who} position", "m", -size, size),
-        *vector_labels(f"{who} velocity", "m/s", -speed, speed),
+        Label(f"{name} distance", "m", 0.0, float(np.linalg.norm(size))),
+        *vector_labels(f"{name} position", "m", -size, size),
+        *vector_labels(f"{name} velocity", "m/s", -speed, speed),
     )
 
 
@@ -69,7 +74,7 @@ def opponents(task: Any) -> Block:
         speeds = np.broadcast_to(velocity[:, None], shape)
         seen = opponents_in_sight(task, frame, present)
         rows = np.zeros((*present.shape, slots * PER_NEIGHBOUR))
-        nearest(position, velocity, places, speeds, seen, NOW, slots, rows)
+        write_nearest_known(position, velocity, places, speeds, seen, NO_HORIZON, slots, rows)
         # The nearest fill the first slots, so flags are a row of ones
         flags = np.arange(slots) < seen.sum(axis=-1)[..., None]
         rows = rows.reshape(*present.shape, slots, PER_NEIGHBOUR)
@@ -90,10 +95,10 @@ def teammates(task: Any) -> Block:
     own = task.team[:, None] == task.team
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        position, velocity, known = heard(frame, present)
+        position, velocity, known = known_others(frame, present)
         rows = np.zeros((*present.shape, len(labels)))
         mine = (frame.known_position, frame.known_velocity)
-        nearest(*mine, position, velocity, known & own, NOW, slots, rows)
+        write_nearest_known(*mine, position, velocity, known & own, NO_HORIZON, slots, rows)
         return rows
 
     return Block(labels, compute)

@@ -8,8 +8,8 @@ from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import block
-from bulletuav.tasks.observations.base import Block, refused
-from bulletuav.tasks.targets import share_of
+from bulletuav.tasks.observations.base import Block, make_missing_error
+from bulletuav.tasks.targets import compute_seen_fraction
 
 MAX_POWER = 1000.0
 """W, bound of observed power"""
@@ -54,7 +54,7 @@ def seen_share(task: Any) -> Block:
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         active = task.active_targets(frame.scene)[:, None]
-        return share_of(frame.readings["sight"], active)[..., None]
+        return compute_seen_fraction(frame.readings["sight"], active)[..., None]
 
     return Block((Label("seen share", "1", 0.0, 1.0),), compute)
 
@@ -122,4 +122,4 @@ def require_targets(task: Any, name: str) -> None:
         ValueError: It has none.
     """
     if not task.num_targets:
-        raise refused(task, name)
+        raise make_missing_error(task, name)

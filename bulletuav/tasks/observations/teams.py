@@ -8,7 +8,7 @@ from bulletuav.registry import register
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.observations.neighbours import heard
+from bulletuav.tasks.observations.neighbours import known_others
 
 
 @register("observation")
@@ -32,7 +32,7 @@ def neighbour_teams(task: Any) -> Block:
     relation = np.where(task.team[:, None] == task.team, 1.0, -1.0)
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        position, _, known = heard(frame, present)
+        position, _, known = known_others(frame, present)
         # The same order as in `neighbours`: nearest first, stable
         distance = np.linalg.norm(position - frame.known_position[:, :, None], axis=-1)
         distance = np.where(known, distance, np.inf)

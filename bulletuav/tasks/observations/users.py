@@ -8,7 +8,7 @@ from bulletuav.network.link import capacity
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.frame import Frame
-from bulletuav.tasks.observations.base import Block, require_memory
+from bulletuav.tasks.observations.base import Block, require_task_memory
 
 MAX_DATA_RATE = 500.0
 """Mbit/s, bound of an observed rate"""
@@ -19,7 +19,7 @@ MAX_QUEUE = 100.0
 @register("observation")
 def dwell_time(task: Any) -> Block:
     """For how long the drone has seen targets without a break, mean of all."""
-    require_memory(task, "dwell_time", ("dwell_time",))
+    require_task_memory(task, "dwell_time", ("dwell_time",))
     label = Label("dwell_time", "s", 0.0, task.context.duration)
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
@@ -32,7 +32,7 @@ def dwell_time(task: Any) -> Block:
 def server(task: Any) -> Block:
     """Load of the drone's cores, queue, latency and completed share, in the last decision."""
     names = ("utilisation", "queue", "latency", "completed_share")
-    require_memory(task, "server", names)
+    require_task_memory(task, "server", names)
     labels = (
         Label("utilisation", "1", 0.0, 1.0),
         Label("queue", "tasks", 0.0, MAX_QUEUE),
@@ -52,7 +52,7 @@ def server(task: Any) -> Block:
 @register("observation")
 def link_rates(task: Any) -> Block:
     """Rate that each user would reach to the drone if it had it for itself."""
-    require_memory(task, "link_rates", ("received",))
+    require_task_memory(task, "link_rates", ("received",))
     band, noise = task.config.bandwidth, task.service.uplink.noise
     users = range(1, task.num_targets + 1)
     labels = tuple(Label(f"rate of user {j}", "Mbit/s", 0.0, MAX_DATA_RATE) for j in users)

@@ -40,7 +40,7 @@ def clearance(config: HasSeparation, context: TaskContext) -> float:
     return max(2 * context.collision_radius, config.d_safe)
 
 
-def least_distance(config: AirspaceOptions, chord: float) -> float:
+def min_start_distance(config: AirspaceOptions, chord: float) -> float:
     """Return how near to each other two drones may start, m.
 
     Args:

@@ -308,7 +308,7 @@ class CityLayouts(Part):
         Raises:
             ValueError: There is no room for so many.
         """
-        return self._drawn(rng, layout, count, None, 0.0)
+        return self._draw_positions(rng, layout, count, None, 0.0)
 
     def legs(
         self, rng: np.random.Generator, layout: int, count: int, leg: float
@@ -331,10 +331,10 @@ class CityLayouts(Part):
             start = self.places(rng, layout, count)
             # A start in the middle may have nowhere so far away: then others are drawn.
             with contextlib.suppress(ValueError):
-                return start, self._drawn(rng, layout, count, start, leg)
-        raise self._no_room(layout, count, f" and leg {leg:g} m")
+                return start, self._draw_positions(rng, layout, count, start, leg)
+        raise self._make_room_error(layout, count, f" and leg {leg:g} m")
 
-    def _drawn(
+    def _draw_positions(
         self,
         rng: np.random.Generator,
         layout: int,
@@ -358,10 +358,10 @@ class CityLayouts(Part):
                 if gaps.min(initial=np.inf) >= self.config.min_separation:
                     break
             else:
-                raise self._no_room(layout, count, "")
+                raise self._make_room_error(layout, count, "")
         return places
 
-    def _no_room(self, layout: int, count: int, also: str) -> ValueError:
+    def _make_room_error(self, layout: int, count: int, also: str) -> ValueError:
         """Make the error for a city that is too small for so many drones."""
         return ValueError(
             f"no places for {count} drones with min_separation "
@@ -369,7 +369,7 @@ class CityLayouts(Part):
             f"{self.cities[layout].sides.min():g} m: lower these, or raise area"
         )
 
-    def goal_from(
+    def draw_goal(
         self, rng: np.random.Generator, layout: int, place: np.ndarray, leg: float
     ) -> np.ndarray:
         """Draw a goal (3,), m, for a drone at `place` (3,): the first that is `leg` m away.
@@ -414,9 +414,9 @@ def add_city(task: Task[Any]) -> CityLayouts:
         ValueError: They leave no room to fly.
         FileNotFoundError: The city's file is not there.
     """
-    town = task.add(CityLayouts(task))
-    task.arena_low, task.arena_high = town.low, town.high
-    return town
+    city_layouts = task.add(CityLayouts(task))
+    task.arena_low, task.arena_high = city_layouts.low, city_layouts.high
+    return city_layouts
 
 
 def _check_heights(config: CityOptions, context: TaskContext) -> None:

@@ -12,28 +12,28 @@ from numba.extending import intrinsic
 from bulletuav.compiled.kernel import func
 from bulletuav.compiled.plain import in_python
 
-Source = tuple[int, int]
+RandomSource = tuple[int, int]
 """Addresses of the function that draws, and of the generator's state"""
 
 
-def source_of(rng: np.random.Generator) -> Source:
+def get_random_source(rng: np.random.Generator) -> RandomSource:
     """Tell where compiled code draws from a generator, which has to live meanwhile."""
     bits = rng.bit_generator
-    return _drawing(type(bits)), bits.ctypes.state_address
+    return _next_double_address(type(bits)), bits.ctypes.state_address
 
 
 @cache
-def _drawing(kind: type[np.random.BitGenerator]) -> int:
+def _next_double_address(kind: type[np.random.BitGenerator]) -> int:
     """Look up the function of all generators of a kind that draws one number in [0, 1)."""
     return ctypes.cast(kind().ctypes.next_double, ctypes.c_void_p).value or 0
 
 
-def _call_drawing(function: int, state: int) -> Any:
+def _next_in_python(function: int, state: int) -> Any:
     """Do in Python what `_next` does."""
     return np.float64(ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p)(function)(state))
 
 
-@in_python(_call_drawing)
+@in_python(_next_in_python)
 @intrinsic  # type: ignore[untyped-decorator]
 def _next(_: Any, function: Any, state: Any) -> Any:
     """Call a function of C that takes an address and returns a double."""
@@ -47,12 +47,12 @@ def _next(_: Any, function: Any, state: Any) -> Any:
 
 
 @func
-def between(share: float, low: float, high: float) -> float:
-    """Turn a number in [0, 1) into one between limits, as `Generator.uniform` does."""
+def scale_to_range(share: float, low: float, high: float) -> float:
+    """Turn a number in [0, 1) into one between limits, as `Generator.draw_uniform` does."""
     return low + (high - low) * share
 
 
 @func
-def uniform(source: Source, low: float, high: float) -> float:
-    """Draw what `Generator.uniform(low, high)` draws."""
-    return between(_next(source[0], source[1]), low, high)
+def draw_uniform(source: RandomSource, low: float, high: float) -> float:
+    """Draw what `Generator.draw_uniform(low, high)` draws."""
+    return scale_to_range(_next(source[0], source[1]), low, high)

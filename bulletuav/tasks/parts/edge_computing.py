@@ -18,7 +18,7 @@ from bulletuav.network.service_stats import ServiceStats
 from bulletuav.network.uplink import Uplink
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame, Scene
-from bulletuav.tasks.observations.base import Block, of_drones
+from bulletuav.tasks.observations.base import Block, make_drone_block
 from bulletuav.tasks.observations.users import MAX_QUEUE
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
@@ -26,9 +26,9 @@ from bulletuav.tasks.parts.users import Service, Users
 
 MAX_TASKS = 1e6
 """Most tasks that a world may have in a decision on average"""
-LEAST_TASKS = 1e-9
+MIN_TASKS = 1e-9
 """Tasks in a decision that rewards divide by where there are fewer"""
-LEAST_RATE = 1e-9
+MIN_RATE = 1e-9
 """Rate by which uploads are divided where there is less, bit/s"""
 
 
@@ -73,7 +73,7 @@ class EdgeOptions:
     power_scale: float = 400.0
 
 
-class _Service(NamedTuple):
+class _ServicePrograms(NamedTuple):
     """Programs of a decision's tasks, and the arrays of a frame in which they work.
 
     Attributes:
@@ -155,7 +155,7 @@ class EdgeComputing(Service):
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
         finite("distance_weight", config.distance_weight, 0, 1)
         self.uplink = Uplink(config)
-        self._expected_tasks = max(tasks, LEAST_TASKS)
+        self._expected_tasks = max(tasks, MIN_TASKS)
         # Uploads end at the deadline: a user sends no more than all the time.
         load = min(config.arrival_rate * config.deadline, 1.0)
         self._activity = load if isinstance(config.activity, str) else float(config.activity)
@@ -167,7 +167,7 @@ class EdgeComputing(Service):
         self._service_rate = float(rate)
         power = core_power(config.capacitance, config.core_frequency)
         self._compute_power = config.num_cores * float(power)
-        self._service: _Service | None = None
+        self._service: _ServicePrograms | None = None
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Return the shapes of what is kept of servers and the episode's tasks.
@@ -211,12 +211,14 @@ class EdgeComputing(Service):
         service.receiving.run()
         received = frame.scene.memory["received"]
         self.uplink.fade(received, service.sight, rngs, flying)
-        room = self._arrivals.draw(rngs, flying, service.first, service.uniform)
-        if room is not service.uniform:
-            service = self._service = self._make_service(frame, service.first, room)
+        buffer = self._arrivals.draw(rngs, flying, service.first, service.uniform)
+        if buffer is not service.uniform:
+            service = self._service = self._make_service(frame, service.first, buffer)
         service.working.run()
 
-    def _make_service(self, frame: Frame, first: np.ndarray, uniform: np.ndarray) -> "_Service":
+    def _make_service(
+        self, frame: Frame, first: np.ndarray, uniform: np.ndarray
+    ) -> _ServicePrograms:
         """Make the programs that work in a frame's arrays."""
         config, memory, swarm = self._config, frame.scene.memory, frame.after
         users, received, sight = memory["users"], memory["received"], frame.readings["sight"]
@@ -231,8 +233,8 @@ class EdgeComputing(Service):
         strategy = Strategy(STRATEGIES[config.assignment], self._capacity, self._demand, weight)
         scheme, noise = ACCESS[config.access], self.uplink.noise
         band = Band(float(config.bandwidth), noise, scheme, self._activity)
-        who = (swarm.position, frame.alive, users, received, memory["utilisation"])
-        working.call(connect, strategy, band, *who, servers, memory["serves"], rates)
+        geometry = (swarm.position, frame.alive, users, received, memory["utilisation"])
+        working.call(connect, strategy, band, *geometry, servers, memory["serves"], rates)
         # Tasks are computed one by one, or in the mean
         dt, *bits = self._arrivals.decision
         drawn = Drawn(first, uniform, self._arrivals.cumulative, *bits)
@@ -250,7 +252,7 @@ class EdgeComputing(Service):
         stats = ServiceStats(*(memory[name] for name in ServiceStats._fields))
         free = (memory["link_free"], memory["core_free"])
         working.call(work, drawn, queue, servers, rates, *free, frame.time, stats)
-        return _Service(frame, sight, first, uniform, receiving, working)
+        return _ServicePrograms(frame, sight, first, uniform, receiving, working)
 
     def quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
         """Return the share of a user's tasks that would be in time.
@@ -280,7 +282,7 @@ class EdgeComputing(Service):
         users = max(len(targets) / self._context.num_drones, 1.0)
         rate = capacity(config.bandwidth / users, users * power / self.uplink.noise)
         seconds_per_bit = (
-            1 / np.maximum(rate, LEAST_RATE) + config.cycles_per_bit / config.core_frequency
+            1 / np.maximum(rate, MIN_RATE) + config.cycles_per_bit / config.core_frequency
         )
         in_time = config.deadline / seconds_per_bit
         # The share of the sizes, which are uniform, up to that one.
@@ -302,7 +304,7 @@ class EdgeComputing(Service):
         """Return utilisation and queue of every drone."""
         bounds = {"utilisation": ("1", 1.0), "queue": ("tasks", MAX_QUEUE)}
         drones = self._context.num_drones
-        return {name: of_drones(name, *bound, drones) for name, bound in bounds.items()}
+        return {name: make_drone_block(name, *bound, drones) for name, bound in bounds.items()}
 
     def links(self, frame: Frame) -> np.ndarray:
         """Return which drones serve which users, (W, N, U) bool; none before the first decision."""

@@ -8,8 +8,8 @@ import numpy as np
 from bulletuav.tasks.frame import TaskContext
 from bulletuav.tasks.goal_flight import FlightConfig
 from bulletuav.tasks.parts.airspace import AirspaceOptions, clearance
-from bulletuav.tasks.parts.formation_shapes import places_of, several
-from bulletuav.tasks.parts.formations import Leader, assign, greatest_speed, in_world
+from bulletuav.tasks.parts.formation_shapes import as_shape_list, find_places
+from bulletuav.tasks.parts.formations import Leader, assign_places, in_world, max_place_speed
 
 NEVER = np.inf
 """Time after which something happens that never does, s"""
@@ -61,7 +61,7 @@ def _frozen(value: Any) -> Any:
     return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
 
 
-class Plan:
+class FormationPlan:
     """Which shape is asked for when, and who is told which place.
 
     Attributes:
@@ -83,10 +83,12 @@ class Plan:
         # Shapes may have different numbers of places; the table holds the largest
         drones, apart = context.num_drones, clearance(config, context)
         of_name = (drones, config.spacing, config.text, apart)
-        shapes = [places_of(one, *of_name) for one in several(config.shapes)]
+        shapes = [find_places(one, *of_name) for one in as_shape_list(config.shapes)]
         self._counts = [len(one) for one in shapes]
-        most = max(self._counts)
-        self.shapes = np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in shapes])
+        max_places = max(self._counts)
+        self.shapes = np.stack(
+            [np.pad(one, ((0, max_places - len(one)), (0, 0))) for one in shapes]
+        )
         # Times of changes, none of which may come within one decision
         self._is_free = config.assignment == "free"
         self._change = config.change_every if len(shapes) > 1 else NEVER
@@ -99,7 +101,7 @@ class Plan:
                 )
         # Drones must be able to catch up with a place that moves
         every, turn = self.shapes.reshape(-1, 3), float(np.radians(config.turn_rate))
-        fastest = greatest_speed(every, config.leader_speed, turn)
+        fastest = max_place_speed(every, config.leader_speed, turn)
         if fastest >= context.max_speed:
             raise ValueError(
                 f"places move at up to {fastest:.3g} m/s, and less than max_speed "
@@ -130,9 +132,9 @@ class Plan:
     def _nearest(self, position: np.ndarray, leader: Leader, shape: int) -> np.ndarray:
         """Choose the places of a shape that are nearest to all drones together."""
         place = self.shapes[None, shape, : self._counts[shape]]
-        return assign(position, in_world(place, leader)[0][0])
+        return assign_places(position, in_world(place, leader)[0][0])
 
-    def told(
+    def reassign(
         self,
         place: np.ndarray,
         position: np.ndarray,
@@ -161,9 +163,9 @@ class Plan:
             return place
         # Round a random circle, so that nobody keeps its place.
         circle = rng.permutation(len(place))
-        told = place.copy()
-        told[circle] = place[np.roll(circle, 1)]
-        return told
+        reassign = place.copy()
+        reassign[circle] = place[np.roll(circle, 1)]
+        return reassign
 
 
 def _count(time: np.ndarray, every: float) -> np.ndarray:

@@ -30,7 +30,7 @@ STROKES: Mapping[str, str] = MappingProxyType(
 """Strokes of each letter along points of the grid; strokes meet at these points only"""
 
 
-def wedge(count: int, spacing: float) -> np.ndarray:
+def wedge_places(count: int, spacing: float) -> np.ndarray:
     """Place drones on the two arms of a V, which are at right angles, the first at its tip.
 
     Args:
@@ -46,14 +46,14 @@ def wedge(count: int, spacing: float) -> np.ndarray:
     return np.stack([-step * rank, step * rank * side, np.zeros(count)], axis=1)
 
 
-def line(count: int, spacing: float) -> np.ndarray:
-    """Place drones side by side, the first on the left; see `wedge`."""
+def line_places(count: int, spacing: float) -> np.ndarray:
+    """Place drones side by side, the first on the left; see `wedge_places`."""
     left = spacing * ((count - 1) / 2 - np.arange(count))
     return np.stack([np.zeros(count), left, np.zeros(count)], axis=1)
 
 
-def ring(count: int, spacing: float) -> np.ndarray:
-    """Place drones evenly on a circle, the first in front, the next to its left; see `wedge`."""
+def ring_places(count: int, spacing: float) -> np.ndarray:
+    """Place drones evenly on a circle, the first in front, the next to its left; see `wedge_places`."""
     if count == 1:
         return np.zeros((1, 3))
     angle = 2 * np.pi * np.arange(count) / count
@@ -62,13 +62,13 @@ def ring(count: int, spacing: float) -> np.ndarray:
 
 
 SHAPES: Mapping[str, Callable[[int, float], np.ndarray]] = MappingProxyType(
-    {"v": wedge, "line": line, "ring": ring}
+    {"v": wedge_places, "line": line_places, "ring": ring_places}
 )
 """Shapes that are the same for any text, by name"""
 NAMES = (*SHAPES, LETTERS)
 
 
-def letters(count: int, spacing: float, text: str) -> np.ndarray:
+def letter_places(count: int, spacing: float, text: str) -> np.ndarray:
     """Write a text that is read from above, its top in front.
 
     A drone is on each corner and end of a stroke. The others go, one by one, to the stroke on
@@ -108,7 +108,7 @@ def letters(count: int, spacing: float, text: str) -> np.ndarray:
     right, forward = np.concatenate(parts).T
     middle = (right.max() + right.min()) / 2, (forward.max() + forward.min()) / 2
     place = np.stack([forward - middle[1], middle[0] - right, np.zeros(count)], axis=1)
-    return place * (spacing / least_gap(place))
+    return place * (spacing / min_place_distance(place))
 
 
 def _edges(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
@@ -127,7 +127,7 @@ def _edges(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     return edges
 
 
-def several(shapes: Any) -> tuple[Any, ...]:
+def as_shape_list(shapes: Any) -> tuple[Any, ...]:
     """Tell the shapes of an option that may be one shape, or several in a list or tuple.
 
     Args:
@@ -146,7 +146,7 @@ def _is_shape(value: Any) -> bool:
     )
 
 
-def places_of(shape: Any, count: int, spacing: float, text: str, apart: float) -> np.ndarray:
+def find_places(shape: Any, count: int, spacing: float, text: str, apart: float) -> np.ndarray:
     """Find the places of a shape.
 
     Args:
@@ -165,10 +165,10 @@ def places_of(shape: Any, count: int, spacing: float, text: str, apart: float) -
     if not isinstance(shape, str):
         place = _given(shape, count)
     elif shape == LETTERS:
-        place = letters(count, spacing, text)
+        place = letter_places(count, spacing, text)
     else:
         place = _named(shape)(count, spacing)
-    nearest = least_gap(place)
+    nearest = min_place_distance(place)
     if nearest <= apart:
         raise ValueError(
             f"shapes: places of {shown(shape)} are {nearest:.3g} m apart, more than {apart:.3g} m "
@@ -177,7 +177,7 @@ def places_of(shape: Any, count: int, spacing: float, text: str, apart: float) -
     return place
 
 
-def least_gap(place: np.ndarray) -> float:
+def min_place_distance(place: np.ndarray) -> float:
     """Compute the distance between the two nearest of places (M, 3), m; infinite of one."""
     from scipy.spatial import cKDTree  # which takes long to import
 

@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.compiled.functions import cos, hypot, sin
 from bulletuav.compiled.kernel import allocating, kernel
 
-SWEEPS = 6
+JACOBI_SWEEPS = 6
 """Of Jacobi's rotations; four leave nothing of random matrices but the last bits"""
 
 
@@ -103,7 +103,7 @@ def in_world(place: np.ndarray, leader: Leader) -> tuple[np.ndarray, np.ndarray]
     return leader.position[:, None] + offset, leader.velocity[:, None] + round_it
 
 
-def greatest_speed(place: np.ndarray, speed: float, turn: float) -> float:
+def max_place_speed(place: np.ndarray, speed: float, turn: float) -> float:
     """Compute the speed of the fastest of places (M, 3) about a leader that turns, m/s.
 
     Args:
@@ -115,7 +115,7 @@ def greatest_speed(place: np.ndarray, speed: float, turn: float) -> float:
     return float(hypot(along, turn * place[:, 0]).max())
 
 
-def assign(position: np.ndarray, place: np.ndarray) -> np.ndarray:
+def assign_places(position: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Choose places so that the sum of the squared distances to them is least.
 
     Args:
@@ -205,7 +205,7 @@ def off_shape(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.
 def _largest_eigenvalue(table: np.ndarray) -> float:
     """Compute the largest eigenvalue of a symmetric matrix by Jacobi's rotations, in place."""
     size = len(table)
-    for _ in range(SWEEPS):
+    for _ in range(JACOBI_SWEEPS):
         for p in range(size - 1):
             for q in range(p + 1, size):
                 if table[p, q] == 0.0:

@@ -9,9 +9,9 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Spawn
 from bulletuav.tasks.parts.airspace import AirspaceOptions, clearance, require_margin
 from bulletuav.tasks.parts.base import Starts
-from bulletuav.tasks.parts.draws import source_of
+from bulletuav.tasks.parts.draws import get_random_source
 from bulletuav.tasks.parts.obstacle_field import ObstacleField
-from bulletuav.tasks.parts.places import Rules, draw_places
+from bulletuav.tasks.parts.places import PlacementRules, draw_places
 
 MAX_OCCUPANCY = 0.3
 """Greatest share of the space that drones and obstacles may keep others out of"""
@@ -79,7 +79,7 @@ class FreeSpace(Starts):
         shift = np.sqrt(3) * config.jitter
         self.apart = 2 * clearance(config, context) + 2 * shift
         self.leg = float(config.leg + shift)
-        self._rules = Rules(field.radius + self.apart / 2, float(self.apart), self.leg)
+        self._rules = PlacementRules(field.radius + self.apart / 2, float(self.apart), self.leg)
         self._check_room()
         field.bounds = (self.low, self.high)
         task.arena_low = self.low - config.margin
@@ -123,5 +123,5 @@ class FreeSpace(Starts):
         corners = (self.low, self.high, self._start_high)
         numbers = (config.obstacle_speed, config.num_moving, config.jitter)
         places = (obstacle, velocity, start, goal)
-        draw_places(source_of(rng), *corners, self._rules, *numbers, *places)
+        draw_places(get_random_source(rng), *corners, self._rules, *numbers, *places)
         return Spawn(start, goal, obstacle=obstacle, obstacle_velocity=velocity)

@@ -22,7 +22,7 @@ BAR = 0.2
 """Thickness of the bars of a frame, m"""
 ORANGE = (0.95, 0.45, 0.1, 1.0)
 """Colour of frames, RGBA"""
-BESIDE = 3.0
+MISS_RANGE = 3.0
 """Who crosses a gate's plane beside the opening missed it, up to so many sizes from its middle"""
 
 
@@ -79,13 +79,13 @@ class Gate:
         return x, y, z, w
 
 
-def frame_of(gate: Gate) -> list[Obstacle]:
+def make_gate_frame(gate: Gate) -> list[Obstacle]:
     """Make the bars of a frame, one at each side of the opening; they overlap at the corners."""
     length = 2 * (gate.size / 2 + BAR) * float(tan(math.pi / gate.sides))
     return [Obstacle("box", (BAR, BAR, length), ORANGE)] * gate.sides
 
 
-def bar_places(gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def bar_poses(gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Tell where the bars of gates are.
 
     Returns:
@@ -93,17 +93,17 @@ def bar_places(gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray, np.ndarra
         axes, m; (B, 4) its turn, body to world. A bar's y points away from the middle.
     """
     sides = np.array([gate.sides for gate in gates])
-    whose = np.repeat(np.arange(len(gates)), sides)
-    side = np.arange(len(whose)) - np.repeat(np.cumsum(sides) - sides, sides)
-    angle = (2 * np.pi * side / sides[whose])[:, None]
-    out = (np.array([gate.size for gate in gates])[whose, None] + BAR) / 2
-    axis = gate_axes(gates)[whose]
+    gate_index = np.repeat(np.arange(len(gates)), sides)
+    side = np.arange(len(gate_index)) - np.repeat(np.cumsum(sides) - sides, sides)
+    angle = (2 * np.pi * side / sides[gate_index])[:, None]
+    out = (np.array([gate.size for gate in gates])[gate_index, None] + BAR) / 2
+    axis = gate_axes(gates)[gate_index]
     offset = out * (cos(angle) * axis[:, 1] + sin(angle) * axis[:, 2])
     # The gate's turn, after one about its own x axis.
-    x, y, z, w = np.array([gate.quaternion for gate in gates])[whose].T[..., None]
+    x, y, z, w = np.array([gate.quaternion for gate in gates])[gate_index].T[..., None]
     c, s = cos(angle / 2), sin(angle / 2)
     turn = np.concatenate([w * s + x * c, y * c + z * s, z * c - y * s, w * c - x * s], axis=1)
-    return whose, offset, turn
+    return gate_index, offset, turn
 
 
 def gate_axes(gates: Sequence[Gate]) -> np.ndarray:
@@ -185,12 +185,12 @@ def cross_gates(
                 passing[w, i] = 1.0
                 split[w, i, turn] = time[w] - (1.0 - share) * period
                 passed[w, i] += 1.0
-            elif y * y + z * z <= (BESIDE * size[w, g]) ** 2:
+            elif y * y + z * z <= (MISS_RANGE * size[w, g]) ** 2:
                 missing[w, i] = 1.0
 
 
 @kernel
-def ways_left(
+def compute_remaining_distances(
     position: np.ndarray,
     passed: np.ndarray,
     gate: np.ndarray,

@@ -9,7 +9,7 @@ from bulletuav.compiled.functions import atan2, cos, sin
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.errors import numbers_of, shown
 from bulletuav.geometry.rotation import Vec3, dot, point
-from bulletuav.tasks.parts.draws import Source, uniform
+from bulletuav.tasks.parts.draws import RandomSource, draw_uniform
 
 HEADINGS = ("goal", "random")
 """Headings that have names"""
@@ -42,7 +42,7 @@ def check_heading(heading: Any, num_drones: int, has_goals: bool) -> None:
         )
 
 
-def headed(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def heading_directions(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Make directions of a heading.
 
     Args:
@@ -54,7 +54,7 @@ def headed(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarr
         (N, 3) of length 1.
     """
     if isinstance(heading, str):
-        return directions(ways if heading == "goal" else rng.normal(size=ways.shape))
+        return unit_directions(ways if heading == "goal" else rng.normal(size=ways.shape))
     angle = np.broadcast_to(np.radians(np.asarray(heading, dtype=float)), len(ways))
     return np.stack([cos(angle), sin(angle), np.zeros(len(ways))], axis=1)
 
@@ -68,7 +68,7 @@ def _unit(ways: np.ndarray, i: int) -> Vec3:
 
 
 @allocating
-def directions(ways: np.ndarray) -> np.ndarray:
+def unit_directions(ways: np.ndarray) -> np.ndarray:
     """Shorten ways (N, 3) to length 1; east where there is none."""
     unit = np.empty(ways.shape)
     for i in range(ways.shape[0]):
@@ -78,16 +78,16 @@ def directions(ways: np.ndarray) -> np.ndarray:
 
 @kernel
 def draw_velocities(
-    source: Source, slowest: float, fastest: float, ways: np.ndarray, velocity: np.ndarray
+    source: RandomSource, slowest: float, fastest: float, ways: np.ndarray, velocity: np.ndarray
 ) -> None:
     """Draw a speed between two for each drone, m/s, and write velocities (N, 3) along its way."""
     for i in range(ways.shape[0]):
-        speed = uniform(source, slowest, fastest)
+        speed = draw_uniform(source, slowest, fastest)
         x, y, z = _unit(ways, i)
         velocity[i, 0], velocity[i, 1], velocity[i, 2] = x * speed, y * speed, z * speed
 
 
-def facing(direction: np.ndarray) -> np.ndarray:
+def level_attitudes(direction: np.ndarray) -> np.ndarray:
     """Compute attitudes (N, 4), body to world, of level drones with noses along (N, 3)."""
     half = atan2(direction[:, 1], direction[:, 0]) / 2
     zero = np.zeros(len(half))

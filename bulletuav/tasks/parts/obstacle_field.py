@@ -13,7 +13,7 @@ from bulletuav.geometry.rotation import dot, minus, point
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Scene, Spawn
 from bulletuav.tasks.parts.base import Part, Rngs
-from bulletuav.tasks.parts.headings import check_heading, facing, headed
+from bulletuav.tasks.parts.headings import check_heading, heading_directions, level_attitudes
 
 GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
 """Its multiples modulo 1 spread sizes evenly over any number of obstacles"""
@@ -80,7 +80,7 @@ class ObstacleField(Part):
         sizes = smallest + (largest - smallest) * (index * GOLDEN_RATIO % 1)
         self._bodies = tuple(_body(k, radius) for k, radius in enumerate(sizes.tolist()))
         self.radius = np.array([body.radius for body in self._bodies])
-        self.keep_off = self.radius + max(2 * context.collision_radius, task.config.d_safe)
+        self.min_distance = self.radius + max(2 * context.collision_radius, task.config.d_safe)
 
     def obstacles(self) -> Sequence[Obstacle]:
         """List the obstacles, those that move first."""
@@ -99,7 +99,7 @@ class ObstacleField(Part):
         Raises:
             ValueError: There is no room for them.
         """
-        spawn = self._turned(spawn, is_given, rng)
+        spawn = self._apply_heading(spawn, is_given, rng)
         if not self._bodies:
             return spawn
         low, high = self.box()
@@ -123,7 +123,7 @@ class ObstacleField(Part):
         places = np.concatenate([spawn.position, goal], dtype=float)
         tries = np.zeros(len(obstacle), dtype=int)
         k = 0
-        while (k := self._first_in_the_way(obstacle, k, places, spawn.layout)) < len(obstacle):
+        while (k := self._find_first_blocked(obstacle, k, places, spawn.layout)) < len(obstacle):
             # Drawn anew, one by one; those before it stay
             obstacle[k] = rng.uniform(low, high)
             tries[k] += 1
@@ -135,7 +135,7 @@ class ObstacleField(Part):
                 )
         return spawn._replace(obstacle=obstacle, obstacle_velocity=velocity)
 
-    def _turned(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
+    def _apply_heading(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
         """Turn velocities and noses as `heading` says.
 
         Where it says nothing and places are given, drones fly towards their goals.
@@ -144,20 +144,22 @@ class ObstacleField(Part):
         if heading is None and not (is_given and "goal" in self._task.places):
             return spawn
         place = spawn.position
-        direction = headed(heading or "goal", np.broadcast_to(spawn.goal, place.shape) - place, rng)
+        direction = heading_directions(
+            heading or "goal", np.broadcast_to(spawn.goal, place.shape) - place, rng
+        )
         velocity = np.broadcast_to(spawn.velocity, place.shape)
         speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-        quaternion = spawn.quaternion if heading is None else facing(direction)
+        quaternion = spawn.quaternion if heading is None else level_attitudes(direction)
         return spawn._replace(velocity=direction * speed, quaternion=quaternion)
 
-    def _first_in_the_way(
+    def _find_first_blocked(
         self, obstacle: np.ndarray, first: int, places: np.ndarray, layout: int
     ) -> int:
         """Find the first of the obstacles (K, 3) m, from `first` on, that has to be elsewhere.
 
         It is too near to places (M, 3) or in what stands; K where none is.
         """
-        near: int = first_near(obstacle, first, self.keep_off, places)
+        near: int = find_first_near(obstacle, first, self.min_distance, places)
         for k in range(first, near):
             if not self._task.is_free(obstacle[k], float(self.radius[k]), layout):
                 return k
@@ -180,12 +182,12 @@ class ObstacleField(Part):
         beyond = np.maximum(place - high, 0) + np.minimum(place - low, 0)
         place = place - 2 * beyond
         turned = np.where(beyond == 0, 1.0, -1.0)
-        self._turn_back(before, place, turned, scene.layout[flying])
+        self._reverse_at_buildings(before, place, turned, scene.layout[flying])
         scene.obstacle[flying, :moving] = place
         scene.obstacle_velocity[flying, :moving] *= turned
         return True
 
-    def _turn_back(
+    def _reverse_at_buildings(
         self, before: np.ndarray, place: np.ndarray, turned: np.ndarray, layout: np.ndarray
     ) -> None:
         """Let obstacles that would enter a building stay where they were, and turn round."""
@@ -198,7 +200,9 @@ class ObstacleField(Part):
 
 
 @kernel
-def first_near(obstacle: np.ndarray, first: int, keep_off: np.ndarray, places: np.ndarray) -> int:
+def find_first_near(
+    obstacle: np.ndarray, first: int, min_distance: np.ndarray, places: np.ndarray
+) -> int:
     """Find the first of the obstacles (K, 3), from `first` on, that does not keep off places.
 
     Args:
@@ -213,7 +217,7 @@ def first_near(obstacle: np.ndarray, first: int, keep_off: np.ndarray, places: n
     for k in range(first, obstacle.shape[0]):
         for m in range(places.shape[0]):
             away = minus(point(places, m), point(obstacle, k))
-            if not math.sqrt(dot(away, away)) > keep_off[k]:
+            if not math.sqrt(dot(away, away)) > min_distance[k]:
                 return k
     return int(obstacle.shape[0])
 

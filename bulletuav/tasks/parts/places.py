@@ -7,10 +7,10 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3, dot, minus, point
-from bulletuav.tasks.parts.draws import Source, uniform
+from bulletuav.tasks.parts.draws import RandomSource, draw_uniform
 
 
-class Rules(NamedTuple):
+class PlacementRules(NamedTuple):
     """How far random places are from what.
 
     Attributes:
@@ -19,7 +19,7 @@ class Rules(NamedTuple):
         leg: From the starts, of goals, m.
     """
 
-    keep_off: np.ndarray
+    obstacle_distance: np.ndarray
     apart: float
     leg: float
 
@@ -32,13 +32,13 @@ def _distance(one: Vec3, two: Vec3) -> float:
 
 
 @func
-def _place_in_turn(
-    source: Source,
+def _place_sequentially(
+    source: RandomSource,
     low: np.ndarray,
     high: np.ndarray,
     places: np.ndarray,
     obstacle: np.ndarray,
-    rules: Rules,
+    rules: PlacementRules,
     start: np.ndarray,
 ) -> None:
     """Put drones at random places of a box, one after the other, each at the first that is clear.
@@ -55,15 +55,17 @@ def _place_in_turn(
     placed = 0
     while placed < places.shape[0]:
         # Any place in the box is as likely as another
-        east = uniform(source, low[0], high[0])
-        north = uniform(source, low[1], high[1])
-        place = (east, north, uniform(source, low[2], high[2]))
+        east = draw_uniform(source, low[0], high[0])
+        north = draw_uniform(source, low[1], high[1])
+        place = (east, north, draw_uniform(source, low[2], high[2]))
         # Clear of those that are placed, of obstacles, and far enough from its own start
         is_clear = True
         for i in range(placed):
             is_clear = is_clear and _distance(place, point(places, i)) > rules.apart
         for k in range(obstacle.shape[0]):
-            is_clear = is_clear and _distance(place, point(obstacle, k)) > rules.keep_off[k]
+            is_clear = (
+                is_clear and _distance(place, point(obstacle, k)) > rules.obstacle_distance[k]
+            )
         if start.shape[0]:
             is_clear = is_clear and _distance(place, point(start, placed)) >= rules.leg
         # Else drawn anew; crowds for which that takes long are refused before
@@ -75,11 +77,11 @@ def _place_in_turn(
 
 @kernel
 def draw_places(
-    source: Source,
+    source: RandomSource,
     low: np.ndarray,
     high: np.ndarray,
     start_high: np.ndarray,
-    rules: Rules,
+    rules: PlacementRules,
     fastest: float,
     moving: int,
     jitter: float,
@@ -107,16 +109,16 @@ def draw_places(
     # Obstacles keep no distance from each other
     for k in range(obstacle.shape[0]):
         for m in range(3):
-            obstacle[k, m] = uniform(source, low[m], high[m])
+            obstacle[k, m] = draw_uniform(source, low[m], high[m])
     for k in range(obstacle.shape[0]):
         for m in range(3):
             # Drawn for all, so that the number of moving ones changes nothing else
-            drawn = uniform(source, -fastest, fastest)
+            drawn = draw_uniform(source, -fastest, fastest)
             velocity[k, m] = drawn if k < moving else 0.0
     # Starts are only clear of obstacles; goals are far from their starts, too
-    _place_in_turn(source, low, start_high, start, obstacle, rules, start[:0])
-    _place_in_turn(source, low, high, goal, obstacle, rules, start)
+    _place_sequentially(source, low, start_high, start, obstacle, rules, start[:0])
+    _place_sequentially(source, low, high, goal, obstacle, rules, start)
     # Jitter moves starts after all distances were kept; `apart` leaves some room
     for i in range(start.shape[0]):
         for m in range(3):
-            start[i, m] += uniform(source, -jitter, jitter)
+            start[i, m] += draw_uniform(source, -jitter, jitter)

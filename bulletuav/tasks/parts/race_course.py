@@ -8,17 +8,17 @@ import numpy as np
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.frame import Scene, Spawn, TaskContext
-from bulletuav.tasks.parts.gates import Gate, bar_places, frame_of, gate_axes
+from bulletuav.tasks.parts.gates import Gate, bar_poses, gate_axes, make_gate_frame
 from bulletuav.tasks.parts.tracks import (
     RANDOM,
     RandomTrack,
-    blocks,
     draw_track,
-    fault,
+    find_track_error,
     load_track,
+    place_start_blocks,
 )
 
-HOVER = 1.0
+HOVER_HEIGHT = 1.0
 """Height at which drones start that do not take off, m"""
 
 
@@ -98,22 +98,22 @@ class RaceCourse:
         # Bars are the same in all random tracks; only where they are is drawn.
         some = self._given or self._drawn(np.random.default_rng(0))
         self.gates, self.turns = len(some), config.laps * len(some)
-        self.bodies = tuple(bar for gate in some for bar in frame_of(gate))
+        self.bodies = tuple(bar for gate in some for bar in make_gate_frame(gate))
         self.sides = np.array([gate.sides for gate in some])
         sizes = [gate.size for gate in some]
         self.widest, self.narrowest = max(sizes), min(sizes)
         self._rate = 2 * np.pi / config.gate_period if config.gate_motion else 0.0
         self._speed = self._rate * config.gate_motion
         self.fastest = self._speed or 1.0
-        self._whose = bar_places(some)[0]
+        self._gate_index = bar_poses(some)[0]
         self.arena = self._lay_out(some)
 
     def _read(self) -> tuple[Gate, ...]:
         """Read the track that is given, and refuse one that cannot be flown."""
         config, context = self._config, self._context
         gates = load_track(config.track, self._like)
-        places = blocks(gates, context.num_drones)
-        found = fault(gates, places, context.collision_radius, config.gate_motion)
+        places = place_start_blocks(gates, context.num_drones)
+        found = find_track_error(gates, places, context.collision_radius, config.gate_motion)
         if found is not None:
             raise ValueError(f"track {config.track!r} cannot be flown: {found}")
         return gates
@@ -149,7 +149,9 @@ class RaceCourse:
 
     def _blocks(self, gates: tuple[Gate, ...]) -> np.ndarray:
         """Tell where drones start, (N, 3) m."""
-        start: np.ndarray = blocks(gates, self._context.num_drones) + np.array((0.0, 0.0, HOVER))
+        start: np.ndarray = place_start_blocks(gates, self._context.num_drones) + np.array(
+            (0.0, 0.0, HOVER_HEIGHT)
+        )
         return start
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
@@ -160,7 +162,7 @@ class RaceCourse:
         middle, axis = np.array([gate.position for gate in gates]), gate_axes(gates)
         (aside,), (velocity,) = self.swing(np.zeros(1), axis[None], phase[None])
         # Frames are bars about the middle, which move with it
-        whose, offset, turn = bar_places(gates)
+        gate_index, offset, turn = bar_poses(gates)
         now = middle + aside
         # What is kept of the gates; `leg` goes from each to the next
         memory = {
@@ -176,8 +178,8 @@ class RaceCourse:
             position=self._blocks(gates),
             goal=now[0],
             goal_velocity=velocity[0],
-            obstacle=now[whose] + offset,
-            obstacle_velocity=velocity[whose],
+            obstacle=now[gate_index] + offset,
+            obstacle_velocity=velocity[gate_index],
             obstacle_quaternion=turn,
             memory=memory,
         )
@@ -208,5 +210,5 @@ class RaceCourse:
         moved = new - old
         memory["gate"][flying] += moved
         memory["gate_velocity"][flying] = velocity
-        scene.obstacle[flying] += moved[:, self._whose]
-        scene.obstacle_velocity[flying] = velocity[:, self._whose]
+        scene.obstacle[flying] += moved[:, self._gate_index]
+        scene.obstacle_velocity[flying] = velocity[:, self._gate_index]

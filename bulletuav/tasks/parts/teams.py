@@ -10,9 +10,9 @@ from bulletuav.errors import shown
 from bulletuav.geometry.closest_approach import closest_squared, offset
 from bulletuav.geometry.rotation import dot
 
-NOBODY = -1
+NO_OPPONENT = -1
 """Index where there is no opponent"""
-GRAIN = 2.0**-20
+PAYOFF_STEP = 2.0**-20
 """Payoffs are whole multiples of it: sums of those are exact, in whatever order"""
 
 
@@ -59,25 +59,25 @@ def nearest_opponents(
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
             # Nobody, until somebody is found
-            nearest[w, i] = NOBODY
-            least = np.inf
+            nearest[w, i] = NO_OPPONENT
+            min_distance = np.inf
             for j in range(position.shape[1]):
                 if present[w, j] and team[j] != team[i]:
                     # Among equals the first one
                     gap = offset(position, w, i, j)
                     square = dot(gap, gap)
-                    if square < least:
-                        least = square
+                    if square < min_distance:
+                        min_distance = square
                         nearest[w, i] = j
 
 
 @kernel
-def follow_chase(
+def measure_chase(
     before: np.ndarray,
     after: np.ndarray,
     flown: np.ndarray,
     team: np.ndarray,
-    least: np.ndarray,
+    min_distance: np.ndarray,
     by: np.ndarray,
     closing: np.ndarray,
 ) -> None:
@@ -98,8 +98,8 @@ def follow_chase(
     for w in range(before.shape[0]):
         for i in range(before.shape[1]):
             # What stays for chasers, and for evaders that nobody chases
-            least[w, i] = np.inf
-            by[w, i] = NOBODY
+            min_distance[w, i] = np.inf
+            by[w, i] = NO_OPPONENT
             closing[w, i] = 0.0
             if team[i] == 0 or not flown[w, i]:
                 continue
@@ -116,15 +116,15 @@ def follow_chase(
                         nearest = way
                         by[w, i] = j
             # From squares to m
-            if by[w, i] != NOBODY:
-                least[w, i] = math.sqrt(nearest)
+            if by[w, i] != NO_OPPONENT:
+                min_distance[w, i] = math.sqrt(nearest)
                 closing[w, i] = math.sqrt(first) - math.sqrt(last)
 
 
 def zero_sum(gain: np.ndarray, paid: np.ndarray, paying: np.ndarray) -> np.ndarray:
     """Share gains among the drones of one team that flew, and take them from the other's.
 
-    Each one's share is rounded to `GRAIN`. So payoffs of a world add up to 0, not nearly but to the
+    Each one's share is rounded to `PAYOFF_STEP`. So payoffs of a world add up to 0, not nearly but to the
     bit, in whatever order; also times weights that are whole, or such as 1/16.
 
     Args:
@@ -136,6 +136,6 @@ def zero_sum(gain: np.ndarray, paid: np.ndarray, paying: np.ndarray) -> np.ndarr
         (W, N) payoffs; zeros in worlds where nobody shares.
     """
     count = paid.sum(axis=1, keepdims=True)
-    each = np.round(np.where(paying, gain, 0.0) / np.maximum(count, 1) / GRAIN) * GRAIN
+    each = np.round(np.where(paying, gain, 0.0) / np.maximum(count, 1) / PAYOFF_STEP) * PAYOFF_STEP
     payoff: np.ndarray = np.where(paid, each.sum(axis=1, keepdims=True), 0.0) - each * count
     return payoff

@@ -16,23 +16,23 @@ from bulletuav.vehicle.airframes import URDF_FOLDER
 
 RANDOM = "random"
 """Name of tracks that are drawn for each episode"""
-FIELDS = ("position", "yaw", "pitch", "roll", "shape", "size")
+GATE_FIELDS = ("position", "yaw", "pitch", "roll", "shape", "size")
 """What a file tells of a gate; only `position` is needed"""
-ROOM = 3.0
+CLEAR_LENGTH = 3.0
 """Clear way that is needed before and behind a gate, m"""
-FREE = 0.5
+MIN_CLEARANCE = 0.5
 """How far that way keeps from frames and from the ground, m"""
-ROW = 4
+BLOCKS_PER_ROW = 4
 """Blocks side by side"""
-ASIDE, BACK = 2.0, 2.5
+BLOCK_SPACING, ROW_SPACING = 2.0, 2.5
 """Distance between neighbouring blocks, and between rows of them, m"""
-RUN_UP = 6.0
+RUN_UP_DISTANCE = 6.0
 """Distance from the first row of blocks to the first gate, m"""
 MAX_TRIES = 200
 """How often a random track is drawn anew until it can be flown"""
-SPREAD = 0.3
+RADIUS_SPREAD = 0.3
 """How much nearer to the middle than others a gate of a random track can be, as a share"""
-AIM = 15.0
+MAX_YAW_OFFSET = 15.0
 """How far the direction of a random gate is off the way through it, degrees"""
 
 TRACK_FOLDER = URDF_FOLDER.parent / "tracks"
@@ -64,12 +64,14 @@ class RandomTrack:
         count = self.gates
         turn = 2 * np.pi * (np.arange(count) + rng.uniform(-0.2, 0.2, count)) / count
         angle = (1.0 if rng.uniform() < 0.5 else -1.0) * turn + rng.uniform(-np.pi, np.pi)
-        radius = self.radius * rng.uniform(1 - SPREAD, 1, count)
+        radius = self.radius * rng.uniform(1 - RADIUS_SPREAD, 1, count)
         height = rng.uniform(*self.height, count)
         place = np.stack([radius * cos(angle), radius * sin(angle), height], axis=1)
         # Gates are flown along the way from the one before to the one behind, more or less.
         way = np.roll(place, -1, axis=0) - np.roll(place, 1, axis=0)
-        yaw = np.degrees(atan2(way[:, 1], way[:, 0])) + rng.uniform(-AIM, AIM, count)
+        yaw = np.degrees(atan2(way[:, 1], way[:, 0])) + rng.uniform(
+            -MAX_YAW_OFFSET, MAX_YAW_OFFSET, count
+        )
         slope = np.degrees(atan2(way[:, 2], hypot(way[:, 0], way[:, 1])))
         pitch = slope + self.tilt * rng.uniform(-1, 1, count)
         roll = self.tilt * rng.uniform(-1, 1, count)
@@ -129,22 +131,22 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
 
 def _gate_of(path: Path, k: int, table: object, usual: RandomTrack) -> Gate:
     """Make a gate of its table. Raises ValueError for what it cannot be made of."""
-    who = f"gate {k} of track {path}"
+    label = f"gate {k} of track {path}"
     if not isinstance(table, dict):
-        raise ValueError(f"{who} is {shown(table)}: a table [[gates]] is needed")
+        raise ValueError(f"{label} is {shown(table)}: a table [[gates]] is needed")
     for name in table:
-        if name not in FIELDS:
-            raise ValueError(f"{who} has {shown(name)}: {nearest(name, FIELDS)}")
+        if name not in GATE_FIELDS:
+            raise ValueError(f"{label} has {shown(name)}: {nearest(name, GATE_FIELDS)}")
     if "position" not in table:
-        raise ValueError(f"{who} has no position: position = [x, y, z] is needed, m")
+        raise ValueError(f"{label} has no position: position = [x, y, z] is needed, m")
     given: Mapping[str, Any] = {"shape": usual.shape_of(k), "size": usual.size, **table}
     try:
         return Gate(**given)
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{who}: {error}") from None
+        raise ValueError(f"{label}: {error}") from None
 
 
-def blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
+def place_start_blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
     """Place starting blocks on the ground before the first gate, in rows of four.
 
     Returns:
@@ -165,15 +167,17 @@ def blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
     left = np.array((-forward[1], forward[0]))
     # Rows of four; the last one is in the middle, too
     index = np.arange(drones)
-    row, column = index // ROW, index % ROW
-    in_row = np.minimum(drones - row * ROW, ROW)
-    aside = ASIDE * (column - (in_row - 1) / 2)
-    behind = RUN_UP + BACK * row
+    row, column = index // BLOCKS_PER_ROW, index % BLOCKS_PER_ROW
+    in_row = np.minimum(drones - row * BLOCKS_PER_ROW, BLOCKS_PER_ROW)
+    aside = BLOCK_SPACING * (column - (in_row - 1) / 2)
+    behind = RUN_UP_DISTANCE + ROW_SPACING * row
     places = np.array(gates[0].position[:2]) - np.outer(behind, forward) + np.outer(aside, left)
     return np.column_stack([places, np.zeros(drones)])
 
 
-def fault(gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: float) -> str | None:
+def find_track_error(
+    gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: float
+) -> str | None:
     """Tell why a track cannot be flown, or None where it can.
 
     Args:
@@ -187,38 +191,38 @@ def fault(gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: flo
     forward = gate_axes(gates)[:, 0]
     # How far each gate is from each other one, and that from the way through it.
     way = middle - middle[:, None]
-    along = np.clip((way * forward[:, None]).sum(axis=-1), -ROOM, ROOM)
+    along = np.clip((way * forward[:, None]).sum(axis=-1), -CLEAR_LENGTH, CLEAR_LENGTH)
     off = way - along[..., None] * forward[:, None]
     gap, off = (np.sqrt((one**2).sum(axis=-1)) for one in (way, off))
-    apart, clear = reach[:, None] + reach, reach + FREE
+    apart, clear = reach[:, None] + reach, reach + MIN_CLEARANCE
     np.fill_diagonal(gap, np.inf)
     np.fill_diagonal(off, np.inf)
     block = np.sqrt(((start[:, None] - middle) ** 2).sum(axis=-1)).min(axis=0)
     # The first fault is told, with what mends it
     for k, gate in enumerate(gates):
-        who = f"gate {k} at {shown(gate.position)} m"
+        label = f"gate {k} at {shown(gate.position)} m"
         if gate.size <= 2 * radius:
-            return f"{who} is {gate.size:g} m wide, and a drone is {2 * radius:.3g} m: widen it"
+            return f"{label} is {gate.size:g} m wide, and a drone is {2 * radius:.3g} m: widen it"
         if middle[k, 2] < reach[k] and middle[k, 2] < _depth(gate):
-            return f"{who} reaches into the ground: raise it"
+            return f"{label} reaches into the ground: raise it"
         if (gap[k] < apart[k]).any():
             other = int((gap[k] < apart[k]).argmax())
             return (
-                f"{who} and gate {other} overlap: their middles are {gap[k, other]:.3g} m apart, "
+                f"{label} and gate {other} overlap: their middles are {gap[k, other]:.3g} m apart, "
                 f"{apart[k, other]:.3g} m are needed"
             )
         if (off[k] < clear).any():
             return (
-                f"{who} faces gate {int((off[k] < clear).argmax())} like a wall: {ROOM:g} m before "
+                f"{label} faces gate {int((off[k] < clear).argmax())} like a wall: {CLEAR_LENGTH:g} m before "
                 f"and behind it have to be clear; turn or move it"
             )
-        if middle[k, 2] - ROOM * abs(forward[k, 2]) < FREE:
+        if middle[k, 2] - CLEAR_LENGTH * abs(forward[k, 2]) < MIN_CLEARANCE:
             return (
-                f"{who} faces the ground: the way through it is below {FREE:g} m at {ROOM:g} m "
+                f"{label} faces the ground: the way through it is below {MIN_CLEARANCE:g} m at {CLEAR_LENGTH:g} m "
                 f"from it; raise it, or lower its pitch"
             )
         if block[k] < clear[k]:
-            return f"{who} is {block[k]:.3g} m from a starting block: {clear[k]:.3g} m are needed"
+            return f"{label} is {block[k]:.3g} m from a starting block: {clear[k]:.3g} m are needed"
     return None
 
 
@@ -247,7 +251,7 @@ def draw_track(
     found = None
     for _ in range(MAX_TRIES):
         gates = like.draw(rng)
-        found = fault(gates, blocks(gates, drones), radius, motion)
+        found = find_track_error(gates, place_start_blocks(gates, drones), radius, motion)
         if found is None:
             return gates
     raise ValueError(

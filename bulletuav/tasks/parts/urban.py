@@ -21,7 +21,7 @@ URBAN_DEFAULTS: dict[str, Any] = {
 """Common options of tasks in cities, unless a task says otherwise"""
 
 
-def check_share(name: str, value: float) -> None:
+def check_fraction(name: str, value: float) -> None:
     """Refuse what is not a share that can be reached.
 
     Args:
@@ -75,26 +75,26 @@ class UrbanFlightOptions(StreetOptions):
 class CityLegs(Starts):
     """Starts, at rest, and goals outdoors in a city, at least the option `leg` apart."""
 
-    def __init__(self, task: Task[Any], town: CityLayouts) -> None:
+    def __init__(self, task: Task[Any], city_layouts: CityLayouts) -> None:
         """Check that legs fit into the cities.
 
         Args:
             task: The task, with options of flights through cities.
-            town: Its cities.
+            city_layouts: Its cities.
 
         Raises:
             ValueError: A city is too small for a leg.
         """
-        self._town, self._num_drones = town, task.context.num_drones
+        self._city_layouts, self._num_drones = city_layouts, task.context.num_drones
         self._leg = float(task.config.leg)
-        town.require(self._leg)
+        city_layouts.require(self._leg)
 
     def draw(self, rng: np.random.Generator) -> Spawn:
         """Draw starts and goals; see the base class."""
-        layout = self._town.draw(rng)
-        start, goal = self._town.legs(rng, layout, self._num_drones, self._leg)
+        layout = self._city_layouts.draw(rng)
+        start, goal = self._city_layouts.legs(rng, layout, self._num_drones, self._leg)
         return Spawn(start, goal, layout=layout)
 
     def next_goal(self, place: np.ndarray, layout: int, rng: np.random.Generator) -> np.ndarray:
         """Draw the next goal of a drone; see the base class."""
-        return self._town.goal_from(rng, layout, place, self._leg)
+        return self._city_layouts.draw_goal(rng, layout, place, self._leg)

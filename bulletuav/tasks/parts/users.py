@@ -16,7 +16,7 @@ from bulletuav.tasks.frame import Frame, Scene
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.base import Part, Rngs
 from bulletuav.tasks.parts.city_layouts import USER_HEIGHT, CityLayouts
-from bulletuav.tasks.targets import served_by_any
+from bulletuav.tasks.targets import get_served_fraction
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,12 @@ class Users(Part):
         mobility: How they walk.
     """
 
-    def __init__(self, task: Task[Any], town: CityLayouts) -> None:
+    def __init__(self, task: Task[Any], city_layouts: CityLayouts) -> None:
         """Find where users can walk.
 
         Args:
             task: The task, with options of users, whose targets they become.
-            town: Its cities.
+            city_layouts: Its cities.
 
         Raises:
             ValueError: A city leaves no room to walk, or there is no such mobility.
@@ -57,7 +57,7 @@ class Users(Part):
         self._task, self._count = task, int(task.config.num_users)
         task.num_targets = self._count
         self.mobility = find_mobility(task.config.mobility)
-        self._ground = Ground(town.cities, USER_HEIGHT)
+        self._ground = Ground(city_layouts.cities, USER_HEIGHT)
         self.mobility.require(self._ground)
 
     def start(self, layout: int, rng: np.random.Generator) -> Mapping[str, np.ndarray]:
@@ -98,7 +98,7 @@ class Users(Part):
 
     def served(self, frame: Frame) -> np.ndarray:
         """Compute the share of users that some living drone sees, (W, N)."""
-        return served_by_any(frame, self._task.active_targets(frame.scene))
+        return get_served_fraction(frame, self._task.active_targets(frame.scene))
 
     def quantities(self) -> Mapping[str, Any]:
         """Return the share of users that some drone sees, and how long they have been seen, s."""

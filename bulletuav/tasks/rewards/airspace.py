@@ -118,7 +118,7 @@ def concession(
 ) -> float:
     """At the end of an episode: for how many drones it made way, less how many made way for it.
 
-    0 at least; see `follow_encounters`.
+    0 at least; see `update_encounters`.
     """
     balance = 0.0
     if ended:
@@ -146,14 +146,14 @@ LOOK_AHEAD = 10.0
 
 
 @func
-def _change(before: Swarm, after: Swarm, w: int, i: int) -> float:
+def _velocity_change(before: Swarm, after: Swarm, w: int, i: int) -> float:
     """Compute the size of a drone's velocity change, m/s."""
     own, new = vec3(before.velocity, w, i), vec3(after.velocity, w, i)
     return math.sqrt((new[0] - own[0]) ** 2 + (new[1] - own[1]) ** 2 + (new[2] - own[2]) ** 2)
 
 
 @kernel
-def follow_encounters(
+def update_encounters(
     encounter: np.ndarray,
     effort: np.ndarray,
     before: Swarm,
@@ -198,8 +198,8 @@ def follow_encounters(
                         state = CLEAR
                     # Changes of velocity count only while there is something to avoid
                     if state != NONE:
-                        effort[w, i, j] += _change(before, after, w, i)
-                        effort[w, j, i] += _change(before, after, w, j)
+                        effort[w, i, j] += _velocity_change(before, after, w, i)
+                        effort[w, j, i] += _velocity_change(before, after, w, j)
                 # Told by the way flown, not by the one foreseen
                 if least < d_safe * d_safe:
                     state = CONFLICT

@@ -12,17 +12,17 @@ from bulletuav.contact.contacts import mark
 from bulletuav.contact.rest import Contact
 from bulletuav.geometry.closest_approach import fill_distances
 from bulletuav.tasks.frame import (
-    RESTING_SPEED,
-    RESTING_SPIN,
-    STANDING_GAP,
-    TOUCHDOWN_SPEED,
-    TOUCHDOWN_UPRIGHT,
+    MAX_RESTING_SPEED,
+    MAX_RESTING_SPIN,
+    MAX_TOUCHDOWN_SPEED,
+    MIN_TOUCHDOWN_COSINE,
+    STANDING_TOLERANCE,
     Frame,
 )
 from bulletuav.vehicle.swarm import GROUND
 
 
-class Account(NamedTuple):
+class FrameMeasures(NamedTuple):
     """Arrays (W, N) of a frame's properties of the same names, which a program fills.
 
     Attributes:
@@ -46,13 +46,13 @@ class Account(NamedTuple):
     landed: np.ndarray
 
 
-def make_account(frame: Frame) -> Account:
+def make_frame_measures(frame: Frame) -> FrameMeasures:
     """Make arrays that the frame shows from now on as its properties of the same names."""
     shape = frame.alive.shape
     distance, distance_before, known_distance, impulse = np.zeros((4, *shape))
     collision, resting, landed = np.zeros((3, *shape), dtype=bool)
     # The frame shows these arrays, so they are filled and never replaced
-    account = Account(
+    account = FrameMeasures(
         conflict=no_conflict(shape),
         distance=distance,
         distance_before=distance_before,
@@ -66,7 +66,9 @@ def make_account(frame: Frame) -> Account:
     return account
 
 
-def add_account(program: Program, account: Account, frame: Frame, contact: Contact) -> None:
+def add_frame_measures(
+    program: Program, account: FrameMeasures, frame: Frame, contact: Contact
+) -> None:
     """Add to a program that the account is filled after a decision.
 
     Args:
@@ -85,7 +87,7 @@ def add_account(program: Program, account: Account, frame: Frame, contact: Conta
     names = (scenery.first_body, scenery.first_piece, scenery.ground, scenery.other)
     given = (touches.number, touches.other, touches.impulse, names, *frame.after[2:4])
     marks = (account.collision, account.resting, account.impulse)
-    program.call(mark, *given, RESTING_SPEED, RESTING_SPIN, *marks)
+    program.call(mark, *given, MAX_RESTING_SPEED, MAX_RESTING_SPIN, *marks)
 
 
 @kernel
@@ -100,7 +102,7 @@ def _fill_all(
     fill_distances(goal, places[2], distances[2])
 
 
-def mark_contacts(account: Account, frame: Frame) -> None:
+def mark_contacts(account: FrameMeasures, frame: Frame) -> None:
     """Fill what the account tells of contacts from those that the frame tells."""
     fresh = dataclasses.replace(frame)  # works everything out by itself
     account.collision[:] = fresh.collision
@@ -108,7 +110,7 @@ def mark_contacts(account: Account, frame: Frame) -> None:
     account.impulse[:] = fresh.impulse
 
 
-def mark_landings(account: Account, frame: Frame, standing_height: np.ndarray) -> None:
+def mark_landings(account: FrameMeasures, frame: Frame, standing_height: np.ndarray) -> None:
     """Tell who stands or lands on the ground, see `Frame.landed`; landings are no collisions.
 
     Args:
@@ -118,13 +120,13 @@ def mark_landings(account: Account, frame: Frame, standing_height: np.ndarray) -
     """
     touched, landed = frame.contacts, account.landed
     # Who touches anything, or stands so near that nothing is felt.
-    low = frame.after.position[..., 2] <= standing_height + STANDING_GAP
+    low = frame.after.position[..., 2] <= standing_height + STANDING_TOLERANCE
     landed[:] = (account.collision | low) & frame.alive
     for swarm in (frame.before, frame.after):
         x, y = swarm.quaternion[..., 0], swarm.quaternion[..., 1]
-        landed &= 1 - 2 * (x * x + y * y) >= TOUCHDOWN_UPRIGHT
+        landed &= 1 - 2 * (x * x + y * y) >= MIN_TOUCHDOWN_COSINE
     # What it touches, and how fast.
-    rough = np.linalg.norm(touched.velocity, axis=-1) > TOUCHDOWN_SPEED
+    rough = np.linalg.norm(touched.velocity, axis=-1) > MAX_TOUCHDOWN_SPEED
     rough |= touched.other != GROUND
     landed[touched.world[rough], touched.drone[rough]] = False
     account.collision[landed] = False
