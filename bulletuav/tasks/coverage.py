@@ -58,29 +58,30 @@ def close(drones_too_near: float) -> float:
 
 @register("task")
 class Coverage(Task[CoverageConfig]):
-    """Search for places, apart from each other, from which drones see the most of a city's streets.
+    """Drones spread over a city to see as much of its streets as possible.
 
-    Drones start at rest at random places outdoors, 20 to 60 m high. The ground outdoors is divided
-    into squares of 10 m. A square is covered when some living drone sees its middle, 1.5 m up.
+    Drones start at rest at random positions outdoors, at heights of 20 to 60 m. The ground outdoors
+    is divided into squares of 10 m. A square is covered if at least one living drone sees its
+    centre, 1.5 m above the ground.
 
     Observation, Box(29) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, charge of the battery, the nearest living drones, and the share of the squares that
-    the drone itself sees. Neighbours come nearest first, relative to the drone, and are zeros where
-    there are fewer.
+    velocity, battery charge, the nearest living drones, and the fraction of the squares that the
+    drone itself sees. Neighbours are relative to the drone, sorted by distance, and padded with
+    zeros.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - covered 1: share of the squares that are covered.
-    - sight 0: share of the squares that the drone itself sees.
-    - close -0.2: number of other drones nearer than min_separation = 100 m.
+    - covered 1: fraction of the squares that are covered.
+    - sight 0: fraction of the squares that the drone itself sees.
+    - close -0.2: number of other drones closer than min_separation = 100 m.
     - collision -10: 1 on contact of collision shapes.
     - out_of_bounds -10: 1 outside the city's square or above its ceiling.
 
-    End: terminated on contact, with an empty battery, and outside the city's square or above its
-    ceiling. Truncated after 300 decisions.
+    End: terminated on contact, when the battery is empty, and outside the city's square or above
+    its ceiling. Truncated after 300 decisions.
 
     Success: 90 % of the squares are covered, at easy 75 %.
 

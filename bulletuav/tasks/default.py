@@ -74,28 +74,29 @@ def arrived(distance: float, goal_radius: float, collision: bool) -> bool:
 
 @register("task")
 class Default(Task[DefaultConfig]):
-    """Flight of each drone through a city to its own goal.
+    """Drones fly through a city, each to its own goal.
 
-    Drones start at rest at random places outdoors, 5 to 12 m high. Goals are such places, too.
-    The ceiling, at 15 m, is below most roofs: the way leads through the streets.
+    Drones start at rest at random positions outdoors, at heights of 5 to 12 m. Goals are drawn in
+    the same way. The ceiling of 15 m is below most roofs, so drones have to fly along the streets.
 
     Observation, Box(30) per drone with the defaults, in world axes (east, north, up): velocity,
-    direction and distance of the goal, charge of the battery, room to the city's edges, its ceiling
-    and the ground (see `room`), and 16 ranges of the lidar. Its beams are level, each at so many
-    degrees to the left of the drone's nose. A range of 60 m is also that of a beam that hits
-    nothing; room that is more is 60 m, too.
+    direction and distance of the goal, battery charge, distances to the city's edges, its ceiling
+    and the ground (see `room`), and 16 ranges of the lidar. Its beams are horizontal and labelled
+    by their angle to the left of the drone's nose, in degrees. Ranges and distances are at most 60
+    m, the value of a beam without a hit.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - progress 1: speed towards the goal over max_speed.
-    - goal 10: 1 on reaching the goal.
+    - progress 1: speed towards the goal divided by max_speed.
+    - goal 10: 1 in the decision in which the drone reaches the goal.
     - collision -10: 1 on contact of collision shapes.
-    - time -0.1: 1 a decision until the goal is reached; on another end also all that are left.
+    - time -0.1: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
 
-    End: terminated within 5 m of the goal, on contact, with an empty battery, and outside the
+    End: terminated within 5 m of the goal, on contact, when the battery is empty, or outside the
     city's square or above its ceiling. Truncated after 600 decisions.
 
     Success: the goal is reached.

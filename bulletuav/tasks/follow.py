@@ -103,28 +103,28 @@ def angle_between(first: float, second: float) -> float:
 
 @register("task")
 class Follow(Task[FollowConfig]):
-    """Flight about a moving target, in which each drone keeps its own station.
+    """Drones keep their stations around a moving target.
 
-    The target is a body that can be hit: a ground vehicle or another drone. It drives at a constant
-    speed, and its heading wanders; 80 m from the start it turns home. Stations are spread evenly on
-    a circle of 6 m about it, 8 m above a vehicle, level with a drone, and move with it. Drones
-    start at rest near them.
+    The target is a solid body: a ground vehicle or another drone. It moves at constant speed with a
+    randomly varying heading, and turns back 80 m from its start. The stations are evenly spaced on
+    a circle of radius 6 m around the target, 8 m above a vehicle or level with a drone, and move
+    with it. Drones start at rest near their stations.
 
     Observation, Box(16) per drone with the defaults: attitude as a quaternion, body to world;
     offset from the drone to its station, velocity and the station's velocity in world axes (east,
     north, up); rates in body axes (forward, left, up).
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - alive 1: 1 a decision.
+    - alive 1: 1 per decision.
     - distance -0.1: distance to the station, m.
     - speed -0.05: speed relative to the station, m/s.
-    - lost -1: decisions that are left when the drone's episode ends early.
+    - lost -1: number of remaining decisions when the drone's episode terminates.
 
-    End: terminated on any contact of collision shapes, or further than 40 m from the station.
+    End: terminated on any contact of collision shapes, or farther than 40 m from the station.
     Truncated after 300 decisions.
 
     Success: the drone is within 1 m of its station.

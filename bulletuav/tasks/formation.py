@@ -42,43 +42,44 @@ def leader(all_leader_velocity: np.ndarray, turn: float) -> Vec3:
 
 @register("task")
 class Formation(GoalFlight[FormationConfig]):
-    """Flight in a shape about a leader, who moves, turns, and asks for another shape.
+    """Drones hold a formation around a virtual leader that moves, turns and changes the shape.
 
-    The leader is no drone: it is a point that flies level at 5 m/s, in a direction drawn at the
-    start, and turns by 2 degrees a second. Each drone's goal is its place in the leader's frame. It
-    moves and turns with the leader. Drones start in a square block about the leader, in random
-    order, in flight with it. The shape is a V with arms at right angles, neighbours 12 m apart.
-    Every 20 s it changes to a line side by side, and back.
+    The leader is not a drone but a point that moves horizontally at 5 m/s, in a direction drawn at
+    the start, and turns by 2 degrees per second. Each drone's goal is its place in the leader's
+    frame, which moves and turns with the leader. Drones start in a square block around the leader,
+    in random order and at the leader's velocity. The shape is a V with arms at right angles and 12
+    m between neighbours. Every 20 s it alternates with a line abreast.
 
     Observation, Box(61) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the place, the place's velocity, the leader's velocity and
-    turn, the nearest living drones, and the nearest obstacles. Both come nearest first, relative to
-    the drone, and are zeros where there are fewer.
+    turn rate, the nearest living drones, and the nearest obstacles. Drones and obstacles are
+    relative to the drone, sorted by distance, and padded with zeros.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms) but for:
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - progress 1: metres nearer to the place; how the place moved counts, too.
+    - progress 1: decrease of the distance to the place, m, including the motion of the place.
     - holding 1: 1 within 2 m of the place.
-    - conflict -200: other drones that come closer than d_safe = 5 m.
-    - warning -1: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - warning -1: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision away from the place; on another end also all that are left.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision away from the place; if the episode terminates, also 1 per remaining
+      decision.
 
-    End: terminated on contact, with an empty battery, or outside the arena. Truncated after 500
+    End: terminated on contact, when the battery is empty, or outside the arena. Truncated after 500
     decisions; extreme has 1,000.
 
     Success: the drone is at its place.
 
     Infos: `formation_error` is the root mean square of the living drones' distances from their
-    places. `shape_error` is what is left of it after the best shift and rotation of the shape.
-    `in_place` is the share of the time for which the drone was at its place. `time_to_form` is how
-    long it took until all living drones were first at their places at once, s, since the shape or
-    the places last changed. Until then it is the time since the change.
+    places. `shape_error` is the residual after the optimal translation and rotation of the shape.
+    `in_place` is the fraction of the time for which the drone was at its place. `time_to_form` is
+    the time from the last change of shape or places until all living drones were at their places
+    simultaneously, s; until then it is the time since the change.
     """
 
     name = "formation"

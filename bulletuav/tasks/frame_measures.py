@@ -1,4 +1,4 @@
-"""What follows from a decision for every drone: separations, distances, and what it touched."""
+"""Per-drone measures of a decision: separations, distances to goals, and contacts."""
 
 import dataclasses
 from typing import NamedTuple
@@ -23,17 +23,17 @@ from bulletuav.vehicle.swarm import GROUND
 
 
 class FrameMeasures(NamedTuple):
-    """Arrays (W, N) of a frame's properties of the same names, which a program fills.
+    """Arrays (W, N) behind a frame's properties of the same names, filled by a program.
 
     Attributes:
-        conflict: Separations.
-        distance: To the goal, m.
-        distance_before: Before the decision, m.
-        known_distance: As drones know it, m.
+        conflict: Separations and conflicts.
+        distance: Distance to the goal, m.
+        distance_before: Distance to the goal before the decision, m.
+        known_distance: Distance to the goal as measured by the drone, m.
         collision: Whether the drone touched anything.
-        resting: Whether it did, and hardly moves.
-        impulse: Greatest impulse of a contact, N s.
-        landed: Whether it stands or lands on the ground, in tasks that allow it.
+        resting: Whether the drone touched something and is at rest.
+        impulse: Maximum impulse of a contact, N s.
+        landed: Whether the drone stands or lands on the ground, in tasks that allow it.
     """
 
     conflict: Conflict
@@ -47,12 +47,12 @@ class FrameMeasures(NamedTuple):
 
 
 def make_frame_measures(frame: Frame) -> FrameMeasures:
-    """Make arrays that the frame shows from now on as its properties of the same names."""
+    """Allocate the measures of a frame and install them as its properties of the same names."""
     shape = frame.alive.shape
     distance, distance_before, known_distance, impulse = np.zeros((4, *shape))
     collision, resting, landed = np.zeros((3, *shape), dtype=bool)
-    # The frame shows these arrays, so they are filled and never replaced
-    account = FrameMeasures(
+    # The frame refers to these arrays, so they must be filled, never replaced
+    measures = FrameMeasures(
         conflict=no_conflict(shape),
         distance=distance,
         distance_before=distance_before,
@@ -62,31 +62,31 @@ def make_frame_measures(frame: Frame) -> FrameMeasures:
         impulse=impulse,
         landed=landed,
     )
-    vars(frame).update(account._asdict())
-    return account
+    vars(frame).update(measures._asdict())
+    return measures
 
 
 def add_frame_measures(
-    program: Program, account: FrameMeasures, frame: Frame, contact: Contact
+    program: Program, measures: FrameMeasures, frame: Frame, contact: Contact
 ) -> None:
-    """Add to a program that the account is filled after a decision.
+    """Add steps to a program that fill the measures after a decision.
 
     Args:
-        program: To be added to.
-        account: Of the frame.
+        program: Program to extend.
+        measures: Measures of the frame.
         frame: The decision, with all arrays in place.
-        contact: What drones touched.
+        contact: Contacts of the drones.
     """
     before, after, goal = frame.before.position, frame.after.position, frame.scene.goal
     limits = (frame.d_safe, frame.zone)
-    program.call(fill_conflict, before, after, frame.alive, *limits, *account.conflict)
+    program.call(fill_conflict, before, after, frame.alive, *limits, *measures.conflict)
     places = (before, after, frame.known_position)
-    distances = (account.distance_before, account.distance, account.known_distance)
+    distances = (measures.distance_before, measures.distance, measures.known_distance)
     program.call(_fill_all, goal, places, distances)
     scenery, touches = contact.scenery, contact.touches
     names = (scenery.first_body, scenery.first_piece, scenery.ground, scenery.other)
     given = (touches.number, touches.other, touches.impulse, names, *frame.after[2:4])
-    marks = (account.collision, account.resting, account.impulse)
+    marks = (measures.collision, measures.resting, measures.impulse)
     program.call(mark, *given, MAX_RESTING_SPEED, MAX_RESTING_SPIN, *marks)
 
 
@@ -96,37 +96,37 @@ def _fill_all(
     places: tuple[np.ndarray, np.ndarray, np.ndarray],
     distances: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
-    """Write how far goals (W, N, 3) are from each of three places, (W, N)."""
+    """Write the distances of goals (W, N, 3) from each of three position arrays, (W, N)."""
     fill_distances(goal, places[0], distances[0])
     fill_distances(goal, places[1], distances[1])
     fill_distances(goal, places[2], distances[2])
 
 
-def mark_contacts(account: FrameMeasures, frame: Frame) -> None:
-    """Fill what the account tells of contacts from those that the frame tells."""
-    fresh = dataclasses.replace(frame)  # works everything out by itself
-    account.collision[:] = fresh.collision
-    account.resting[:] = fresh.resting
-    account.impulse[:] = fresh.impulse
+def mark_contacts(measures: FrameMeasures, frame: Frame) -> None:
+    """Fill the contact measures from the contacts of the frame."""
+    fresh = dataclasses.replace(frame)  # a copy without cached properties
+    measures.collision[:] = fresh.collision
+    measures.resting[:] = fresh.resting
+    measures.impulse[:] = fresh.impulse
 
 
-def mark_landings(account: FrameMeasures, frame: Frame, standing_height: np.ndarray) -> None:
-    """Tell who stands or lands on the ground, see `Frame.landed`; landings are no collisions.
+def mark_landings(measures: FrameMeasures, frame: Frame, standing_height: np.ndarray) -> None:
+    """Mark drones that stand or land on the ground, see `Frame.landed`; landings are no collisions.
 
     Args:
-        account: Of the frame, changed.
+        measures: Measures of the frame, modified.
         frame: The decision.
-        standing_height: (N,) of the centre of mass of a drone that stands, m.
+        standing_height: (N,) height of the centre of mass of a standing drone, m.
     """
-    touched, landed = frame.contacts, account.landed
-    # Who touches anything, or stands so near that nothing is felt.
+    touched, landed = frame.contacts, measures.landed
+    # Candidates touch something, or are as low as a standing drone without contact force
     low = frame.after.position[..., 2] <= standing_height + STANDING_TOLERANCE
-    landed[:] = (account.collision | low) & frame.alive
+    landed[:] = (measures.collision | low) & frame.alive
     for swarm in (frame.before, frame.after):
         x, y = swarm.quaternion[..., 0], swarm.quaternion[..., 1]
         landed &= 1 - 2 * (x * x + y * y) >= MIN_TOUCHDOWN_COSINE
-    # What it touches, and how fast.
+    # Other contacts and fast impacts are no landings
     rough = np.linalg.norm(touched.velocity, axis=-1) > MAX_TOUCHDOWN_SPEED
     rough |= touched.other != GROUND
     landed[touched.world[rough], touched.drone[rough]] = False
-    account.collision[landed] = False
+    measures.collision[landed] = False

@@ -105,47 +105,49 @@ FlightConfigT = TypeVar("FlightConfigT", bound=FlightConfig)
 
 
 class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
-    """Base of flights to goals in one airspace; a task adds where drones start and where they go.
+    """Base class of flights to goals in one airspace. Subclasses define starts and goals.
 
-    It sets `starts`, or has a `spawn` of its own.
+    A subclass sets `starts` or overrides `spawn`.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed. Its norm
-    is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - progress 5: metres nearer to the goal.
-    - goal 50: 1 on reaching the goal, once.
-    - conflict -200: other drones with which a separation falls below d_safe = 5 m.
-    - warning -5: for each other drone, linear from 0 at 2 d_safe to 1 at d_safe.
+    - progress 5: decrease of the distance to the goal, m.
+    - goal 50: 1 in the decision in which the drone first reaches the goal.
+    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - warning -5: sum over other drones of their proximity, linear from 0 at 2 d_safe to 1 at
+      d_safe.
     - collision -200: 1 on contact of collision shapes.
-    - obstacle_warning -5: for each obstacle, linear from 0 at d_safe from its bounding sphere to
-      1 at contact with it.
+    - obstacle_warning -5: sum over obstacles of their proximity, linear from 0 at d_safe from the
+      bounding sphere to 1 at contact.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - efficiency 0: 1 - distance to the goal over that at the start.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - efficiency 0: 1 - d / d0, where d is the distance to the goal and d0 that at the start.
     - speed_keeping 0: 1 at a speed between 0.3 and 0.8 of max_speed.
-    - time -0.5: 1 a decision until the goal is reached. Whoever ends before that pays for all
-      decisions that are left.
-    - shaping 0: discounted change of the potential, which is -distance to the goal.
-    - fairness 0: variance of the rewards of drones nearby.
-    - concession 0: at the end, drones that it made way for less those that made way for it.
+    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
+    - shaping 0: discounted change of the potential, the negative distance to the goal.
+    - fairness 0: variance of the rewards of nearby drones.
+    - concession 0: at the end, number of drones to which the drone gave way minus number of drones
+      that gave way to it.
 
-    Terms of weight 0 are there for the asking: set their `weights`.
+    Enable terms of weight 0 by the option `weights`.
 
     End of a drone's episode: terminated on reaching the goal (within 2 m), on contact of collision
-    shapes, with an empty battery, or outside the arena. The drone then leaves the airspace. A
-    conflict ends nothing. Options change each of these. Truncated after 500 decisions unless the
-    difficulty says otherwise.
+    shapes, when the battery is empty, or outside the arena. The drone then leaves the airspace. A
+    conflict does not end the episode. Options change each of these conditions. Truncated after 500
+    decisions unless the difficulty says otherwise.
 
     Success: the goal is reached.
 
     Uncertainty, by difficulty:
 
     - easy: none.
-    - medium: positions are wrong by 0.5 to 1.5 m (GPS).
-    - hard: positions are wrong by up to 3 m, and there is wind.
-    - extreme: everything in `UNCERTAINTY` is uncertain, in light turbulence.
+    - medium: positions have GPS noise of 0.5 to 1.5 m.
+    - hard: positions have GPS noise of up to 3 m, and there is wind.
+    - extreme: all parameters in `UNCERTAINTY` are randomized, with light turbulence.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """

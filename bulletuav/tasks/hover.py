@@ -112,29 +112,30 @@ def _disturb(
 
 @register("task")
 class Hover(Task[HoverConfig]):
-    """Flight of each drone to its own target, which it is to hold.
+    """Each drone flies to its own target and holds it.
 
-    By default targets stand on a square grid, 2 m apart and 2 m high. Drones start near them.
+    By default targets are on a square grid with a spacing of 2 m, at a height of 2 m. Drones start
+    near their targets.
 
     Observation, Box(13) per drone with the defaults: attitude as a quaternion, body to world;
     offset from the drone to its target and velocity in world axes (east, north, up); rates in body
     axes (forward, left, up).
 
     Action, by default `rotor`, Box(4) per drone in [-1, 1]: thrust of each rotor, from -1 for none
-    to 1 for the most. In dynamics without rotors it is the highest level that they take, such as
-    `velocity` in `point_mass`. There are 30 decisions a second.
+    to 1 for the maximum. Dynamics without rotors use the highest level of action that they accept,
+    such as `velocity` in `point_mass`. There are 30 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - alive 1: 1 a decision.
-    - holding 1: 1 within 0.1 m of the target; with `land` only on the ground.
+    - alive 1: 1 per decision.
+    - holding 1: 1 within 0.1 m of the target; with `land` only if the drone stands on the ground.
     - distance -0.1: distance to the target, m.
     - speed -0.05: speed, m/s.
 
-    End: terminated on any contact of collision shapes, or further than 20 m from the target.
+    End: terminated on any contact of collision shapes, or farther than 20 m from the target.
     Truncated after 240 decisions.
 
-    Success: the drone is within 0.1 m of its target; with `land` it stands there.
+    Success: the drone is within 0.1 m of its target; with `land` it also stands on the ground.
 
     Preset hover_aviary: cf2x, 240 Hz physics, 30 Hz decisions, 240 decisions and action
     `hover_rpm`, as in gym-pybullet-drones.

@@ -1,20 +1,21 @@
-"""Rewards, ends and observation blocks as functions whose argument names say what they read.
+"""Reward terms, end conditions and observation blocks as functions with named arguments.
 
-A function of one drone's numbers is compiled and called for every drone:
+The names of a function's arguments select its inputs. A function of one drone's numbers is compiled
+and called for every drone:
 
     @reward
     def progress(distance_before, distance):
         return distance_before - distance
 
-A function of the argument `frame` gets all drones of all worlds at once, as NumPy arrays (W, N,
-...):
+A function with the argument `frame` processes all drones of all worlds at once, as NumPy arrays (W,
+N, ...):
 
     def smoothness(frame):
         return -np.abs(frame.action).max(axis=-1)
 
-Argument names are fields of a frame (`tasks.frame.FIELDS`), with `all_` before them those of all
-drones of the world; readings of sensors; the task's memory and quantities; numbers of its config
-and context. `i` is the drone's index, and `out` room to write to.
+Argument names are fields of a frame (`tasks.frame.FIELDS`), readings of sensors, the task's memory
+and quantities, and numbers of its config and context. With the prefix `all_`, a name selects the
+array of all drones of the world. `i` is the drone's index, and `out` is an output array.
 """
 
 import inspect
@@ -34,37 +35,36 @@ from bulletuav.tasks.loops import TUPLES, Form, make_loop
 Ingredient = TypeVar("Ingredient", bound=Callable[..., Any])
 ALL = "all_"
 WHOLE = "frame"
-"""The argument by which a function asks for all drones at once"""
+"""Argument of functions that process all drones at once"""
 PRESENT = "present"
-"""The argument of blocks that tells which drones can still be met after the frame"""
+"""Argument of blocks: whether each drone is still present after the frame"""
 
 
 def reward(function: Ingredient) -> Ingredient:
-    """Mark a function as a reward term of one drone's numbers; it stays a plain function.
+    """Mark a function of one drone's numbers as a reward term; the function itself is unchanged.
 
-    The term is told, unweighted or weighted, by the function's name. An undecorated function of
+    The term is reported, weighted or unweighted, by the function's name. An undecorated function of
     `frame` that returns (W, N) is a reward term, too.
     """
     return _mark(function, "reward")
 
 
 def end(function: Ingredient) -> Ingredient:
-    """Mark a function as an end or a success: it tells whether a drone has come to it."""
+    """Mark a function as an end or success condition: it returns True where the condition holds."""
     return _mark(function, "end")
 
 
 def block(
     labels: Callable[[Any], tuple[Label, ...]] | tuple[Label, ...] | list[Label],
 ) -> Callable[[Ingredient], Ingredient]:
-    """Make a decorator that marks a function as an observation block.
+    """Return a decorator that marks a function as an observation block.
 
     Args:
-        labels: One `Label` for each number that it gives, or a function that makes them for a task.
+        labels: One `Label` per number of the block, or a function of the task that returns them.
 
     Returns:
-        The decorator. The function returns a number for one label, a tuple of as many numbers as
-        there are labels, or writes them to its argument `out`. One of `frame` returns an array
-        (W, N, labels).
+        The decorator. The function returns a number for one label, a tuple of one number per label,
+        or writes them to its argument `out`. A function of `frame` returns an array (W, N, labels).
     """
 
     def decorated(function: Ingredient) -> Ingredient:
@@ -87,12 +87,12 @@ def _mark(function: Ingredient, kind: str) -> Ingredient:
 
 
 class ArgumentSource(NamedTuple):
-    """Where an argument comes from.
+    """Source of an ingredient's argument.
 
     Attributes:
-        read: Gives an array, or a number, of a frame.
-        whole_world: Whether the function gets the array of the whole world.
-        stays: Whether it is the same array in every decision of an environment.
+        read: Function of a frame that returns an array or a number.
+        whole_world: Whether the function receives the array of the whole world.
+        is_persistent: Whether `read` returns the same array in every decision of an environment.
     """
 
     read: Callable[[Frame], Any]
@@ -102,15 +102,15 @@ class ArgumentSource(NamedTuple):
 
 @dataclass(frozen=True)
 class Binding:
-    """What argument names of a task's ingredients stand for, beside fields of a frame.
+    """Sources of the argument names of a task's ingredients, in addition to fields of a frame.
 
     Attributes:
         task: Name of the task, for messages.
         readings: Names of sensors' readings.
         memory: Names of the task's arrays.
-        quantities: What the task works out of a frame, by name: functions of it, or numbers.
-        events: Names of what it puts into `Frame.derived`.
-        numbers: Numbers of its config and context, by name.
+        quantities: Functions of a frame, or numbers, by name; see `Task.quantities`.
+        events: Names of the arrays that the task writes to `Frame.derived`.
+        numbers: Numbers of the task's config and context, by name.
     """
 
     task: str
@@ -121,20 +121,31 @@ class Binding:
     numbers: Mapping[str, Any]
 
     def __post_init__(self) -> None:
-        """Refuse one name for two things. Raises ValueError."""
+        """Check that names are unique.
+
+        Raises:
+            ValueError: If a name is both a memory array and a quantity.
+        """
         for name in sorted(self.memory & set(self.quantities)):
             raise ValueError(
                 f"{name!r} is an array in memory and a quantity of task {self.task!r}: rename one"
             )
 
     def source(self, name: str, title: str) -> ArgumentSource:
-        """Find what an argument name stands for. Raises ValueError with the nearest names."""
+        """Return the source of an argument.
+
+        Args:
+            name: Name of the argument.
+            title: Name of the ingredient in messages.
+
+        Raises:
+            ValueError: If the name is unknown; the message suggests similar names.
+        """
         whole_world = name.startswith(ALL)
         key = name.removeprefix(ALL)
-        # Worked out from the state when first asked for
         if key in (PRESENT, *self.events):
             return ArgumentSource(lambda frame: frame.derived[key], whole_world, key == PRESENT)
-        # The task's own, before fields of the frame
+        # The task's names take precedence over fields of the frame
         if key in self.quantities:
             quantity = self.quantities[key]
             if not callable(quantity):
@@ -146,11 +157,9 @@ class Binding:
             return ArgumentSource(lambda frame: frame.readings[key], whole_world)
         if key in self.memory:
             return ArgumentSource(lambda frame: frame.scene.memory[key], whole_world)
-        # Numbers of config and context are the same for all drones
         if name in self.numbers:
             number = self.numbers[name]
             return ArgumentSource(lambda frame: number)
-        # All that there is, for the message that names the nearest
         known = {*FIELDS, *self.readings, *self.memory, *self.quantities, *self.events}
         choices = {
             *known,
@@ -162,8 +171,8 @@ class Binding:
             WHOLE,
         }
         raise ValueError(
-            f"{title} of task {self.task!r} asks for {name!r}, which is no field, reading, memory or "
-            f"number of the task: {nearest(name, choices)}"
+            f"{title} of task {self.task!r} asks for {name!r}, which is no field, reading, memory "
+            f"or number of the task: {nearest(name, choices)}"
         )
 
 
@@ -171,7 +180,7 @@ Run = Callable[[Frame, np.ndarray], None]
 
 
 def _join_readers(loop: Callable[..., None], readers: list[Callable[[Frame], Any]]) -> Run:
-    """Join a loop with what reads its arguments; few arguments are the usual case, and fast."""
+    """Join a loop with the readers of its arguments; one or two arguments avoid building a list."""
     if len(readers) == 1:
         (one,) = readers
         return lambda frame, out: loop(one(frame), out)
@@ -182,28 +191,28 @@ def _join_readers(loop: Callable[..., None], readers: list[Callable[[Frame], Any
 
 
 class Bound:
-    """An ingredient of a task: give it a frame, and get the numbers of all drones.
+    """An ingredient bound to a task: evaluates a frame for all drones.
 
     Attributes:
-        whole: Whether the function takes all drones at once.
-        sources: Where its arguments come from, by name.
-        loop: Its compiled loop; None before the first frame, and where it takes all drones.
+        whole: Whether the function processes all drones at once.
+        sources: Sources of its arguments, by name.
+        loop: Its compiled loop; None before the first frame, and if `whole`.
     """
 
     def __init__(
         self, function: Any, binding: Binding, title: str, dtype: Any, labels: int | None = None
     ) -> None:
-        """Find what the function's arguments stand for.
+        """Look up the sources of the function's arguments.
 
         Args:
             function: The ingredient.
-            binding: What names stand for.
-            who: What it is in messages, such as "reward term 'progress'".
-            dtype: NumPy type of what it gives.
-            labels: Numbers a drone, for a block; None for one number (W, N).
+            binding: Sources by argument name.
+            title: Name of the ingredient in messages, such as "reward term 'progress'".
+            dtype: NumPy dtype of the result.
+            labels: Numbers per drone, for a block; None for one number (W, N).
 
         Raises:
-            ValueError: It is no function, or asks for a name that there is not.
+            ValueError: If the ingredient is no function, or an argument name is unknown.
         """
         if not callable(function):
             raise ValueError(f"{title} is {shown(function)}: a function is needed")
@@ -220,23 +229,23 @@ class Bound:
         self._run: Run | None = None
         if self.whole and len(self._names) > 1:
             raise ValueError(
-                f"{self._title} has arguments beside frame: {self._names}; one of all drones takes "
-                f"the frame alone"
+                f"{self._title} has arguments beside frame: {self._names}; a function of all drones "
+                f"must take only frame"
             )
         if not self.whole and not isinstance(function, FunctionType):
             raise ValueError(f"{self._title} is {shown(function)}: a plain function is needed")
 
     def __call__(self, frame: Frame) -> np.ndarray:
-        """Compute for all drones.
+        """Evaluate the ingredient for all drones.
 
         Args:
             frame: The decision.
 
         Returns:
-            (W, N), or for a block (W, N, labels).
+            (W, N), or (W, N, labels) for a block.
 
         Raises:
-            ValueError: The function failed, or gave something of another shape or type.
+            ValueError: If the function fails, or returns a wrong shape or type.
         """
         shape = frame.alive.shape
         out = np.zeros(shape if self._labels is None else (*shape, self._labels), self._dtype)
@@ -244,7 +253,7 @@ class Bound:
         return out
 
     def fill(self, frame: Frame, out: np.ndarray) -> None:
-        """Compute into an array that is there; see `__call__`."""
+        """Evaluate the ingredient into an existing array; see `__call__`."""
         if self._run is None:
             self._run = self._make_run(frame, out)
             self._run(frame, out)
@@ -253,12 +262,12 @@ class Bound:
         self._run(frame, out)
 
     def _check_first(self, frame: Frame, out: np.ndarray) -> None:
-        """Refuse numbers of a block that are none; rewards are looked at in every decision."""
+        """Check that a block's numbers are finite; rewards are checked in every decision."""
         if self._labels is not None and not np.isfinite(out[frame.alive]).all():
             raise ValueError(f"{self._title} gave {shown(out)}: finite numbers are needed")
 
     def _make_run(self, frame: Frame, out: np.ndarray) -> Run:
-        """Make what is run for every frame, from the first one."""
+        """Return the function that evaluates frames, compiled for the arrays of the first frame."""
         if self.whole:
 
             def run(frame: Frame, out: np.ndarray) -> None:
@@ -287,7 +296,7 @@ class Bound:
         return given
 
     def _make_loop(self, given: Mapping[str, Any], out: np.ndarray) -> Callable[..., None]:
-        """Try the function once in plain Python, then compile its loop."""
+        """Call the function once in plain Python, then compile its loop."""
         forms: list[tuple[str, Form]] = []
         for name in self._names:
             if name in ("i", "out"):
@@ -299,10 +308,10 @@ class Bound:
         loop = make_loop(self._function, forms, results)
         try:
             loop(*given.values(), out)
-        except Exception as error:  # numba's own, and what it lets through
+        except Exception as error:  # numba's errors, and those that it passes on
             raise ValueError(
-                f"{self._title} cannot be compiled: {_pick_reason(error)}; write it "
-                f"with plain numbers and `math`, or as a function of `frame` with NumPy"
+                f"{self._title} cannot be compiled: {_pick_reason(error)}; write it with "
+                f"plain numbers and `math`, or as a function of `frame` with NumPy"
             ) from None
         return loop
 
@@ -315,9 +324,8 @@ class Bound:
             return "world"
         if value.shape[:2] != shape[:2]:
             raise ValueError(
-                f"{self._title} asks for {name!r}, an array {value.shape} that has no entry for each "
-                f"of "
-                f"the {shape[1]} drones: ask for {ALL + name!r}"
+                f"{self._title} asks for {name!r}, an array {value.shape} without an entry for each "
+                f"of the {shape[1]} drones: ask for {ALL + name!r}"
             )
         if value.ndim == 2:
             return "drone"
@@ -326,7 +334,7 @@ class Bound:
     def _call_once(
         self, forms: list[tuple[str, Form]], given: Mapping[str, Any], out: np.ndarray
     ) -> None:
-        """Call the function for the first drone: compiled code would hide its errors."""
+        """Call the function for one drone in Python, as compiled code would hide its errors."""
         buffer = np.zeros(out.shape[2:], dtype=np.float64)
         values = []
         for name, form in forms:
@@ -341,7 +349,7 @@ class Bound:
             with np.errstate(all="ignore"):
                 result = self._function(*values)
         except ZeroDivisionError:
-            return  # the compiled loop gives inf or NaN, as NumPy does
+            return  # the compiled loop returns inf or NaN, as NumPy does
         except Exception as error:
             raise ValueError(f"{self._title} failed: {type(error).__name__}: {error}") from error
         if "out" in self._names:
@@ -349,17 +357,18 @@ class Bound:
         numbers = result if isinstance(result, tuple) else (result,)
         wanted = self._labels or 1
         if self._dtype is bool and not isinstance(result, bool | np.bool_):
-            raise ValueError(f"{self._title} gave {shown(result)}: a bool, True or False, is needed")
+            raise ValueError(
+                f"{self._title} gave {shown(result)}: a bool, True or False, is needed"
+            )
         if len(numbers) != wanted or not all(map(_is_number, numbers)):
             raise ValueError(
                 f"{self._title} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one "
-                f"drone "
-                f"{'are' if wanted > 1 else 'is'} needed"
+                f"drone {'are' if wanted > 1 else 'is'} needed"
             )
 
 
 class BoundTerms(NamedTuple):
-    """A task's own ingredients, ready for frames; terms by name."""
+    """A task's bound ingredients; reward terms by name."""
 
     ends: tuple[Bound, ...] = ()
     success: Bound | None = None
@@ -372,7 +381,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _pick_reason(error: Exception) -> str:
-    """Pick the line of numba's message that says what is wrong."""
+    """Return the most informative line of numba's error message."""
     lines = [line.strip() for line in str(error).splitlines()]
     candidates = [
         one for one in lines if one and not one.startswith(("During", "File", "Enable", "-", "["))
@@ -383,12 +392,12 @@ def _pick_reason(error: Exception) -> str:
 
 
 def find_term(kind: str, source: Any) -> Any:
-    """Find a reward term or an observation: a function, a registered name, or `module:Name`."""
+    """Return a reward term or observation, given a function, a registered name or `module:Name`."""
     return find(kind, source, callable)
 
 
 def numeric_fields(options: Any) -> dict[str, Any]:
-    """List the numbers among the fields of a dataclass."""
+    """Return the numeric fields of a dataclass instance, by name."""
     values = {one.name: getattr(options, one.name) for one in fields(options)}
     return {
         name: value

@@ -50,37 +50,38 @@ def lap(way: float, way_before: float, radius: float, laps: int) -> float:
 
 @register("task")
 class Pursuit(GoalFlight[PursuitConfig]):
-    """Flight of a queue round a circle, the faster behind the slower, so that they overtake.
+    """Drones queue on a circular track, the faster behind the slower, and have to overtake.
 
-    Each drone's goal runs ahead on the circle, clockwise, at the drone's own pace. It runs once
-    round, back to the drone's start, and stops there. Drones have to fly round, too: waiting for
-    the goal does not count. Drone 0 leads and is the slowest.
+    Each drone's goal moves along the circle, clockwise, at the drone's own pace. It makes one lap,
+    back to the drone's start, and stops there. Drones have to fly the lap themselves: waiting for
+    the goal is no success. Drone 0 leads and is the slowest.
 
     Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, the goal's velocity, the nearest living
-    drones, and the nearest obstacles. Both come nearest first, relative to the drone, and are zeros
-    where there are fewer.
+    velocity, direction and distance of the goal, the goal's velocity, the nearest living drones,
+    and the nearest obstacles. Drones and obstacles are relative to the drone, sorted by distance,
+    and padded with zeros.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - lap 1000: share of all laps by which it came nearer to their end, along the track and to the
-      goal.
-    - progress 0: metres nearer to where the goal is now.
-    - goal 50: 1 on reaching the goal after flying all laps.
-    - conflict -200: other drones that come closer than d_safe = 5 m.
-    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - lap 1000: decrease of the remaining distance, along the track and to the goal, as a fraction
+      of the length of all laps.
+    - progress 0: decrease of the distance to the moving goal, m.
+    - goal 50: 1 in the decision in which the drone reaches the goal after flying all laps.
+    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - warning -5: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
 
-    End: terminated within 2 m of the goal once the goal has stopped, on contact, with an empty
-    battery, or outside the arena. Truncated after 500 decisions; extreme has 1,000.
+    End: terminated within 2 m of the goal once the goal has stopped, on contact, when the battery
+    is empty, or outside the arena. Truncated after 500 decisions; extreme has 1,000.
 
-    Success: the goal is reached once it has stopped, without any conflict on the way.
+    Success: the goal is reached once it has stopped, without any conflict during the episode.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """

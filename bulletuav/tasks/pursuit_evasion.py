@@ -100,37 +100,39 @@ def time(
 
 @register("task")
 class PursuitEvasion(Task[PursuitEvasionConfig]):
-    """Pursuit of evaders by chasers, two teams whose main rewards add up to zero.
+    """Chasers pursue evaders: a game of two teams whose main rewards are zero-sum.
 
-    Drones 0 to C - 1 are chasers, the others evaders: 3 and 1 of 4. They start at rest, 10 to 40 m
-    high in a square of 100 m, chasers on one side. A chaser within 2 m captures an evader, which
-    leaves. An evader that crashes is lost in the same way, so that no crash saves it. Each drone's
-    goal is the nearest opponent, wherever it is; blocks such as `goal` tell it and know no sight.
+    Drones 0 to C - 1 are chasers, the others evaders: 3 and 1 of 4. They start at rest at heights
+    of 10 to 40 m in a square of 100 m, with the chasers on one side. A chaser within 2 m of an
+    evader captures it, and the evader leaves. An evader that crashes counts as lost in the same
+    way, so crashing never pays. Each drone's goal is the nearest opponent, whether in sight or not;
+    blocks such as `goal` show its true position.
 
     Observation, Box(83) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, team (one-hot), room to the sides of the arena, the nearest teammates, the nearest
-    opponents in sight, and the nearest obstacles. All come nearest first, relative to the drone,
-    and are zeros where there are fewer. Opponents are seen up to 60 m, unless something is in
-    between; their first number is 1 where one is seen.
+    velocity, team (one-hot), distances to the sides of the arena, the nearest teammates, the
+    nearest opponents in sight, and the nearest obstacles. All are relative to the drone, sorted by
+    distance, and padded with zeros. Opponents are seen up to 60 m if nothing occludes them; their
+    first number is 1 for an opponent in sight.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 10 m/s.
-    Its norm is limited to max_speed, or to the team's own share of it. There are 10 decisions a
-    second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 10 m/s. Its norm is limited to max_speed, or to the team's own fraction of it. There
+    are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights. The first two add up to zero
-    over the drones of a world, to the last bit, as long as their weights are whole or such as 1/16.
+    Reward per decision, the weighted sum of these terms. The first two sum to zero over the drones
+    of a world, exactly if their weights are integers or fractions such as 1/16.
 
-    - capture 30: -1 for an evader that is lost, which the chasers that fly share.
-    - closing 0.0625: metres that the nearest chaser came nearer to an evader. Chasers share them,
-      the evader has them with a minus.
-    - collision -10: 1 on a contact that is no capture.
+    - capture 30: -1 for an evader that is lost, and 1 shared equally by the flying chasers.
+    - closing 0.0625: decrease of an evader's distance to the nearest chaser, m: shared equally by
+      the chasers, and negative for the evader.
+    - collision -10: 1 on a contact other than a capture.
     - out_of_bounds -0.1: 1 at the bounds of the arena.
-    - energy -0.0001: square of the velocity change, (m/s)^2.
-    - time -0.02: 1 a decision for chasers, until all evaders are lost. Evaders that are lost, and
-      chasers that crash, pay for all decisions that are left.
+    - energy -0.0001: squared change of velocity, (m/s)^2.
+    - time -0.02: 1 per decision for chasers, until all evaders are lost. Evaders that are lost, and
+      chasers that crash, also get 1 per remaining decision.
 
-    End: terminated where captured, on any other contact, with an empty battery, and for all once a
-    team is gone. Drones stop at the bounds of the arena. Truncated after 300 decisions.
+    End: terminated on capture, on any other contact, when the battery is empty, and for all drones
+    once a team is eliminated. Drones stop at the bounds of the arena. Truncated after 300
+    decisions.
 
     Success: for a chaser, all evaders are lost while it flies; for an evader, it flies at the end.
     """

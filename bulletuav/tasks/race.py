@@ -51,47 +51,49 @@ def overtake(overtaken: float) -> float:
 
 @register("task")
 class Race(Task[RaceConfig]):
-    """Race through numbered gates, whose frames can be hit.
+    """Drones race through a sequence of gates with solid frames.
 
-    Drones start on blocks on the ground, in rows of four, 6 m and more before the first gate. Gates
-    are to be passed in turn, each through its opening and in its direction. Who crosses the next
-    gate's plane beside the opening has missed it, and has to come back. The track is drawn for each
-    episode: 6 gates round a circle of 25 m, 2 to 5 m high. A drone's goal is the middle of its next
-    gate.
+    Drones start on blocks on the ground, in rows of four, at least 6 m before the first gate. Gates
+    have to be passed in order, each through its opening and in its direction. A drone that crosses
+    the plane of its next gate beside the opening misses the gate and has to return to it. The track
+    is drawn for each episode: 6 gates around a circle of 25 m, at heights of 2 to 5 m. A drone's
+    goal is the centre of its next gate.
 
     Observation, Box(48) per drone with the defaults: velocity in body axes (forward, left, up);
-    attitude as a quaternion, body to world; the next two gates in body axes: position, direction
-    to fly, velocity, width of the opening; the nearest living drones, in world axes.
+    attitude as a quaternion, body to world; the next two gates in body axes: position, direction to
+    fly, velocity, width of the opening; the nearest living drones, in world axes.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s, in
-    world axes. Its norm is limited to max_speed. There are 20 decisions a second. Racing pilots
-    give `rates`: thrust and body rates.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s, in world axes. Its norm is limited to max_speed. There are 20 decisions a
+    second. Human pilots command `rates`: thrust and body rates.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - progress 1: metres nearer to the finish, straight from gate to gate.
-    - gate 10: 1 where a gate was passed.
-    - miss -5: 1 where the next gate's plane was crossed beside its opening.
+    - progress 1: decrease of the remaining distance to the finish, from gate to gate, m.
+    - gate 10: 1 if a gate was passed.
+    - miss -5: 1 if the plane of the next gate was crossed beside its opening.
     - finish 50: 1 on passing the last gate.
-    - overtake 0: drones that were before it and are behind it now.
-    - collision -100: 1 on contact with anything but, on landing, the ground.
+    - overtake 0: number of drones overtaken.
+    - collision -100: 1 on contact, except with the ground when landing.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.001: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the finish. Whoever ends before pays for all that are left.
+    - energy -0.001: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the finish; if the episode terminates before, also 1 per
+      remaining decision.
 
-    End: terminated on passing the last gate, on contact, with an empty battery, or outside the
+    End: terminated on passing the last gate, on contact, when the battery is empty, or outside the
     arena. Truncated after 600 decisions; hard and extreme have 800.
 
     Success: the last gate was passed.
 
-    Infos: `gates` passed; gates `missed`; `rank` from 1, by the way that is left; `overtakes`;
-    `split`, when the last gate was passed, s; `lap_time` of the last whole lap, s, and before that
-    the time so far; `contacts`, how often one began; `race_time`, time to the finish or so far,
-    with `penalty` = 2 s for each gate missed and each contact.
+    Infos: `gates`, number of gates passed; `missed`, number of gates missed; `rank` from 1, by
+    remaining distance; `overtakes`, number of drones overtaken; `split`, time at which the last
+    gate was passed, s; `lap_time` of the last complete lap, s, or the elapsed time before;
+    `contacts`, number of contacts; `race_time`, time to the finish, or the elapsed time, plus
+    `penalty` = 2 s for each missed gate and each contact.
 
     Difficulties: easy has 2 drones and upright square gates. medium has 4; gates are square or
     round, and tilted. hard has 6 drones, 2 laps, smaller gates, and wind. extreme has 8 drones;
-    gates swing, and drones are not alike.
+    gates oscillate, and drones differ in mass, thrust and drag.
     """
 
     name = "race"

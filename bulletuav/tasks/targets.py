@@ -1,4 +1,4 @@
-"""Targets that drones are to see: users on the ground, or cells of it."""
+"""Fractions of targets in sight: users on the ground, or cells of it."""
 
 import numpy as np
 
@@ -6,35 +6,35 @@ from bulletuav.compiled.kernel import allocating
 from bulletuav.tasks.frame import Frame
 
 SERVED = "served share"
-"""Where a frame keeps what `get_served_fraction` returns"""
+"""Key of `Frame.derived` for the result of `get_served_fraction`"""
 
 
 def get_served_fraction(frame: Frame, active: np.ndarray) -> np.ndarray:
-    """Compute the share of active targets that some living drone sees.
+    """Return the fraction of active targets seen by at least one living drone, cached in the frame.
 
     Args:
-        frame: The decision, which keeps the share until something changes.
+        frame: The decision.
         active: (W, U) bool, targets that count.
 
     Returns:
         (W, N), the same for all drones of a world.
     """
     known = frame.derived.get(SERVED)
-    if known is None:  # else asked before, of the same frame
+    if known is None:
         known = compute_served_fraction(frame.readings["sight"], frame.alive, active)
         frame.derived[SERVED] = known
     return known
 
 
 def compute_seen_fraction(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
-    """Compute the share of active targets that are seen.
+    """Compute the fraction of active targets that are seen.
 
     Args:
         seen: (..., U) bool.
         active: (..., U) bool.
 
     Returns:
-        (...,), exactly 1 for all, 0 where none is active.
+        (...,), exactly 1 if all are seen, 0 if none is active.
     """
     share: np.ndarray = (seen & active).sum(axis=-1) / np.maximum(active.sum(axis=-1), 1)
     return share
@@ -42,7 +42,7 @@ def compute_seen_fraction(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
 
 @allocating
 def compute_served_fraction(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np.ndarray:
-    """Compute the share of active targets that any living drone sees.
+    """Compute the fraction of active targets seen by at least one living drone.
 
     Args:
         sight: (W, N, U) bool.
@@ -58,7 +58,6 @@ def compute_served_fraction(sight: np.ndarray, alive: np.ndarray, active: np.nda
         for j in range(active.shape[1]):
             if active[w, j]:
                 num_active += 1
-                # One drone that sees it is enough.
                 for i in range(alive.shape[1]):
                     if alive[w, i] and sight[w, i, j]:
                         seen += 1

@@ -181,6 +181,6 @@ def test_a_task_cannot_tell_them_itself(name):
             return {name: frame.impulse}
 
     aviary = bulletuav.Aviary(Telling)
-    with pytest.raises(ValueError, match=f"'{name}', which infos tell already"):
+    with pytest.raises(ValueError, match=f"'{name}', which is a standard info"):
         aviary.reset()
     aviary.close()

@@ -10,7 +10,7 @@ from bulletuav.compiled.program import Program
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
 
-__all__ = ["Block", "Label", "Maker", "of_drones", "require_memory", "vector_labels"]
+__all__ = ["Block", "Label", "Maker", "make_drone_block", "require_task_memory", "vector_labels"]
 
 Compute = Callable[[Frame, np.ndarray], np.ndarray]
 Add = Callable[[Program, Frame, np.ndarray], bool]
