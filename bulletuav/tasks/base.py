@@ -398,7 +398,7 @@ class Task(ABC, Generic[ConfigT]):
         return _merge_tables(part.info(frame) for part in self.parts)
 
     def world_state(self) -> Mapping[str, Block]:
-        """Return the blocks of the global state that are not per drone; by default its parts'.
+        """Return the global state other than that of drones; by default that of its parts.
 
         Returns:
             Blocks of (W, labels) by name.

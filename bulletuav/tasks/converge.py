@@ -1,4 +1,4 @@
-"""Task `converge`: drones on a circle, each flies to its antipode, all through the centre."""
+"""Task `converge`: drones on a circle fly to their antipodes, all through the centre."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -20,7 +20,7 @@ from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 
 @dataclass(frozen=True)
 class ConvergeConfig(AirspaceOptions, FlightConfig):
-    """Options of `converge`, beside those of free airspace (`AirspaceOptions`).
+    """Options of `converge`, in addition to those of free airspace (`AirspaceOptions`).
 
     Attributes:
         radius: Radius of the circle, m.
@@ -73,10 +73,10 @@ class Converge(GoalFlight[ConvergeConfig]):
     }
 
     def __init__(self, config: ConvergeConfig, context: TaskContext) -> None:
-        """Check that drones start apart, and lay out the arena.
+        """Check that drones start separated, and set the arena.
 
         Raises:
-            ValueError: Drones could start in conflict, or in touch with the ground.
+            ValueError: If drones could start in conflict or touch the ground.
         """
         super().__init__(config, context)
         chord = 2 * config.radius * sin(np.pi / max(context.num_drones, 2))
@@ -91,7 +91,7 @@ class Converge(GoalFlight[ConvergeConfig]):
         self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start on the circle, in flight towards its centre."""
+        """Draw starts on the circle, in flight towards its centre."""
         drones = self.context.num_drones
         angle = 2 * np.pi * np.arange(drones) / drones
         directions = np.stack([cos(angle), sin(angle), np.zeros(drones)], axis=1)

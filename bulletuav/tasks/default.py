@@ -1,6 +1,6 @@
 """Task `default`: a short, complete task in a city.
 
-Copy this file to begin one of your own (see CONTRIBUTING.md).
+Copy this file to write your own task (see CONTRIBUTING.md).
 """
 
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, StreetOptions
 
 @dataclass(frozen=True)
 class DefaultConfig(StreetOptions, CityOptions, ObstacleOptions, TaskConfig):
-    """Options of `default`, beside those of streets (`StreetOptions`).
+    """Options of `default`, in addition to those of streets (`StreetOptions`).
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
-        goal_radius: Distance from the goal at which it counts as reached, m.
+        goal_radius: Distance from the goal within which it is reached, m.
     """
 
     d_safe: float = 2.0
@@ -39,13 +39,13 @@ class DefaultConfig(StreetOptions, CityOptions, ObstacleOptions, TaskConfig):
 def speed_made_good(
     distance_before: float, distance: float, max_speed: float, period: float
 ) -> float:
-    """Compute the speed towards the goal over max_speed."""
+    """Speed towards the goal divided by max_speed."""
     return (distance_before - distance) / (max_speed * period)
 
 
 @reward
 def arrival(distance: float, goal_radius: float, collision: bool) -> float:
-    """Give 1 on reaching the goal without a crash."""
+    """1 on reaching the goal without collision."""
     return 1.0 if distance <= goal_radius and not collision else 0.0
 
 
@@ -60,7 +60,7 @@ def time(
     duration: float,
     period: float,
 ) -> float:
-    """Give 1 a decision until the goal is reached; an end before that costs all that are left."""
+    """1 per decision until the goal is reached; an early end also costs all remaining decisions."""
     if collision or outside or depleted:
         return 1.0 + (duration - time) / period
     return 0.0 if distance <= goal_radius else 1.0
@@ -68,7 +68,7 @@ def time(
 
 @end
 def arrived(distance: float, goal_radius: float, collision: bool) -> bool:
-    """Tell whether the goal is reached without a crash."""
+    """Return True if the drone is at its goal without collision."""
     return distance <= goal_radius and not collision
 
 
@@ -121,18 +121,18 @@ class Default(Task[DefaultConfig]):
     success = arrived
 
     def __init__(self, config: DefaultConfig, context: TaskContext) -> None:
-        """Make obstacles and cities.
+        """Create obstacles and cities.
 
         Raises:
-            ValueError: A city leaves no room to fly.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If a city has no space to fly.
+            FileNotFoundError: If the city's file does not exist.
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
         self.city_layouts = add_city(self)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start at rest outdoors, with goals outdoors."""
+        """Draw starts at rest and goals, all outdoors."""
         layout = self.city_layouts.draw(rng)
         goal = self.city_layouts.places(rng, layout, self.context.num_drones)
         start = self.city_layouts.hovering(rng, layout, self.context.num_drones)

@@ -1,4 +1,4 @@
-"""Task `follow`: drones keep their stations about a moving target."""
+"""Task `follow`: drones keep their stations around a moving target."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,18 +20,18 @@ from bulletuav.tasks.rewards.station import speed_to_goal
 from bulletuav.tasks.starts import check_overlap, check_start_distance
 
 TURN_ACCELERATION = 3.0
-"""Greatest acceleration of targets across their way, m/s^2: that of a car in a curve"""
+"""Maximum lateral acceleration of targets, m/s^2: that of a car in a curve"""
 RED = (0.75, 0.2, 0.15, 1.0)
 """Colour of targets, RGBA"""
 
 
 class FollowTarget(NamedTuple):
-    """A body that can be followed.
+    """A body that drones can follow.
 
     Attributes:
         body: Its shape.
-        height: Height of its middle above ground, m.
-        station_height: Height of the stations above its middle, m.
+        height: Height of its centre above ground, m.
+        station_height: Height of the stations above its centre, m.
     """
 
     body: Obstacle
@@ -51,23 +51,23 @@ TARGETS = {
         station_height=0.0,
     ),
 }
-"""What can be followed, by name"""
+"""Bodies that drones can follow, by name"""
 
 
 @dataclass(frozen=True)
 class FollowConfig(TaskConfig):
-    """Options of `follow`, beside those of every task.
+    """Options of `follow`, in addition to those of every task.
 
     Attributes:
-        target: What is followed: "vehicle" or "drone".
+        target: Kind of target: "vehicle" or "drone".
         target_speed: Speed of the target, m/s.
-        turn: Random change of the target's course, rad: its standard deviation after one second.
-            The heading follows as fast as TURN_ACCELERATION allows.
-        arena: Distance from the start at which the target turns home, m.
-        distance: Radius of the circle of stations about the target, m.
-        start_offset: Largest offset of a start from its station on each axis, m.
+        turn: Standard deviation of the random change of the target's course after one second, rad.
+            The heading follows the course as fast as TURN_ACCELERATION allows.
+        arena: Distance from the start at which the target turns back, m.
+        distance: Radius of the circle of stations around the target, m.
+        start_offset: Maximum offset of a start from its station on each axis, m.
         d_safe: Separation below which two drones are in conflict, m.
-        goal_radius: Distance from the station that is success, m.
+        goal_radius: Distance from the station within which a drone is successful, m.
         max_distance: Distance from the station at which an episode ends, m.
     """
 
@@ -91,12 +91,12 @@ def lost(
     duration: float,
     period: float,
 ) -> float:
-    """Decisions that are left when the drone's episode ends early."""
+    """Count the remaining decisions when the drone's episode terminates."""
     return (duration - time) / period if collision or distance > max_distance else 0.0
 
 
 def angle_between(first: float, second: float) -> float:
-    """Compute the turn from one heading to another, from -pi to pi, rad."""
+    """Return the signed angle from one heading to another, from -pi to pi, rad."""
     turn = second - first
     return turn - 2 * np.pi * round(turn / (2 * np.pi))
 
@@ -161,11 +161,11 @@ class Follow(Task[FollowConfig]):
     success = at_goal
 
     def __init__(self, config: FollowConfig, context: TaskContext) -> None:
-        """Place the stations about the target, and lay out the arena.
+        """Place the stations around the target, and set the arena.
 
         Raises:
-            ValueError: The target is unknown or faster than the drones, stations are too close
-                together, or drones could start in touch with the target or the ground.
+            ValueError: If the target is unknown or faster than the drones, stations are too close
+                together, or drones could start touching the target or the ground.
         """
         super().__init__(config, context)
         target = choose("target", config.target, TARGETS)
@@ -176,7 +176,7 @@ class Follow(Task[FollowConfig]):
                 f"target_speed {config.target_speed:g} m/s "
                 f"must be below max_speed {context.max_speed:g} m/s"
             )
-        # Stations relative to the target, the first one to its west.
+        # Stations relative to the target, the first to its west
         angle = 2 * np.pi * np.arange(context.num_drones) / context.num_drones
         directions = np.stack([-cos(angle), -sin(angle), np.zeros(len(angle))], axis=1)
         circle = config.distance * directions
@@ -190,10 +190,10 @@ class Follow(Task[FollowConfig]):
         self.arena_high = np.array([reach, reach, top])
 
     def _check_start(self, target: FollowTarget) -> None:
-        """Refuse starts that could touch each other, the target or the ground."""
+        """Check that starts cannot touch each other, the target or the ground."""
         config = self.config
         radius = self.context.collision_radius
-        # Each drone may be shifted on all three axes at once
+        # Worst case: an offset on all three axes
         largest_offset = config.start_offset * np.sqrt(3)
         check_overlap(self._station, radius + largest_offset)
         nearest = float(np.linalg.norm(self._station, axis=1).min()) - largest_offset
@@ -210,22 +210,20 @@ class Follow(Task[FollowConfig]):
             )
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """List the target, which is the only obstacle."""
+        """Return the target, which is the only obstacle."""
         return (self._body,)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell that the "course" () is kept that the target's heading follows, rad."""
+        """Return the shape of "course" (), the course that the target's heading follows, rad."""
         return {"course": ()}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start of the target at the origin, and of drones at rest near their stations."""
+        """Draw the target's heading at the origin, and starts at rest near the stations."""
         config = self.config
-        # The target may set out in any direction
         heading = rng.uniform(-np.pi, np.pi)
         target = np.array([[0.0, 0.0, self._height]])
         velocity = config.target_speed * np.array([[cos(heading), sin(heading), 0.0]])
         shape = (self.context.num_drones, 3)
-        # Drones start near their stations, which are also their goals
         offset = rng.uniform(-config.start_offset, config.start_offset, shape)
         station = target + self._station
         return Spawn(
@@ -238,10 +236,10 @@ class Follow(Task[FollowConfig]):
         )
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Drive the target of every world that flies, and its stations with it.
+        """Move the target of every flying world, and its stations with it.
 
         Returns:
-            True: the target moves.
+            True, as the target moves.
         """
         config = self.config
         period, course = self.context.period, scene.memory["course"]
@@ -249,7 +247,7 @@ class Follow(Task[FollowConfig]):
         for w in np.flatnonzero(flying).tolist():
             x, y, _ = scene.obstacle[w, 0]
             vx, vy, _ = scene.obstacle_velocity[w, 0]
-            # The course wanders, but at the edge it is home. The heading follows as it can.
+            # A random walk, except at the edge; the heading follows at a limited rate
             course[w] += config.turn * np.sqrt(period) * rngs[w].standard_normal()
             if hypot(x, y) > config.arena and x * vx + y * vy > 0:
                 course[w] = atan2(-y, -x)

@@ -1,4 +1,4 @@
-"""Task `formation`: drones hold a shape about a leader, who moves and turns."""
+"""Task `formation`: drones hold a shape around a moving and turning leader."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -23,12 +23,12 @@ from bulletuav.tasks.parts.formations import Course, Leader, in_world, off_place
 
 @reward
 def approach(way: float, way_before: float) -> float:
-    """Metres nearer to the place than before the decision; how the place moved counts, too."""
+    """Decrease of the distance to the place, m, including the motion of the place."""
     return way_before - way
 
 
 def leader_labels(task: Any) -> tuple[Label, ...]:
-    """Label the leader's motion."""
+    """Return the labels of the leader's motion."""
     fastest = task.context.max_speed
     level = (Label(f"leader velocity {axis}", "m/s", -fastest, fastest) for axis in "xy")
     return (*level, Label("leader turn", "rad/s", -np.pi, np.pi))
@@ -36,7 +36,7 @@ def leader_labels(task: Any) -> tuple[Label, ...]:
 
 @block(leader_labels)
 def leader(all_leader_velocity: np.ndarray, turn: float) -> Vec3:
-    """Velocity of the leader over ground, world axes, and how fast it turns to the left."""
+    """Horizontal velocity of the leader, world axes, and its turn rate, positive to the left."""
     return all_leader_velocity[0], all_leader_velocity[1], turn
 
 
@@ -134,12 +134,12 @@ class Formation(GoalFlight[FormationConfig]):
     }
 
     def __init__(self, config: FormationConfig, context: TaskContext) -> None:
-        """Find the places, check that drones can fly in them, and lay out the arena.
+        """Find the places, check that drones can follow them, and set the arena.
 
         Raises:
-            ValueError: A shape is none, or has too few places or ones that are too close; places
-                move too fast or are too low; shapes or places change too often; or drones could
-                start in conflict.
+            ValueError: If a shape is invalid, has too few places or places that are too close; if
+                places move too fast or are too low; if shapes or places change too often; or if
+                drones could start in conflict.
         """
         super().__init__(config, context)
         self.plan = FormationPlan(config, context)
@@ -150,7 +150,11 @@ class Formation(GoalFlight[FormationConfig]):
         self._lay_out()
 
     def _starts(self, drones: int) -> np.ndarray:
-        """Lay out a square block about the leader, (N, 3) m, or refuse one that is too narrow."""
+        """Return starts in a square block around the leader, (N, 3) m.
+
+        Raises:
+            ValueError: If neighbours could start in conflict.
+        """
         config, apart = self.config, clearance(self.config, self.context)
         nearest = min_start_distance(config, config.spacing)
         if drones > 1 and nearest <= apart:
@@ -166,7 +170,7 @@ class Formation(GoalFlight[FormationConfig]):
         return block
 
     def _lay_out(self) -> None:
-        """Lay out an arena in which all places stay, or refuse places in the ground."""
+        """Set an arena that contains all places, after checking that they are above the ground."""
         config = self.config
         every = np.concatenate([self._block, *self.plan.shapes])
         extent = float(np.linalg.norm(every[:, :2], axis=1).max())
@@ -181,13 +185,14 @@ class Formation(GoalFlight[FormationConfig]):
             )
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Return, beside the shapes of `GoalFlight`, those of leader and places.
+        """Return the shapes of the memory of `GoalFlight`, of the leader and of the places.
 
         Returns:
-            Of the leader "leader" (4,), its position, m, and yaw, rad; "leader_velocity" (3,), m/s;
-            "course" (), its yaw at the start, rad; "turn" (), rad/s. "place" (N,), index of each
-            drone's place. "asked" (), when places were last told, s; "formed" (), the time that
-            it then took until all were there, s, 0 before. "held" (N,), time in place, s.
+            Of the leader: "leader" (4,), position, m, and yaw, rad; "leader_velocity" (3,), m/s;
+                "course" (), yaw at the start, rad; "turn" (), rad/s. "place" (N,), index of each
+                drone's place. "asked" (), time of the last change of places, s; "formed" (),
+                duration from this change until all drones were in place, s, 0 before. "held" (N,),
+                time in place, s.
         """
         drones = self.context.num_drones
         of_leader = {"leader": (4,), "leader_velocity": (3,), "course": (), "turn": ()}
@@ -195,7 +200,7 @@ class Formation(GoalFlight[FormationConfig]):
         return {**super().memory(), **of_leader, **of_shape}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start of drones in a block about the leader, in random order, in flight."""
+        """Draw starts in a block around the leader, in random order, in flight."""
         course = rng.uniform(-np.pi, np.pi)
         turn = self.course.turn if rng.uniform() < 0.5 else -self.course.turn
         leader = self.course.at(np.zeros(1), np.array([course]), np.array([turn]))
@@ -212,17 +217,17 @@ class Formation(GoalFlight[FormationConfig]):
         return self._assign_start_places(spawn, start, leader)
 
     def _assign_start_places(self, spawn: Spawn, start: np.ndarray, leader: Leader) -> Spawn:
-        """Tell drones that start at (N, 3), m, their places."""
+        """Assign places to drones that start at (N, 3), m, and set their goals."""
         place = self.plan.first(start, leader)
         goal, goal_velocity = in_world(self.plan.shapes[None, 0, place], leader)
         memory = {**spawn.memory, "place": place}
         return spawn._replace(goal=goal[0], goal_velocity=goal_velocity[0], memory=memory)
 
     def finish(self, spawn: Spawn, given: GivenPositions, rng: np.random.Generator) -> Spawn:
-        """Put given places into a start, and assign drones to places from there.
+        """Apply given starts and assign drones to places from there.
 
         Raises:
-            ValueError: There is no room for obstacles.
+            ValueError: If there is no space for obstacles.
         """
         if given.start is not None:
             course, turn = (np.atleast_1d(spawn.memory[name]) for name in ("course", "turn"))
@@ -231,7 +236,7 @@ class Formation(GoalFlight[FormationConfig]):
         return super().finish(spawn, given, rng)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Move the leader, and drones' places with it."""
+        """Move the leader, and the drones' places with it."""
         memory = scene.memory
         turn, period = memory["turn"][flying], self.context.period
         leader = self.course.at(time[flying] + period, memory["course"][flying], turn)
@@ -244,20 +249,20 @@ class Formation(GoalFlight[FormationConfig]):
         return super().move_scene(scene, time, flying, rngs)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Note who is in place and when all are, and tell places where it is time to."""
+        """Update times in place, and reassign places when due."""
         memory, period = frame.scene.memory, self.context.period
         in_place = self.finished(frame) & frame.alive
         memory["held"][:] += np.where(in_place, period, 0.0)
         flies = frame.alive.any(axis=1)
         is_first = flies & (in_place | ~frame.alive).all(axis=1) & (memory["formed"] == 0)
         np.copyto(memory["formed"], frame.time - memory["asked"], where=is_first)
-        # Nobody is told anything at the end.
+        # Places do not change at the end of an episode
         for w in np.flatnonzero(flies & ~frame.last).tolist():
             self._reassign_places(frame, w, rngs[w])
         super().update_memory(frame, rngs)
 
     def _reassign_places(self, frame: Frame, w: int, rng: np.random.Generator) -> None:
-        """Tell the living drones of a world their places, where the shape or they change."""
+        """Reassign places to a world's living drones if the shape or the assignment changes."""
         now, memory = frame.time[w], frame.scene.memory
         due = self.plan.due(now, self.context.period)
         if not any(due):
@@ -270,11 +275,11 @@ class Formation(GoalFlight[FormationConfig]):
         memory["asked"][w], memory["formed"][w] = now, 0.0
 
     def goals_end(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
-        """Tell that places end nothing: they are to be held."""
+        """Return zeros, as places are to be held and end no episode."""
         return np.zeros_like(finished)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell how far the swarm is off its places and its shape, and how long it took and held."""
+        """Return the errors of formation and shape, and the times to form and in place."""
         memory, shape = frame.scene.memory, frame.alive.shape
         swarm = (frame.after.position, frame.scene.goal, frame.alive)
         so_far = frame.time - memory["asked"]
@@ -289,7 +294,7 @@ class Formation(GoalFlight[FormationConfig]):
         return {**super().info(frame), **by_name, "in_place": share}
 
     def world_state(self) -> Mapping[str, Block]:
-        """Tell where the leader is, and how it moves and turns."""
+        """Return position, velocity and turn rate of the leader."""
         labels = (
             *vector_labels("leader", "m", self.arena_low, self.arena_high),
             *leader_labels(self),

@@ -1,4 +1,4 @@
-"""Task `free_flight`: from random places, in random directions, to random goals."""
+"""Task `free_flight`: drones fly from random starts, in random directions, to random goals."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -13,13 +13,13 @@ from bulletuav.tasks.parts.presets import UAVCONFLICT
 
 @dataclass(frozen=True)
 class FreeFlightConfig(FreeSpaceOptions, FlightConfig):
-    """Options of `free_flight`, beside those of flights among random places (`FreeSpaceOptions`).
+    """Options of `free_flight`, in addition to those of free space (`FreeSpaceOptions`).
 
     Attributes:
-        altitude: Height above ground of the middle of the box, m.
-        altitude_spread: Range of heights of starts and goals about it, m.
-        leg: Least distance from a start to its goal, m.
-        heading: Where drones fly to at the start, by default in a random direction.
+        altitude: Height of the centre of the box above ground, m.
+        altitude_spread: Range of altitudes of starts and goals, centred at `altitude`, m.
+        leg: Minimum distance from a start to its goal, m.
+        heading: Direction of flight at the start, by default random.
     """
 
     altitude: float = 70.0
@@ -88,10 +88,10 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
     }
 
     def __init__(self, config: FreeFlightConfig, context: TaskContext) -> None:
-        """Lay out the space.
+        """Set up the free space.
 
         Raises:
-            ValueError: There is no room for all, or starts could touch the ground.
+            ValueError: If drones and obstacles do not fit, or starts could touch the ground.
         """
         super().__init__(config, context)
         self.starts = FreeSpace(self, self.field)

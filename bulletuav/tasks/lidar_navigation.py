@@ -1,4 +1,4 @@
-"""Task `lidar_navigation`: drones fly to goals through a city that they see by lidar alone."""
+"""Task `lidar_navigation`: drones fly to goals through a city that they sense by lidar alone."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -17,15 +17,15 @@ RANGE_UNCERTAINTY: dict[str, dict[str, float]] = {
     "hard": {"lidar_noise": 0.3, "lidar_dropout": 0.01},
     "extreme": {"lidar_noise": 0.5, "lidar_dropout": 0.05},
 }
-"""What each difficulty makes uncertain about ranges: noise, m, and the share of beams lost"""
+"""Uncertainty of ranges by difficulty: noise, m, and fraction of beams lost"""
 
 
 @dataclass(frozen=True)
 class LidarNavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):
-    """Options of `lidar_navigation`, beside those of flights in cities (`UrbanFlightOptions`).
+    """Options of `lidar_navigation`, in addition to those of urban flights (`UrbanFlightOptions`).
 
     Attributes:
-        proximity_range: Shortest range below which the term `proximity` counts, m; above 0.
+        proximity_range: Shortest range below which the term `proximity` applies, m; above 0.
     """
 
     proximity_range: float = 5.0
@@ -86,16 +86,16 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     reward: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0, "distance": 0.0}
 
     def __init__(self, config: LidarNavigationConfig, context: TaskContext) -> None:
-        """Make the cities, and check legs in them and the range of the term `proximity`.
+        """Create the cities, and check legs and the range of the term `proximity`.
 
         Raises:
-            ValueError: A city leaves no room to fly or is too small for a leg, or the range is 0.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If a city has no space to fly or is too small for a leg, or the range is 0.
+            FileNotFoundError: If the city's file does not exist.
         """
         super().__init__(config, context)
         self.city_layouts = add_city(self)
         self.starts = CityLegs(self, self.city_layouts)
         if config.proximity_range == 0:
             raise ValueError(
-                "proximity_range is 0 m: it must be above 0; to leave the term out, weigh it by 0"
+                "proximity_range is 0 m: it must be above 0; to disable the term, set weight 0"
             )

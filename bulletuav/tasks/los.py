@@ -11,10 +11,10 @@ from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 @dataclass(frozen=True)
 class LosConfig(UserServiceConfig):
-    """Options of `los`, those of `UserServiceConfig`.
+    """Options of `los`: those of `UserServiceConfig`.
 
     Attributes:
-        boundary: What happens at the bounds, by default "end": the drone's episode ends.
+        boundary: Behaviour at the bounds, by default "end": the drone's episode ends.
     """
 
     boundary: Literal["end", "soft", "hard"] = "end"

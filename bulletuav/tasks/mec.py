@@ -18,7 +18,7 @@ from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 @dataclass(frozen=True)
 class MecConfig(EdgeOptions, RadioConfig, UserServiceConfig):
-    """Options of `mec`, those of `EdgeOptions`."""
+    """Options of `mec`: those of `EdgeOptions`."""
 
 
 @register("task")

@@ -1,4 +1,4 @@
-"""Task `mec_advanced`: edge computing with antennas that look down and tight deadlines."""
+"""Task `mec_advanced`: edge computing with downward antennas and tight deadlines."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
@@ -18,18 +18,19 @@ from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 @dataclass(frozen=True)
 class MecAdvancedConfig(EdgeOptions, RadioConfig, UserServiceConfig):
-    """Options of `mec_advanced`, those of `EdgeOptions` with other defaults.
+    """Options of `mec_advanced`: those of `EdgeOptions` with other defaults.
 
     Attributes:
         num_users: Number of users on the ground, outdoors.
-        arrival_rate: Tasks of each user, 1/s.
-        cycles_per_bit: Cycles that a bit takes to compute.
-        deadline: Time from the arrival of a task to its result, s.
+        arrival_rate: Task arrival rate of each user, 1/s.
+        cycles_per_bit: Processor cycles per bit of a task.
+        deadline: Maximum time from the arrival of a task to its result, s.
         core_frequency: Frequency of a core, cycles/s.
-        bandwidth: Bandwidth that all drones share, Hz.
+        bandwidth: Bandwidth shared by all drones, Hz.
         antenna: Antenna of the drones, "isotropic" or "downward".
-        height: Least and greatest height of starts, m.
-        ceiling: Greatest height of the airspace, m: low enough that not every place serves all.
+        height: Minimum and maximum height of starts, m.
+        ceiling: Maximum height of the airspace, m: low enough that not every position serves all
+            users.
     """
 
     num_users: int = field(default=10, metadata={"most": 10_000})

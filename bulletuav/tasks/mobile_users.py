@@ -1,4 +1,4 @@
-"""Task `mobile_users`: airborne relays follow users on the ground, who walk."""
+"""Task `mobile_users`: airborne relays follow walking users on the ground."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -10,10 +10,10 @@ from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 @dataclass(frozen=True)
 class MobileUsersConfig(UserServiceConfig):
-    """Options of `mobile_users`, those of `UserServiceConfig`.
+    """Options of `mobile_users`: those of `UserServiceConfig`.
 
     Attributes:
-        mobility: How users walk, by default "manhattan": along the streets.
+        mobility: Mobility model of the users, by default "manhattan": along the streets.
     """
 
     mobility: Any = "manhattan"

@@ -1,4 +1,4 @@
-"""Task `navigation`: drones fly to goals through a city that they do not see."""
+"""Task `navigation`: drones fly to goals through a city that they do not sense."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,7 +14,7 @@ from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, CityLegs, UrbanFlightOpt
 
 @dataclass(frozen=True)
 class NavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):
-    """Options of `navigation`, those of flights in cities (`UrbanFlightOptions`)."""
+    """Options of `navigation`: those of urban flights (`UrbanFlightOptions`)."""
 
 
 @register("task")
@@ -61,11 +61,11 @@ class Navigation(GoalFlight[NavigationConfig]):
     observation = ("position", "velocity", "goal", "battery", "room", "neighbours")
 
     def __init__(self, config: NavigationConfig, context: TaskContext) -> None:
-        """Make the cities, and check that legs fit into them.
+        """Create the cities, and check that legs fit into them.
 
         Raises:
-            ValueError: A city leaves no room to fly, or is too small for a leg.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If a city has no space to fly, or is too small for a leg.
+            FileNotFoundError: If the city's file does not exist.
         """
         super().__init__(config, context)
         self.city_layouts = add_city(self)

@@ -1,4 +1,4 @@
-"""Task `obstacles`: free flight among spheres and boxes, some of which move."""
+"""Task `obstacles`: drones fly among static and moving spheres and boxes."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -12,13 +12,14 @@ from bulletuav.tasks.parts.free_space import FreeSpace, FreeSpaceOptions
 
 @dataclass(frozen=True)
 class ObstaclesConfig(FreeSpaceOptions, FlightConfig):
-    """Options of `obstacles`, beside those of flights among random places (`FreeSpaceOptions`).
+    """Options of `obstacles`, in addition to those of free space (`FreeSpaceOptions`).
 
     Attributes:
-        altitude_spread: Range of heights of everything about `altitude`, m.
+        altitude_spread: Range of altitudes of drones, goals and obstacles, centred at `altitude`,
+            m.
         num_obstacles: Number of obstacles; every second one is a cube, the others are spheres.
-        num_moving: Number of them that move, reflected at the bounds of their space.
-        start_speed: Least and greatest speed at the start, m/s: slow enough to stop before an
+        num_moving: Number of moving obstacles, which are reflected at the bounds of their space.
+        start_speed: Minimum and maximum speed at the start, m/s: slow enough to stop before an
             obstacle.
     """
 
@@ -80,10 +81,10 @@ class Obstacles(GoalFlight[ObstaclesConfig]):
     }
 
     def __init__(self, config: ObstaclesConfig, context: TaskContext) -> None:
-        """Lay out the space.
+        """Set up the free space.
 
         Raises:
-            ValueError: There is no room for all, or starts could touch the ground.
+            ValueError: If drones and obstacles do not fit, or starts could touch the ground.
         """
         super().__init__(config, context)
         self.starts = FreeSpace(self, self.field)
