@@ -420,9 +420,7 @@ class Task(ABC, Generic[ConfigT]):
         return outside
 
     def terminated(self, frame: Frame) -> np.ndarray:
-        """Return which drones' episodes terminate, (W, N) bool; by default where any of `ends`
-        holds.
-        """
+        """Return which drones' episodes terminate, (W, N) bool; by default by any of `ends`."""
         if not self.bound.ends:
             return np.zeros(frame.alive.shape, dtype=bool)
         ended: np.ndarray = np.any([one(frame) for one in self.bound.ends], axis=0)
@@ -457,7 +455,7 @@ class Task(ABC, Generic[ConfigT]):
         return {}
 
     def extra_terms(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Compute the reward terms added by the option `reward`, unweighted, (W, N) by name."""
+        """Compute the reward terms of the option `reward`, unweighted, (W, N) by name."""
         extra = self.bound.extra.items()
         return {name: term(frame) for name, term in extra if self.weights[name]}
 

@@ -95,7 +95,7 @@ class FlightConfig(ObstacleOptions, TaskConfig):
             )
         if self.warning_zone <= 1:
             raise ValueError(
-                f"warning_zone is {self.warning_zone:g}: more than 1 is needed, as it must exceed d_safe"
+                f"warning_zone is {self.warning_zone:g}: more than 1, beyond d_safe, is needed"
             )
         if self.discount > 1:
             raise ValueError(f"discount is {self.discount:g}: from 0 to 1 is needed")
@@ -226,8 +226,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         return Spawn(position=start, goal=goal, **{**others, "velocity": velocity})
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Return the shapes of the memory: of each drone, and of pairs if `concession` has a
-        weight.
+        """Return the shapes of the memory of drones and, if `concession` is used, of pairs.
 
         Returns:
             "reached" (N,), time at which a drone first reached its goal (the last time if goals

@@ -324,7 +324,7 @@ class Bound:
             return "world"
         if value.shape[:2] != shape[:2]:
             raise ValueError(
-                f"{self._title} asks for {name!r}, an array {value.shape} without an entry for each "
+                f"{self._title} asks for {name!r}, an array {value.shape} without entries for "
                 f"of the {shape[1]} drones: ask for {ALL + name!r}"
             )
         if value.ndim == 2:

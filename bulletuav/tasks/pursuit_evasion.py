@@ -76,9 +76,7 @@ def capture(capture_payoff: float) -> float:
 
 @reward
 def closing(closing_payoff: float) -> float:
-    """Decrease of an evader's distance to the nearest chaser, m: a gain of chasers, a loss of
-    evaders.
-    """
+    """Decrease of an evader's distance to the nearest chaser, m; negative for the evader."""
     return closing_payoff
 
 
@@ -309,7 +307,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         self._update_goals(frame, flown & ~lost)
 
     def _contacts(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Return which drones touched opponents only, (W, N) bool, and whom, (W, N, N) bool."""
+        """Return which drones touched opponents only, (W, N), and which ones, (W, N, N) bool."""
         touched = np.zeros((*frame.alive.shape, len(self.team)), dtype=bool)
         if not frame.collision.any():
             return touched[..., 0], touched

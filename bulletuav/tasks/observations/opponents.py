@@ -1,4 +1,4 @@
-"""Observation blocks of teams with opposed aims: opponents that a drone sees, and teammates."""
+"""Observation blocks of two-team games: opponents in sight, and teammates."""
 
 from typing import Any
 
@@ -17,19 +17,19 @@ from bulletuav.tasks.observations.neighbours import (
 )
 
 PER_OPPONENT = 1 + PER_NEIGHBOUR
-"""Numbers of each: whether it is seen, distance, relative position, relative velocity"""
+"""Numbers per opponent: whether it is seen, distance, relative position, relative velocity"""
 
 
 def opponents_in_sight(task: Any, frame: Frame, present: np.ndarray) -> np.ndarray:
-    """Tell which opponents each drone sees.
+    """Return which opponents each drone sees.
 
-    They are within the task's `sight_range`, and nothing but drones is in between, where the
-    reading "drone_sight" tells that.
+    Opponents are seen within the task's `sight_range` and, if there is a reading "drone_sight",
+    only if nothing but drones is in between.
 
     Args:
-        task: The task, which has the teams.
+        task: The task, which defines the teams.
         frame: The decision.
-        present: (W, N) bool, drones that can still be met.
+        present: (W, N) bool, drones that are still present.
 
     Returns:
         (W, N, N) bool, whether drone i sees drone j.
@@ -45,7 +45,7 @@ def opponents_in_sight(task: Any, frame: Frame, present: np.ndarray) -> np.ndarr
 
 
 def _labels(task: Any, name: str) -> tuple[Label, ...]:
-    """Label distance, relative position and relative velocity of another drone."""
+    """Return the labels of another drone's distance, relative position and relative velocity."""
     size = task.arena_high - task.arena_low
     speed = np.full(3, 4 * task.context.max_speed)
     return (
@@ -59,7 +59,7 @@ def _labels(task: Any, name: str) -> tuple[Label, ...]:
 def opponents(task: Any) -> Block:
     """Nearest opponents in sight: 1 for seen, distance, relative position and velocity.
 
-    Nearest first; zeros where there are fewer. They are measured without error, as by eye.
+    Sorted by distance and padded with zeros. Measured optically, without error.
     """
     slots = task.context.num_neighbours
     labels: list[Label] = []
@@ -67,7 +67,7 @@ def opponents(task: Any) -> Block:
         labels += [Label(f"opponent {k} seen", "1", 0.0, 1.0), *_labels(task, f"opponent {k}")]
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        # The eye needs no radio: true places of those in sight
+        # Optical: true positions, independent of communication
         position, velocity = frame.after.position, frame.after.velocity
         shape = (*present.shape, present.shape[1], 3)
         places = np.broadcast_to(position[:, None], shape)
@@ -75,7 +75,7 @@ def opponents(task: Any) -> Block:
         seen = opponents_in_sight(task, frame, present)
         rows = np.zeros((*present.shape, slots * PER_NEIGHBOUR))
         write_nearest_known(position, velocity, places, speeds, seen, NO_HORIZON, slots, rows)
-        # The nearest fill the first slots, so flags are a row of ones
+        # The first slots are occupied
         flags = np.arange(slots) < seen.sum(axis=-1)[..., None]
         rows = rows.reshape(*present.shape, slots, PER_NEIGHBOUR)
         return np.concatenate([flags[..., None], rows], axis=-1).reshape(*present.shape, -1)
@@ -85,9 +85,9 @@ def opponents(task: Any) -> Block:
 
 @register("observation")
 def teammates(task: Any) -> Block:
-    """Nearest others of the own team: distance, relative position and velocity.
+    """Nearest drones of the own team: distance, relative position and velocity.
 
-    Nearest first; zeros where there are fewer. They tell each other where they think that they are.
+    Sorted by distance and padded with zeros. Positions are those that teammates measure and report.
     """
     slots = task.context.num_neighbours
     names = range(1, slots + 1)

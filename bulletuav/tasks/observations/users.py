@@ -1,4 +1,4 @@
-"""Observation blocks of what drones do for users on the ground."""
+"""Observation blocks of the drones' service to users on the ground."""
 
 from typing import Any
 
@@ -11,14 +11,14 @@ from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.base import Block, require_task_memory
 
 MAX_DATA_RATE = 500.0
-"""Mbit/s, bound of an observed rate"""
+"""Bound of an observed data rate, Mbit/s"""
 MAX_QUEUE = 100.0
-"""Tasks, bound of an observed queue"""
+"""Bound of an observed queue, tasks"""
 
 
 @register("observation")
 def dwell_time(task: Any) -> Block:
-    """For how long the drone has seen targets without a break, mean of all."""
+    """Time for which the drone has seen targets without interruption, mean over targets."""
     require_task_memory(task, "dwell_time", ("dwell_time",))
     label = Label("dwell_time", "s", 0.0, task.context.duration)
 
@@ -30,7 +30,10 @@ def dwell_time(task: Any) -> Block:
 
 @register("observation")
 def server(task: Any) -> Block:
-    """Load of the drone's cores, queue, latency and completed share, in the last decision."""
+    """Utilisation of the drone's cores, queue, latency and completed fraction of tasks.
+
+    All refer to the last decision.
+    """
     names = ("utilisation", "queue", "latency", "completed_share")
     require_task_memory(task, "server", names)
     labels = (
@@ -51,7 +54,7 @@ def server(task: Any) -> Block:
 
 @register("observation")
 def link_rates(task: Any) -> Block:
-    """Rate that each user would reach to the drone if it had it for itself."""
+    """Rate of each user's link to the drone with the whole bandwidth."""
     require_task_memory(task, "link_rates", ("received",))
     band, noise = task.config.bandwidth, task.service.uplink.noise
     users = range(1, task.num_targets + 1)

@@ -1,4 +1,4 @@
-"""Directions in which drones fly, and face, at the start: the option `heading`."""
+"""Directions of flight and attitudes at the start: the option `heading`."""
 
 import math
 from typing import Any
@@ -12,24 +12,24 @@ from bulletuav.geometry.rotation import Vec3, dot, point
 from bulletuav.tasks.parts.draws import RandomSource, draw_uniform
 
 HEADINGS = ("goal", "random")
-"""Headings that have names"""
+"""Named headings"""
 
 
 def check_heading(heading: Any, num_drones: int, has_goals: bool) -> None:
-    """Refuse a heading that is no direction.
+    """Check the option `heading`.
 
     Args:
         heading: Value of the option.
-        num_drones: Drones in a world.
-        has_goals: Whether they have goals.
+        num_drones: Number of drones per world.
+        has_goals: Whether drones have goals.
 
     Raises:
-        ValueError: It is none of `HEADINGS`, no angle, and no angle for each drone; or it is
-            "goal", and there are no goals.
+        ValueError: If the heading is not in `HEADINGS`, an angle, or an angle for each drone; or if
+            it is "goal" and there are no goals.
     """
     if heading is None or (isinstance(heading, str) and heading in HEADINGS):
         if heading == "goal" and not has_goals:
-            raise ValueError("heading is 'goal': this task has no goals; 'random' or angles can be")
+            raise ValueError("heading is 'goal': this task has no goals; use 'random' or angles")
         return
     try:
         angles = numbers_of("heading is", heading)
@@ -43,15 +43,15 @@ def check_heading(heading: Any, num_drones: int, has_goals: bool) -> None:
 
 
 def heading_directions(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Make directions of a heading.
+    """Return the directions of a heading.
 
     Args:
-        heading: Value of the option, one that there is.
-        ways: (N, 3) from the drones to their goals, m.
+        heading: Valid value of the option.
+        ways: (N, 3) vectors from the drones to their goals, m.
         rng: Generator of random headings.
 
     Returns:
-        (N, 3) of length 1.
+        (N, 3) unit vectors.
     """
     if isinstance(heading, str):
         return unit_directions(ways if heading == "goal" else rng.normal(size=ways.shape))
@@ -61,7 +61,7 @@ def heading_directions(heading: Any, ways: np.ndarray, rng: np.random.Generator)
 
 @func
 def _unit(ways: np.ndarray, i: int) -> Vec3:
-    """Shorten the i-th of ways (N, 3) to length 1; east where it has none."""
+    """Normalise the i-th of vectors (N, 3); return east for a zero vector."""
     x, y, z = point(ways, i)
     length = math.sqrt(dot((x, y, z), (x, y, z)))
     return (x / length, y / length, z / length) if length > 0.0 else (1.0, 0.0, 0.0)
@@ -69,7 +69,7 @@ def _unit(ways: np.ndarray, i: int) -> Vec3:
 
 @allocating
 def unit_directions(ways: np.ndarray) -> np.ndarray:
-    """Shorten ways (N, 3) to length 1; east where there is none."""
+    """Normalise vectors (N, 3); zero vectors become east."""
     unit = np.empty(ways.shape)
     for i in range(ways.shape[0]):
         unit[i, 0], unit[i, 1], unit[i, 2] = _unit(ways, i)
@@ -80,7 +80,15 @@ def unit_directions(ways: np.ndarray) -> np.ndarray:
 def draw_velocities(
     source: RandomSource, slowest: float, fastest: float, ways: np.ndarray, velocity: np.ndarray
 ) -> None:
-    """Draw a speed between two for each drone, m/s, and write velocities (N, 3) along its way."""
+    """Draw a speed for each drone and write velocities along given directions.
+
+    Args:
+        source: Source of random numbers.
+        slowest: Minimum speed, m/s.
+        fastest: Maximum speed, m/s.
+        ways: (N, 3) directions, of any length.
+        velocity: (N, 3) output, m/s.
+    """
     for i in range(ways.shape[0]):
         speed = draw_uniform(source, slowest, fastest)
         x, y, z = _unit(ways, i)
@@ -88,7 +96,7 @@ def draw_velocities(
 
 
 def level_attitudes(direction: np.ndarray) -> np.ndarray:
-    """Compute attitudes (N, 4), body to world, of level drones with noses along (N, 3)."""
+    """Return quaternions (N, 4), body to world, of level drones that face along vectors (N, 3)."""
     half = atan2(direction[:, 1], direction[:, 0]) / 2
     zero = np.zeros(len(half))
     return np.stack([zero, zero, sin(half), cos(half)], axis=1)
