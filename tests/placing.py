@@ -72,7 +72,7 @@ class Placing:
             name = "placed"
 
             def spawn(self, rng):
-                layout = self.town.draw(rng)
+                layout = self.city_layouts.draw(rng)
                 return Spawn(position=start, goal=start, layout=layout, memory=memory)
 
         numbers = {"num_drones": len(start), "num_users": len(users), "mobility": "still"}

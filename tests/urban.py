@@ -28,14 +28,14 @@ def placed(task, position, goal=None, users=None):
 
         def spawn(self, rng):
             to = start + (0.0, -90, 0) if goal is None else np.array(goal, dtype=float)
-            return Spawn(position=start, goal=to, layout=self.town.draw(rng), memory=memory)
+            return Spawn(position=start, goal=to, layout=self.city_layouts.draw(rng), memory=memory)
 
     return Placed
 
 
 def town(task="navigation", **options):
     """The town of a task, without an engine."""
-    return EnvSpec(task, 1, options).task.town
+    return EnvSpec(task, 1, options).task.city_layouts
 
 
 def blocked(start, end, box):

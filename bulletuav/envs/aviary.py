@@ -35,9 +35,9 @@ from bulletuav.sensors.base import Label
 from bulletuav.sensors.sight import line_of_sight
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.frame import Frame
-from bulletuav.tasks.given import Given
+from bulletuav.tasks.given import GivenPositions
 from bulletuav.tasks.observations.observer import Observation
-from bulletuav.tasks.starts import take_given
+from bulletuav.tasks.starts import read_given_positions
 from bulletuav.vehicle.swarm import Contacts
 
 NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
@@ -155,8 +155,10 @@ class Aviary(Environment):
         generators = simulation.start.generators(worlds, spec.seeds(seeds))
         given = spec.given
         if not (start is None and goal is None):
-            places = take_given(self.task, start, goal)
-            given = Given(*(given[k] if one is None else one for k, one in enumerate(places)))
+            places = read_given_positions(self.task, start, goal)
+            given = GivenPositions(
+                *(given[k] if one is None else one for k, one in enumerate(places))
+            )
         # All before anything of the worlds is written
         simulation.start.draw(generators, given)
         simulation.begin(chosen, worlds, generators)

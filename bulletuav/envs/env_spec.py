@@ -36,12 +36,12 @@ from bulletuav.tasks.ingredients import find_term
 from bulletuav.tasks.observations.observer import (
     STATE,
     ObservationBuilder,
-    asked_readings,
     known_observations,
     needed_readings,
     observation_name,
+    requested_readings,
 )
-from bulletuav.tasks.starts import take_given
+from bulletuav.tasks.starts import read_given_positions
 
 MOST_WORLDS = 1_000_000
 BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
@@ -80,7 +80,7 @@ class EnvSpec:
         self._require_memory(BODY_BYTES * self.options.num_drones)
         self.task = _make_task(kind, config, self.options)
         places = (getattr(self.task.config, name, None) for name in PLACES)
-        self.given = take_given(self.task, *places)
+        self.given = read_given_positions(self.task, *places)
         self.action = _make_action(self.options, self.task)
         # What is observed decides which sensors are needed
         sources = kind.observation if self.options.observation is None else self.options.observation
@@ -133,7 +133,7 @@ class EnvSpec:
         terms = [find_term("reward", value[0]) for value in self.options.reward.values()]
         terms += [*self.task.own_terms().values(), *kind.ends, kind.success]
         asked = needed_readings(sources, self.sensors)
-        asked = asked.union(*(asked_readings(one, self.sensors) for one in terms))
+        asked = asked.union(*(requested_readings(one, self.sensors) for one in terms))
         for name in kind.required_sensors:
             if provider(self.sensors, name) is None:
                 what = f"reading among the required_sensors of task {self.task.name!r}:"

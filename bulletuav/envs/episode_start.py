@@ -11,11 +11,11 @@ from bulletuav.envs.stages.fly import add_tick
 from bulletuav.envs.stages.keep_before import keep_before
 from bulletuav.envs.stages.separate import Separate
 from bulletuav.envs.worlds import Worlds
-from bulletuav.tasks.account import Account
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import FIELDS, Spawn
-from bulletuav.tasks.given import Given
-from bulletuav.tasks.spawns import MEMORY, Starts
+from bulletuav.tasks.frame_measures import FrameMeasures
+from bulletuav.tasks.given import GivenPositions
+from bulletuav.tasks.spawns import MEMORY, SpawnBuffer
 
 STALE = frozenset(
     {*(name for name in FIELDS if name.endswith("_before")), "conflicts", "separation", "nearness"}
@@ -26,7 +26,7 @@ STALE = frozenset(
 class _Stillness(NamedTuple):
     """A program after which it is as if no time had passed, and the account that it fills."""
 
-    account: Account
+    account: FrameMeasures
     program: Program
 
 
@@ -50,7 +50,7 @@ class EpisodeStart:
         self._worlds, self._first_seed = worlds, first_seed
         state, count = worlds.state, worlds.num_worlds
         sizes = (count, state.scene.obstacle.shape[1])
-        self.starts = Starts(worlds.task, worlds.options.airframe, *sizes, state.scene.memory)
+        self.starts = SpawnBuffer(worlds.task, worlds.options.airframe, *sizes, state.scene.memory)
         # Worlds that start, their indices, and a mask of their drones
         self._fresh, self._no_worlds, self._due = np.zeros((3, count), dtype=bool)
         self._fresh_indices: list[int] = []
@@ -72,7 +72,7 @@ class EpisodeStart:
             for k in worlds
         ]
 
-    def draw(self, generators: list[np.random.Generator], given: Given) -> None:
+    def draw(self, generators: list[np.random.Generator], given: GivenPositions) -> None:
         """Draw starts, and check them; nothing of the worlds is written.
 
         Raises:
@@ -87,12 +87,12 @@ class EpisodeStart:
             )
         # Most starts are whole as they are drawn
         is_whole = task.has_goals and given.is_empty and not task.takes_off
-        if not is_whole or task.has_own("finish"):
+        if not is_whole or task.overrides_method("finish"):
             spawns = [
                 task.finish(spawn, given, rng) if isinstance(spawn, Spawn) else spawn
                 for spawn, rng in zip(spawns, generators, strict=True)
             ]
-        self.starts.take(spawns)
+        self.starts.store(spawns)
 
     def write(
         self, fresh: np.ndarray, indices: list[int], generators: list[np.random.Generator]

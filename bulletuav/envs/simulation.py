@@ -115,7 +115,7 @@ class Simulation:
         if self.worlds.dynamics.look_around():
             self._has_account = False
         if not self._has_account:
-            self.worlds.make_account()
+            self.worlds.make_frame_measures()
             self._reckoning = Program()
             Separate().add_to(self._reckoning, self.worlds)
             # Last, so that an interrupt before it leaves nothing that is half made
@@ -164,7 +164,7 @@ class Simulation:
         check_info(task, task.info(frame), shape)
         terms = [*result.terms, *task.extra_terms(frame)]
         self.worlds.results = Results(terms, shape, task.has_goals)
-        own = task.has_own("info")
+        own = task.overrides_method("info")
         worlds = self.worlds
         self._reports_more = own or bool(
             task.lands or worlds.uncertainty.drawn or worlds.sensors.sensors

@@ -11,10 +11,10 @@ from bulletuav.envs.snapshot import UNSTARTED, Bounds, contact_bounds, state_bou
 from bulletuav.envs.state import LAST, STATE, Sizes, State, with_prefix
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.sensors.base import Moment
-from bulletuav.tasks.account import Account, make_account
 from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.frame_measures import FrameMeasures, make_frame_measures
 from bulletuav.tasks.ingredients import PRESENT
-from bulletuav.tasks.stages import Judgement
+from bulletuav.tasks.stages import Evaluation
 from bulletuav.vehicle.swarm import Swarm
 
 
@@ -37,7 +37,7 @@ class Worlds(Parts):
         rng: Random generator of each world.
     """
 
-    account: Account
+    account: FrameMeasures
     results: Results
 
     def __init__(self, spec: EnvSpec, first_world: int) -> None:
@@ -75,7 +75,7 @@ class Worlds(Parts):
             after=state.swarm,
             action=state.action,
             scene=state.scene,
-            tell=self.contacts.collect,
+            read_contacts=self.contacts.collect,
             alive=state.flown,
             time=state.time,
             last=state.last,
@@ -84,7 +84,7 @@ class Worlds(Parts):
             goal_before=state.goal_before,
             readings=self.readings,
         )
-        self.vector = self.observer.make_room(shape)
+        self.vector = self.observer.make_vector(shape)
 
     @property
     def collects_contacts(self) -> bool:
@@ -92,13 +92,13 @@ class Worlds(Parts):
         return self.task.rebound is not None or self.options.contacts == "bullet"
 
     @property
-    def judgement(self) -> Judgement:
+    def judgement(self) -> Evaluation:
         """Arrays for what the task makes of the decision."""
-        return Judgement(self.state.ended, self.state.success, self.results.named_terms)
+        return Evaluation(self.state.ended, self.state.success, self.results.named_terms)
 
-    def make_account(self) -> None:
+    def make_frame_measures(self) -> None:
         """Make the arrays of the account, which the frame shows."""
-        self.account = make_account(self.frame)
+        self.account = make_frame_measures(self.frame)
 
     def forget_derived(self) -> None:
         """Forget what the task derived from the frame as it was before."""

@@ -23,7 +23,7 @@ from bulletuav.report.figures import (
     save_figure,
 )
 from bulletuav.report.film import Film
-from bulletuav.tasks.base import SHOWS
+from bulletuav.tasks.base import DEFAULT_SHOWS
 
 __all__ = ["Animation", "blank_figure", "plot_tracks", "save_figure"]
 
@@ -39,7 +39,11 @@ SHARED_COLOUR = "0.2"
 
 
 def plot_tracks(
-    recording: Recording, d_safe: float, title: str, path: Path, shows: Mapping[str, str] = SHOWS
+    recording: Recording,
+    d_safe: float,
+    title: str,
+    path: Path,
+    shows: Mapping[str, str] = DEFAULT_SHOWS,
 ) -> None:
     """Plot tracks from above, and altitudes and infos over time, as a PNG file.
 

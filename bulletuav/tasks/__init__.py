@@ -1,4 +1,4 @@
-"""Tasks: one file each, and what they are made of."""
+"""Tasks, one module each, and the classes and decorators to define them."""
 
 import dataclasses
 import inspect
@@ -31,28 +31,28 @@ __all__ = [
 ]
 
 TaskSource = str | type[Task[Any]]
-"""A task by its name, also with its version, by `module:Name`, or its class"""
+"""A task: its name, optionally with a version, `module:Name`, or its class"""
 VERSIONED = re.compile(r"(\w+?)[-_]v(\d+)")
-"""A task's name with the version of its environment"""
+"""Pattern of a task name with the version of its environment"""
 OPTIONS = "Options of environments go into defaults, options of the task alone into its Config. "
-"""What an unknown attribute of a task may have been meant for"""
+"""Hint in the error for an unknown attribute of a task class"""
 NEEDED = ("name", "observation", "reward")
-"""Attributes that every task class has"""
+"""Attributes that every task class must define"""
 
 
 def list_tasks() -> list[str]:
-    """List the names of all tasks."""
+    """Return the names of all registered tasks."""
     return names("task")
 
 
 def find_task(source: TaskSource) -> type[Task[Any]]:
-    """Find a task by its name, by `module:Name`, or take the class itself.
+    """Return the class of a task, given its name, `module:Name` or the class itself.
 
     A name may end with the version of its environment: "hover_v1" or "hover-v1".
 
     Raises:
-        ValueError: There is none of that name (the nearest are told) or version, or the class lacks
-            something.
+        ValueError: If no task has this name or version (the message suggests similar names), or if
+            the class is incomplete.
     """
     versioned = VERSIONED.fullmatch(source) if isinstance(source, str) else None
     kind: type[Task[Any]] = find("task", versioned[1] if versioned else source, _is_task)
@@ -71,20 +71,18 @@ def _is_task(found: Any) -> bool:
 
 
 def require_task(kind: type[Task[Any]]) -> None:
-    """Refuse a class that lacks what a task is made of.
+    """Check that a class defines everything that a task needs.
 
     Raises:
-        ValueError: Something is missing; it is named.
+        ValueError: If an attribute or method is missing or invalid; the message names it.
     """
     name = kind.__name__
-    # What cannot be left out at all
     missing = [one for one in NEEDED if getattr(kind, one, None) in (None, ())]
     if lacks := sorted(kind.__abstractmethods__) or missing:
         raise ValueError(
-            f"task {name} has no {lacks[0]}: a task needs it, see bulletuav.tasks.base.Task"
+            f"task {name} has no {lacks[0]}: every task needs it, see bulletuav.tasks.base.Task"
         )
     require_declared("task", kind, Task, OPTIONS)
-    # Name and config
     if not isinstance(kind.name, str):
         raise ValueError(f"name of task {name} is {shown(kind.name)}: a text is needed")
     options = kind.Config if dataclasses.is_dataclass(kind.Config) else None
@@ -99,13 +97,12 @@ def require_task(kind: type[Task[Any]]) -> None:
                 f"Config of task {name} has no field {field}: derive it from "
                 f"bulletuav.tasks.config.TaskConfig, as a frozen dataclass"
             )
-    # Tables by name
     for one in ("defaults", "difficulties", "presets", "reward", "shows"):
         if not isinstance(getattr(kind, one), Mapping):
             raise ValueError(
                 f"{one} of task {name} is {shown(getattr(kind, one))}: a dict is needed"
             )
-    # A text alone would be taken for a tuple of letters
+    # A str would be read as a tuple of letters
     if not isinstance(kind.observation, list | tuple):
         raise ValueError(
             f"observation of task {name} is {shown(kind.observation)}: a tuple is needed, such as "
@@ -126,7 +123,6 @@ def require_task(kind: type[Task[Any]]) -> None:
 
 
 def _check_reward(kind: type[Task[Any]]) -> None:
-    """Refuse a reward whose entries are no weights."""
     for term, value in kind.reward.items():
         weight = value[1] if isinstance(value, tuple) and len(value) == 2 else value
         if isinstance(weight, bool) or not isinstance(weight, int | float):

@@ -1,4 +1,4 @@
-"""What a task is: a Markov decision process whose parts a reader sees at the top of its class."""
+"""Base class of tasks: a Markov decision process declared by class attributes and a few methods."""
 
 import typing
 from abc import ABC, abstractmethod
@@ -14,12 +14,12 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks.config import ConfigT, TaskConfig
 from bulletuav.tasks.frame import UPRIGHT, Frame, Scene, Spawn, StepResult, TaskContext
-from bulletuav.tasks.given import Given
-from bulletuav.tasks.ingredients import Binding, Bound, BoundTerms, find_term, numbers_in
+from bulletuav.tasks.given import GivenPositions
+from bulletuav.tasks.ingredients import Binding, Bound, BoundTerms, find_term, numeric_fields
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.base import Part, Rngs
 
-SHOWS: Mapping[str, str] = MappingProxyType(
+DEFAULT_SHOWS: Mapping[str, str] = MappingProxyType(
     {
         "success": "reached",
         "separation": "nearest (m)",
@@ -28,19 +28,20 @@ SHOWS: Mapping[str, str] = MappingProxyType(
         "goal_distance": "to goal (m)",
     }
 )
-"""What is shown of flights of a task that tells nothing else"""
+"""Infos that tables and pictures show unless a task defines `shows`"""
 Term = Callable[..., Any]
 Weighted = float | tuple[Term | str, float]
 PartT = TypeVar("PartT", bound=Part)
 Value = TypeVar("Value")
 SIDES = ("east", "north", "up", "west", "south", "down")
-"""Sides of an arena: its upper corner's, then its lower one's"""
+"""Sides of the arena: first of its upper corner (x, y, z), then of its lower corner"""
 
 
 class Task(ABC, Generic[ConfigT]):
-    """A task. A subclass's docstring tells its MDP, its attributes hold the parts.
+    """A task for a swarm of drones: starts, observations, reward, termination and success.
 
-    A whole one, in which drones come to a point 10 m up and stay there:
+    The docstring of a subclass describes its MDP; its class attributes declare the parts. A
+    complete task, in which drones fly to a point 10 m up and hold it:
 
         @dataclass(frozen=True)
         class PerchConfig(TaskConfig):
@@ -66,45 +67,49 @@ class Task(ABC, Generic[ConfigT]):
                 start = rng.uniform(-5.0, 5.0, (n, 3)) + (0.0, 0.0, 10.0)
                 return Spawn(position=start, goal=np.array((0.0, 0.0, self.config.height)))
 
-    `bulletuav.check_task(Perch)` looks for mistakes. Everything is batched: arrays are (W, N, ...)
-    for W worlds of N drones.
+    Check a task for mistakes with `bulletuav.check_task(Perch)`. All computations are batched:
+    arrays are (W, N, ...) for W worlds of N drones.
 
-    What several tasks have in common, such as a city, are parts: objects that `__init__` makes of
-    the options and adds by `add`. Methods whose text says "by default that of its parts" ask them:
-    a task that has such a method of its own calls `super()` in it.
+    Features shared by several tasks, such as a city, are parts (`bulletuav.tasks.parts`):
+    `__init__` creates them from the options and registers them with `add`. Methods documented as
+    "by default those of its parts" delegate to the parts; a task that overrides such a method calls
+    `super()` in it.
 
     Attributes:
-        name: What users call it.
-        Config: Class of its own options; taken from `Task[...]`.
-        defaults: Values of the common options where they differ from `DEFAULTS`.
-        difficulties: For each difficulty the options that it sets, common or own.
-        version: Of its environments; it is raised when their default behaviour changes.
-        presets: Named sets of values of options.
-        observation: Names of observation blocks, or such blocks.
-        required_sensors: Readings that the task itself works with, such as "lidar".
-        reward: Weight of each reward term by name, or (term, weight). Names are looked up in the
-            registry of rewards.
-        ends: What ends a drone's episode.
-        success: What tells that a drone is where the task wants it.
-        events: Names of what `terminated` puts into `Frame.derived` for terms.
-        computed_terms: Names of terms that `compute_terms` computes, from the others.
-        has_goals: Whether drones have goals, as `goal_distance` tells; else goals mean nothing.
-        shows: Infos that tables and pictures of a flight show, by name: what they are called.
-        baseline: Policy that flies it when none is named.
-        places: Which of its drones' places users may give: "start", "goal".
-        rebound: Share of the speed that is left, reversed, to a drone at the arena's bounds; None
-            where they hold nobody back.
-        parts: What it is built from, beside its own methods.
-        num_targets: How many points drones are to see.
-        zone: Separation at which the warning zone about a drone ends, m.
-        arena_low: (3,) lower corner of the space to which positions are scaled, m.
-        arena_high: (3,) its upper corner, m.
-        team: (N,) number of each drone's team, from 0.
+        name: Name of the task in the registry.
+        Config: Class of the task's own options; inferred from `Task[...]`.
+        defaults: Defaults of environment options that differ from `DEFAULTS`.
+        difficulties: For each difficulty, the options that it sets: environment options or own
+            ones.
+        version: Version of the environments; incremented when their default behaviour changes.
+        presets: Named sets of option values.
+        observation: Names of observation blocks, or the blocks themselves.
+        required_sensors: Readings that the task itself uses, such as "lidar".
+        reward: Weight of each reward term by name, or (term, weight). Names refer to the registry
+            of rewards.
+        ends: Conditions that terminate a drone's episode.
+        success: Condition under which a drone counts as successful.
+        events: Names of the arrays that `terminated` writes to `Frame.derived` for reward terms.
+        computed_terms: Names of the terms that `compute_terms` computes from the other terms.
+        has_goals: Whether drones have goals, as `goal_distance` reports. If False, `Scene.goal` is
+            unused.
+        shows: Infos that tables and pictures of a flight show, with their captions.
+        baseline: Policy that flies the task when none is named.
+        places: Positions that users may set: "start", "goal".
+        rebound: Coefficient of restitution at the arena's bounds: the fraction of the normal speed
+            that is kept, reversed. None if drones can cross the bounds.
+        parts: Parts of the task, in the order of `add`.
+        num_targets: Number of target points that drones are to see.
+        zone: Separation at which the warning zone around a drone ends, m.
+        arena_low: (3,) lower corner of the arena, which also bounds observed positions, m.
+        arena_high: (3,) upper corner of the arena, m.
+        team: (N,) index of each drone's team, from 0.
         takes_off: Whether drones start on the ground.
-        lands: Whether drones may touch the ground: what `Frame.landed` tells is no collision then.
-        team_names: Names of the teams, in their order; none where all drones are one.
-        speed_limit: (N,) greatest speed that each drone can ask for, m/s, at most max_speed; None
-            where that alone holds.
+        lands: Whether drones may touch the ground: contacts marked in `Frame.landed` are no
+            collisions.
+        team_names: Names of the teams, by index; empty if there is one team.
+        speed_limit: (N,) maximum commanded speed of each drone, m/s, at most max_speed; None if
+            max_speed is the only limit.
     """
 
     name: ClassVar[str]
@@ -123,7 +128,7 @@ class Task(ABC, Generic[ConfigT]):
     baseline: ClassVar[str] = "straight"
     places: ClassVar[tuple[str, ...]] = ()
     has_goals: ClassVar[bool] = True
-    shows: ClassVar[Mapping[str, str]] = SHOWS
+    shows: ClassVar[Mapping[str, str]] = DEFAULT_SHOWS
 
     team_names: ClassVar[tuple[str, ...]] = ()
 
@@ -136,62 +141,61 @@ class Task(ABC, Generic[ConfigT]):
     arena_high: np.ndarray = np.array((100.0, 100.0, 100.0))
 
     def __init_subclass__(cls) -> None:
-        """Take the class of the config from `Task[...]`."""
+        """Set `Config` to the type argument of `Task[...]`."""
         for base in vars(cls).get("__orig_bases__", ()):
             for given in typing.get_args(base):
                 if "Config" not in vars(cls) and isinstance(given, type):
                     cls.Config = given
 
     def __init__(self, config: ConfigT, context: TaskContext) -> None:
-        """Keep options and context, and find out the weights of reward terms.
+        """Store options and context, and merge the weights of the reward terms.
 
         Args:
             config: The task's own options.
-            context: The swarm and the sensors that it is for.
+            context: Swarm and sensors for which the task is made.
 
         Raises:
-            ValueError: The options cannot be.
+            ValueError: If the options are invalid.
         """
         self.config = config
         self.context = context
         given = self.reward.items()
         usual = {name: value[1] if isinstance(value, tuple) else value for name, value in given}
-        self.weights = merged_weights(usual, config.weights)
+        self.weights = merge_weights(usual, config.weights)
         self.zone = 2 * config.d_safe
         self.parts: list[Part] = []
         self.bound = BoundTerms()
         self.team = np.zeros(context.num_drones, dtype=int)
-        # Configs of other classes may have no such option.
+        # Configs that are no TaskConfig may lack this option
         self.lands = self.takes_off = bool(getattr(config, "take_off", False))
         self._named_terms: dict[str, Bound] | None = None
 
     def add(self, part: PartT) -> PartT:
-        """Add a part, after those that were added before, and return it."""
+        """Append a part to the task's parts and return it."""
         self.parts.append(part)
         return part
 
-    def has_own(self, method: str) -> bool:
-        """Return whether the task, or one of its parts, does anything in a method of `Task`."""
+    def overrides_method(self, method: str) -> bool:
+        """Return True if the task or one of its parts overrides a method of `Task`."""
         return getattr(type(self), method) is not getattr(Task, method) or any(
             getattr(type(part), method) is not getattr(Part, method) for part in self.parts
         )
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
-        """Find out what the arguments of its ingredients stand for; called once.
+        """Bind the arguments of all ingredients to their sources. Called once.
 
         Args:
-            readings: Names of sensors' readings.
-            extra: Reward terms beside its own: (term, weight) by name.
+            readings: Names of the sensors' readings.
+            extra: Additional reward terms by name: (term, weight).
 
         Returns:
-            What names stand for, for observation blocks.
+            The binding of argument names, for observation blocks.
 
         Raises:
-            ValueError: An ingredient asks for a name that there is not, or a term is not known.
+            ValueError: If an ingredient requests an unknown name, or a term is unknown.
         """
         kind = type(self)
-        # All names that ingredients may use as arguments
-        numbers = {**numbers_in(self.context), **numbers_in(self.config), "zone": self.zone}
+        numbers = {**numeric_fields(self.context), **numeric_fields(self.config), "zone": self.zone}
         corners = np.ravel([self.arena_high, self.arena_low]).tolist()
         bounds = {f"bound_{side}": bound for side, bound in zip(SIDES, corners, strict=False)}
         quantities = {"outside": self.outside, **bounds, **self.quantities()}
@@ -203,11 +207,10 @@ class Task(ABC, Generic[ConfigT]):
                     f"reward has {name!r}, which is a term of task {self.name!r}: choose another "
                     f"name, or change its weight by weights={{{name!r}: ...}}"
                 )
-        # Extra terms take part like the task's own
         self.weights |= {name: weight for name, (_, weight) in extra.items()}
         self._binding = binding
         beside = {name: find_term("reward", term) for name, (term, _) in extra.items()}
-        # Each ingredient is bound once, which finds wrong names before any flight
+        # Binding all ingredients here reports wrong names before any flight
         self.bound = BoundTerms(
             extra={name: self._bound(name, term) for name, term in beside.items()},
             terms={name: self._bound(name, term) for name, term in self.own_terms().items()},
@@ -220,17 +223,18 @@ class Task(ABC, Generic[ConfigT]):
         return binding
 
     def own_terms(self, everything: bool = False) -> dict[str, Any]:
-        """List the functions of the task's own reward terms whose weight is not 0, by name.
+        """Return the functions of the task's own reward terms with nonzero weights, by name.
 
         Args:
-            everything: Also those that a task of its own `evaluate_step` only names.
+            everything: Whether to include terms given by name in tasks that override
+                `evaluate_step`.
 
         Raises:
-            ValueError: There is no reward term of a name.
+            ValueError: If no reward term has this name.
         """
         found: dict[str, Any] = {}
         for name, value in self.reward.items():
-            # A task that evaluates decisions by itself may give the terms that it only names.
+            # A task that overrides `evaluate_step` may compute the terms that it only names
             own = isinstance(value, tuple) or type(self).evaluate_step is Task.evaluate_step
             if (own or everything) and name not in self.computed_terms and self.weights[name]:
                 found[name] = find_term("reward", value[0] if isinstance(value, tuple) else name)
@@ -241,23 +245,24 @@ class Task(ABC, Generic[ConfigT]):
 
     @abstractmethod
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw the start of one world."""
+        """Draw the start of one world from `rng`."""
 
     def spawn_many(self, rngs: Rngs) -> Sequence[Spawn]:
-        """Draw the starts of several worlds, each from its own generator; by default one by one."""
+        """Draw the starts of several worlds, each from its own generator; by default by `spawn`."""
         return [self.spawn(rng) for rng in rngs]
 
-    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
-        """Complete the start of one world: put in what users gave, and drones on the ground.
+    def finish(self, spawn: Spawn, given: GivenPositions, rng: np.random.Generator) -> Spawn:
+        """Complete the start of one world.
 
-        Then its parts complete it. Drones without goals have their starts as goals.
+        Applies given positions, places drones on the ground if they take off, and runs the parts.
+        The goal of a drone without a goal is its start.
 
         Args:
-            spawn: What `spawn` drew.
-            given: Places in their stead.
-            rng: Generator of the world, for what depends on them.
+            spawn: Start returned by `spawn`.
+            given: Positions set by the user, which replace drawn ones.
+            rng: Generator of the world, for draws that depend on these positions.
         """
-        spawn = given.put_into(spawn)
+        spawn = given.apply_to(spawn)
         if self.takes_off:
             place = self.on_ground(np.asarray(spawn.position))
             spawn = spawn._replace(position=place, velocity=0.0, rates=0.0, quaternion=UPRIGHT)
@@ -266,25 +271,32 @@ class Task(ABC, Generic[ConfigT]):
         return spawn if self.has_goals else spawn._replace(goal=spawn.position)
 
     def on_ground(self, positions: np.ndarray) -> np.ndarray:
-        """Tell where drones stand on the ground below positions (N, 3), m."""
+        """Return the positions of drones that stand on the ground below given positions.
+
+        Args:
+            positions: (N, 3) m.
+
+        Returns:
+            (N, 3) m, at each drone's standing height.
+        """
         return np.column_stack([positions[:, :2], self.context.standing_height])
 
     def is_free(self, place: np.ndarray, radius: float, layout: int) -> bool:
-        """Return whether a ball touches nothing of what stands in a world.
+        """Return True if a ball intersects no building of a layout.
 
         Args:
-            place: (3,) its middle, m.
-            radius: m.
-            layout: What stands there, one of `layouts`.
+            place: (3,) centre of the ball, m.
+            radius: Radius of the ball, m.
+            layout: Index into `layouts`.
         """
         return all(part.is_free(place, radius, layout) for part in self.parts)
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """List the bodies that are in every world; by default those of its parts."""
+        """Return the obstacles in every world; by default those of its parts."""
         return tuple(chain.from_iterable(part.obstacles() for part in self.parts))
 
     def layouts(self) -> Sequence[Solids]:
-        """List what can stand in a world, one at a time; by default that of its parts."""
+        """Return the possible sets of buildings of a world; by default those of its parts."""
         return tuple(chain.from_iterable(part.layouts() for part in self.parts))
 
     def targets(self, scene: Scene) -> np.ndarray:
@@ -302,15 +314,15 @@ class Task(ABC, Generic[ConfigT]):
     def service_quality(
         self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
     ) -> np.ndarray:
-        """Return what targets are worth to drones, for policies that know everything.
+        """Return how well drones at candidate positions would serve targets, for oracle policies.
 
         Args:
-            place: (C, 3) of the drones, m.
-            targets: (U, 3) m.
-            sight: (C, U) bool, whether they are in line of sight.
+            place: (C, 3) candidate positions of drones, m.
+            targets: (U, 3) positions of targets, m.
+            sight: (C, U) bool, whether each target is in line of sight.
 
         Returns:
-            (C, U) from 0 to 1; by default whether they are seen.
+            (C, U) quality from 0 to 1; by default 1 if the target is in line of sight.
         """
         return sight.astype(float)
 
@@ -318,47 +330,48 @@ class Task(ABC, Generic[ConfigT]):
         """Move goals and obstacles through one decision, before the drones fly it.
 
         Args:
-            scene: To be changed in place, in the worlds of `flying`.
-            time: (W,) since each world's reset, s.
-            flying: (W,) bool, worlds that fly.
+            scene: Scene, modified in place in the worlds of `flying`.
+            time: (W,) time since each world's reset, s.
+            flying: (W,) bool, worlds that fly the decision.
             rngs: Random generator of each world.
 
         Returns:
-            Whether obstacles moved; by default whether those of its parts did.
+            Whether any obstacle moved; by default whether any part moved one.
         """
         moved = [part.move_scene(scene, time, flying, rngs) for part in self.parts]
         return any(moved)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell what the task keeps in `scene.memory` over an episode.
+        """Return the shapes of the arrays that the task keeps in `scene.memory` in an episode.
 
         Returns:
-            Shape of each array in one world by name; by default those of its parts.
+            Shape of each array in one world, by name; by default those of its parts.
         """
-        return _joined(part.memory() for part in self.parts)
+        return _merge_tables(part.memory() for part in self.parts)
 
     def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
-        """Return the bounds of what `memory` has, by name, for snapshots that come from elsewhere.
+        """Return the bounds of the arrays in `memory`, by name, to validate loaded snapshots.
 
-        Arrays from which compiled code takes indices or numbers of steps need them.
+        Arrays that compiled code uses as indices or counts need bounds.
 
         Returns:
-            Lowest and highest values, which broadcast to the array of one world; by default those
-            of its parts.
+            Lower and upper bounds that broadcast to the array of one world; by default those of its
+            parts.
         """
-        return _joined(part.memory_bounds() for part in self.parts)
+        return _merge_tables(part.memory_bounds() for part in self.parts)
 
     def start_memory(self, frame: Frame) -> None:
-        """Fill the memory of worlds that were reset from their first frame; draws nothing.
+        """Initialise the memory of worlds that were reset, from their first frame.
 
-        For what the first observation shows of memory, such as a sensor's reading that is kept.
-        What it writes of other worlds is dropped. By default there is nothing to do.
+        Use it for memory that the first observation shows, such as a held sensor reading. Values
+        written to other worlds are discarded. It must not draw random numbers. Does nothing by
+        default.
         """
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Bring `scene.memory` up to date after a decision, before it is evaluated.
+        """Update `scene.memory` after a decision, before the decision is evaluated.
 
-        By default that of its parts.
+        By default updates the memory of its parts.
 
         Args:
             frame: The decision.
@@ -368,37 +381,37 @@ class Task(ABC, Generic[ConfigT]):
             part.update_memory(frame, rngs)
 
     def payload_power(self, scene: Scene) -> np.ndarray | float:
-        """Return the power of the drones' equipment, (W, N) W; by default that of its parts."""
+        """Return the power of the drones' payloads, (W, N) W; by default the sum over its parts."""
         return sum((part.payload_power(scene) for part in self.parts), 0.0)
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell what the task works out of a frame, by the names that its ingredients use.
+        """Return the quantities that the task derives from a frame, by name, for ingredients.
 
         Returns:
-            Functions of a frame that give (W, N, ...), or numbers; by default those of its parts.
-            "outside" is always there.
+            Functions of a frame that return (W, N, ...), or numbers; by default those of its parts.
+            "outside" is always defined.
         """
-        return _joined(part.quantities() for part in self.parts)
+        return _merge_tables(part.quantities() for part in self.parts)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Return further infos, (W, N) by name; by default those of its parts."""
-        return _joined(part.info(frame) for part in self.parts)
+        """Return additional infos, (W, N) by name; by default those of its parts."""
+        return _merge_tables(part.info(frame) for part in self.parts)
 
     def world_state(self) -> Mapping[str, Block]:
-        """List what the global state has beside drones; by default that of its parts.
+        """Return the global state other than that of drones; by default that of its parts.
 
         Returns:
             Blocks of (W, labels) by name.
         """
-        return _joined(part.world_state() for part in self.parts)
+        return _merge_tables(part.world_state() for part in self.parts)
 
     def outside(self, frame: Frame) -> np.ndarray:
-        """Tell who is outside the arena, or held back at its bounds, (W, N) bool."""
+        """Return which drones are outside the arena, or stopped at its bounds, (W, N) bool."""
         known = frame.derived.get("outside")
-        if known is not None:  # asked before, of the same frame
+        if known is not None:  # cached for this frame
             return known
         position = frame.after.position
-        if self.rebound is not None:  # which left them right at the bounds
+        if self.rebound is not None:  # drones that rebounded are exactly at the bounds
             beyond = (position <= self.arena_low) | (position >= self.arena_high)
         else:
             beyond = (position < self.arena_low) | (position > self.arena_high)
@@ -407,21 +420,21 @@ class Task(ABC, Generic[ConfigT]):
         return outside
 
     def terminated(self, frame: Frame) -> np.ndarray:
-        """Tell whose episode ends here, (W, N) bool; by default by any of `ends`."""
+        """Return which drones' episodes terminate, (W, N) bool; by default by any of `ends`."""
         if not self.bound.ends:
             return np.zeros(frame.alive.shape, dtype=bool)
         ended: np.ndarray = np.any([one(frame) for one in self.bound.ends], axis=0)
         return ended
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell who is where the task wants it, (W, N) bool; by default by `success`."""
+        """Return which drones are successful, (W, N) bool; by default where `success` holds."""
         if self.bound.success is None:
             return np.zeros(frame.alive.shape, dtype=bool)
         return self.bound.success(frame)
 
     def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Compute the reward terms whose weight is not 0, unweighted, (W, N) by name."""
-        if self._named_terms is None:  # a task of its own `evaluate_step` asks for them after all
+        """Compute the reward terms with nonzero weights, unweighted, (W, N) by name."""
+        if self._named_terms is None:  # reached if an overridden `evaluate_step` calls this
             own = self.own_terms(everything=True)
             self._named_terms = {
                 name: self.bound.terms.get(name) or self._bound(name, term)
@@ -435,33 +448,36 @@ class Task(ABC, Generic[ConfigT]):
     def compute_terms(
         self, frame: Frame, terms: Mapping[str, np.ndarray]
     ) -> Mapping[str, np.ndarray]:
-        """Compute the `computed_terms`, unweighted, (W, N) by name, from all others.
+        """Compute the `computed_terms`, unweighted, (W, N) by name, from all other terms.
 
-        Called where one of them has a weight other than 0.
+        Called if any of them has a nonzero weight.
         """
         return {}
 
     def extra_terms(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Compute the terms that the option `reward` added."""
+        """Compute the reward terms of the option `reward`, unweighted, (W, N) by name."""
         extra = self.bound.extra.items()
         return {name: term(frame) for name, term in extra if self.weights[name]}
 
     def evaluate_step(self, frame: Frame) -> StepResult:
-        """Work out ends, successes and reward terms of a decision, in this order.
+        """Compute termination, success and reward terms of a decision, in this order.
 
-        Changes nothing of the world: it may be asked twice.
+        The method does not modify the world, so it may be called twice.
         """
         terminated, success = self.terminated(frame), self.succeeded(frame)
         return StepResult(self.reward_terms(frame), terminated, success)
 
 
-def _joined(tables: Iterable[Mapping[str, Value]]) -> dict[str, Value]:
-    """Join tables of different names."""
+def _merge_tables(tables: Iterable[Mapping[str, Value]]) -> dict[str, Value]:
     return {name: value for table in tables for name, value in table.items()}
 
 
-def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
-    """Change some reward weights. Raises ValueError for a term that does not exist."""
+def merge_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
+    """Return reward weights with some of them replaced.
+
+    Raises:
+        ValueError: If `changes` names an unknown term.
+    """
     for term in changes:
         if term not in defaults:
             raise ValueError(f"weights: {unknown('reward term', term, defaults)}")

@@ -1,4 +1,4 @@
-"""Checks of what a task gives: results of steps, infos, rewards, arenas."""
+"""Validation of the values that a task returns: step results, infos, rewards, arenas, bodies."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -27,37 +27,36 @@ STANDARD_INFOS = frozenset(
         "charge",
     }
 )
-"""Infos of every task; "goal_distance" of those with goals"""
+"""Infos of every task ("goal_distance" only if the task has goals)"""
 STANDARD_PREFIXES = ("reward/", "random/")
-"""Beginnings of the names of reward terms and of randomized parameters"""
+"""Prefixes of infos that hold reward terms and randomized parameters"""
 LARGE = 100.0
-"""m, of an option that may be to blame for an arena that is too large"""
+"""Length from which an option is named in the error for an arena that is too large, m"""
 
 
 def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> None:
-    """Refuse a step result that rewards cannot be made of: types, names of terms and shapes (W, N).
+    """Check types, term names and shapes (W, N) of a step result.
 
     Raises:
-        ValueError: With the task, the term and the remedy.
+        ValueError: If the step result is invalid; the message names task, term and remedy.
     """
-    judged = f"evaluate_step of task {task.name!r} gave"
+    gave = f"evaluate_step of task {task.name!r} gave"
     if not isinstance(result, StepResult):
-        raise ValueError(f"{judged} {shown(result)}: a StepResult is needed")
+        raise ValueError(f"{gave} {shown(result)}: a StepResult is needed")
     if not isinstance(result.terms, Mapping):
         raise ValueError(
-            f"{judged} the terms {shown(result.terms)}: a dict of arrays by name is needed"
+            f"{gave} the terms {shown(result.terms)}: a dict of arrays by name is needed"
         )
-    # Terms and weights must go together: neither may be left over
+    # Every term needs a weight, and every nonzero weight a term
     for name in result.terms:
         if name not in task.weights:
-            raise unknown(f"reward term in what {judged},", name, task.weights)
+            raise unknown(f"reward term in what {gave},", name, task.weights)
     for name, weight in task.weights.items():
         if weight != 0 and name not in result.terms and name in task.reward:
             raise ValueError(
-                f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the "
+                f"{gave} no reward term {name!r}: its weight is {weight:g}; give it, or the "
                 f"weight 0"
             )
-    # Then the arrays: numbers for terms, truth for ends and successes
     wanted = {f"reward term {name!r}": (term, "iufb") for name, term in result.terms.items()}
     wanted |= {name: (getattr(result, name), "b") for name in ("terminated", "success")}
     for name, (value, kinds) in wanted.items():
@@ -70,34 +69,38 @@ def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> N
             )
             kind = "bool" if kinds == "b" else "numbers"
             raise ValueError(
-                f"{judged} {form} as {name}: an array {shape} (worlds, drones) of {kind} is needed"
+                f"{gave} {form} as {name}: an array {shape} (worlds, drones) of {kind} is needed"
             )
 
 
 def check_info(task: Task[Any], info: Any, shape: tuple[int, int]) -> None:
-    """Refuse infos of a task that nobody can tell apart by drones: types, names and shapes (W, N).
+    """Check types, names and shapes (W, N) of a task's infos.
 
     Raises:
-        ValueError: With the task, the name and the remedy.
+        ValueError: If an info is invalid; the message names task, info and remedy.
     """
-    told = f"info of task {task.name!r} gave"
+    gave = f"info of task {task.name!r} gave"
     if not isinstance(info, Mapping):
-        raise ValueError(f"{told} {shown(info)}: a dict of arrays by name is needed")
+        raise ValueError(f"{gave} {shown(info)}: a dict of arrays by name is needed")
     for name, value in info.items():
         if not isinstance(name, str):
-            raise ValueError(f"{told} the name {shown(name)}: a text is needed")
+            raise ValueError(f"{gave} the name {shown(name)}: a text is needed")
         if name in STANDARD_INFOS or name.startswith(STANDARD_PREFIXES):
-            raise ValueError(f"{told} {name!r}, which infos tell already: choose another name")
+            raise ValueError(f"{gave} {name!r}, which is a standard info: choose another name")
         if not isinstance(value, np.ndarray) or value.shape != shape:
             form = f"an array {value.shape}" if isinstance(value, np.ndarray) else shown(value)
             raise ValueError(
-                f"{told} {form} as {name!r}: an array {shape} (worlds, drones) is needed; "
+                f"{gave} {form} as {name!r}: an array {shape} (worlds, drones) is needed; "
                 f"np.broadcast_to makes one of a number"
             )
 
 
 def require_finite(task: Task[Any], terms: Mapping[str, np.ndarray], reward: np.ndarray) -> None:
-    """Raise ValueError, naming the term, where a reward (W, N) is no finite number."""
+    """Check that rewards (W, N) are finite.
+
+    Raises:
+        ValueError: If a reward is not finite; the message names the term.
+    """
     if np.isfinite(reward).all():
         return
     w, i = np.argwhere(~np.isfinite(reward))[0]
@@ -110,8 +113,11 @@ def require_finite(task: Task[Any], terms: Mapping[str, np.ndarray], reward: np.
 
 
 def check_arena(task: Task[Any], config: Any, radius: float) -> None:
-    """Raise ValueError where an arena is none, or reaches into that of other worlds."""
-    # The arena itself
+    """Check that a task's arena is valid and fits on the tile of its world.
+
+    Raises:
+        ValueError: If the arena is invalid or reaches into other worlds.
+    """
     arena = numbers_of(
         f"arena_low and arena_high of task {task.name!r} are", [task.arena_low, task.arena_high]
     )
@@ -120,14 +126,12 @@ def check_arena(task: Task[Any], config: Any, radius: float) -> None:
             f"arena_low and arena_high of task {task.name!r} are {shown(arena)}: lower and upper "
             f"corner are needed"
         )
-    # What else the task tells of places
     finite(f"zone of task {task.name!r}", task.zone)
     if task.rebound is not None:
         finite(f"rebound of task {task.name!r}", task.rebound, 0, 1)
-    # Worlds stand side by side on tiles, with parked bodies above them
+    # Worlds are side by side on tiles, with parked bodies above them
     reach = float(np.abs(arena[:, :2]).max())
     if 2 * (reach + radius) >= TILE_PITCH or arena[1, 2] >= PARKING_HEIGHT:
-        # The message names the lengths of the config that may be too large
         sizes = {
             field.name: getattr(config, field.name)
             for field in dataclasses.fields(config)
@@ -143,8 +147,11 @@ def check_arena(task: Task[Any], config: Any, radius: float) -> None:
 
 
 def check_bodies(task: Task[Any]) -> None:
-    """Raise ValueError where a task's bodies, cities or memory are none."""
-    # Bodies must be ones that engine and compiled code know
+    """Check the types of a task's obstacles, layouts and memory shapes.
+
+    Raises:
+        ValueError: If one of them is invalid.
+    """
     kinds: dict[str, type] = {"obstacles": Obstacle, "layouts": Solids}
     for name, kind in kinds.items():
         things = getattr(task, name)()
@@ -153,7 +160,6 @@ def check_bodies(task: Task[Any]) -> None:
                 f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is "
                 f"needed"
             )
-    # Memory is arrays of a fixed shape in each world
     memory: Any = task.memory()
     if not isinstance(memory, Mapping):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Options of a task."""
+"""Options of tasks and their defaults."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ import numpy as np
 from bulletuav.tasks.given import PLACES
 
 REBOUND = {"soft": 0.8, "hard": 0.0}
-"""Share of the speed against a wall that is left, reversed, by the option `boundary`"""
+"""Coefficient of restitution at the arena's bounds, by value of the option `boundary`"""
 DEFAULTS: Mapping[str, Any] = MappingProxyType(
     {
         "num_drones": 1,
@@ -21,23 +21,23 @@ DEFAULTS: Mapping[str, Any] = MappingProxyType(
         "max_speed": 10.0,
     }
 )
-"""Options of a task that tells nothing else"""
+"""Defaults of environment options, unless a task defines others"""
 
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Options of a task beside those that all tasks have. Derive from it, as a frozen dataclass.
+    """Options of a task. Subclass it as a frozen dataclass to add options.
 
-    Float fields are sizes: finite and not negative. A field's metadata may tell the "least" of a
-    whole number (1 unless told), and the "most" of any number (1e9 unless told).
+    Float fields are sizes: finite and not negative. The metadata of a field may set "least", the
+    minimum of an integer (default 1), and "most", the maximum of any number (default 1e9).
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
-        weights: Changes of the weights of reward terms, by name.
-        start: (N, 3) where drones start, m, in tasks that take it; drawn when left out.
-        goal: (N, 3) where they are to go, m, in tasks that take it; drawn when left out.
-        take_off: Whether drones start at rest on the ground below their starts, with rotors that
-            stand still. They may then touch the ground, see `Frame.landed`.
+        weights: Reward weights that differ from the task's, by term.
+        start: (N, 3) start positions, m, in tasks that accept them; drawn if omitted.
+        goal: (N, 3) goal positions, m, in tasks that accept them; drawn if omitted.
+        take_off: Whether drones start at rest on the ground below their starts, with rotors
+            stopped. They may then touch the ground, see `Frame.landed`.
     """
 
     d_safe: float = 1.0
@@ -47,7 +47,7 @@ class TaskConfig:
     take_off: bool = False
 
     def __post_init__(self) -> None:
-        """Keep arrays as tuples, so that configs can be compared and written."""
+        """Convert arrays to tuples, so that configs can be compared and saved."""
         for name in PLACES:
             value = getattr(self, name)
             if isinstance(value, np.ndarray) and value.ndim == 2:

@@ -1,4 +1,4 @@
-"""Task `converge`: drones on a circle, each flies to its antipode, all through the centre."""
+"""Task `converge`: drones on a circle fly to their antipodes, all through the centre."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,14 +13,14 @@ from bulletuav.tasks.parts.airspace import (
     AirspaceOptions,
     circle_arena,
     clearance,
-    least_distance,
+    min_start_distance,
 )
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 
 
 @dataclass(frozen=True)
 class ConvergeConfig(AirspaceOptions, FlightConfig):
-    """Options of `converge`, beside those of free airspace (`AirspaceOptions`).
+    """Options of `converge`, in addition to those of free airspace (`AirspaceOptions`).
 
     Attributes:
         radius: Radius of the circle, m.
@@ -31,30 +31,32 @@ class ConvergeConfig(AirspaceOptions, FlightConfig):
 
 @register("task")
 class Converge(GoalFlight[ConvergeConfig]):
-    """Flight of drones on a circle to their antipodes, where a large swarm meets at one point.
+    """Drones on a circle fly to their antipodes, so that all paths meet at the centre.
 
-    Drones start evenly spread on a circle at an altitude of 40 m, in flight towards its centre.
-    Each one's goal is the opposite point. All ways cross in the centre.
+    Drones start evenly spaced on a circle at an altitude of 40 m, in flight towards its centre. The
+    goal of each drone is the opposite point of the circle.
 
     Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, the nearest living drones, and the nearest
-    obstacles. Both come nearest first, relative to the drone, and are zeros where there are fewer.
+    obstacles. Drones and obstacles are relative to the drone, sorted by distance, and padded with
+    zeros.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - progress 5: metres nearer to the goal.
-    - goal 50: 1 on reaching the goal.
-    - conflict -200: other drones that come closer than d_safe = 5 m.
-    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - progress 5: decrease of the distance to the goal, m.
+    - goal 50: 1 in the decision in which the drone reaches the goal.
+    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - warning -5: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
 
-    End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
+    End: terminated within 2 m of the goal, on contact, when the battery is empty, or outside the
     arena. Truncated after 500 decisions.
 
     Success: the goal is reached.
@@ -71,14 +73,14 @@ class Converge(GoalFlight[ConvergeConfig]):
     }
 
     def __init__(self, config: ConvergeConfig, context: TaskContext) -> None:
-        """Check that drones start apart, and lay out the arena.
+        """Check that drones start separated, and set the arena.
 
         Raises:
-            ValueError: Drones could start in conflict, or in touch with the ground.
+            ValueError: If drones could start in conflict or touch the ground.
         """
         super().__init__(config, context)
         chord = 2 * config.radius * sin(np.pi / max(context.num_drones, 2))
-        nearest = least_distance(config, chord)
+        nearest = min_start_distance(config, chord)
         clear = clearance(config, context)
         if nearest <= clear:
             raise ValueError(
@@ -89,7 +91,7 @@ class Converge(GoalFlight[ConvergeConfig]):
         self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start on the circle, in flight towards its centre."""
+        """Draw starts on the circle, in flight towards its centre."""
         drones = self.context.num_drones
         angle = 2 * np.pi * np.arange(drones) / drones
         directions = np.stack([cos(angle), sin(angle), np.zeros(drones)], axis=1)

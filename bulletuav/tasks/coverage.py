@@ -1,4 +1,4 @@
-"""Task `coverage`: drones spread so that some drone sees as much of the streets as possible."""
+"""Task `coverage`: drones spread to see as much of a city's streets as possible."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,24 +17,24 @@ from bulletuav.tasks.parts.city_layouts import CityOptions, add_city, ground_cel
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_COVERAGE
-from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_share
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
 from bulletuav.tasks.rewards.users import served
-from bulletuav.tasks.targets import served_by_any, share_of
+from bulletuav.tasks.targets import compute_seen_fraction, get_served_fraction
 
 MAX_CELLS = 1e6
-"""Most squares into which the ground of a city may be divided"""
+"""Maximum number of squares into which the ground of a city can be divided"""
 
 
 @dataclass(frozen=True)
 class CoverageConfig(CityOptions, ObstacleOptions, TaskConfig):
-    """Options of `coverage`, beside those of cities (`CityOptions`).
+    """Options of `coverage`, in addition to those of cities (`CityOptions`).
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
         cell: Side of the squares into which the ground outdoors is divided, m.
-        wanted: Share of the squares that is success when seen.
-        height: Least and greatest height of starts, m.
-        min_separation: Distance that drones are to keep from each other, m.
+        wanted: Fraction of covered squares from which the task is successful.
+        height: Minimum and maximum height of starts, m.
+        min_separation: Separation that drones should keep from each other, m.
     """
 
     d_safe: float = 2.0
@@ -46,41 +46,42 @@ class CoverageConfig(CityOptions, ObstacleOptions, TaskConfig):
 
 @reward
 def sight(seen_share: float) -> float:
-    """Share of the squares that the drone itself sees."""
+    """Fraction of the squares that the drone itself sees."""
     return seen_share
 
 
 @reward
 def close(drones_too_near: float) -> float:
-    """Count other drones nearer than `min_separation`."""
+    """Count the other drones closer than `min_separation`."""
     return drones_too_near
 
 
 @register("task")
 class Coverage(Task[CoverageConfig]):
-    """Search for places, apart from each other, from which drones see the most of a city's streets.
+    """Drones spread over a city to see as much of its streets as possible.
 
-    Drones start at rest at random places outdoors, 20 to 60 m high. The ground outdoors is divided
-    into squares of 10 m. A square is covered when some living drone sees its middle, 1.5 m up.
+    Drones start at rest at random positions outdoors, at heights of 20 to 60 m. The ground outdoors
+    is divided into squares of 10 m. A square is covered if at least one living drone sees its
+    centre, 1.5 m above the ground.
 
     Observation, Box(29) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, charge of the battery, the nearest living drones, and the share of the squares that
-    the drone itself sees. Neighbours come nearest first, relative to the drone, and are zeros where
-    there are fewer.
+    velocity, battery charge, the nearest living drones, and the fraction of the squares that the
+    drone itself sees. Neighbours are relative to the drone, sorted by distance, and padded with
+    zeros.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - covered 1: share of the squares that are covered.
-    - sight 0: share of the squares that the drone itself sees.
-    - close -0.2: number of other drones nearer than min_separation = 100 m.
+    - covered 1: fraction of the squares that are covered.
+    - sight 0: fraction of the squares that the drone itself sees.
+    - close -0.2: number of other drones closer than min_separation = 100 m.
     - collision -10: 1 on contact of collision shapes.
     - out_of_bounds -10: 1 outside the city's square or above its ceiling.
 
-    End: terminated on contact, with an empty battery, and outside the city's square or above its
-    ceiling. Truncated after 300 decisions.
+    End: terminated on contact, when the battery is empty, and outside the city's square or above
+    its ceiling. Truncated after 300 decisions.
 
     Success: 90 % of the squares are covered, at easy 75 %.
 
@@ -111,24 +112,24 @@ class Coverage(Task[CoverageConfig]):
     ends = (collision, leaves_arena)
 
     def __init__(self, config: CoverageConfig, context: TaskContext) -> None:
-        """Make the cities and divide their ground into squares.
+        """Create the cities and divide their ground into squares.
 
         Raises:
-            ValueError: A city leaves no room to fly, or its ground has no square outdoors.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If a city has no space to fly, or no square outdoors.
+            FileNotFoundError: If the city's file does not exist.
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
-        self.town = add_city(self)
-        check_share("wanted", config.wanted)
+        self.city_layouts = add_city(self)
+        check_fraction("wanted", config.wanted)
         self._check_cell()
-        cells = [ground_cells(city, config.cell) for city in self.town.cities]
+        cells = [ground_cells(city, config.cell) for city in self.city_layouts.cities]
         if not all(map(len, cells)):
             raise ValueError(
                 f"cell is {config.cell:g} m: "
-                f"the middle of no such square is outdoors; make it smaller"
+                f"no such square has its centre outdoors; make it smaller"
             )
-        # All layouts have as many rows: short lists repeat their first cell, and it does not count.
+        # Pad the lists of all layouts to equal length with inactive copies of their first cells
         counts = [len(own) for own in cells]
         self.num_targets = max(counts)
         padding = [
@@ -141,9 +142,8 @@ class Coverage(Task[CoverageConfig]):
         self._is_own = np.array([np.arange(self.num_targets) < count for count in counts])
 
     def _check_cell(self) -> None:
-        """Refuse squares that are larger than a city, or too many."""
         cell = self.config.cell
-        sides = np.array([city.sides for city in self.town.cities])
+        sides = np.array([city.sides for city in self.city_layouts.cities])
         if not 0 < cell <= sides.min():
             raise ValueError(
                 f"cell is {cell:g} m: it must be above 0 and at most the side of the city"
@@ -156,39 +156,39 @@ class Coverage(Task[CoverageConfig]):
             )
 
     def targets(self, scene: Scene) -> np.ndarray:
-        """Tell the middles of the squares outdoors, (W, num_targets, 3) m."""
+        """Return the centres of the squares outdoors, (W, num_targets, 3) m."""
         middles: np.ndarray = self._cells[scene.layout]
         return middles
 
     def active_targets(self, scene: Scene) -> np.ndarray:
-        """Tell which targets are squares, not padding of a list, (W, num_targets) bool."""
+        """Return which targets are squares rather than padding, (W, num_targets) bool."""
         is_own: np.ndarray = self._is_own[scene.layout]
         return is_own
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start at rest, anywhere outdoors."""
-        layout = self.town.draw(rng)
-        return self.town.hovering(rng, layout, self.context.num_drones)
+        """Draw starts at rest outdoors."""
+        layout = self.city_layouts.draw(rng)
+        return self.city_layouts.hovering(rng, layout, self.context.num_drones)
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell the shares of the ground in sight, and how many drones are too near."""
+        """Return the fractions of ground in sight, and the number of drones that are too close."""
         near = self._drones_too_near
         return {"served": self._served, "seen_share": self._seen_share, "drones_too_near": near}
 
     def _served(self, frame: Frame) -> np.ndarray:
-        """Compute the share of the squares that some living drone sees, (W, N)."""
-        return served_by_any(frame, self.active_targets(frame.scene))
+        """Compute the fraction of squares seen by at least one living drone, (W, N)."""
+        return get_served_fraction(frame, self.active_targets(frame.scene))
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Return infos of the city, and the covered share as "served"."""
+        """Return the infos of the city, and the covered fraction as "served"."""
         return {**super().info(frame), "served": self._served(frame)}
 
     def _seen_share(self, frame: Frame) -> np.ndarray:
-        """Compute the share of the squares that each drone sees, (W, N)."""
-        return share_of(frame.seen, self.active_targets(frame.scene)[:, None])
+        """Compute the fraction of squares that each drone sees, (W, N)."""
+        return compute_seen_fraction(frame.seen, self.active_targets(frame.scene)[:, None])
 
     def _drones_too_near(self, frame: Frame) -> np.ndarray:
-        """Count the living drones nearer than `min_separation`, (W, N)."""
+        """Count the other living drones closer than `min_separation`, (W, N)."""
         distance = np.linalg.norm(offsets(frame.after.position), axis=-1)
         is_near = distance < self.config.min_separation
         is_other = frame.alive[:, None] & ~np.eye(self.context.num_drones, dtype=bool)
@@ -196,5 +196,5 @@ class Coverage(Task[CoverageConfig]):
         return count
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell whether the wanted share of the ground is covered, (W, N) bool."""
+        """Return whether the required fraction of the ground is covered, (W, N) bool."""
         return self._served(frame) >= self.config.wanted

@@ -15,14 +15,15 @@ from bulletuav.tasks.parts.teams import team_sizes
 
 @dataclass(frozen=True)
 class CrossingConfig(AirspaceOptions, FlightConfig):
-    """Options of `crossing`, beside those of free airspace (`AirspaceOptions`).
+    """Options of `crossing`, in addition to those of free airspace (`AirspaceOptions`).
 
     Attributes:
-        half_length: Distance of the first rank of a team from the centre at the start, m.
-        altitude_spread: Range of the drones' heights about `altitude`, half of it to each side, m.
-        lanes: Columns of a team's formation.
+        half_length: Distance of a team's first rank from the centre at the start, m.
+        altitude_spread: Range of the drones' altitudes, centred at `altitude`, m.
+        lanes: Number of columns of a team's formation.
         lane_spacing: Distance between columns, and between ranks, m.
-        teams: Drones that fly north, and east; when left out half each, the odd one north.
+        teams: Number of drones that fly north, and east; by default half each, north the larger
+            half.
     """
 
     half_length: float = 100.0
@@ -34,31 +35,33 @@ class CrossingConfig(AirspaceOptions, FlightConfig):
 
 @register("task")
 class Crossing(GoalFlight[CrossingConfig]):
-    """Flight of two teams through one airspace at right angles.
+    """Two teams cross one airspace at right angles.
 
     The first half of the drones flies north, from (0, -100) to (0, 100) m. The others fly east,
     from (-100, 0) to (100, 0) m. Teams start in formation, in flight, at an altitude of 40 m. Each
-    drone has its lane and its own goal, straight ahead.
+    drone has its own lane, with its goal straight ahead.
 
     Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, the nearest living drones, and the nearest
-    obstacles. Both come nearest first, relative to the drone, and are zeros where there are fewer.
+    obstacles. Drones and obstacles are relative to the drone, sorted by distance, and padded with
+    zeros.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - progress 5: metres nearer to the goal.
-    - goal 50: 1 on reaching the goal.
-    - conflict -200: other drones that come closer than d_safe = 5 m.
-    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - progress 5: decrease of the distance to the goal, m.
+    - goal 50: 1 in the decision in which the drone reaches the goal.
+    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - warning -5: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
 
-    End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
+    End: terminated within 2 m of the goal, on contact, when the battery is empty, or outside the
     arena. Truncated after 500 decisions.
 
     Success: the goal is reached.
@@ -88,37 +91,35 @@ class Crossing(GoalFlight[CrossingConfig]):
     }
 
     def __init__(self, config: CrossingConfig, context: TaskContext) -> None:
-        """Check that the teams start apart, and lay out the arena.
+        """Check that the teams start separated, and set the arena.
 
         Raises:
-            ValueError: Drones could start in conflict, outside the arena, or in touch with the
+            ValueError: If drones could start in conflict, outside the arena, or touching the
                 ground.
         """
         super().__init__(config, context)
         require_margin(config)
-        # Jitter may move two neighbours towards each other
         clear = clearance(config, context)
         if config.lane_spacing - 2 * config.jitter <= clear:
             raise ValueError(
                 f"start positions may be in conflict: lane_spacing {config.lane_spacing:g} m "
                 f"less twice jitter {config.jitter:g} m must exceed {clear:.3g} m (d_safe)"
             )
-        # Size of the larger team's formation: how deep it is, and how far it reaches aside.
         drones = context.num_drones
         usual = ((drones + 1) // 2, drones // 2)
         self._num_north, east = team_sizes(config.teams, drones, usual)
         self.team[self._num_north :] = 1
         self._start, self._goal = self._places()
-        # Ranks behind each other, lanes beside each other, m
+        # Depth and half width of the larger formation, m
         largest = max(self._num_north, east)
         ranks = -(-largest // config.lanes)
         depth = (ranks - 1) * config.lane_spacing
         width = min(largest, config.lanes) * config.lane_spacing / 2
-        # The corners of two formations must not meet
+        # The corners of the two formations must not overlap
         if config.half_length <= width + config.jitter + clear:
             raise ValueError(
                 f"half_length {config.half_length:g} m is too short for formations "
-                f"{2 * width:g} m wide: the teams would start in each other; "
+                f"{2 * width:g} m wide: the teams' starts would overlap; "
                 f"lower lane_spacing, jitter or d_safe"
             )
         rise = config.altitude_spread / 2 + config.jitter
@@ -127,16 +128,15 @@ class Crossing(GoalFlight[CrossingConfig]):
                 f"altitude {config.altitude:g} m is too low "
                 f"for altitude_spread {config.altitude_spread:g} m"
             )
-        # The arena goes a margin beyond the farthest start
         reach = max(config.half_length + depth, width) + config.margin
         self.arena_low = np.array([-reach, -reach, 0.0])
         self.arena_high = np.array([reach, reach, config.altitude + rise + config.margin])
 
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tell where drones start and go to, (N, 3) each, m, but for heights and jitter."""
+        """Return starts and goals, (N, 3) each, m, without altitudes and jitter."""
         drones, half_length = self.context.num_drones, self.config.half_length
         start, goal = np.zeros((2, drones, 3))
-        # The axis along which each team flies, and its drones.
+        # Flight axis and drones of each team
         teams = ((1, slice(0, self._num_north)), (0, slice(self._num_north, drones)))
         for axis, team in teams:
             aside, behind = self._formation(len(start[team]))
@@ -147,7 +147,7 @@ class Crossing(GoalFlight[CrossingConfig]):
         return start, goal
 
     def _formation(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return how far aside of, and behind, its first rank's middle each drone starts, m."""
+        """Return each drone's lateral and rearward offset from the centre of the first rank, m."""
         lanes = min(count, self.config.lanes)
         spacing = self.config.lane_spacing
         index = np.arange(count)
@@ -156,7 +156,7 @@ class Crossing(GoalFlight[CrossingConfig]):
         return aside, behind
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start of both teams in formation, in flight."""
+        """Draw starts of both teams in formation, in flight."""
         config = self.config
         start, goal = self._start.copy(), self._goal.copy()
         height = config.altitude + config.altitude_spread * rng.uniform(-0.5, 0.5, len(start))

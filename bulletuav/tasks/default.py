@@ -1,6 +1,6 @@
 """Task `default`: a short, complete task in a city.
 
-Copy this file to begin one of your own (see CONTRIBUTING.md).
+Copy this file to write your own task (see CONTRIBUTING.md).
 """
 
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, StreetOptions
 
 @dataclass(frozen=True)
 class DefaultConfig(StreetOptions, CityOptions, ObstacleOptions, TaskConfig):
-    """Options of `default`, beside those of streets (`StreetOptions`).
+    """Options of `default`, in addition to those of streets (`StreetOptions`).
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
-        goal_radius: Distance from the goal at which it counts as reached, m.
+        goal_radius: Distance from the goal within which it is reached, m.
     """
 
     d_safe: float = 2.0
@@ -39,13 +39,13 @@ class DefaultConfig(StreetOptions, CityOptions, ObstacleOptions, TaskConfig):
 def speed_made_good(
     distance_before: float, distance: float, max_speed: float, period: float
 ) -> float:
-    """Compute the speed towards the goal over max_speed."""
+    """Speed towards the goal divided by max_speed."""
     return (distance_before - distance) / (max_speed * period)
 
 
 @reward
 def arrival(distance: float, goal_radius: float, collision: bool) -> float:
-    """Give 1 on reaching the goal without a crash."""
+    """1 on reaching the goal without collision."""
     return 1.0 if distance <= goal_radius and not collision else 0.0
 
 
@@ -60,7 +60,7 @@ def time(
     duration: float,
     period: float,
 ) -> float:
-    """Give 1 a decision until the goal is reached; an end before that costs all that are left."""
+    """1 per decision until the goal is reached; an early end also costs all remaining decisions."""
     if collision or outside or depleted:
         return 1.0 + (duration - time) / period
     return 0.0 if distance <= goal_radius else 1.0
@@ -68,34 +68,35 @@ def time(
 
 @end
 def arrived(distance: float, goal_radius: float, collision: bool) -> bool:
-    """Tell whether the goal is reached without a crash."""
+    """Return True if the drone is at its goal without collision."""
     return distance <= goal_radius and not collision
 
 
 @register("task")
 class Default(Task[DefaultConfig]):
-    """Flight of each drone through a city to its own goal.
+    """Drones fly through a city, each to its own goal.
 
-    Drones start at rest at random places outdoors, 5 to 12 m high. Goals are such places, too.
-    The ceiling, at 15 m, is below most roofs: the way leads through the streets.
+    Drones start at rest at random positions outdoors, at heights of 5 to 12 m. Goals are drawn in
+    the same way. The ceiling of 15 m is below most roofs, so drones have to fly along the streets.
 
     Observation, Box(30) per drone with the defaults, in world axes (east, north, up): velocity,
-    direction and distance of the goal, charge of the battery, room to the city's edges, its ceiling
-    and the ground (see `room`), and 16 ranges of the lidar. Its beams are level, each at so many
-    degrees to the left of the drone's nose. A range of 60 m is also that of a beam that hits
-    nothing; room that is more is 60 m, too.
+    direction and distance of the goal, battery charge, distances to the city's edges, its ceiling
+    and the ground (see `room`), and 16 ranges of the lidar. Its beams are horizontal and labelled
+    by their angle to the left of the drone's nose, in degrees. Ranges and distances are at most 60
+    m, the value of a beam without a hit.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - progress 1: speed towards the goal over max_speed.
-    - goal 10: 1 on reaching the goal.
+    - progress 1: speed towards the goal divided by max_speed.
+    - goal 10: 1 in the decision in which the drone reaches the goal.
     - collision -10: 1 on contact of collision shapes.
-    - time -0.1: 1 a decision until the goal is reached; on another end also all that are left.
+    - time -0.1: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
 
-    End: terminated within 5 m of the goal, on contact, with an empty battery, and outside the
+    End: terminated within 5 m of the goal, on contact, when the battery is empty, or outside the
     city's square or above its ceiling. Truncated after 600 decisions.
 
     Success: the goal is reached.
@@ -120,19 +121,19 @@ class Default(Task[DefaultConfig]):
     success = arrived
 
     def __init__(self, config: DefaultConfig, context: TaskContext) -> None:
-        """Make obstacles and cities.
+        """Create obstacles and cities.
 
         Raises:
-            ValueError: A city leaves no room to fly.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If a city has no space to fly.
+            FileNotFoundError: If the city's file does not exist.
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
-        self.town = add_city(self)
+        self.city_layouts = add_city(self)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start at rest outdoors, with goals outdoors."""
-        layout = self.town.draw(rng)
-        goal = self.town.places(rng, layout, self.context.num_drones)
-        start = self.town.hovering(rng, layout, self.context.num_drones)
+        """Draw starts at rest and goals, all outdoors."""
+        layout = self.city_layouts.draw(rng)
+        goal = self.city_layouts.places(rng, layout, self.context.num_drones)
+        start = self.city_layouts.hovering(rng, layout, self.context.num_drones)
         return start._replace(goal=goal)

@@ -1,4 +1,4 @@
-"""Ends and successes that several tasks have in common."""
+"""Termination and success conditions shared by several tasks."""
 
 import numpy as np
 
@@ -8,37 +8,40 @@ from bulletuav.tasks.ingredients import end
 
 @end
 def collision(collision: bool) -> bool:
-    """Tell whether collision shapes touched."""
+    """Return True if the collision shape touched anything."""
     return collision
 
 
 @end
 def too_far(distance: float, max_distance: float) -> bool:
-    """Tell whether the drone is farther from its goal than `max_distance`, m."""
+    """Return True if the drone is farther than `max_distance`, m, from its goal."""
     return distance > max_distance
 
 
 @end
 def at_goal(distance: float, goal_radius: float) -> bool:
-    """Tell whether the drone is within `goal_radius` m of its goal."""
+    """Return True if the drone is within `goal_radius`, m, of its goal."""
     return distance <= goal_radius
 
 
 @end
 def leaves_arena(outside: bool) -> bool:
-    """Tell whether the drone is outside the arena."""
+    """Return True if the drone is outside the arena."""
     return outside
 
 
-def affected(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
-    """Tell whose episode is concerned, (W, N) bool.
+def affected_drones(happened: np.ndarray, frame: Frame, scope: str) -> np.ndarray:
+    """Return which drones an event ends: those where it happened, or all drones of their worlds.
 
     Args:
-        happened: (W, N) bool, drones to which it happened.
+        happened: (W, N) bool, drones to which the event happened.
         frame: The decision.
-        whom: "drone" for these, "world" for all drones of their worlds.
+        scope: "drone" for these drones, "world" for all drones of their worlds.
+
+    Returns:
+        (W, N) bool.
     """
-    if whom == "world":
+    if scope == "world":
         happened = np.logical_or.reduce(happened & frame.alive, axis=1, keepdims=True)
         return happened | np.zeros(frame.alive.shape, dtype=bool)
     return happened

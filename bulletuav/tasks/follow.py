@@ -1,4 +1,4 @@
-"""Task `follow`: drones keep their stations about a moving target."""
+"""Task `follow`: drones keep their stations around a moving target."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ from bulletuav.tasks.frame import Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.rewards.station import speed_to_goal
-from bulletuav.tasks.starts import refuse_early_end, refuse_overlap
+from bulletuav.tasks.starts import check_overlap, check_start_distance
 
 TURN_ACCELERATION = 3.0
-"""Greatest acceleration of targets across their way, m/s^2: that of a car in a curve"""
+"""Maximum lateral acceleration of targets, m/s^2: that of a car in a curve"""
 RED = (0.75, 0.2, 0.15, 1.0)
 """Colour of targets, RGBA"""
 
 
-class Target(NamedTuple):
-    """A body that can be followed.
+class FollowTarget(NamedTuple):
+    """A body that drones can follow.
 
     Attributes:
         body: Its shape.
-        height: Height of its middle above ground, m.
-        station_height: Height of the stations above its middle, m.
+        height: Height of its centre above ground, m.
+        station_height: Height of the stations above its centre, m.
     """
 
     body: Obstacle
@@ -40,34 +40,34 @@ class Target(NamedTuple):
 
 
 TARGETS = {
-    "vehicle": Target(
+    "vehicle": FollowTarget(
         body=Obstacle("box", (3.0, 3.0, 1.6), RED),
         height=0.8,
         station_height=8.0,
     ),
-    "drone": Target(
+    "drone": FollowTarget(
         body=Obstacle("sphere", (0.3,), RED),
         height=20.0,
         station_height=0.0,
     ),
 }
-"""What can be followed, by name"""
+"""Bodies that drones can follow, by name"""
 
 
 @dataclass(frozen=True)
 class FollowConfig(TaskConfig):
-    """Options of `follow`, beside those of every task.
+    """Options of `follow`, in addition to those of every task.
 
     Attributes:
-        target: What is followed: "vehicle" or "drone".
+        target: Kind of target: "vehicle" or "drone".
         target_speed: Speed of the target, m/s.
-        turn: Random change of the target's course, rad: its standard deviation after one second.
-            The heading follows as fast as TURN_ACCELERATION allows.
-        arena: Distance from the start at which the target turns home, m.
-        distance: Radius of the circle of stations about the target, m.
-        start_offset: Largest offset of a start from its station on each axis, m.
+        turn: Standard deviation of the random change of the target's course after one second, rad.
+            The heading follows the course as fast as TURN_ACCELERATION allows.
+        arena: Distance from the start at which the target turns back, m.
+        distance: Radius of the circle of stations around the target, m.
+        start_offset: Maximum offset of a start from its station on each axis, m.
         d_safe: Separation below which two drones are in conflict, m.
-        goal_radius: Distance from the station that is success, m.
+        goal_radius: Distance from the station within which a drone is successful, m.
         max_distance: Distance from the station at which an episode ends, m.
     """
 
@@ -91,40 +91,40 @@ def lost(
     duration: float,
     period: float,
 ) -> float:
-    """Decisions that are left when the drone's episode ends early."""
+    """Count the remaining decisions when the drone's episode terminates."""
     return (duration - time) / period if collision or distance > max_distance else 0.0
 
 
 def angle_between(first: float, second: float) -> float:
-    """Compute the turn from one heading to another, from -pi to pi, rad."""
+    """Return the signed angle from one heading to another, from -pi to pi, rad."""
     turn = second - first
     return turn - 2 * np.pi * round(turn / (2 * np.pi))
 
 
 @register("task")
 class Follow(Task[FollowConfig]):
-    """Flight about a moving target, in which each drone keeps its own station.
+    """Drones keep their stations around a moving target.
 
-    The target is a body that can be hit: a ground vehicle or another drone. It drives at a constant
-    speed, and its heading wanders; 80 m from the start it turns home. Stations are spread evenly on
-    a circle of 6 m about it, 8 m above a vehicle, level with a drone, and move with it. Drones
-    start at rest near them.
+    The target is a solid body: a ground vehicle or another drone. It moves at constant speed with a
+    randomly varying heading, and turns back 80 m from its start. The stations are evenly spaced on
+    a circle of radius 6 m around the target, 8 m above a vehicle or level with a drone, and move
+    with it. Drones start at rest near their stations.
 
     Observation, Box(16) per drone with the defaults: attitude as a quaternion, body to world;
     offset from the drone to its station, velocity and the station's velocity in world axes (east,
     north, up); rates in body axes (forward, left, up).
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - alive 1: 1 a decision.
+    - alive 1: 1 per decision.
     - distance -0.1: distance to the station, m.
     - speed -0.05: speed relative to the station, m/s.
-    - lost -1: decisions that are left when the drone's episode ends early.
+    - lost -1: number of remaining decisions when the drone's episode terminates.
 
-    End: terminated on any contact of collision shapes, or further than 40 m from the station.
+    End: terminated on any contact of collision shapes, or farther than 40 m from the station.
     Truncated after 300 decisions.
 
     Success: the drone is within 1 m of its station.
@@ -161,11 +161,11 @@ class Follow(Task[FollowConfig]):
     success = at_goal
 
     def __init__(self, config: FollowConfig, context: TaskContext) -> None:
-        """Place the stations about the target, and lay out the arena.
+        """Place the stations around the target, and set the arena.
 
         Raises:
-            ValueError: The target is unknown or faster than the drones, stations are too close
-                together, or drones could start in touch with the target or the ground.
+            ValueError: If the target is unknown or faster than the drones, stations are too close
+                together, or drones could start touching the target or the ground.
         """
         super().__init__(config, context)
         target = find_choice("target", config.target, TARGETS)
@@ -176,26 +176,26 @@ class Follow(Task[FollowConfig]):
                 f"target_speed {config.target_speed:g} m/s "
                 f"must be below max_speed {context.max_speed:g} m/s"
             )
-        # Stations relative to the target, the first one to its west.
+        # Stations relative to the target, the first to its west
         angle = 2 * np.pi * np.arange(context.num_drones) / context.num_drones
         directions = np.stack([-cos(angle), -sin(angle), np.zeros(len(angle))], axis=1)
         circle = config.distance * directions
         self._station = circle + np.array((0, 0, target.station_height))
         self._check_start(target)
-        refuse_early_end(config.max_distance, config.start_offset)
+        check_start_distance(config.max_distance, config.start_offset)
         half_circle = 2 * config.target_speed**2 / TURN_ACCELERATION
         reach = config.arena + half_circle + config.distance + config.max_distance
         top = self._height + target.station_height + config.max_distance
         self.arena_low = np.array([-reach, -reach, 0.0])
         self.arena_high = np.array([reach, reach, top])
 
-    def _check_start(self, target: Target) -> None:
-        """Refuse starts that could touch each other, the target or the ground."""
+    def _check_start(self, target: FollowTarget) -> None:
+        """Check that starts cannot touch each other, the target or the ground."""
         config = self.config
         radius = self.context.collision_radius
-        # Each drone may be shifted on all three axes at once
+        # Worst case: an offset on all three axes
         largest_offset = config.start_offset * np.sqrt(3)
-        refuse_overlap(self._station, radius + largest_offset)
+        check_overlap(self._station, radius + largest_offset)
         nearest = float(np.linalg.norm(self._station, axis=1).min()) - largest_offset
         if nearest <= target.body.radius + radius:
             raise ValueError(
@@ -210,22 +210,20 @@ class Follow(Task[FollowConfig]):
             )
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """List the target, which is the only obstacle."""
+        """Return the target, which is the only obstacle."""
         return (self._body,)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell that the "course" () is kept that the target's heading follows, rad."""
+        """Return the shape of "course" (), the course that the target's heading follows, rad."""
         return {"course": ()}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start of the target at the origin, and of drones at rest near their stations."""
+        """Draw the target's heading at the origin, and starts at rest near the stations."""
         config = self.config
-        # The target may set out in any direction
         heading = rng.uniform(-np.pi, np.pi)
         target = np.array([[0.0, 0.0, self._height]])
         velocity = config.target_speed * np.array([[cos(heading), sin(heading), 0.0]])
         shape = (self.context.num_drones, 3)
-        # Drones start near their stations, which are also their goals
         offset = rng.uniform(-config.start_offset, config.start_offset, shape)
         station = target + self._station
         return Spawn(
@@ -238,23 +236,23 @@ class Follow(Task[FollowConfig]):
         )
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Drive the target of every world that flies, and its stations with it.
+        """Move the target of every flying world, and its stations with it.
 
         Returns:
-            True: the target moves.
+            True, as the target moves.
         """
         config = self.config
         period, course = self.context.period, scene.memory["course"]
-        most = TURN_ACCELERATION * period / max(config.target_speed, period)
+        max_turn = TURN_ACCELERATION * period / max(config.target_speed, period)
         for w in np.flatnonzero(flying).tolist():
             x, y, _ = scene.obstacle[w, 0]
             vx, vy, _ = scene.obstacle_velocity[w, 0]
-            # The course wanders, but at the edge it is home. The heading follows as it can.
+            # A random walk, except at the edge; the heading follows at a limited rate
             course[w] += config.turn * np.sqrt(period) * rngs[w].standard_normal()
             if hypot(x, y) > config.arena and x * vx + y * vy > 0:
                 course[w] = atan2(-y, -x)
             heading = atan2(vy, vx)
-            heading += min(max(angle_between(heading, course[w]), -most), most)
+            heading += min(max(angle_between(heading, course[w]), -max_turn), max_turn)
             direction = np.array([cos(heading), sin(heading), 0.0])
             scene.obstacle_velocity[w, 0] = config.target_speed * direction
             scene.obstacle[w, 0] += period * scene.obstacle_velocity[w, 0]

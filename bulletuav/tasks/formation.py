@@ -1,4 +1,4 @@
-"""Task `formation`: drones hold a shape about a leader, who moves and turns."""
+"""Task `formation`: drones hold a shape around a moving and turning leader."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -10,25 +10,25 @@ from bulletuav.geometry.rotation import Vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
-from bulletuav.tasks.given import Given
+from bulletuav.tasks.given import GivenPositions
 from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, GoalFlight
 from bulletuav.tasks.ingredients import block, reward
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.parts.airspace import circle_arena, clearance, least_distance
+from bulletuav.tasks.parts.airspace import circle_arena, clearance, min_start_distance
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
-from bulletuav.tasks.parts.formation_plan import FormationConfig, Plan
+from bulletuav.tasks.parts.formation_plan import FormationConfig, FormationPlan
 from bulletuav.tasks.parts.formations import Course, Leader, in_world, off_places, off_shape
 
 
 @reward
 def approach(way: float, way_before: float) -> float:
-    """Metres nearer to the place than before the decision; how the place moved counts, too."""
+    """Decrease of the distance to the place, m, including the motion of the place."""
     return way_before - way
 
 
 def leader_labels(task: Any) -> tuple[Label, ...]:
-    """Label the leader's motion."""
+    """Return the labels of the leader's motion."""
     fastest = task.context.max_speed
     level = (Label(f"leader velocity {axis}", "m/s", -fastest, fastest) for axis in "xy")
     return (*level, Label("leader turn", "rad/s", -np.pi, np.pi))
@@ -36,49 +36,50 @@ def leader_labels(task: Any) -> tuple[Label, ...]:
 
 @block(leader_labels)
 def leader(all_leader_velocity: np.ndarray, turn: float) -> Vec3:
-    """Velocity of the leader over ground, world axes, and how fast it turns to the left."""
+    """Horizontal velocity of the leader, world axes, and its turn rate, positive to the left."""
     return all_leader_velocity[0], all_leader_velocity[1], turn
 
 
 @register("task")
 class Formation(GoalFlight[FormationConfig]):
-    """Flight in a shape about a leader, who moves, turns, and asks for another shape.
+    """Drones hold a formation around a virtual leader that moves, turns and changes the shape.
 
-    The leader is no drone: it is a point that flies level at 5 m/s, in a direction drawn at the
-    start, and turns by 2 degrees a second. Each drone's goal is its place in the leader's frame. It
-    moves and turns with the leader. Drones start in a square block about the leader, in random
-    order, in flight with it. The shape is a V with arms at right angles, neighbours 12 m apart.
-    Every 20 s it changes to a line side by side, and back.
+    The leader is not a drone but a point that moves horizontally at 5 m/s, in a direction drawn at
+    the start, and turns by 2 degrees per second. Each drone's goal is its place in the leader's
+    frame, which moves and turns with the leader. Drones start in a square block around the leader,
+    in random order and at the leader's velocity. The shape is a V with arms at right angles and 12
+    m between neighbours. Every 20 s it alternates with a line abreast.
 
     Observation, Box(61) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the place, the place's velocity, the leader's velocity and
-    turn, the nearest living drones, and the nearest obstacles. Both come nearest first, relative to
-    the drone, and are zeros where there are fewer.
+    turn rate, the nearest living drones, and the nearest obstacles. Drones and obstacles are
+    relative to the drone, sorted by distance, and padded with zeros.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms) but for:
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - progress 1: metres nearer to the place; how the place moved counts, too.
+    - progress 1: decrease of the distance to the place, m, including the motion of the place.
     - holding 1: 1 within 2 m of the place.
-    - conflict -200: other drones that come closer than d_safe = 5 m.
-    - warning -1: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - warning -1: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision away from the place; on another end also all that are left.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision away from the place; if the episode terminates, also 1 per remaining
+      decision.
 
-    End: terminated on contact, with an empty battery, or outside the arena. Truncated after 500
+    End: terminated on contact, when the battery is empty, or outside the arena. Truncated after 500
     decisions; extreme has 1,000.
 
     Success: the drone is at its place.
 
     Infos: `formation_error` is the root mean square of the living drones' distances from their
-    places. `shape_error` is what is left of it after the best shift and rotation of the shape.
-    `in_place` is the share of the time for which the drone was at its place. `time_to_form` is how
-    long it took until all living drones were first at their places at once, s, since the shape or
-    the places last changed. Until then it is the time since the change.
+    places. `shape_error` is the residual after the optimal translation and rotation of the shape.
+    `in_place` is the fraction of the time for which the drone was at its place. `time_to_form` is
+    the time from the last change of shape or places until all living drones were at their places
+    simultaneously, s; until then it is the time since the change.
     """
 
     name = "formation"
@@ -133,15 +134,15 @@ class Formation(GoalFlight[FormationConfig]):
     }
 
     def __init__(self, config: FormationConfig, context: TaskContext) -> None:
-        """Find the places, check that drones can fly in them, and lay out the arena.
+        """Find the places, check that drones can follow them, and set the arena.
 
         Raises:
-            ValueError: A shape is none, or has too few places or ones that are too close; places
-                move too fast or are too low; shapes or places change too often; or drones could
-                start in conflict.
+            ValueError: If a shape is invalid, has too few places or places that are too close; if
+                places move too fast or are too low; if shapes or places change too often; or if
+                drones could start in conflict.
         """
         super().__init__(config, context)
-        self.plan = Plan(config, context)
+        self.plan = FormationPlan(config, context)
         turn = float(np.radians(config.turn_rate))
         clock = (context.duration, context.period)
         self.course = Course(config.leader_speed, turn, config.altitude, *clock)
@@ -149,9 +150,13 @@ class Formation(GoalFlight[FormationConfig]):
         self._lay_out()
 
     def _starts(self, drones: int) -> np.ndarray:
-        """Lay out a square block about the leader, (N, 3) m, or refuse one that is too narrow."""
+        """Return starts in a square block around the leader, (N, 3) m.
+
+        Raises:
+            ValueError: If neighbours could start in conflict.
+        """
         config, apart = self.config, clearance(self.config, self.context)
-        nearest = least_distance(config, config.spacing)
+        nearest = min_start_distance(config, config.spacing)
         if drones > 1 and nearest <= apart:
             raise ValueError(
                 f"start positions may be in conflict: spacing {config.spacing:g} m with jitter "
@@ -165,7 +170,7 @@ class Formation(GoalFlight[FormationConfig]):
         return block
 
     def _lay_out(self) -> None:
-        """Lay out an arena in which all places stay, or refuse places in the ground."""
+        """Set an arena that contains all places, after checking that they are above the ground."""
         config = self.config
         every = np.concatenate([self._block, *self.plan.shapes])
         extent = float(np.linalg.norm(every[:, :2], axis=1).max())
@@ -180,13 +185,14 @@ class Formation(GoalFlight[FormationConfig]):
             )
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Return, beside the shapes of `GoalFlight`, those of leader and places.
+        """Return the shapes of the memory of `GoalFlight`, of the leader and of the places.
 
         Returns:
-            Of the leader "leader" (4,), its position, m, and yaw, rad; "leader_velocity" (3,), m/s;
-            "course" (), its yaw at the start, rad; "turn" (), rad/s. "place" (N,), index of each
-            drone's place. "asked" (), when places were last told, s; "formed" (), the time that
-            it then took until all were there, s, 0 before. "held" (N,), time in place, s.
+            Of the leader: "leader" (4,), position, m, and yaw, rad; "leader_velocity" (3,), m/s;
+                "course" (), yaw at the start, rad; "turn" (), rad/s. "place" (N,), index of each
+                drone's place. "asked" (), time of the last change of places, s; "formed" (),
+                duration from this change until all drones were in place, s, 0 before. "held" (N,),
+                time in place, s.
         """
         drones = self.context.num_drones
         of_leader = {"leader": (4,), "leader_velocity": (3,), "course": (), "turn": ()}
@@ -194,7 +200,7 @@ class Formation(GoalFlight[FormationConfig]):
         return {**super().memory(), **of_leader, **of_shape}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start of drones in a block about the leader, in random order, in flight."""
+        """Draw starts in a block around the leader, in random order, in flight."""
         course = rng.uniform(-np.pi, np.pi)
         turn = self.course.turn if rng.uniform() < 0.5 else -self.course.turn
         leader = self.course.at(np.zeros(1), np.array([course]), np.array([turn]))
@@ -208,29 +214,29 @@ class Formation(GoalFlight[FormationConfig]):
         }
         along = np.tile((cos(course), sin(course), 0.0), (len(start), 1))
         spawn = self.launch(start, start, rng, along, memory=memory)
-        return self._told(spawn, start, leader)
+        return self._assign_start_places(spawn, start, leader)
 
-    def _told(self, spawn: Spawn, start: np.ndarray, leader: Leader) -> Spawn:
-        """Tell drones that start at (N, 3), m, their places."""
+    def _assign_start_places(self, spawn: Spawn, start: np.ndarray, leader: Leader) -> Spawn:
+        """Assign places to drones that start at (N, 3), m, and set their goals."""
         place = self.plan.first(start, leader)
         goal, goal_velocity = in_world(self.plan.shapes[None, 0, place], leader)
         memory = {**spawn.memory, "place": place}
         return spawn._replace(goal=goal[0], goal_velocity=goal_velocity[0], memory=memory)
 
-    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
-        """Put given places into a start, and assign drones to places from there.
+    def finish(self, spawn: Spawn, given: GivenPositions, rng: np.random.Generator) -> Spawn:
+        """Apply given starts and assign drones to places from there.
 
         Raises:
-            ValueError: There is no room for obstacles.
+            ValueError: If there is no space for obstacles.
         """
         if given.start is not None:
             course, turn = (np.atleast_1d(spawn.memory[name]) for name in ("course", "turn"))
             leader = self.course.at(np.zeros(1), course, turn)
-            spawn = self._told(spawn, given.start, leader)
+            spawn = self._assign_start_places(spawn, given.start, leader)
         return super().finish(spawn, given, rng)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Move the leader, and drones' places with it."""
+        """Move the leader, and the drones' places with it."""
         memory = scene.memory
         turn, period = memory["turn"][flying], self.context.period
         leader = self.course.at(time[flying] + period, memory["course"][flying], turn)
@@ -243,20 +249,20 @@ class Formation(GoalFlight[FormationConfig]):
         return super().move_scene(scene, time, flying, rngs)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Note who is in place and when all are, and tell places where it is time to."""
+        """Update times in place, and reassign places when due."""
         memory, period = frame.scene.memory, self.context.period
         in_place = self.finished(frame) & frame.alive
         memory["held"][:] += np.where(in_place, period, 0.0)
         flies = frame.alive.any(axis=1)
         is_first = flies & (in_place | ~frame.alive).all(axis=1) & (memory["formed"] == 0)
         np.copyto(memory["formed"], frame.time - memory["asked"], where=is_first)
-        # Nobody is told anything at the end.
+        # Places do not change at the end of an episode
         for w in np.flatnonzero(flies & ~frame.last).tolist():
-            self._tell_places(frame, w, rngs[w])
+            self._reassign_places(frame, w, rngs[w])
         super().update_memory(frame, rngs)
 
-    def _tell_places(self, frame: Frame, w: int, rng: np.random.Generator) -> None:
-        """Tell the living drones of a world their places, where the shape or they change."""
+    def _reassign_places(self, frame: Frame, w: int, rng: np.random.Generator) -> None:
+        """Reassign places to a world's living drones if the shape or the assignment changes."""
         now, memory = frame.time[w], frame.scene.memory
         due = self.plan.due(now, self.context.period)
         if not any(due):
@@ -265,15 +271,15 @@ class Formation(GoalFlight[FormationConfig]):
         alive = np.flatnonzero(frame.alive[w])
         position = frame.after.position[w, alive]
         place = memory["place"][w]
-        place[alive] = self.plan.told(place[alive], position, leader, now, due, rng)
+        place[alive] = self.plan.reassign(place[alive], position, leader, now, due, rng)
         memory["asked"][w], memory["formed"][w] = now, 0.0
 
     def goals_end(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
-        """Tell that places end nothing: they are to be held."""
+        """Return zeros, as places are to be held and end no episode."""
         return np.zeros_like(finished)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell how far the swarm is off its places and its shape, and how long it took and held."""
+        """Return the errors of formation and shape, and the times to form and in place."""
         memory, shape = frame.scene.memory, frame.alive.shape
         swarm = (frame.after.position, frame.scene.goal, frame.alive)
         so_far = frame.time - memory["asked"]
@@ -283,12 +289,12 @@ class Formation(GoalFlight[FormationConfig]):
             "shape_error": off_shape(*swarm),
             "time_to_form": formed,
         }
-        told = {name: np.broadcast_to(one[:, None], shape) for name, one in of_world.items()}
+        by_name = {name: np.broadcast_to(one[:, None], shape) for name, one in of_world.items()}
         share = memory["held"] / np.maximum(frame.time, self.context.period)[:, None]
-        return {**super().info(frame), **told, "in_place": share}
+        return {**super().info(frame), **by_name, "in_place": share}
 
     def world_state(self) -> Mapping[str, Block]:
-        """Tell where the leader is, and how it moves and turns."""
+        """Return position, velocity and turn rate of the leader."""
         labels = (
             *vector_labels("leader", "m", self.arena_low, self.arena_high),
             *leader_labels(self),

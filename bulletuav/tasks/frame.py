@@ -1,4 +1,4 @@
-"""What a task works on: starts, scenes, decisions, and what it makes of them."""
+"""Data that tasks exchange with environments: starts, scenes, frames and step results."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,38 +18,39 @@ from bulletuav.vehicle.swarm import Contacts, Swarm
 
 NO_OBSTACLES = np.zeros((0, 3))
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-RESTING_SPEED = 0.01
-"""m/s, of a drone at rest at most: far above what contacts leave over, far below any flight"""
-RESTING_SPIN = 0.1
-"""rad/s, of a drone at rest at most; a rim at 0.1 m from the middle then moves at 0.01 m/s"""
+MAX_RESTING_SPEED = 0.01
+"""Maximum speed of a drone at rest, m/s: above the residual of contacts, below any flight"""
+MAX_RESTING_SPIN = 0.1
+"""Maximum body rate of a drone at rest, rad/s; a rim at 0.1 m then moves at 0.01 m/s"""
 
-TOUCHDOWN_SPEED = 2.0
-"""m/s against the ground, of a landing at most; a fall from 0.2 m ends with it"""
-TOUCHDOWN_UPRIGHT = np.sqrt(0.75)
-"""Cosine of the tilt of a landing at least, before and after the decision: 30 degrees"""
-STANDING_GAP = 0.001
-"""m, above the ground at most, of kinematic drones that stand there without a touch"""
+MAX_TOUCHDOWN_SPEED = 2.0
+"""Maximum impact speed of a landing, m/s; a fall from 0.2 m reaches it"""
+MIN_TOUCHDOWN_COSINE = np.sqrt(0.75)
+"""Minimum cosine of the tilt of a landing, before and after the decision: 30 degrees"""
+STANDING_TOLERANCE = 0.001
+"""Maximum height above the ground of kinematic drones that stand without contact, m"""
 
 
-NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
-"""Memory of a start that gives none"""
+NO_MEMORY: Mapping[str, np.ndarray] = MappingProxyType({})
+"""Memory of a start that sets none"""
 
 
 class Spawn(NamedTuple):
-    """Start of one world of N drones. Only position and goal are needed.
+    """Start of one world of N drones. Only position and goal are required.
 
     Attributes:
         position: (N, 3) m.
-        goal: (N, 3) m, or one (3,) for all.
-        velocity: (N, 3) m/s, or one number or (3,) for all.
-        quaternion: (N, 4) body to world (x, y, z, w), or one (4,) for all; level, nose to the east.
-        rates: (N, 3) rad/s, body axes, or one number or (3,) for all.
-        goal_velocity: (N, 3) m/s, or one number or (3,) for all.
-        obstacle: (K, 3) position of the task's obstacles, m.
+        goal: (N, 3) m, or (3,) for all drones.
+        velocity: (N, 3) m/s, or one number or (3,) for all drones.
+        quaternion: (N, 4) body to world (x, y, z, w), or (4,) for all drones; default level, facing
+            east.
+        rates: (N, 3) body rates, rad/s, or one number or (3,) for all drones.
+        goal_velocity: (N, 3) m/s, or one number or (3,) for all drones.
+        obstacle: (K, 3) positions of the task's obstacles, m.
         obstacle_velocity: (K, 3) m/s.
-        obstacle_quaternion: (K, 4) body to world, or one (4,) for all.
-        layout: Index of the city that stands in the world, among the task's `layouts`.
-        memory: What the task remembers from the start, by name.
+        obstacle_quaternion: (K, 4) body to world, or (4,) for all obstacles.
+        layout: Index of the world's city in the task's `layouts`.
+        memory: Initial values of the task's memory, by name.
     """
 
     position: np.ndarray
@@ -62,14 +63,14 @@ class Spawn(NamedTuple):
     obstacle_velocity: np.ndarray = NO_OBSTACLES
     obstacle_quaternion: np.ndarray | tuple[float, float, float, float] = UPRIGHT
     layout: int = NO_LAYOUT
-    memory: Mapping[str, np.ndarray] = NOTHING
+    memory: Mapping[str, np.ndarray] = NO_MEMORY
 
 
-class Memory(Mapping[str, np.ndarray]):
-    """Arrays that a task keeps over an episode, by name: written into, never replaced."""
+class TaskMemory(Mapping[str, np.ndarray]):
+    """Arrays that a task keeps over an episode, by name. Values are mutable, keys are fixed."""
 
     def __init__(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Keep the arrays of these names, and no others."""
+        """Store the arrays; names cannot be added later."""
         self._arrays = dict(arrays)
 
     def __iter__(self) -> Iterator[str]:
@@ -77,18 +78,19 @@ class Memory(Mapping[str, np.ndarray]):
         return iter(self._arrays)
 
     def __len__(self) -> int:
-        """Count the arrays."""
+        """Return the number of arrays."""
         return len(self._arrays)
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether there is an array of that name."""
+        """Return True if there is an array of this name."""
         return name in self._arrays
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Look up an array.
+        """Return an array.
 
         Raises:
-            KeyError: The task's `memory` does not tell the name; the nearest are told.
+            KeyError: If the task's `memory` does not declare the name; the message suggests similar
+                names.
         """
         try:
             return self._arrays[name]
@@ -96,10 +98,10 @@ class Memory(Mapping[str, np.ndarray]):
             raise KeyError(str(unknown("memory", name, self))) from None
 
     def __setitem__(self, name: str, value: object) -> None:
-        """Refuse: the environment keeps the arrays.
+        """Raise an error, as the environment owns the arrays.
 
         Raises:
-            ValueError: Always; the remedy is told.
+            ValueError: Always; the message explains how to write into the array.
         """
         if name not in self:
             raise unknown("memory", name, self)
@@ -109,18 +111,18 @@ class Memory(Mapping[str, np.ndarray]):
 
 
 class Scene(NamedTuple):
-    """What is there beside the drones, in W worlds of N drones and K obstacles.
+    """Everything except the drones, in W worlds of N drones and K obstacles.
 
     Attributes:
         goal: (W, N, 3) m.
         goal_velocity: (W, N, 3) m/s.
-        start: (W, N, 3) where the drones started, m.
+        start: (W, N, 3) start positions of the drones, m.
         obstacle: (W, K, 3) m.
         obstacle_velocity: (W, K, 3) m/s.
         obstacle_quaternion: (W, K, 4) body to world.
-        layout: (W,) index of the city that stands in each world, or NO_LAYOUT.
-        memory: The task's own arrays (W, ...) by name, zero when a world starts unless its spawn
-            or the task's `start_memory` says otherwise.
+        layout: (W,) index of the city in each world, or NO_LAYOUT.
+        memory: The task's arrays (W, ...) by name, zero when a world starts unless its spawn or
+            `Task.start_memory` sets them.
     """
 
     goal: np.ndarray
@@ -140,7 +142,7 @@ class Scene(NamedTuple):
         num_obstacles: int,
         memory: Mapping[str, tuple[int, ...]],
     ) -> "Scene":
-        """Make a scene with everything at the origin.
+        """Return a scene with all positions at the origin.
 
         Args:
             num_worlds: W.
@@ -158,24 +160,26 @@ class Scene(NamedTuple):
             obstacle_velocity=np.zeros(of_obstacles),
             obstacle_quaternion=np.tile(UPRIGHT, (num_worlds, num_obstacles, 1)),
             layout=np.full(num_worlds, NO_LAYOUT),
-            memory=Memory({name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}),
+            memory=TaskMemory(
+                {name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}
+            ),
         )
 
 
 @dataclass(frozen=True)
 class TaskContext:
-    """The swarm and the sensors that a task is made for.
+    """Swarm and sensors for which a task is made.
 
     Attributes:
-        num_drones: Drones in a world.
-        collision_radius: Of the largest drone, m.
+        num_drones: Drones per world.
+        collision_radius: Collision radius of the largest drone, m.
         max_speed: Speed limit, m/s.
         period: Time between decisions, s.
-        num_neighbours: How many of the nearest drones, obstacles and buildings a drone observes.
-        duration: Of an episode, s.
-        beams: Of the range finder.
-        max_range: How far the range finder reaches, m.
-        standing_height: How high each drone's centre of mass is when it stands on the ground, m.
+        num_neighbours: Number of nearest drones, obstacles and buildings in observations.
+        duration: Length of an episode, s.
+        beams: Beams of the range finder.
+        max_range: Maximum range of the range finder, m.
+        standing_height: Height of each drone's centre of mass when it stands on the ground, m.
     """
 
     num_drones: int
@@ -193,32 +197,34 @@ class TaskContext:
 class Frame:
     """One decision of W worlds of N drones, or a reset.
 
-    An environment has one frame, whose arrays it writes anew in each decision: copy what you keep.
+    An environment reuses one frame and overwrites its arrays in each decision: copy data to keep
+    it.
 
     Attributes:
         before: Swarm before the decision.
-        after: Swarm after it.
-        action: (W, N, A) what the drones were told.
+        after: Swarm after the decision.
+        action: (W, N, A) actions.
         scene: Goals, obstacles and memory, after the decision.
-        tell: Tells what touched what; see `contacts`.
+        read_contacts: Returns the contacts of the decision; see `contacts`.
         alive: (W, N) bool, drones that flew the decision.
-        time: (W,) since each world's reset, s.
-        last: (W,) bool, where the horizon is reached.
+        time: (W,) time since each world's reset, s.
+        last: (W,) bool, whether the horizon is reached.
         d_safe: Separation below which two drones are in conflict, m.
-        zone: Separation at which the warning zone about a drone ends, m.
-        goal_before: (W, N, 3) where goals were before the decision, m; they move before drones do.
-        readings: What sensors measured, by name; see `bulletuav.sensors`. Always there: "charge"
-            (W, N), share left in batteries, "power" (W, N) W, and "sight" (W, N, U) bool, which of
-            the task's targets are seen. With GPS noise "position" and "velocity" (W, N, 3), with
-            communication "heard_position", "heard_velocity" (W, N, N, 3) and "heard" (W, N, N).
-        derived: What the task works out of the decision for its terms, by name; see `Task.events`.
+        zone: Separation at which the warning zone around a drone ends, m.
+        goal_before: (W, N, 3) goals before the decision, m; goals move before drones do.
+        readings: Readings of sensors, by name; see `bulletuav.sensors`. Always present: "charge"
+            (W, N), remaining fraction of the battery, "power" (W, N) W, and "sight" (W, N, U) bool,
+            which of the task's targets are in sight. With GPS noise "position" and "velocity" (W,
+            N, 3); with communication "heard_position", "heard_velocity" (W, N, N, 3) and "heard"
+            (W, N, N).
+        derived: Arrays that the task derives for its reward terms, by name; see `Task.events`.
     """
 
     before: Swarm
     after: Swarm
     action: np.ndarray
     scene: Scene
-    tell: Callable[[], Contacts]
+    read_contacts: Callable[[], Contacts]
     alive: np.ndarray
     time: np.ndarray
     last: np.ndarray
@@ -230,74 +236,74 @@ class Frame:
 
     @property
     def contacts(self) -> Contacts:
-        """What touched what."""
-        return self.tell()
+        """Contacts of the decision."""
+        return self.read_contacts()
 
     @cached_property
     def conflict(self) -> Conflict:
-        """Separations within the decision."""
+        """Separations and conflicts within the decision."""
         before, after = self.before.position, self.after.position
         return conflict(before, after, self.alive, self.d_safe, self.zone)
 
     @property
     def known_position(self) -> np.ndarray:
-        """(W, N, 3) where the drones think that they are, m."""
+        """(W, N, 3) positions as the drones measure them, m."""
         return self.readings.get("position", self.after.position)
 
     @property
     def known_velocity(self) -> np.ndarray:
-        """(W, N, 3) how they think that they move, m/s."""
+        """(W, N, 3) velocities as the drones measure them, m/s."""
         return self.readings.get("velocity", self.after.velocity)
 
     @cached_property
     def known_distance(self) -> np.ndarray:
-        """(W, N) from there to the goal, m."""
+        """(W, N) distance from the measured position to the goal, m."""
         return distances(self.scene.goal, self.known_position)
 
     @property
     def depleted(self) -> np.ndarray:
-        """(W, N) bool: the battery is empty."""
+        """(W, N) bool, whether the battery is empty."""
         empty: np.ndarray = self.readings["charge"] <= 0
         return empty
 
     @property
     def seen(self) -> np.ndarray:
-        """(W, N, U) bool: which of the task's targets the drones saw that flew the decision."""
+        """(W, N, U) bool, which of the task's targets are seen by drones that flew the decision."""
         seen: np.ndarray = self.readings["sight"] & self.alive[..., None]
         return seen
 
     @cached_property
     def collision(self) -> np.ndarray:
-        """(W, N) bool: contact of collision shapes."""
+        """(W, N) bool, whether the collision shape touched anything."""
         return self.contacts.mask(self.alive.shape)
 
     @cached_property
     def resting(self) -> np.ndarray:
-        """(W, N) bool: touched something, and hardly moves at the end of the decision.
+        """(W, N) bool, whether the drone touched something and is at rest after the decision.
 
-        Speed is at most RESTING_SPEED, spin at most RESTING_SPIN. With contacts="stop" a drone that
-        was stopped counts as well: it moves no more, whatever it touched.
+        At rest means a speed of at most MAX_RESTING_SPEED and body rates of at most
+        MAX_RESTING_SPIN. With contacts="stop" this includes every drone that a contact stopped.
         """
         resting = np.zeros(self.alive.shape, dtype=bool)
         if len(self.contacts.world):
             rows = self.contacts.world, self.contacts.drone
             speed = np.linalg.norm(self.after.velocity[rows], axis=-1)
             spin = np.linalg.norm(self.after.rates[rows], axis=-1)
-            resting[rows] = (speed <= RESTING_SPEED) & (spin <= RESTING_SPIN)
+            resting[rows] = (speed <= MAX_RESTING_SPEED) & (spin <= MAX_RESTING_SPIN)
         return resting
 
     @cached_property
     def landed(self) -> np.ndarray:
-        """(W, N) bool: stands or lands on the ground, told where `Task.lands` allows it.
+        """(W, N) bool, whether the drone stands or lands on the ground; only if `Task.lands`.
 
-        It touches nothing else, met the ground at TOUCHDOWN_SPEED or less, and is tilted by
-        30 degrees at most. Such a touch is no collision.
+        A landing touches nothing but the ground, at MAX_TOUCHDOWN_SPEED or less, and with a tilt of
+        at most 30 degrees. It is not a collision.
         """
         return np.zeros(self.alive.shape, dtype=bool)
 
     @cached_property
     def impulse(self) -> np.ndarray:
-        """(W, N) greatest impulse of a contact, each summed over the decision, N s; 0 of none."""
+        """(W, N) maximum impulse of a contact, summed over the decision, N s; 0 without contact."""
         impulse = np.zeros(self.alive.shape)
         np.maximum.at(impulse, (self.contacts.world, self.contacts.drone), self.contacts.impulse)
         return impulse
@@ -314,13 +320,12 @@ class Frame:
 
 
 class StepResult(NamedTuple):
-    """What a task makes of a frame.
+    """Evaluation of a frame by a task.
 
     Attributes:
-        terms: Unweighted reward terms by name, (W, N) each. The reward is their sum, each times
-            its weight.
-        terminated: (W, N) bool, drones whose episode ends here, in success or failure.
-        success: (W, N) bool, drones that are where the task wants them.
+        terms: Unweighted reward terms by name, (W, N) each. The reward is their weighted sum.
+        terminated: (W, N) bool, drones whose episodes terminate, in success or failure.
+        success: (W, N) bool, drones that are successful.
     """
 
     terms: dict[str, np.ndarray]
@@ -340,32 +345,32 @@ FIELDS: Mapping[str, tuple[str, Reader]] = MappingProxyType(
         "velocity_before": ("m/s, before the decision", attrgetter("before.velocity")),
         "quaternion_before": ("before the decision", attrgetter("before.quaternion")),
         "rates_before": ("rad/s, before the decision", attrgetter("before.rates")),
-        "known_position": ("m, as the drone knows it", attrgetter("known_position")),
-        "known_velocity": ("m/s, as the drone knows it", attrgetter("known_velocity")),
-        "known_distance": ("m, to the goal, as known", attrgetter("known_distance")),
+        "known_position": ("m, as the drone measures it", attrgetter("known_position")),
+        "known_velocity": ("m/s, as the drone measures it", attrgetter("known_velocity")),
+        "known_distance": ("m, to the goal, as measured", attrgetter("known_distance")),
         "goal": ("m", attrgetter("scene.goal")),
         "goal_before": ("m, before the decision", attrgetter("goal_before")),
         "goal_velocity": ("m/s", attrgetter("scene.goal_velocity")),
-        "start": ("m, where it started", attrgetter("scene.start")),
+        "start": ("m, start position", attrgetter("scene.start")),
         "obstacle": ("m, of all obstacles", attrgetter("scene.obstacle")),
         "obstacle_velocity": ("m/s, of all obstacles", attrgetter("scene.obstacle_velocity")),
         "distance": ("m, to the goal", attrgetter("distance")),
         "distance_before": ("m, to the goal, before", attrgetter("distance_before")),
-        "action": ("what it was told", attrgetter("action")),
+        "action": ("the drone's action", attrgetter("action")),
         "alive": ("whether it flew the decision", attrgetter("alive")),
-        "collision": ("whether its shape touched anything", attrgetter("collision")),
-        "resting": ("whether it touches and hardly moves", attrgetter("resting")),
+        "collision": ("whether the drone touched anything", attrgetter("collision")),
+        "resting": ("whether it is at rest in contact", attrgetter("resting")),
         "landed": ("whether it stands on the ground", attrgetter("landed")),
-        "impulse": ("N s, the greatest of a contact", attrgetter("impulse")),
+        "impulse": ("N s, maximum over contacts", attrgetter("impulse")),
         "depleted": ("whether its battery is empty", attrgetter("depleted")),
-        "conflicts": ("conflicts that began", attrgetter("conflict.onsets")),
+        "conflicts": ("conflicts that began in the decision", attrgetter("conflict.onsets")),
         "separation": ("m, from the nearest drone", attrgetter("conflict.separation")),
         "nearness": ("depth in warning zones", attrgetter("conflict.nearness")),
         "time": ("s since the reset", attrgetter("time")),
         "last": ("whether the horizon is reached", attrgetter("last")),
     }
 )
-"""What ingredients can ask for by argument name: unit or meaning, and how it is read from a frame.
+"""Fields of a frame that ingredients can request by name: unit or meaning, and how to read them.
 
-`all_` before a name asks for the array of all drones (or obstacles) of the world.
+The prefix `all_` requests the array of all drones (or obstacles) of the world.
 """

@@ -1,4 +1,4 @@
-"""Task `free_flight`: from random places, in random directions, to random goals."""
+"""Task `free_flight`: drones fly from random starts, in random directions, to random goals."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -13,13 +13,13 @@ from bulletuav.tasks.parts.presets import UAVCONFLICT
 
 @dataclass(frozen=True)
 class FreeFlightConfig(FreeSpaceOptions, FlightConfig):
-    """Options of `free_flight`, beside those of flights among random places (`FreeSpaceOptions`).
+    """Options of `free_flight`, in addition to those of free space (`FreeSpaceOptions`).
 
     Attributes:
-        altitude: Height above ground of the middle of the box, m.
-        altitude_spread: Range of heights of starts and goals about it, m.
-        leg: Least distance from a start to its goal, m.
-        heading: Where drones fly to at the start, by default in a random direction.
+        altitude: Height of the centre of the box above ground, m.
+        altitude_spread: Range of altitudes of starts and goals, centred at `altitude`, m.
+        leg: Minimum distance from a start to its goal, m.
+        heading: Direction of flight at the start, by default random.
     """
 
     altitude: float = 70.0
@@ -30,34 +30,35 @@ class FreeFlightConfig(FreeSpaceOptions, FlightConfig):
 
 @register("task")
 class FreeFlight(GoalFlight[FreeFlightConfig]):
-    """Flight between random places of one airspace, in which nothing is arranged.
+    """Drones fly between random positions of one unstructured airspace.
 
-    Drones start at random places in a square of 80 m, between 65 and 75 m high. They fly in
-    random directions at 5 to 15 m/s. Goals are such places, too. The difficulty sets the square:
-    so small that about every second drone meets another on its way.
+    Drones start at random positions in a square of 80 m, at heights of 65 to 75 m, and fly in
+    random directions at 5 to 15 m/s. Goals are drawn in the same way. The difficulty sets the size
+    of the square, small enough that about half of the drones encounter another drone.
 
     Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, the nearest living drones, and the nearest
-    obstacles. Both come nearest first, relative to the drone, and are zeros where there are fewer.
-    Obstacles are sorted by the distance to their bounding spheres.
+    obstacles. Drones and obstacles are relative to the drone, sorted by distance, and padded with
+    zeros. Obstacles are sorted by the distance to their bounding spheres.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - progress 5: metres nearer to the goal.
-    - goal 50: 1 on reaching the goal.
-    - conflict -200: other drones that come closer than d_safe = 5 m.
-    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - progress 5: decrease of the distance to the goal, m.
+    - goal 50: 1 in the decision in which the drone reaches the goal.
+    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - warning -5: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
-    - obstacle_warning -5: for each obstacle, linear from 0 at d_safe from its bounding sphere to
-      1 at contact with it.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
+    - obstacle_warning -5: sum over obstacles of their proximity, linear from 0 at d_safe from the
+      bounding sphere to 1 at contact.
 
-    End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
+    End: terminated within 2 m of the goal, on contact, when the battery is empty, or outside the
     arena. Truncated after 500 decisions.
 
     Success: the goal is reached.
@@ -87,10 +88,10 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
     }
 
     def __init__(self, config: FreeFlightConfig, context: TaskContext) -> None:
-        """Lay out the space.
+        """Set up the free space.
 
         Raises:
-            ValueError: There is no room for all, or starts could touch the ground.
+            ValueError: If drones and obstacles do not fit, or starts could touch the ground.
         """
         super().__init__(config, context)
         self.starts = FreeSpace(self, self.field)

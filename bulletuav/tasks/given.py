@@ -1,4 +1,4 @@
-"""Starts and goals that users give instead of having them drawn."""
+"""Start and goal positions that users set instead of having them drawn."""
 
 from typing import NamedTuple
 
@@ -7,11 +7,11 @@ import numpy as np
 from bulletuav.tasks.frame import Spawn
 
 PLACES = ("start", "goal")
-"""Options that give places"""
+"""Options that set positions"""
 
 
-class Given(NamedTuple):
-    """Places of one world's drones that are given; None where they are drawn.
+class GivenPositions(NamedTuple):
+    """Positions of one world's drones set by the user; None if they are drawn.
 
     Attributes:
         start: (N, 3) m.
@@ -23,11 +23,11 @@ class Given(NamedTuple):
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is given."""
+        """Whether neither starts nor goals are set."""
         return self.start is None and self.goal is None
 
-    def put_into(self, spawn: Spawn) -> Spawn:
-        """Replace what was drawn by what is given."""
+    def apply_to(self, spawn: Spawn) -> Spawn:
+        """Return a spawn with its drawn positions replaced by the given ones."""
         if self.start is not None:
             spawn = spawn._replace(position=self.start)
         return spawn if self.goal is None else spawn._replace(goal=self.goal)

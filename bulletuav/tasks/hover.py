@@ -17,28 +17,28 @@ from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.base import Rngs
-from bulletuav.tasks.parts.draws import between
-from bulletuav.tasks.starts import refuse_early_end
+from bulletuav.tasks.parts.draws import scale_to_range
+from bulletuav.tasks.starts import check_start_distance
 
 SQRT_3 = math.sqrt(3.0)
 
 
 @dataclass(frozen=True)
 class HoverConfig(TaskConfig):
-    """Options of `hover`, beside those of every task.
+    """Options of `hover`, in addition to those of every task.
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
         height: Height of the targets above ground, m.
-        spacing: Distance between neighbouring targets, which stand on a square grid, m.
-        start_offset: Largest offset of a start from its target on each axis, m.
-        start_speed: Greatest speed at the start, m/s.
-        start_tilt: Greatest tilt at the start, about a random axis, degrees.
-        start_rates: Greatest body rate at the start, rad/s.
-        goal_radius: Distance from the target that is success, m.
+        spacing: Distance between neighbouring targets of the square grid, m.
+        start_offset: Maximum offset of a start from its target on each axis, m.
+        start_speed: Maximum speed at the start, m/s.
+        start_tilt: Maximum tilt at the start, about a random axis, degrees.
+        start_rates: Maximum body rate at the start, rad/s.
+        goal_radius: Distance from the target within which a drone is successful, m.
         max_distance: Distance from the target at which an episode ends, m.
-        land: Whether targets are on the ground below. Drones hold them only by standing there, see
-            `Frame.landed`.
+        land: Whether targets are on the ground below. A drone then holds its target only by
+            standing there, see `Frame.landed`.
     """
 
     d_safe: float = 1.0
@@ -55,13 +55,13 @@ class HoverConfig(TaskConfig):
 
 @end
 def holds(distance: float, goal_radius: float, landed: bool, land: bool) -> bool:
-    """Tell whether the drone is at its target, and stands there where it is to land."""
+    """Return True if the drone is at its target, and on the ground if it has to land."""
     return distance <= goal_radius and (landed or not land)
 
 
 @reward
 def holding(distance: float, goal_radius: float, landed: bool, land: bool) -> float:
-    """1 at the target, where it is to land only on the ground."""
+    """1 at the target; if the drone has to land, only on the ground."""
     return 1.0 if distance <= goal_radius and (landed or not land) else 0.0
 
 
@@ -71,70 +71,70 @@ def _disturb(
     axis: np.ndarray,
     disturbed: np.ndarray,
     middle: np.ndarray,
-    most: tuple[float, float, float, float],
+    limits: tuple[float, float, float, float],
     position: np.ndarray,
     quaternion: np.ndarray,
     velocity: np.ndarray,
     rates: np.ndarray,
 ) -> None:
-    """Write the starts of N drones in W worlds.
+    """Write the disturbed starts of N drones in W worlds.
 
     Args:
-        offset: (W, N, 3) where they are about their middles, from 0 to 1.
-        axis: (W, N, 3) about what they are tilted, of any length.
-        disturbed: (W, 7 N) tilts, velocities and body rates, from 0 to 1.
-        middle: (N, 3) m.
-        most: Greatest offset on each axis (m), tilt (rad), speed (m/s) and body rate (rad/s).
-        position: (W, N, 3) written, m.
-        quaternion: (W, N, 4) written.
-        velocity: (W, N, 3) written, m/s.
-        rates: (W, N, 3) written, rad/s.
+        offset: (W, N, 3) random offsets from the nominal positions, from 0 to 1.
+        axis: (W, N, 3) axes of the tilts, of any length.
+        disturbed: (W, 7 N) random tilts, velocities and body rates, from 0 to 1.
+        middle: (N, 3) nominal positions, m.
+        limits: Maximum offset on each axis (m), tilt (rad), speed (m/s) and body rate (rad/s).
+        position: (W, N, 3) output, m.
+        quaternion: (W, N, 4) output.
+        velocity: (W, N, 3) output, m/s.
+        rates: (W, N, 3) output, rad/s.
     """
-    far, tilt, speed, rate = most
+    far, tilt, speed, rate = limits
     drones = middle.shape[0]
     for w in range(offset.shape[0]):
         for i in range(drones):
             x, y, z = point(axis[w], i)
-            # A tilt about an axis of any direction
             length = math.sqrt(x * x + y * y + z * z)
             angle = tilt * disturbed[w, i]
             turned = exponential((angle * (x / length), angle * (y / length), angle * (z / length)))
             for k in range(4):
                 quaternion[w, i, k] = turned[k]
-            # Components up to the limit over sqrt(3), so that norms stay below it
+            # Components are limited to the maximum over sqrt(3), so that norms stay below it
             for k in range(3):
-                position[w, i, k] = middle[i, k] + between(offset[w, i, k], -far, far)
+                position[w, i, k] = middle[i, k] + scale_to_range(offset[w, i, k], -far, far)
                 moving = disturbed[w, drones + 3 * i + k]
                 spinning = disturbed[w, 4 * drones + 3 * i + k]
-                velocity[w, i, k] = between(moving, -1.0, 1.0) / SQRT_3 * speed
-                rates[w, i, k] = between(spinning, -1.0, 1.0) / SQRT_3 * rate
+                velocity[w, i, k] = scale_to_range(moving, -1.0, 1.0) / SQRT_3 * speed
+                rates[w, i, k] = scale_to_range(spinning, -1.0, 1.0) / SQRT_3 * rate
 
 
 @register("task")
 class Hover(Task[HoverConfig]):
-    """Flight of each drone to its own target, which it is to hold.
+    """Each drone flies to its own target and holds it.
 
-    By default targets stand on a square grid, 2 m apart and 2 m high. Drones start near them.
+    By default targets are on a square grid with a spacing of 2 m, at a height of 2 m. Drones start
+    near their targets.
 
     Observation, Box(13) per drone with the defaults: attitude as a quaternion, body to world;
     offset from the drone to its target and velocity in world axes (east, north, up); rates in body
     axes (forward, left, up).
 
     Action, by default `rotor`, Box(4) per drone in [-1, 1]: thrust of each rotor, from -1 for none
-    to 1 for the most. In dynamics without rotors it is the highest level that they take, such as
-    `velocity` in `point_mass`. There are 30 decisions a second.
+    to 1 for the maximum. Dynamics without rotors use the highest level of action that they accept,
+    such as `velocity` in `point_mass`. There are 30 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - alive 1: 1 a decision.
-    - holding 1: 1 within 0.1 m of the target; with `land` only on the ground.
+    - alive 1: 1 per decision.
+    - holding 1: 1 within 0.1 m of the target; with `land` only if the drone stands on the ground.
     - distance -0.1: distance to the target, m.
     - speed -0.05: speed, m/s.
 
-    End: terminated on any contact of collision shapes, or further than 20 m from the target.
+    End: terminated on any contact of collision shapes, or farther than 20 m from the target.
     Truncated after 240 decisions.
 
-    Success: the drone is within 0.1 m of its target; with `land` it stands there.
+    Success: the drone is within 0.1 m of its target; with `land` it also stands on the ground.
 
     Preset hover_aviary: cf2x, 240 Hz physics, 30 Hz decisions, 240 decisions and action
     `hover_rpm`, as in gym-pybullet-drones.
@@ -176,8 +176,8 @@ class Hover(Task[HoverConfig]):
         },
     }
     presets: ClassVar = {
-        # Frequencies, horizon and action of gym-pybullet-drones' HoverAviary, to compare speed and
-        # learning with it.
+        # Frequencies, horizon and action of HoverAviary in gym-pybullet-drones, to compare
+        # speed and learning
         "hover_aviary": {
             "airframe": "cf2x",
             "physics_hz": 240,
@@ -198,17 +198,19 @@ class Hover(Task[HoverConfig]):
     success = holds
 
     def __init__(self, config: HoverConfig, context: TaskContext) -> None:
-        """Place the targets, lay out the arena, and check the starts.
+        """Place the targets, set the arena, and check the starts.
 
         Raises:
-            ValueError: Start positions could overlap each other or the ground.
+            ValueError: If starts could overlap each other or the ground.
         """
         super().__init__(config, context)
         if config.land and config.take_off:
-            raise ValueError("land and take_off are both on: drones that stand are to fly first")
+            raise ValueError(
+                "land and take_off are both on: choose one, as drones would start at their targets"
+            )
         rise = config.height if config.land or config.take_off else 0.0
-        refuse_early_end(config.max_distance, config.start_offset, rise)
-        # Targets on a square grid about the origin.
+        check_start_distance(config.max_distance, config.start_offset, rise)
+        # Targets on a square grid around the origin
         columns = int(np.ceil(np.sqrt(context.num_drones)))
         index = np.arange(context.num_drones)
         grid = np.stack([index % columns, index // columns], axis=1) * config.spacing
@@ -223,7 +225,7 @@ class Hover(Task[HoverConfig]):
             self._check_start()
 
     def _check_start(self) -> None:
-        """Refuse drawn starts that could overlap or touch the ground."""
+        """Check that drawn starts cannot overlap or touch the ground."""
         config = self.config
         radius = self.context.collision_radius
         gap = config.spacing - 2 * config.start_offset
@@ -240,18 +242,18 @@ class Hover(Task[HoverConfig]):
             )
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start near the targets, disturbed as much as the difficulty says."""
+        """Draw starts near the targets, disturbed according to the difficulty."""
         return self._draw([rng])[0]
 
     def spawn_many(self, rngs: Rngs) -> Sequence[Spawn]:
-        """Draw the starts of several worlds; one by one where `spawn` is another's."""
+        """Draw the starts of several worlds; by `spawn` if a subclass overrides it."""
         is_own = getattr(self.spawn, "__func__", None) is not Hover.spawn
         return super().spawn_many(rngs) if is_own else self._draw(rngs)
 
     def _draw(self, rngs: Rngs) -> list[Spawn]:
-        """Draw starts, each from its own generator; what follows from numbers is worked out once.
+        """Draw starts, each from its own generator, and compute the poses of all of them together.
 
-        In turn: offsets, axes of tilts, tilts, velocities, rates.
+        Draws are in this order: offsets, axes of tilts, tilts, velocities, rates.
         """
         config = self.config
         drones, shape = len(self.target), (len(rngs), *self.target.shape)
@@ -261,7 +263,7 @@ class Hover(Task[HoverConfig]):
             rng.random(out=rows[0])
             rng.standard_normal(out=rows[1])
             rng.random(out=rows[2])
-        most = (
+        limits = (
             float(config.start_offset),
             math.radians(config.start_tilt),
             float(config.start_speed),
@@ -270,7 +272,7 @@ class Hover(Task[HoverConfig]):
         position, velocity, rates, goal = np.empty((4, *shape))
         quaternion = np.empty((*shape[:2], 4))
         starts = (position, quaternion, velocity, rates)
-        _disturb(offset, axis, disturbed, self._middle, most, *starts)
+        _disturb(offset, axis, disturbed, self._middle, limits, *starts)
         goal[:] = self.target
         parts = zip(position, goal, velocity, quaternion, rates, strict=True)
         return [

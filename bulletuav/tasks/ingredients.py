@@ -1,20 +1,21 @@
-"""Rewards, ends and observation blocks as functions whose argument names say what they read.
+"""Reward terms, end conditions and observation blocks as functions with named arguments.
 
-A function of one drone's numbers is compiled and called for every drone:
+The names of a function's arguments select its inputs. A function of one drone's numbers is compiled
+and called for every drone:
 
     @reward
     def progress(distance_before, distance):
         return distance_before - distance
 
-A function of the argument `frame` gets all drones of all worlds at once, as NumPy arrays (W, N,
-...):
+A function with the argument `frame` processes all drones of all worlds at once, as NumPy arrays (W,
+N, ...):
 
     def smoothness(frame):
         return -np.abs(frame.action).max(axis=-1)
 
-Argument names are fields of a frame (`tasks.frame.FIELDS`), with `all_` before them those of all
-drones of the world; readings of sensors; the task's memory and quantities; numbers of its config
-and context. `i` is the drone's index, and `out` room to write to.
+Argument names are fields of a frame (`tasks.frame.FIELDS`), readings of sensors, the task's memory
+and quantities, and numbers of its config and context. With the prefix `all_`, a name selects the
+array of all drones of the world. `i` is the drone's index, and `out` is an output array.
 """
 
 import inspect
@@ -34,37 +35,36 @@ from bulletuav.tasks.loops import TUPLES, Form, make_loop
 Ingredient = TypeVar("Ingredient", bound=Callable[..., Any])
 ALL = "all_"
 WHOLE = "frame"
-"""The argument by which a function asks for all drones at once"""
+"""Argument of functions that process all drones at once"""
 PRESENT = "present"
-"""The argument of blocks that tells which drones can still be met after the frame"""
+"""Argument of blocks: whether each drone is still present after the frame"""
 
 
 def reward(function: Ingredient) -> Ingredient:
-    """Mark a function as a reward term of one drone's numbers; it stays a plain function.
+    """Mark a function of one drone's numbers as a reward term; the function itself is unchanged.
 
-    The term is told, unweighted or weighted, by the function's name. An undecorated function of
+    The term is reported, weighted or unweighted, by the function's name. An undecorated function of
     `frame` that returns (W, N) is a reward term, too.
     """
-    return _marked(function, "reward")
+    return _mark(function, "reward")
 
 
 def end(function: Ingredient) -> Ingredient:
-    """Mark a function as an end or a success: it tells whether a drone has come to it."""
-    return _marked(function, "end")
+    """Mark a function as an end or success condition: it returns True where the condition holds."""
+    return _mark(function, "end")
 
 
 def block(
     labels: Callable[[Any], tuple[Label, ...]] | tuple[Label, ...] | list[Label],
 ) -> Callable[[Ingredient], Ingredient]:
-    """Make a decorator that marks a function as an observation block.
+    """Return a decorator that marks a function as an observation block.
 
     Args:
-        labels: One `Label` for each number that it gives, or a function that makes them for a task.
+        labels: One `Label` per number of the block, or a function of the task that returns them.
 
     Returns:
-        The decorator. The function returns a number for one label, a tuple of as many numbers as
-        there are labels, or writes them to its argument `out`. One of `frame` returns an array
-        (W, N, labels).
+        The decorator. The function returns a number for one label, a tuple of one number per label,
+        or writes them to its argument `out`. A function of `frame` returns an array (W, N, labels).
     """
 
     def decorated(function: Ingredient) -> Ingredient:
@@ -74,43 +74,43 @@ def block(
                 f"{shown(labels)}: write @block([Label(...)]) above the function"
             )
         function.labels = labels if callable(labels) else lambda task: tuple(labels)  # type: ignore[attr-defined]
-        return _marked(function, "block")
+        return _mark(function, "block")
 
     return decorated
 
 
-def _marked(function: Ingredient, kind: str) -> Ingredient:
+def _mark(function: Ingredient, kind: str) -> Ingredient:
     if not isinstance(function, FunctionType):
         raise TypeError(f"@{kind} is for functions, and {shown(function)} is none")
     function.ingredient = kind  # type: ignore[attr-defined]
     return function
 
 
-class Source(NamedTuple):
-    """Where an argument comes from.
+class ArgumentSource(NamedTuple):
+    """Source of an ingredient's argument.
 
     Attributes:
-        read: Gives an array, or a number, of a frame.
-        whole_world: Whether the function gets the array of the whole world.
-        stays: Whether it is the same array in every decision of an environment.
+        read: Function of a frame that returns an array or a number.
+        whole_world: Whether the function receives the array of the whole world.
+        is_persistent: Whether `read` returns the same array in every decision of an environment.
     """
 
     read: Callable[[Frame], Any]
     whole_world: bool = False
-    stays: bool = True
+    is_persistent: bool = True
 
 
 @dataclass(frozen=True)
 class Binding:
-    """What argument names of a task's ingredients stand for, beside fields of a frame.
+    """Sources of the argument names of a task's ingredients, in addition to fields of a frame.
 
     Attributes:
         task: Name of the task, for messages.
         readings: Names of sensors' readings.
         memory: Names of the task's arrays.
-        quantities: What the task works out of a frame, by name: functions of it, or numbers.
-        events: Names of what it puts into `Frame.derived`.
-        numbers: Numbers of its config and context, by name.
+        quantities: Functions of a frame, or numbers, by name; see `Task.quantities`.
+        events: Names of the arrays that the task writes to `Frame.derived`.
+        numbers: Numbers of the task's config and context, by name.
     """
 
     task: str
@@ -121,36 +121,45 @@ class Binding:
     numbers: Mapping[str, Any]
 
     def __post_init__(self) -> None:
-        """Refuse one name for two things. Raises ValueError."""
+        """Check that names are unique.
+
+        Raises:
+            ValueError: If a name is both a memory array and a quantity.
+        """
         for name in sorted(self.memory & set(self.quantities)):
             raise ValueError(
                 f"{name!r} is an array in memory and a quantity of task {self.task!r}: rename one"
             )
 
-    def source(self, name: str, who: str) -> Source:
-        """Find what an argument name stands for. Raises ValueError with the nearest names."""
+    def source(self, name: str, title: str) -> ArgumentSource:
+        """Return the source of an argument.
+
+        Args:
+            name: Name of the argument.
+            title: Name of the ingredient in messages.
+
+        Raises:
+            ValueError: If the name is unknown; the message suggests similar names.
+        """
         whole_world = name.startswith(ALL)
         key = name.removeprefix(ALL)
-        # Worked out from the state when first asked for
         if key in (PRESENT, *self.events):
-            return Source(lambda frame: frame.derived[key], whole_world, key == PRESENT)
-        # The task's own, before fields of the frame
+            return ArgumentSource(lambda frame: frame.derived[key], whole_world, key == PRESENT)
+        # The task's names take precedence over fields of the frame
         if key in self.quantities:
             quantity = self.quantities[key]
             if not callable(quantity):
-                return Source(lambda frame: quantity)
-            return Source(quantity, whole_world, stays=False)
+                return ArgumentSource(lambda frame: quantity)
+            return ArgumentSource(quantity, whole_world, is_persistent=False)
         if key in FIELDS:
-            return Source(FIELDS[key][1], whole_world)
+            return ArgumentSource(FIELDS[key][1], whole_world)
         if key in self.readings:
-            return Source(lambda frame: frame.readings[key], whole_world)
+            return ArgumentSource(lambda frame: frame.readings[key], whole_world)
         if key in self.memory:
-            return Source(lambda frame: frame.scene.memory[key], whole_world)
-        # Numbers of config and context are the same for all drones
+            return ArgumentSource(lambda frame: frame.scene.memory[key], whole_world)
         if name in self.numbers:
             number = self.numbers[name]
-            return Source(lambda frame: number)
-        # All that there is, for the message that names the nearest
+            return ArgumentSource(lambda frame: number)
         known = {*FIELDS, *self.readings, *self.memory, *self.quantities, *self.events}
         choices = {
             *known,
@@ -162,16 +171,16 @@ class Binding:
             WHOLE,
         }
         raise ValueError(
-            f"{who} of task {self.task!r} asks for {name!r}, which is no field, reading, memory or "
-            f"number of the task: {suggest_names(name, choices)}"
+            f"{title} of task {self.task!r} asks for {name!r}, which is no field, reading, memory "
+            f"or number of the task: {suggest_names(name, choices)}"
         )
 
 
 Run = Callable[[Frame, np.ndarray], None]
 
 
-def _joined(loop: Callable[..., None], readers: list[Callable[[Frame], Any]]) -> Run:
-    """Join a loop with what reads its arguments; few arguments are the usual case, and fast."""
+def _join_readers(loop: Callable[..., None], readers: list[Callable[[Frame], Any]]) -> Run:
+    """Join a loop with the readers of its arguments; one or two arguments avoid building a list."""
     if len(readers) == 1:
         (one,) = readers
         return lambda frame, out: loop(one(frame), out)
@@ -182,61 +191,61 @@ def _joined(loop: Callable[..., None], readers: list[Callable[[Frame], Any]]) ->
 
 
 class Bound:
-    """An ingredient of a task: give it a frame, and get the numbers of all drones.
+    """An ingredient bound to a task: evaluates a frame for all drones.
 
     Attributes:
-        whole: Whether the function takes all drones at once.
-        sources: Where its arguments come from, by name.
-        loop: Its compiled loop; None before the first frame, and where it takes all drones.
+        whole: Whether the function processes all drones at once.
+        sources: Sources of its arguments, by name.
+        loop: Its compiled loop; None before the first frame, and if `whole`.
     """
 
     def __init__(
-        self, function: Any, binding: Binding, who: str, dtype: Any, labels: int | None = None
+        self, function: Any, binding: Binding, title: str, dtype: Any, labels: int | None = None
     ) -> None:
-        """Find what the function's arguments stand for.
+        """Look up the sources of the function's arguments.
 
         Args:
             function: The ingredient.
-            binding: What names stand for.
-            who: What it is in messages, such as "reward term 'progress'".
-            dtype: NumPy type of what it gives.
-            labels: Numbers a drone, for a block; None for one number (W, N).
+            binding: Sources by argument name.
+            title: Name of the ingredient in messages, such as "reward term 'progress'".
+            dtype: NumPy dtype of the result.
+            labels: Numbers per drone, for a block; None for one number (W, N).
 
         Raises:
-            ValueError: It is no function, or asks for a name that there is not.
+            ValueError: If the ingredient is no function, or an argument name is unknown.
         """
         if not callable(function):
-            raise ValueError(f"{who} is {shown(function)}: a function is needed")
-        self._function, self._who = function, f"{who} of task {binding.task!r}"
+            raise ValueError(f"{title} is {shown(function)}: a function is needed")
+        self._function, self._title = function, f"{title} of task {binding.task!r}"
         self._dtype, self._labels = dtype, labels
         self._names = list(inspect.signature(function).parameters)
         self.whole = WHOLE in self._names
         self.loop: Callable[..., None] | None = None
         self.sources = {
-            name: binding.source(name, who)
+            name: binding.source(name, title)
             for name in self._names
             if name not in ("i", "out", WHOLE)
         }
         self._run: Run | None = None
         if self.whole and len(self._names) > 1:
             raise ValueError(
-                f"{self._who} has arguments beside frame: {self._names}; one of all drones takes "
-                f"the frame alone"
+                f"{self._title} has arguments beside frame: {self._names}; a function of all drones "
+                f"must take only frame"
             )
         if not self.whole and not isinstance(function, FunctionType):
-            raise ValueError(f"{self._who} is {shown(function)}: a plain function is needed")
+            raise ValueError(f"{self._title} is {shown(function)}: a plain function is needed")
 
     def __call__(self, frame: Frame) -> np.ndarray:
-        """Compute for all drones.
+        """Evaluate the ingredient for all drones.
 
         Args:
             frame: The decision.
 
         Returns:
-            (W, N), or for a block (W, N, labels).
+            (W, N), or (W, N, labels) for a block.
 
         Raises:
-            ValueError: The function failed, or gave something of another shape or type.
+            ValueError: If the function fails, or returns a wrong shape or type.
         """
         shape = frame.alive.shape
         out = np.zeros(shape if self._labels is None else (*shape, self._labels), self._dtype)
@@ -244,7 +253,7 @@ class Bound:
         return out
 
     def fill(self, frame: Frame, out: np.ndarray) -> None:
-        """Compute into an array that is there; see `__call__`."""
+        """Evaluate the ingredient into an existing array; see `__call__`."""
         if self._run is None:
             self._run = self._make_run(frame, out)
             self._run(frame, out)
@@ -253,24 +262,24 @@ class Bound:
         self._run(frame, out)
 
     def _check_first(self, frame: Frame, out: np.ndarray) -> None:
-        """Refuse numbers of a block that are none; rewards are looked at in every decision."""
+        """Check that a block's numbers are finite; rewards are checked in every decision."""
         if self._labels is not None and not np.isfinite(out[frame.alive]).all():
-            raise ValueError(f"{self._who} gave {shown(out)}: finite numbers are needed")
+            raise ValueError(f"{self._title} gave {shown(out)}: finite numbers are needed")
 
     def _make_run(self, frame: Frame, out: np.ndarray) -> Run:
-        """Make what is run for every frame, from the first one."""
+        """Return the function that evaluates frames, compiled for the arrays of the first frame."""
         if self.whole:
 
             def run(frame: Frame, out: np.ndarray) -> None:
-                out[...] = self._checked(self._function(frame), out.shape)
+                out[...] = self._check_result(self._function(frame), out.shape)
 
             return run
         readers = [source.read for source in self.sources.values()]
         given = {name: source.read(frame) for name, source in self.sources.items()}
         self.loop = self._make_loop(given, out)
-        return _joined(self.loop, readers)
+        return _join_readers(self.loop, readers)
 
-    def _checked(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
+    def _check_result(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
         kinds = "b" if self._dtype is bool else "fiub"
         if (
             not isinstance(given, np.ndarray)
@@ -283,26 +292,26 @@ class Bound:
                 else shown(given)
             )
             what = "bool" if self._dtype is bool else "numbers"
-            raise ValueError(f"{self._who} gave {form}: an array {shape} of {what} is needed")
+            raise ValueError(f"{self._title} gave {form}: an array {shape} of {what} is needed")
         return given
 
     def _make_loop(self, given: Mapping[str, Any], out: np.ndarray) -> Callable[..., None]:
-        """Try the function once in plain Python, then compile its loop."""
+        """Call the function once in plain Python, then compile its loop."""
         forms: list[tuple[str, Form]] = []
         for name in self._names:
             if name in ("i", "out"):
                 forms.append((name, "index" if name == "i" else "out"))
             else:
                 forms.append((name, self._form(name, given[name], out.shape)))
-        self._try(forms, given, out)
+        self._call_once(forms, given, out)
         results = None if "out" in self._names else self._labels or 0
         loop = make_loop(self._function, forms, results)
         try:
             loop(*given.values(), out)
-        except Exception as error:  # numba's own, and what it lets through
+        except Exception as error:  # numba's errors, and those that it passes on
             raise ValueError(
-                f"{self._who} cannot be compiled: {_reason(error)}; write it "
-                f"with plain numbers and `math`, or as a function of `frame` with NumPy"
+                f"{self._title} cannot be compiled: {_pick_reason(error)}; write it with "
+                f"plain numbers and `math`, or as a function of `frame` with NumPy"
             ) from None
         return loop
 
@@ -315,23 +324,22 @@ class Bound:
             return "world"
         if value.shape[:2] != shape[:2]:
             raise ValueError(
-                f"{self._who} asks for {name!r}, an array {value.shape} that has no entry for each "
-                f"of "
-                f"the {shape[1]} drones: ask for {ALL + name!r}"
+                f"{self._title} asks for {name!r}, an array {value.shape} without entries for "
+                f"of the {shape[1]} drones: ask for {ALL + name!r}"
             )
         if value.ndim == 2:
             return "drone"
         return value.shape[2] if value.ndim == 3 and value.shape[2] in TUPLES else "drone"
 
-    def _try(
+    def _call_once(
         self, forms: list[tuple[str, Form]], given: Mapping[str, Any], out: np.ndarray
     ) -> None:
-        """Call the function for the first drone: compiled code would hide its errors."""
-        room = np.zeros(out.shape[2:], dtype=np.float64)
+        """Call the function for one drone in Python, as compiled code would hide its errors."""
+        buffer = np.zeros(out.shape[2:], dtype=np.float64)
         values = []
         for name, form in forms:
             if form in ("index", "out", "number"):
-                values.append(0 if form == "index" else room if form == "out" else given[name])
+                values.append(0 if form == "index" else buffer if form == "out" else given[name])
             elif form in ("world", "array"):
                 values.append(given[name][0])
             else:
@@ -341,25 +349,26 @@ class Bound:
             with np.errstate(all="ignore"):
                 result = self._function(*values)
         except ZeroDivisionError:
-            return  # the compiled loop gives inf or NaN, as NumPy does
+            return  # the compiled loop returns inf or NaN, as NumPy does
         except Exception as error:
-            raise ValueError(f"{self._who} failed: {type(error).__name__}: {error}") from error
+            raise ValueError(f"{self._title} failed: {type(error).__name__}: {error}") from error
         if "out" in self._names:
             return
         numbers = result if isinstance(result, tuple) else (result,)
         wanted = self._labels or 1
         if self._dtype is bool and not isinstance(result, bool | np.bool_):
-            raise ValueError(f"{self._who} gave {shown(result)}: a bool, True or False, is needed")
+            raise ValueError(
+                f"{self._title} gave {shown(result)}: a bool, True or False, is needed"
+            )
         if len(numbers) != wanted or not all(map(_is_number, numbers)):
             raise ValueError(
-                f"{self._who} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one "
-                f"drone "
-                f"{'are' if wanted > 1 else 'is'} needed"
+                f"{self._title} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one "
+                f"drone {'are' if wanted > 1 else 'is'} needed"
             )
 
 
 class BoundTerms(NamedTuple):
-    """A task's own ingredients, ready for frames; terms by name."""
+    """A task's bound ingredients; reward terms by name."""
 
     ends: tuple[Bound, ...] = ()
     success: Bound | None = None
@@ -371,24 +380,24 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, bool | int | float | np.generic)
 
 
-def _reason(error: Exception) -> str:
-    """Pick the line of numba's message that says what is wrong."""
+def _pick_reason(error: Exception) -> str:
+    """Return the most informative line of numba's error message."""
     lines = [line.strip() for line in str(error).splitlines()]
-    told = [
+    candidates = [
         one for one in lines if one and not one.startswith(("During", "File", "Enable", "-", "["))
     ]
     words = ("name", "attribute", "Cannot", "No implementation", "Unknown", "determine", "type")
-    useful = [one for one in told if any(word in one for word in words)]
-    return (useful or told or ["numba gives no reason"])[0]
+    useful = [one for one in candidates if any(word in one for word in words)]
+    return (useful or candidates or ["numba gives no reason"])[0]
 
 
 def find_term(kind: str, source: Any) -> Any:
-    """Find a reward term or an observation: a function, a registered name, or `module:Name`."""
+    """Return a reward term or observation, given a function, a registered name or `module:Name`."""
     return find(kind, source, callable)
 
 
-def numbers_in(options: Any) -> dict[str, Any]:
-    """List the numbers among the fields of a dataclass."""
+def numeric_fields(options: Any) -> dict[str, Any]:
+    """Return the numeric fields of a dataclass instance, by name."""
     values = {one.name: getattr(options, one.name) for one in fields(options)}
     return {
         name: value

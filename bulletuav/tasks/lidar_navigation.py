@@ -1,4 +1,4 @@
-"""Task `lidar_navigation`: drones fly to goals through a city that they see by lidar alone."""
+"""Task `lidar_navigation`: drones fly to goals through a city that they sense by lidar alone."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -17,15 +17,15 @@ RANGE_UNCERTAINTY: dict[str, dict[str, float]] = {
     "hard": {"lidar_noise": 0.3, "lidar_dropout": 0.01},
     "extreme": {"lidar_noise": 0.5, "lidar_dropout": 0.05},
 }
-"""What each difficulty makes uncertain about ranges: noise, m, and the share of beams lost"""
+"""Uncertainty of ranges by difficulty: noise, m, and fraction of beams lost"""
 
 
 @dataclass(frozen=True)
 class LidarNavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):
-    """Options of `lidar_navigation`, beside those of flights in cities (`UrbanFlightOptions`).
+    """Options of `lidar_navigation`, in addition to those of urban flights (`UrbanFlightOptions`).
 
     Attributes:
-        proximity_range: Shortest range below which the term `proximity` counts, m; above 0.
+        proximity_range: Shortest range below which the term `proximity` applies, m; above 0.
     """
 
     proximity_range: float = 5.0
@@ -33,34 +33,36 @@ class LidarNavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):
 
 @register("task")
 class LidarNavigation(GoalFlight[LidarNavigationConfig]):
-    """Flight through a city to goals, in which drones sense what is near, but not where they are.
+    """Drones fly through a city to goals with a lidar, without measuring their position.
 
-    Drones start at rest outdoors, 5 to 12 m high. Each one's goal lies outdoors, too, 200 m or
-    farther away. The ceiling, at 15 m, is below most roofs: the way leads through the streets.
+    Drones start at rest outdoors at heights of 5 to 12 m. Each goal is outdoors, too, at least 200
+    m from the drone's start. The ceiling of 15 m is below most roofs, so drones have to fly along
+    the streets.
 
     Observation, Box(30) per drone with the defaults, in world axes (east, north, up): velocity,
-    direction and distance of the goal, charge of the battery, room to the city's edges, its ceiling
-    and the ground (see `room`), and 16 ranges of the lidar. Its beams are level, each at so many
-    degrees to the left of the drone's nose. A range of 60 m is also that of a beam that hits
-    nothing; room that is more is 60 m, too.
+    direction and distance of the goal, battery charge, distances to the city's edges, its ceiling
+    and the ground (see `room`), and 16 ranges of the lidar. Its beams are horizontal and labelled
+    by their angle to the left of the drone's nose, in degrees. Ranges and distances are at most 60
+    m, the value of a beam without a hit.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - progress 5: metres nearer to the goal.
-    - goal 50: 1 on reaching the goal.
-    - conflict -200: other drones that come closer than d_safe = 2 m.
-    - warning -5: nearness to other drones, from 0 at 4 m to 1 at 2 m.
+    - progress 5: decrease of the distance to the goal, m.
+    - goal 50: 1 in the decision in which the drone reaches the goal.
+    - conflict -200: number of drones whose separation falls below d_safe = 2 m.
+    - warning -5: sum over other drones of their proximity, linear from 0 at 4 m to 1 at 2 m.
     - collision -200: 1 on contact, also with a building.
     - out_of_bounds -50: 1 outside the city's square or above its ceiling.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
-    - proximity -1: linear from 0 where the shortest range is 5 m to 1 at 0 m.
-    - distance 0: metres to the goal.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
+    - proximity -1: linear in the shortest lidar range: 0 for 5 m, 1 for 0 m.
+    - distance 0: distance to the goal, m.
 
-    End: terminated within 2 m of the goal, on contact, with an empty battery, and outside the
+    End: terminated within 2 m of the goal, on contact, when the battery is empty, or outside the
     city's square or above its ceiling. Truncated after 600 decisions.
 
     Success: the goal is reached.
@@ -84,16 +86,16 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     reward: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0, "distance": 0.0}
 
     def __init__(self, config: LidarNavigationConfig, context: TaskContext) -> None:
-        """Make the cities, and check legs in them and the range of the term `proximity`.
+        """Create the cities, and check legs and the range of the term `proximity`.
 
         Raises:
-            ValueError: A city leaves no room to fly or is too small for a leg, or the range is 0.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If a city has no space to fly or is too small for a leg, or the range is 0.
+            FileNotFoundError: If the city's file does not exist.
         """
         super().__init__(config, context)
-        self.town = add_city(self)
-        self.starts = CityLegs(self, self.town)
+        self.city_layouts = add_city(self)
+        self.starts = CityLegs(self, self.city_layouts)
         if config.proximity_range == 0:
             raise ValueError(
-                "proximity_range is 0 m: it must be above 0; to leave the term out, weigh it by 0"
+                "proximity_range is 0 m: it must be above 0; to disable the term, set weight 0"
             )

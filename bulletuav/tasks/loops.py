@@ -1,7 +1,7 @@
 """Loops over all drones of all worlds, generated for a function of one drone's numbers.
 
-The loop of an ingredient of the package is written to a file in the folder of compiled kernels, so
-that numba keeps its machine code. That of a user's function is compiled anew in each process.
+The loops of the package's own ingredients are written to files in the folder of compiled kernels,
+so that numba caches their machine code. Loops of user functions are compiled in each process.
 """
 
 import functools
@@ -17,9 +17,9 @@ from bulletuav.compiled.kernel import cache_folder, uncached
 from bulletuav.files import replace_file
 
 TUPLES = (2, 3, 4)
-"""Vectors of so many numbers reach a function as tuples, longer ones as arrays"""
+"""Vector sizes that are passed to functions as tuples; longer vectors are passed as arrays"""
 Form = str | int
-"""How an argument is read: a key of `_EXPRESSIONS`, or how many numbers a vector has"""
+"""How an argument is read: a key of `_EXPRESSIONS`, or the size of a vector"""
 
 _EXPRESSIONS = {
     "drone": "{name}[w, i]",
@@ -34,16 +34,16 @@ _EXPRESSIONS = {
 def make_loop(
     function: FunctionType, forms: Sequence[tuple[str, Form]], results: int | None
 ) -> Callable[..., None]:
-    """Compile a loop that fills an array with what a function gives for each drone.
+    """Compile a loop that evaluates a function for each drone and stores the results.
 
     Args:
-        function: Of one drone's numbers.
+        function: Function of one drone's numbers.
         forms: Name and form of each of its arguments.
-        results: 0 for one number in `out` (W, N); k for k numbers in `out` (W, N, k); None where
-            the function itself writes to its argument `out`.
+        results: 0 for one number in `out` (W, N); k for k numbers in `out` (W, N, k); None if the
+            function itself writes to its argument `out`.
 
     Returns:
-        A compiled function of the arrays (of those arguments that are any) and of `out`.
+        Compiled function of the argument arrays and `out`.
     """
     return _compiled(function, tuple(forms), results)
 
@@ -53,11 +53,10 @@ def _compiled(
     function: FunctionType, forms: tuple[tuple[str, Form], ...], results: int | None
 ) -> Callable[..., None]:
     source = _source(function.__name__, forms, results)
-    home = function.__module__ or ""  # none in code that is run from a text
-    # Loops of the package are files, whose machine code is kept for the next start
+    home = function.__module__ or ""  # empty in code run by `exec`
     if home.startswith("bulletuav.") and function.__qualname__ == function.__name__:
         return _from_file(home, function.__name__, source)
-    # Others' functions may change at any time, so nothing of them is kept
+    # User functions may change at any time, so they are not cached on disk
     space: dict[str, Any] = {"function": uncached(function, forceinline=True)}
     exec(compile(source, f"<loop of {function.__qualname__}>", "exec"), space)
     loop: Callable[..., None] = uncached(space["loop"])
@@ -65,7 +64,6 @@ def _compiled(
 
 
 def _source(name: str, forms: tuple[tuple[str, Form], ...], results: int | None) -> str:
-    """Write the loop."""
     given = [name for name, form in forms if form not in ("index", "out")]
     call = f"function({', '.join(_expression(*form) for form in forms)})"
     body = [f"def loop({', '.join([*given, 'out'])}):", f'    """Loop over drones for {name}."""']
@@ -89,7 +87,7 @@ def _expression(name: str, form: Form) -> str:
 
 
 def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
-    """Load the loop of an ingredient of the package from its file, or write that first."""
+    """Load the loop of one of the package's ingredients from its file, writing it if missing."""
     text = (
         f'"""Generated: the loop of `{module}.{name}`."""\n\n'
         "from bulletuav.compiled.kernel import func, kernel\n"
@@ -97,7 +95,7 @@ def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
         "function = func(plain)\n\n\n"
         f"@kernel\n{source}"
     )
-    # Another text is another file: no process reads half of one
+    # The name depends on the text, so no process reads a partly written file
     stamp = hashlib.sha256(text.encode()).hexdigest()[:12]
     path = Path(cache_folder(), "loops", f"{name}_{stamp}.py")
     if not path.is_file():
@@ -106,7 +104,6 @@ def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
     spec = importlib.util.spec_from_file_location(f"_bulletuav_loop_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None  # a file of Python source has both
-    # Loaded by its path, as the folder is no package
     loaded = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = loaded  # where numba looks for it when it loads machine code
     spec.loader.exec_module(loaded)

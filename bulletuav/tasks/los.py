@@ -11,10 +11,10 @@ from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 @dataclass(frozen=True)
 class LosConfig(UserServiceConfig):
-    """Options of `los`, those of `UserServiceConfig`.
+    """Options of `los`: those of `UserServiceConfig`.
 
     Attributes:
-        boundary: What happens at the bounds, by default "end": the drone's episode ends.
+        boundary: Behaviour at the bounds, by default "end": the drone's episode ends.
     """
 
     boundary: Literal["end", "soft", "hard"] = "end"
@@ -22,29 +22,30 @@ class LosConfig(UserServiceConfig):
 
 @register("task")
 class Los(UserService[LosConfig]):
-    """Search for places from which each user on the ground is seen by some drone.
+    """Drones position themselves so that each user on the ground is seen by at least one drone.
 
-    Drones start at rest at random places outdoors, 20 to 60 m high. 20 users stand still outdoors.
+    Drones start at rest at random positions outdoors, at heights of 20 to 60 m. 20 users stand
+    still outdoors.
 
     Observation, Box(108) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, charge of the battery, the nearest living drones, and the users. Drones come nearest
-    first, relative to the drone, and are zeros where there are fewer. Users are relative to the
-    drone, each with whether it is seen.
+    velocity, battery charge, the nearest living drones, and the users. Drones are relative to the
+    drone, sorted by distance, and padded with zeros. Users are relative to the drone, each with a
+    flag that is 1 if the drone sees the user.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - served 1: share of the users that some drone sees.
-    - sight 0: share of the users that the drone itself sees.
+    - served 1: fraction of the users seen by at least one drone.
+    - sight 0: fraction of the users that the drone itself sees.
     - collision -10: 1 on contact of collision shapes.
     - out_of_bounds -10: 1 outside the city's square or above its ceiling.
 
-    End: terminated on contact, with an empty battery, and outside the city's square or above its
-    ceiling. Truncated after 300 decisions.
+    End: terminated on contact, when the battery is empty, and outside the city's square or above
+    its ceiling. Truncated after 300 decisions.
 
-    Success: 90 % of the users are seen by some drone.
+    Success: 90 % of the users are seen by at least one drone.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """

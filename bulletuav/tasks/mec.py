@@ -18,38 +18,39 @@ from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 @dataclass(frozen=True)
 class MecConfig(EdgeOptions, RadioConfig, UserServiceConfig):
-    """Options of `mec`, those of `EdgeOptions`."""
+    """Options of `mec`: those of `EdgeOptions`."""
 
 
 @register("task")
 class Mec(UserService[MecConfig]):
-    """Search for places to which users can offload their tasks, so that most are done in time.
+    """Drones carry edge servers to places where users can offload their tasks in time.
 
-    Drones start at rest at random places outdoors, 20 to 60 m high. 50 users stand still outdoors
-    and have tasks at random, 0.15 a second each. A task is to be uploaded and computed within 1 s.
-    See `EdgeComputing` for what becomes of it.
+    Drones start at rest at random positions outdoors, at heights of 20 to 60 m. 50 users stand
+    still outdoors and generate tasks at random, 0.15 per second each. A task has to be uploaded and
+    computed within 1 s. See `EdgeComputing` for the model.
 
     Observation, Box(8) per drone with the defaults, in world axes (east, north, up): position,
-    charge of the battery, utilisation of the drone's cores, tasks (of mean size) in its queue, and
-    latency and completed share of its users' tasks. The last four are those of the last decision,
-    and 0 at the start and where no task came.
+    battery charge, utilisation of the drone's cores, length of its queue (in tasks of mean size),
+    and latency and completed fraction of its users' tasks. The last four refer to the last
+    decision, and are 0 at the start and if no task arrived.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There is 1 decision a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There is 1 decision a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - tasks 1: completed tasks over those that all users are expected to have in a decision.
-    - latency -0.5: latencies of the completed tasks over the deadline, and over the same number.
-    - energy -0.1: power over 400 W.
-    - service_time 0.3: tanh(0.1 s), where s are the seconds for which a drone has seen a user
-      without a break, averaged over all users.
-    - dwell_time 0: the same of what the drone itself sees.
+    - tasks 1: completed tasks divided by the expected number of tasks of all users per decision.
+    - latency -0.5: sum of the latencies of the completed tasks, divided by the deadline and by the
+      same expected number.
+    - energy -0.1: power divided by 400 W.
+    - service_time 0.3: tanh(0.1 s), where s is the time for which a drone has seen a user without
+      interruption, in seconds, averaged over all users.
+    - dwell_time 0: the same for the users that the drone itself sees.
     - collision -2: 1 on contact of collision shapes.
-    - out_of_bounds 0: 1 where the bounds hold the drone back.
+    - out_of_bounds 0: 1 at the bounds of the airspace.
 
-    End: terminated on contact of collision shapes and with an empty battery. Truncated after 100
-    decisions. Drones stop at the city's edges and at the ceiling.
+    End: terminated on contact of collision shapes and when the battery is empty. Truncated after
+    100 decisions. Drones stop at the city's edges and at the ceiling.
 
     Success: 70 % of the episode's tasks are completed.
 

@@ -1,4 +1,4 @@
-"""Task `mec_advanced`: edge computing with antennas that look down and tight deadlines."""
+"""Task `mec_advanced`: edge computing with downward antennas and tight deadlines."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
@@ -18,18 +18,19 @@ from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 @dataclass(frozen=True)
 class MecAdvancedConfig(EdgeOptions, RadioConfig, UserServiceConfig):
-    """Options of `mec_advanced`, those of `EdgeOptions` with other defaults.
+    """Options of `mec_advanced`: those of `EdgeOptions` with other defaults.
 
     Attributes:
         num_users: Number of users on the ground, outdoors.
-        arrival_rate: Tasks of each user, 1/s.
-        cycles_per_bit: Cycles that a bit takes to compute.
-        deadline: Time from the arrival of a task to its result, s.
+        arrival_rate: Task arrival rate of each user, 1/s.
+        cycles_per_bit: Processor cycles per bit of a task.
+        deadline: Maximum time from the arrival of a task to its result, s.
         core_frequency: Frequency of a core, cycles/s.
-        bandwidth: Bandwidth that all drones share, Hz.
+        bandwidth: Bandwidth shared by all drones, Hz.
         antenna: Antenna of the drones, "isotropic" or "downward".
-        height: Least and greatest height of starts, m.
-        ceiling: Greatest height of the airspace, m: low enough that not every place serves all.
+        height: Minimum and maximum height of starts, m.
+        ceiling: Maximum height of the airspace, m: low enough that not every position serves all
+            users.
     """
 
     num_users: int = field(default=10, metadata={"most": 10_000})
@@ -45,35 +46,37 @@ class MecAdvancedConfig(EdgeOptions, RadioConfig, UserServiceConfig):
 
 @register("task")
 class MecAdvanced(UserService[MecAdvancedConfig]):
-    """Service to few users with many urgent tasks, through directional antennas.
+    """Drones serve few users with many urgent tasks, through directional antennas.
 
-    Drones start at rest at random places outdoors, 20 to 45 m high. 10 users stand still outdoors
-    and have tasks at random, 2.5 a second each. A task is to be uploaded and computed within 0.2 s.
-    See `EdgeComputing` for what becomes of it. The drones' antennas (3GPP TR 38.901, 8 dBi) look
-    along the body's -z axis, so they tilt with the drone.
+    Drones start at rest at random positions outdoors, at heights of 20 to 45 m. 10 users stand
+    still outdoors and generate tasks at random, 2.5 per second each. A task has to be uploaded and
+    computed within 0.2 s. See `EdgeComputing` for the model. The drones' antennas (3GPP TR 38.901,
+    8 dBi) point along the body's -z axis, so they tilt with the drone.
 
     Observation, Box(22) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, charge of the battery, power, the rate of each user, utilisation of the drone's cores,
-    tasks (of mean size) in its queue, and latency and completed share of its users' tasks. The rate
-    of a user is what it would reach to the drone, through its antenna, for itself alone. All from
-    power on are those of the last decision, and 0 at the start and where no task came.
+    velocity, battery charge, power, the data rate of each user, utilisation of the drone's cores,
+    length of its queue (in tasks of mean size), and latency and completed fraction of its users'
+    tasks. The data rate of a user is the rate of its link to the drone, through the antenna, with
+    the whole bandwidth. Power and all following numbers refer to the last decision, and are 0 at
+    the start and if no task arrived.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There is 1 decision a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There is 1 decision a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - tasks 2: completed tasks over those that all users are expected to have in a decision.
-    - latency -1.5: latencies of the completed tasks over the deadline, and over the same number.
-    - energy 0: power over 400 W.
-    - service_time 0.5: tanh(0.1 s), where s are the seconds for which a drone has seen a user
-      without a break, averaged over all users.
-    - dwell_time 0: the same of what the drone itself sees.
+    - tasks 2: completed tasks divided by the expected number of tasks of all users per decision.
+    - latency -1.5: sum of the latencies of the completed tasks, divided by the deadline and by the
+      same expected number.
+    - energy 0: power divided by 400 W.
+    - service_time 0.5: tanh(0.1 s), where s is the time for which a drone has seen a user without
+      interruption, in seconds, averaged over all users.
+    - dwell_time 0: the same for the users that the drone itself sees.
     - collision -5: 1 on contact of collision shapes.
-    - out_of_bounds 0: 1 where the bounds hold the drone back.
+    - out_of_bounds 0: 1 at the bounds of the airspace.
 
-    End: terminated on contact of collision shapes and with an empty battery. Truncated after 100
-    decisions. Drones stop at the city's edges and at the ceiling.
+    End: terminated on contact of collision shapes and when the battery is empty. Truncated after
+    100 decisions. Drones stop at the city's edges and at the ceiling.
 
     Success: 70 % of the episode's tasks are completed.
 

@@ -1,4 +1,4 @@
-"""Task `mobile_users`: airborne relays follow users on the ground, who walk."""
+"""Task `mobile_users`: airborne relays follow walking users on the ground."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -10,10 +10,10 @@ from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 @dataclass(frozen=True)
 class MobileUsersConfig(UserServiceConfig):
-    """Options of `mobile_users`, those of `UserServiceConfig`.
+    """Options of `mobile_users`: those of `UserServiceConfig`.
 
     Attributes:
-        mobility: How users walk, by default "manhattan": along the streets.
+        mobility: Mobility model of the users, by default "manhattan": along the streets.
     """
 
     mobility: Any = "manhattan"
@@ -21,33 +21,33 @@ class MobileUsersConfig(UserServiceConfig):
 
 @register("task")
 class MobileUsers(UserService[MobileUsersConfig]):
-    """Search for users who walk the streets, each to be seen by some drone for as long as can be.
+    """Drones follow users who walk along the streets and keep each of them in sight.
 
-    Drones start at rest at random places outdoors, 20 to 60 m high. 20 users walk along the
-    streets.
+    Drones start at rest at random positions outdoors, at heights of 20 to 60 m. 20 users walk along
+    the streets.
 
     Observation, Box(68) per drone with the defaults, in world axes (east, north, up): position,
-    charge of the battery, centroid of all users over ground, centroid of the drone's own users, and
-    which drone sees which user. The own users are those nearer to the drone over ground than to
-    other living drones, or all users where there is none. Of the sights the drone's own come first,
-    then those of the other drones by index.
+    battery charge, horizontal centroid of all users, horizontal centroid of the drone's own users,
+    and which drone sees which user. The drone's own users are those that are horizontally closer to
+    it than to other living drones, or all users if there are none. The matrix of visibility starts
+    with the row of the drone itself, followed by those of the other drones by index.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There is 1 decision a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There is 1 decision a second.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - served 1: share of the users that some drone sees.
-    - service_time 0.5: tanh(0.1 s), where s are the seconds for which a drone has seen a user
-      without a break, averaged over all users.
-    - sight 0, dwell_time 0: the same of what the drone itself sees.
+    - served 1: fraction of the users seen by at least one drone.
+    - service_time 0.5: tanh(0.1 s), where s is the time for which a drone has seen a user without
+      interruption, in seconds, averaged over all users.
+    - sight 0, dwell_time 0: the same for the users that the drone itself sees.
     - collision -2: 1 on contact of collision shapes.
-    - out_of_bounds 0: 1 where the bounds hold the drone back.
+    - out_of_bounds 0: 1 at the bounds of the airspace.
 
-    End: terminated on contact of collision shapes and with an empty battery. Truncated after 100
-    decisions. Drones stop at the city's edges and at the ceiling.
+    End: terminated on contact of collision shapes and when the battery is empty. Truncated after
+    100 decisions. Drones stop at the city's edges and at the ceiling.
 
-    Success: 90 % of the users are seen by some drone.
+    Success: 90 % of the users are seen by at least one drone.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """

@@ -1,4 +1,4 @@
-"""Task `navigation`: drones fly to goals through a city that they do not see."""
+"""Task `navigation`: drones fly to goals through a city that they do not sense."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,36 +14,38 @@ from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, CityLegs, UrbanFlightOpt
 
 @dataclass(frozen=True)
 class NavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):
-    """Options of `navigation`, those of flights in cities (`UrbanFlightOptions`)."""
+    """Options of `navigation`: those of urban flights (`UrbanFlightOptions`)."""
 
 
 @register("task")
 class Navigation(GoalFlight[NavigationConfig]):
-    """Flight through a city to goals, in which drones know where they are, but sense no building.
+    """Drones fly through a city to goals, with known positions but without sensing buildings.
 
-    Drones start at rest outdoors, 5 to 12 m high. Each one's goal lies outdoors, too, 200 m or
-    farther away. The ceiling, at 15 m, is below most roofs: the way leads through the streets.
+    Drones start at rest outdoors at heights of 5 to 12 m. Each goal is outdoors, too, at least 200
+    m from the drone's start. The ceiling of 15 m is below most roofs, so drones have to fly along
+    the streets.
 
     Observation, Box(38) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, charge of the battery, room to the
-    city's edges, its ceiling and the ground up to 60 m (see `room`), and the nearest living
-    drones. These come nearest first, relative to the drone, and are zeros where there are fewer.
+    velocity, direction and distance of the goal, battery charge, distances to the city's edges, its
+    ceiling and the ground up to 60 m (see `room`), and the nearest living drones. Neighbours are
+    relative to the drone, sorted by distance, and padded with zeros.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - progress 5: metres nearer to the goal.
-    - goal 50: 1 on reaching the goal.
-    - conflict -200: other drones that come closer than d_safe = 2 m.
-    - warning -5: nearness to other drones, from 0 at 4 m to 1 at 2 m.
+    - progress 5: decrease of the distance to the goal, m.
+    - goal 50: 1 in the decision in which the drone reaches the goal.
+    - conflict -200: number of drones whose separation falls below d_safe = 2 m.
+    - warning -5: sum over other drones of their proximity, linear from 0 at 4 m to 1 at 2 m.
     - collision -200: 1 on contact, also with a building.
     - out_of_bounds -50: 1 outside the city's square or above its ceiling.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
 
-    End: terminated within 2 m of the goal, on contact, with an empty battery, and outside the
+    End: terminated within 2 m of the goal, on contact, when the battery is empty, or outside the
     city's square or above its ceiling. Truncated after 600 decisions.
 
     Success: the goal is reached.
@@ -59,12 +61,12 @@ class Navigation(GoalFlight[NavigationConfig]):
     observation = ("position", "velocity", "goal", "battery", "room", "neighbours")
 
     def __init__(self, config: NavigationConfig, context: TaskContext) -> None:
-        """Make the cities, and check that legs fit into them.
+        """Create the cities, and check that legs fit into them.
 
         Raises:
-            ValueError: A city leaves no room to fly, or is too small for a leg.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If a city has no space to fly, or is too small for a leg.
+            FileNotFoundError: If the city's file does not exist.
         """
         super().__init__(config, context)
-        self.town = add_city(self)
-        self.starts = CityLegs(self, self.town)
+        self.city_layouts = add_city(self)
+        self.starts = CityLegs(self, self.city_layouts)

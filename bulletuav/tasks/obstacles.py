@@ -1,4 +1,4 @@
-"""Task `obstacles`: free flight among spheres and boxes, some of which move."""
+"""Task `obstacles`: drones fly among static and moving spheres and boxes."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -12,13 +12,14 @@ from bulletuav.tasks.parts.free_space import FreeSpace, FreeSpaceOptions
 
 @dataclass(frozen=True)
 class ObstaclesConfig(FreeSpaceOptions, FlightConfig):
-    """Options of `obstacles`, beside those of flights among random places (`FreeSpaceOptions`).
+    """Options of `obstacles`, in addition to those of free space (`FreeSpaceOptions`).
 
     Attributes:
-        altitude_spread: Range of heights of everything about `altitude`, m.
+        altitude_spread: Range of altitudes of drones, goals and obstacles, centred at `altitude`,
+            m.
         num_obstacles: Number of obstacles; every second one is a cube, the others are spheres.
-        num_moving: Number of them that move, reflected at the bounds of their space.
-        start_speed: Least and greatest speed at the start, m/s: slow enough to stop before an
+        num_moving: Number of moving obstacles, which are reflected at the bounds of their space.
+        start_speed: Minimum and maximum speed at the start, m/s: slow enough to stop before an
             obstacle.
     """
 
@@ -30,33 +31,34 @@ class ObstaclesConfig(FreeSpaceOptions, FlightConfig):
 
 @register("task")
 class Obstacles(GoalFlight[ObstaclesConfig]):
-    """Flight from random places to random goals among bodies, some of which move.
+    """Drones fly from random starts to random goals among static and moving obstacles.
 
-    Drones, goals and obstacles start at random places in a square of 200 m, between 25 and 55 m
-    high. Every second obstacle is a cube, the others are spheres; all can be hit.
+    Drones, goals and obstacles start at random positions in a square of 200 m, at heights of 25 to
+    55 m. Every second obstacle is a cube, the others are spheres; all are solid.
 
     Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, the nearest living drones, and the nearest
-    obstacles. Both come nearest first, relative to the drone, and are zeros where there are fewer.
-    Obstacles are sorted by the distance to their bounding spheres.
+    obstacles. Drones and obstacles are relative to the drone, sorted by distance, and padded with
+    zeros. Obstacles are sorted by the distance to their bounding spheres.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - progress 5: metres nearer to the goal.
-    - goal 50: 1 on reaching the goal.
-    - conflict -200: other drones that come closer than d_safe = 5 m.
-    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - progress 5: decrease of the distance to the goal, m.
+    - goal 50: 1 in the decision in which the drone reaches the goal.
+    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - warning -5: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
-    - obstacle_warning -5: for each obstacle, linear from 0 at d_safe from its bounding sphere to
-      1 at contact with it.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
+    - obstacle_warning -5: sum over obstacles of their proximity, linear from 0 at d_safe from the
+      bounding sphere to 1 at contact.
 
-    End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
+    End: terminated within 2 m of the goal, on contact, when the battery is empty, or outside the
     arena. Truncated after 500 decisions.
 
     Success: the goal is reached.
@@ -79,10 +81,10 @@ class Obstacles(GoalFlight[ObstaclesConfig]):
     }
 
     def __init__(self, config: ObstaclesConfig, context: TaskContext) -> None:
-        """Lay out the space.
+        """Set up the free space.
 
         Raises:
-            ValueError: There is no room for all, or starts could touch the ground.
+            ValueError: If drones and obstacles do not fit, or starts could touch the ground.
         """
         super().__init__(config, context)
         self.starts = FreeSpace(self, self.field)

@@ -1,4 +1,4 @@
-"""Task `pursuit`: a queue of drones on a circular track, the fastest last, so they overtake."""
+"""Task `pursuit`: drones queue on a circular track, the fastest last, so that they overtake."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,25 +15,25 @@ from bulletuav.tasks.parts.airspace import (
     AirspaceOptions,
     circle_arena,
     clearance,
-    least_distance,
+    min_start_distance,
 )
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.presets import UAVCONFLICT
 
 TOLERANCE = 0.5
-"""Angle by which laps may be short, rad: starts, and ends at the goal, are a little off"""
+"""Tolerance of the angle flown, rad: starts, and ends at the goal, are slightly offset"""
 
 
 @dataclass(frozen=True)
 class PursuitConfig(AirspaceOptions, FlightConfig):
-    """Options of `pursuit`, beside those of free airspace (`AirspaceOptions`).
+    """Options of `pursuit`, in addition to those of free airspace (`AirspaceOptions`).
 
     Attributes:
         radius: Radius of the circular track, m.
-        spacing: Distance between neighbours of the queue along the track, m.
-        speed: Speed of the first and of the last of the queue, m/s; those between spread evenly.
-        laps: Rounds that each goal flies.
+        spacing: Distance between neighbours in the queue along the track, m.
+        speed: Speed of the first and the last drone of the queue, m/s; evenly spaced in between.
+        laps: Number of laps of each goal.
     """
 
     radius: float = 60.0
@@ -44,43 +44,44 @@ class PursuitConfig(AirspaceOptions, FlightConfig):
 
 @reward
 def lap(way: float, way_before: float, radius: float, laps: int) -> float:
-    """Share of all laps by which it came nearer to their end, along the track and to the goal."""
+    """Decrease of the remaining distance, by track and to the goal, as a fraction of all laps."""
     return (way_before - way) / (2 * np.pi * radius * laps)
 
 
 @register("task")
 class Pursuit(GoalFlight[PursuitConfig]):
-    """Flight of a queue round a circle, the faster behind the slower, so that they overtake.
+    """Drones queue on a circular track, the faster behind the slower, and have to overtake.
 
-    Each drone's goal runs ahead on the circle, clockwise, at the drone's own pace. It runs once
-    round, back to the drone's start, and stops there. Drones have to fly round, too: waiting for
-    the goal does not count. Drone 0 leads and is the slowest.
+    Each drone's goal moves along the circle, clockwise, at the drone's own pace. It makes one lap,
+    back to the drone's start, and stops there. Drones have to fly the lap themselves: waiting for
+    the goal is no success. Drone 0 leads and is the slowest.
 
     Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, the goal's velocity, the nearest living
-    drones, and the nearest obstacles. Both come nearest first, relative to the drone, and are zeros
-    where there are fewer.
+    velocity, direction and distance of the goal, the goal's velocity, the nearest living drones,
+    and the nearest obstacles. Drones and obstacles are relative to the drone, sorted by distance,
+    and padded with zeros.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
-    Its norm is limited to max_speed. There are 10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward per decision, as in every shared airspace (see `GoalFlight` for all terms):
+    Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - lap 1000: share of all laps by which it came nearer to their end, along the track and to the
-      goal.
-    - progress 0: metres nearer to where the goal is now.
-    - goal 50: 1 on reaching the goal after flying all laps.
-    - conflict -200: other drones that come closer than d_safe = 5 m.
-    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - lap 1000: decrease of the remaining distance, along the track and to the goal, as a fraction
+      of the length of all laps.
+    - progress 0: decrease of the distance to the moving goal, m.
+    - goal 50: 1 in the decision in which the drone reaches the goal after flying all laps.
+    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - warning -5: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.01: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
+    - energy -0.01: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
+      remaining decision.
 
-    End: terminated within 2 m of the goal once the goal has stopped, on contact, with an empty
-    battery, or outside the arena. Truncated after 500 decisions; extreme has 1,000.
+    End: terminated within 2 m of the goal once the goal has stopped, on contact, when the battery
+    is empty, or outside the arena. Truncated after 500 decisions; extreme has 1,000.
 
-    Success: the goal is reached once it has stopped, without any conflict on the way.
+    Success: the goal is reached once it has stopped, without any conflict during the episode.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
@@ -114,33 +115,31 @@ class Pursuit(GoalFlight[PursuitConfig]):
     }
 
     def __init__(self, config: PursuitConfig, context: TaskContext) -> None:
-        """Check that drones start apart and are fast enough, and lay out the arena.
+        """Check that drones start separated and are fast enough, and set the arena.
 
         Raises:
-            ValueError: Drones could start in conflict or in touch with the ground, or are too
-                slow for the horizon.
+            ValueError: If drones could start in conflict or touching the ground, or are too slow
+                for the horizon.
         """
         super().__init__(config, context)
-        # Paces lie between these two
         slowest, fastest = config.speed
         if not 0 < slowest <= fastest <= context.max_speed:
             raise ValueError(
                 f"speed is {config.speed}: "
-                f"from low to high, above 0 and up to max_speed {context.max_speed:g}"
+                f"from low to high, above 0 and up to max_speed {context.max_speed:g} m/s is needed"
             )
-        # Starts apart, and time enough for the slowest
         self._check_spacing()
         self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
         self._pace = np.linspace(slowest, fastest, context.num_drones)
         self._track_length = 2 * np.pi * config.radius * config.laps
         if self._track_length > slowest * context.duration:
             raise ValueError(
-                f"speed {slowest:g} m/s is too slow for {self._track_length:.4g} m of way "
+                f"speed {slowest:g} m/s is too slow for {self._track_length:.4g} m of track "
                 f"within {context.duration:g} s: raise horizon or speed, or fly fewer laps"
             )
 
     def _check_spacing(self) -> None:
-        """Refuse a queue that does not fit on the circle, or in which drones could conflict."""
+        """Check that the queue fits on the circle, and that its drones start without conflict."""
         config = self.config
         drones = self.context.num_drones
         if drones * config.spacing > 2 * np.pi * config.radius:
@@ -148,9 +147,9 @@ class Pursuit(GoalFlight[PursuitConfig]):
                 f"{drones} drones with spacing {config.spacing:g} m do not fit "
                 f"on a circle of radius {config.radius:g} m"
             )
-        # Spacing is along the circle; straight on it is less
+        # `spacing` is the arc length; the distance is the chord
         chord = 2 * config.radius * sin(config.spacing / (2 * config.radius))
-        nearest = least_distance(config, chord)
+        nearest = min_start_distance(config, chord)
         clear = clearance(config, self.context)
         if drones > 1 and nearest <= clear:
             raise ValueError(
@@ -160,13 +159,14 @@ class Pursuit(GoalFlight[PursuitConfig]):
             )
 
     def _track(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return places (..., N, 3), m, and velocities (..., N, 3), m/s, of goals.
+        """Return positions (..., N, 3), m, and velocities (..., N, 3), m/s, of goals.
 
-        Times (...) are those since the start, s.
+        Args:
+            time: (...) time since the start, s.
         """
         radius = self.config.radius
         way = self._pace * np.asarray(time)[..., None]
-        # Clockwise from each drone's place in the queue, until the laps are flown.
+        # Clockwise from each drone's place in the queue, until the laps are complete
         queue = np.arange(len(self._pace)) * self.config.spacing
         angle = (queue - np.minimum(way, self._track_length)) / radius
         zero = np.zeros_like(angle)
@@ -177,73 +177,73 @@ class Pursuit(GoalFlight[PursuitConfig]):
         return place, velocity
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start of drones queued on the circle, in flight along it."""
+        """Draw starts of drones queued on the circle, in flight along it."""
         goal, velocity = self._track(np.zeros(()))
         start = self.config.scattered(goal, rng)
         return self.launch(start, goal, rng, velocity, goal_velocity=velocity)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell, beside the shapes of every airspace, what is kept of each drone's flight.
+        """Return the shapes of the memory of `GoalFlight` and of the laps.
 
         Returns:
-            "conflicts" (N,), their number; "swept" (N,), the angle flown round the centre
-            clockwise, rad; "laps_left", "laps_left_before" (N,), ways that `way` tells, m.
+            "conflicts" (N,), number of conflicts; "swept" (N,), angle flown around the centre,
+            clockwise, rad; "laps_left", "laps_left_before" (N,), remaining distance as in `way`, m.
         """
         own = ("conflicts", "swept", "laps_left", "laps_left_before")
         return {**super().memory(), **dict.fromkeys(own, (self.context.num_drones,))}
 
     def start_memory(self, frame: Frame) -> None:
-        """Find the ways to the end of the laps from the start."""
-        self._follow_ways(frame)
+        """Compute the remaining distances at the start."""
+        self._update_distances(frame)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Count conflicts and laps, beside what every airspace notes."""
+        """Update the numbers of conflicts, the angles flown and the remaining distances."""
         memory = frame.scene.memory
         turned = _bearing(frame.before.position) - _bearing(frame.after.position)
-        # The short way round: no drone flies half a lap in one decision.
+        # The smaller angle: no drone flies half a lap in one decision
         turned -= 2 * np.pi * np.round(turned / (2 * np.pi))
         memory["swept"][:] += np.where(frame.alive, turned, 0.0)
         memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
         memory["laps_left_before"][:] = memory["laps_left"]
-        self._follow_ways(frame)
+        self._update_distances(frame)
         super().update_memory(frame, rngs)
 
-    def _follow_ways(self, frame: Frame) -> None:
-        """Bring the ways that are left up to date: along the track, and to the goal."""
+    def _update_distances(self, frame: Frame) -> None:
+        """Update the remaining distances: along the track, and to the goal."""
         memory = frame.scene.memory
         angle = np.maximum(2 * np.pi * self.config.laps - memory["swept"], 0.0)
         memory["laps_left"][:] = self.config.radius * angle + super().way(frame)
 
     def way(self, frame: Frame) -> np.ndarray:
-        """Compute the way that is left: the laps along the track, and to the goal, (W, N) m."""
+        """Return the remaining distance: the laps along the track, and to the goal, (W, N) m."""
         return frame.scene.memory["laps_left"]
 
     def way_before(self, frame: Frame) -> np.ndarray:
-        """Tell what `way` was before the decision, (W, N) m."""
+        """Return `way` before the decision, (W, N) m."""
         return frame.scene.memory["laps_left_before"]
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Let goals run on."""
+        """Move the goals along the track."""
         goal, velocity = self._track(time + self.context.period)
         scene.goal[flying] = goal[flying]
         scene.goal_velocity[flying] = velocity[flying]
         return super().move_scene(scene, time, flying, rngs)
 
     def arrived(self, frame: Frame) -> np.ndarray:
-        """Tell who flew its laps and is at its goal after that has stopped, (W, N) bool."""
+        """Return which drones flew their laps and are at their stopped goals, (W, N) bool."""
         has_stopped = self._pace * frame.time[:, None] >= self._track_length
         has_flown = frame.scene.memory["swept"] >= 2 * np.pi * self.config.laps - TOLERANCE
         arrived: np.ndarray = has_stopped & has_flown & super().arrived(frame)
         return arrived
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell who finished without any conflict, (W, N) bool."""
+        """Return which drones finished without any conflict, (W, N) bool."""
         without_conflict = frame.scene.memory["conflicts"] == 0
         succeeded: np.ndarray = super().succeeded(frame) & without_conflict
         return succeeded
 
 
 def _bearing(position: np.ndarray) -> np.ndarray:
-    """Compute the angle of places (..., 3) about the centre, from east to north, rad."""
+    """Return the bearing of positions (..., 3) from the centre, from east to north, rad."""
     bearing: np.ndarray = atan2(position[..., 1], position[..., 0])
     return bearing

@@ -1,4 +1,4 @@
-"""Task `pursuit_evasion`: chasers are to capture evaders, which are to get away."""
+"""Task `pursuit_evasion`: chasers try to capture evaders, which try to escape."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,42 +12,44 @@ from bulletuav.sensors.drone_sight import DRONE_SIGHT
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import REBOUND, TaskConfig
 from bulletuav.tasks.frame import Frame, Spawn, TaskContext
-from bulletuav.tasks.given import Given
+from bulletuav.tasks.given import GivenPositions
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.city_layouts import MAX_TRIES, OPEN, CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import UNCERTAINTY
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.teams import (
-    NOBODY,
-    follow_chase,
+    NO_OPPONENT,
+    measure_chase,
     nearest_opponents,
     team_sizes,
     zero_sum,
 )
-from bulletuav.tasks.parts.urban import check_share
+from bulletuav.tasks.parts.urban import check_fraction
 
 
 @dataclass(frozen=True)
 class PursuitEvasionConfig(CityOptions, ObstacleOptions, TaskConfig):
-    """Options of `pursuit_evasion`, beside those of cities (`CityOptions`).
+    """Options of `pursuit_evasion`, in addition to those of cities (`CityOptions`).
 
     Attributes:
-        teams: Chasers and evaders; when left out every fourth drone is an evader, but one at least.
-        capture: How an evader is captured: by "distance" from a chaser, or by "contact" with one.
-        capture_radius: Distance at which it is captured, m.
-        chaser_speed: Greatest speed that chasers can ask for, as a share of max_speed.
-        evader_speed: Greatest speed that evaders can ask for, as a share of max_speed.
-        sight_range: How far drones see opponents, m. Buildings and obstacles hide them, too.
-        head_start: Least distance between a chaser and an evader at the start, m.
-        boundary: What happens at the bounds of the arena. "hard": drones stop there. "soft": they
-            are thrown back with 0.8 of their speed. "end": the drone's episode ends outside.
-        city: "open" for none, or what stands in the arena, as in all tasks in cities.
+        teams: Numbers of chasers and evaders; by default every fourth drone is an evader, at least
+            one.
+        capture: Condition for capture: "distance" to a chaser, or "contact" with one.
+        capture_radius: Distance at which an evader is captured, m.
+        chaser_speed: Maximum commanded speed of chasers, as a fraction of max_speed.
+        evader_speed: Maximum commanded speed of evaders, as a fraction of max_speed.
+        sight_range: Distance up to which drones see opponents, m. Buildings and obstacles occlude
+            them.
+        head_start: Minimum distance between a chaser and an evader at the start, m.
+        boundary: Behaviour at the bounds of the arena. "hard": drones stop there. "soft": drones
+            rebound with 0.8 of their speed. "end": the drone's episode ends outside.
+        city: City in the arena, as in all tasks in cities; "open" for none.
         area: Side of the arena's square, or its lengths along x and y, m.
-        num_layouts: Number of cities that are made; a world has one of them for an episode.
-        height: Least and greatest height of starts, m.
-        ceiling: Greatest height of the airspace, m.
-        min_separation: Least distance between starts, m.
+        num_layouts: Number of cities that are generated; each world has one of them per episode.
+        height: Minimum and maximum height of starts, m.
+        ceiling: Maximum height of the airspace, m.
+        min_separation: Minimum distance between starts, m.
     """
 
     teams: tuple[int, int] | None = None
@@ -68,13 +70,13 @@ class PursuitEvasionConfig(CityOptions, ObstacleOptions, TaskConfig):
 
 @reward
 def capture(capture_payoff: float) -> float:
-    """Evaders captured or crashed: what each of C chasers gets is 1/C, the evader's is -1."""
+    """Payoff of lost evaders: -1 for the evader, 1/C for each of C chasers."""
     return capture_payoff
 
 
 @reward
 def closing(closing_payoff: float) -> float:
-    """Metres that the nearest chaser came nearer to evaders: chasers share them, evaders lose."""
+    """Decrease of an evader's distance to the nearest chaser, m; negative for the evader."""
     return closing_payoff
 
 
@@ -88,9 +90,10 @@ def crash(lost: bool, collision: bool, captured: bool) -> float:
 def time(
     chasing: bool, lost: bool, won: bool, time: float, duration: float, period: float
 ) -> float:
-    """Decisions that chasers take; those that evaders lack, and chasers that end before.
+    """1 per decision for chasers, and the remaining decisions of lost drones.
 
-    A chaser pays each decision until all evaders are gone. Whoever is lost pays all that are left.
+    A chaser pays for each decision until all evaders are lost. A lost drone also pays for all
+    remaining decisions.
     """
     left = (duration - time) / period if lost else 0.0
     if chasing:
@@ -100,37 +103,39 @@ def time(
 
 @register("task")
 class PursuitEvasion(Task[PursuitEvasionConfig]):
-    """Pursuit of evaders by chasers, two teams whose main rewards add up to zero.
+    """Chasers pursue evaders: a game of two teams whose main rewards are zero-sum.
 
-    Drones 0 to C - 1 are chasers, the others evaders: 3 and 1 of 4. They start at rest, 10 to 40 m
-    high in a square of 100 m, chasers on one side. A chaser within 2 m captures an evader, which
-    leaves. An evader that crashes is lost in the same way, so that no crash saves it. Each drone's
-    goal is the nearest opponent, wherever it is; blocks such as `goal` tell it and know no sight.
+    Drones 0 to C - 1 are chasers, the others evaders: 3 and 1 of 4. They start at rest at heights
+    of 10 to 40 m in a square of 100 m, with the chasers on one side. A chaser within 2 m of an
+    evader captures it, and the evader leaves. An evader that crashes counts as lost in the same
+    way, so crashing never pays. Each drone's goal is the nearest opponent, whether in sight or not;
+    blocks such as `goal` show its true position.
 
     Observation, Box(83) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, team (one-hot), room to the sides of the arena, the nearest teammates, the nearest
-    opponents in sight, and the nearest obstacles. All come nearest first, relative to the drone,
-    and are zeros where there are fewer. Opponents are seen up to 60 m, unless something is in
-    between; their first number is 1 where one is seen.
+    velocity, team (one-hot), distances to the sides of the arena, the nearest teammates, the
+    nearest opponents in sight, and the nearest obstacles. All are relative to the drone, sorted by
+    distance, and padded with zeros. Opponents are seen up to 60 m if nothing occludes them; their
+    first number is 1 for an opponent in sight.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 10 m/s.
-    Its norm is limited to max_speed, or to the team's own share of it. There are 10 decisions a
-    second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 10 m/s. Its norm is limited to max_speed, or to the team's own fraction of it. There
+    are 10 decisions a second.
 
-    Reward per decision, the sum of these terms times their weights. The first two add up to zero
-    over the drones of a world, to the last bit, as long as their weights are whole or such as 1/16.
+    Reward per decision, the weighted sum of these terms. The first two sum to zero over the drones
+    of a world, exactly if their weights are integers or fractions such as 1/16.
 
-    - capture 30: -1 for an evader that is lost, which the chasers that fly share.
-    - closing 0.0625: metres that the nearest chaser came nearer to an evader. Chasers share them,
-      the evader has them with a minus.
-    - collision -10: 1 on a contact that is no capture.
+    - capture 30: -1 for an evader that is lost, and 1 shared equally by the flying chasers.
+    - closing 0.0625: decrease of an evader's distance to the nearest chaser, m: shared equally by
+      the chasers, and negative for the evader.
+    - collision -10: 1 on a contact other than a capture.
     - out_of_bounds -0.1: 1 at the bounds of the arena.
-    - energy -0.0001: square of the velocity change, (m/s)^2.
-    - time -0.02: 1 a decision for chasers, until all evaders are lost. Evaders that are lost, and
-      chasers that crash, pay for all decisions that are left.
+    - energy -0.0001: squared change of velocity, (m/s)^2.
+    - time -0.02: 1 per decision for chasers, until all evaders are lost. Evaders that are lost, and
+      chasers that crash, also get 1 per remaining decision.
 
-    End: terminated where captured, on any other contact, with an empty battery, and for all once a
-    team is gone. Drones stop at the bounds of the arena. Truncated after 300 decisions.
+    End: terminated on capture, on any other contact, when the battery is empty, and for all drones
+    once a team is eliminated. Drones stop at the bounds of the arena. Truncated after 300
+    decisions.
 
     Success: for a chaser, all evaders are lost while it flies; for an evader, it flies at the end.
     """
@@ -196,16 +201,16 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
     }
 
     def __init__(self, config: PursuitEvasionConfig, context: TaskContext) -> None:
-        """Check the options, and share the drones out to the teams.
+        """Check the options, and assign the drones to the teams.
 
         Raises:
-            ValueError: Options contradict each other.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If options contradict each other.
+            FileNotFoundError: If the city's file does not exist.
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
-        self.town = add_city(self)
-        # One in four evades, unless teams are told
+        self.city_layouts = add_city(self)
+        # By default one in four is an evader
         drones = context.num_drones
         evaders = max(drones // 4, 1) if drones > 1 else 0
         chasers, _ = team_sizes(config.teams, drones, (drones - evaders, evaders))
@@ -214,16 +219,15 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         self.rebound = REBOUND.get(config.boundary)
         self.sight_range = config.sight_range
         self._check_distances()
-        # Teams may be slower than drones can fly, each by a share
         speeds = []
         for name in ("chaser_speed", "evader_speed"):
-            check_share(name, getattr(config, name))
+            check_fraction(name, getattr(config, name))
             speeds.append(getattr(config, name))
         if min(speeds) < 1:
             self.speed_limit = context.max_speed * np.array(speeds)[self.team]
 
     def _check_distances(self) -> None:
-        """Refuse captures that come too late, or at once."""
+        """Check that captures happen before contact, and not at the start."""
         config, touch = self.config, 2 * self.context.collision_radius
         if config.capture == "distance" and config.capture_radius <= touch:
             raise ValueError(
@@ -237,16 +241,16 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
             )
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start at rest, with the chasers on one side of the evaders.
+        """Draw starts at rest, with the chasers on one side of the evaders.
 
         Raises:
-            ValueError: There is no room for so many, or for the head start.
+            ValueError: If there is no space for so many drones, or for the head start.
         """
-        layout = self.town.draw(rng)
+        layout = self.city_layouts.draw(rng)
         chasers = self.context.num_drones - int(self._is_evader.sum())
         for _ in range(MAX_TRIES):
-            place = self.town.places(rng, layout, self.context.num_drones)
-            # In a random direction, those that are the farthest ahead are evaders.
+            place = self.city_layouts.places(rng, layout, self.context.num_drones)
+            # Evaders are the foremost drones in a random direction
             place = place[np.argsort(place[:, :2] @ rng.normal(size=2), kind="stable")]
             gaps = np.linalg.norm(place[:chasers, None] - place[None, chasers:], axis=-1)
             if gaps.min(initial=np.inf) >= self.config.head_start:
@@ -256,54 +260,54 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
             f"{self.context.num_drones} drones; lower it, or raise area"
         )
 
-    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
-        """Put given places into a start; goals are the nearest opponents."""
+    def finish(self, spawn: Spawn, given: GivenPositions, rng: np.random.Generator) -> Spawn:
+        """Apply given positions to a start, and set goals to the nearest opponents."""
         spawn = super().finish(spawn, given, rng)
         nearest = np.empty((1, len(spawn.position)), dtype=np.int64)
         everyone = np.ones(nearest.shape, dtype=bool)
         nearest_opponents(spawn.position[None], everyone, self.team, nearest)
-        found = (nearest != NOBODY).T
+        found = (nearest != NO_OPPONENT).T
         return spawn._replace(goal=np.where(found, spawn.position[nearest[0]], spawn.position))
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell the shapes of what is kept of each drone, all (N,).
+        """Return the shapes of the per-drone memory, all (N,).
 
         Returns:
-            "lost_at" and "captured_at", time when it was lost, and captured, s, 0 before;
-            "captures", how many evaders it captured; "closed", by how much the nearest chaser
-            came nearer in the last decision, m.
+            "lost_at" and "captured_at", time at which the drone was lost or captured, s, 0 before;
+            "captures", number of evaders that it captured; "closed", decrease of the distance to
+            the nearest chaser in the last decision, m.
         """
         drones = (self.context.num_drones,)
         return dict.fromkeys(("lost_at", "captured_at", "captures", "closed"), drones)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Note who was captured or lost, and set goals anew."""
+        """Record captures and losses, and update goals."""
         memory, flown = frame.scene.memory, frame.alive
         places = (frame.before.position, frame.after.position)
-        least, closed = np.empty((2, *flown.shape))
+        min_distance, closed = np.empty((2, *flown.shape))
         by = np.empty(flown.shape, dtype=np.int64)
-        follow_chase(*places, flown, self.team, least, by, closed)
+        measure_chase(*places, flown, self.team, min_distance, by, closed)
         memory["closed"][:] = closed
         harmless, touched = self._contacts(frame)
         if self.config.capture == "contact":
             captured = touched.any(axis=2)
             by = touched.argmax(axis=2)
         else:
-            captured = least <= self.config.capture_radius
+            captured = min_distance <= self.config.capture_radius
         captured = captured & flown & self._is_evader
         w, i = np.nonzero(captured)
         np.add.at(memory["captures"], (w, by[w, i]), 1.0)
-        # Whoever crashes, leaves or runs empty is lost as well.
+        # Drones that crash, leave the arena or have empty batteries are lost, too
         lost = captured | (frame.collision & ~harmless) | frame.depleted
         if self.config.boundary == "end":
             lost |= self.outside(frame)
         now = np.broadcast_to(frame.time[:, None], flown.shape)
         np.copyto(memory["captured_at"], now, where=captured)
         np.copyto(memory["lost_at"], now, where=lost & flown)
-        self._chase(frame, flown & ~lost)
+        self._update_goals(frame, flown & ~lost)
 
     def _contacts(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Tell whose contacts were with opponents alone, (W, N), and with which, (W, N, N) bool."""
+        """Return which drones touched opponents only, (W, N), and which ones, (W, N, N) bool."""
         touched = np.zeros((*frame.alive.shape, len(self.team)), dtype=bool)
         if not frame.collision.any():
             return touched[..., 0], touched
@@ -314,33 +318,31 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         harmless[world[~opposed], drone[~opposed]] = False
         return harmless, touched
 
-    def _chase(self, frame: Frame, present: np.ndarray) -> None:
-        """Put goals where the nearest opponents of `present` (W, N) are; others stay."""
+    def _update_goals(self, frame: Frame, present: np.ndarray) -> None:
+        """Set goals to the nearest opponents of `present` (W, N); others keep their goals."""
         scene, swarm = frame.scene, frame.after
         nearest = np.empty(present.shape, dtype=np.int64)
         nearest_opponents(swarm.position, present, self.team, nearest)
-        found = (nearest != NOBODY)[..., None]
+        found = (nearest != NO_OPPONENT)[..., None]
         for goal, own in ((scene.goal, swarm.position), (scene.goal_velocity, swarm.velocity)):
             np.copyto(goal, np.take_along_axis(own, nearest[..., None], axis=1), where=found)
         fill_distances(scene.goal, swarm.position, frame.distance)
         fill_distances(scene.goal, frame.known_position, frame.known_distance)
 
     def terminated(self, frame: Frame) -> np.ndarray:
-        """Tell who was lost in the decision, and where a team is gone; derive what terms read.
+        """Return which drones are lost or without opponents; derive the events that terms read.
 
         Returns:
-            (W, N) bool. `frame.derived` gets all of `events`.
+            (W, N) bool. Sets all `events` in `frame.derived`.
         """
         memory, flown, evader = frame.scene.memory, frame.alive, self._is_evader
-        # Lost in this decision, not in an earlier one
         now = frame.time[:, None]
         lost = flown & (memory["lost_at"] == now) & (now > 0)
         left = flown & ~lost
-        # Chasers win when the last evader is gone; without chasers it is over
+        # Chasers win when no evader is left; the game also ends without chasers
         won = evader.any() & ~np.any(left & evader, axis=1)
         gone = (~evader).any() & ~np.any(left & ~evader, axis=1)
         chasers, evaders = flown & ~evader, flown & evader
-        # What reward terms and infos ask for by name
         frame.derived["lost"] = lost
         frame.derived["captured"] = lost & (memory["captured_at"] == now)
         frame.derived["won"] = np.broadcast_to(won[:, None], flown.shape) & left
@@ -351,7 +353,11 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         return ended
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell which chasers fly when no evader does, and which evaders do at the end, (W, N)."""
+        """Return which drones win: chasers without evaders left, evaders alive at the end.
+
+        Returns:
+            (W, N) bool.
+        """
         evader, lost = self._is_evader, frame.derived["lost"]
         chasers_left = np.any(frame.alive & ~lost & ~evader, axis=1)
         is_over = frame.last | ~chasers_left
@@ -360,12 +366,13 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         return success
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell, beside the city's parameters, how the game stands, (W, N).
+        """Return the infos of the city and of the game, (W, N).
 
         Returns:
-            The same for all drones of a world: "captured", the share of evaders captured, and
-            "capture_time", the time until capture, s, mean of the evaders; for those that are not,
-            that of the whole episode. Of each drone "captures", how many it captured.
+            The same for all drones of a world: "captured", the fraction of evaders captured, and
+                "capture_time", the mean time until capture over evaders, s, with the length of the
+                episode for those not captured. For each drone "captures", the number of evaders
+                that it captured.
         """
         memory, shape = frame.scene.memory, frame.alive.shape
         evaders = max(int(self._is_evader.sum()), 1)

@@ -1,4 +1,4 @@
-"""Task `race`: drones fly through numbered gates, as fast as they can."""
+"""Task `race`: drones fly through a sequence of gates as fast as possible."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -13,27 +13,27 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.ends import leaves_arena
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
-from bulletuav.tasks.observations.base import Block, of_drones
+from bulletuav.tasks.observations.base import Block, make_drone_block
 from bulletuav.tasks.parts.base import Rngs
-from bulletuav.tasks.parts.gates import cross_gates, rank_drones, ways_left
+from bulletuav.tasks.parts.gates import compute_remaining_distances, cross_gates, rank_drones
 from bulletuav.tasks.parts.race_course import RaceConfig, RaceCourse
 
 
 @reward
 def progress(way: float, way_before: float) -> float:
-    """Metres nearer to the finish, straight from gate to gate."""
+    """Decrease of the remaining distance to the finish, from gate to gate, m."""
     return way_before - way
 
 
 @reward
 def gate(passing: float) -> float:
-    """1 where a gate was passed."""
+    """1 if a gate was passed."""
     return passing
 
 
 @reward
 def miss(missing: float) -> float:
-    """1 where the next gate's plane was crossed beside its opening."""
+    """1 if the plane of the next gate was crossed beside its opening."""
     return missing
 
 
@@ -45,53 +45,55 @@ def finish(finished: bool) -> float:
 
 @reward
 def overtake(overtaken: float) -> float:
-    """Drones that were before it and are behind it now."""
+    """Count the drones that were ahead before the decision and are behind now."""
     return overtaken
 
 
 @register("task")
 class Race(Task[RaceConfig]):
-    """Race through numbered gates, whose frames can be hit.
+    """Drones race through a sequence of gates with solid frames.
 
-    Drones start on blocks on the ground, in rows of four, 6 m and more before the first gate. Gates
-    are to be passed in turn, each through its opening and in its direction. Who crosses the next
-    gate's plane beside the opening has missed it, and has to come back. The track is drawn for each
-    episode: 6 gates round a circle of 25 m, 2 to 5 m high. A drone's goal is the middle of its next
-    gate.
+    Drones start on blocks on the ground, in rows of four, at least 6 m before the first gate. Gates
+    have to be passed in order, each through its opening and in its direction. A drone that crosses
+    the plane of its next gate beside the opening misses the gate and has to return to it. The track
+    is drawn for each episode: 6 gates around a circle of 25 m, at heights of 2 to 5 m. A drone's
+    goal is the centre of its next gate.
 
     Observation, Box(48) per drone with the defaults: velocity in body axes (forward, left, up);
-    attitude as a quaternion, body to world; the next two gates in body axes: position, direction
-    to fly, velocity, width of the opening; the nearest living drones, in world axes.
+    attitude as a quaternion, body to world; the next two gates in body axes: position, direction to
+    fly, velocity, width of the opening; the nearest living drones, in world axes.
 
-    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s, in
-    world axes. Its norm is limited to max_speed. There are 20 decisions a second. Racing pilots
-    give `rates`: thrust and body rates.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
+    max_speed = 15 m/s, in world axes. Its norm is limited to max_speed. There are 20 decisions a
+    second. Human pilots command `rates`: thrust and body rates.
 
-    Reward per decision, the sum of these terms times their weights:
+    Reward per decision, the weighted sum of these terms:
 
-    - progress 1: metres nearer to the finish, straight from gate to gate.
-    - gate 10: 1 where a gate was passed.
-    - miss -5: 1 where the next gate's plane was crossed beside its opening.
+    - progress 1: decrease of the remaining distance to the finish, from gate to gate, m.
+    - gate 10: 1 if a gate was passed.
+    - miss -5: 1 if the plane of the next gate was crossed beside its opening.
     - finish 50: 1 on passing the last gate.
-    - overtake 0: drones that were before it and are behind it now.
-    - collision -100: 1 on contact with anything but, on landing, the ground.
+    - overtake 0: number of drones overtaken.
+    - collision -100: 1 on contact, except with the ground when landing.
     - out_of_bounds -50: 1 outside the arena.
-    - energy -0.001: square of the velocity change, (m/s)^2.
-    - time -0.5: 1 a decision until the finish. Whoever ends before pays for all that are left.
+    - energy -0.001: squared change of velocity, (m/s)^2.
+    - time -0.5: 1 per decision until the finish; if the episode terminates before, also 1 per
+      remaining decision.
 
-    End: terminated on passing the last gate, on contact, with an empty battery, or outside the
+    End: terminated on passing the last gate, on contact, when the battery is empty, or outside the
     arena. Truncated after 600 decisions; hard and extreme have 800.
 
     Success: the last gate was passed.
 
-    Infos: `gates` passed; gates `missed`; `rank` from 1, by the way that is left; `overtakes`;
-    `split`, when the last gate was passed, s; `lap_time` of the last whole lap, s, and before that
-    the time so far; `contacts`, how often one began; `race_time`, time to the finish or so far,
-    with `penalty` = 2 s for each gate missed and each contact.
+    Infos: `gates`, number of gates passed; `missed`, number of gates missed; `rank` from 1, by
+    remaining distance; `overtakes`, number of drones overtaken; `split`, time at which the last
+    gate was passed, s; `lap_time` of the last complete lap, s, or the elapsed time before;
+    `contacts`, number of contacts; `race_time`, time to the finish, or the elapsed time, plus
+    `penalty` = 2 s for each missed gate and each contact.
 
     Difficulties: easy has 2 drones and upright square gates. medium has 4; gates are square or
     round, and tilted. hard has 6 drones, 2 laps, smaller gates, and wind. extreme has 8 drones;
-    gates swing, and drones are not alike.
+    gates oscillate, and drones differ in mass, thrust and drag.
     """
 
     name = "race"
@@ -164,10 +166,10 @@ class Race(Task[RaceConfig]):
     }
 
     def __init__(self, config: RaceConfig, context: TaskContext) -> None:
-        """Read the track, or find out how to draw one, and lay out the arena.
+        """Read the track, or set up random tracks, and set the arena.
 
         Raises:
-            ValueError: There is no such track, or it cannot be flown.
+            ValueError: If the track does not exist or cannot be flown.
         """
         super().__init__(config, context)
         self.course = RaceCourse(config, context)
@@ -175,46 +177,47 @@ class Race(Task[RaceConfig]):
         self.arena_low, self.arena_high = self.course.arena
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """List the bars of all gates."""
+        """Return the bars of all gates."""
         return self.course.bodies
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell the shapes of what is kept of gates and drones.
+        """Return the shapes of the memory of gates and drones.
 
         Returns:
-            Of G gates "gate" and "gate_before" (G, 3), middles after and before the decision, m;
-            "gate_velocity" (G, 3), m/s; "gate_axis" (G, 3, 3), their axes; "gate_size" (G,), m;
-            "gate_phase" (G,) of their swings, rad; "leg" (G,), from each to the next, m. Of drones
-            "passed" (N,), gates; "split" (N, laps G), when each was passed, s; "passing",
-            "missing", "overtaken" (N,), see `bulletuav.tasks.parts.gates`; "missed",
-            "overtakes", "contacts" (N,), sums; "touching" (N,), whether a contact goes on; "way",
-            "way_before" (N,), to the finish, m; "rank", "rank_before" (N,).
+            Of G gates: "gate" and "gate_before" (G, 3), centres after and before the decision, m;
+                "gate_velocity" (G, 3), m/s; "gate_axis" (G, 3, 3), axes; "gate_size" (G,), m;
+                "gate_phase" (G,), phase of the oscillation, rad; "leg" (G,), distance from each
+                gate to the next, m. Of drones: "passed" (N,), number of gates; "split" (N, laps G),
+                time of passing each gate, s; "passing", "missing", "overtaken" (N,), see
+                `bulletuav.tasks.parts.gates`; "missed", "overtakes", "contacts" (N,), totals;
+                "touching" (N,), whether a contact persists; "way", "way_before" (N,), remaining
+                distance to the finish, m; "rank", "rank_before" (N,).
         """
         gates, drones = self.course.gates, (self.context.num_drones,)
         of_gates = {"gate": (3,), "gate_before": (3,), "gate_velocity": (3,), "gate_axis": (3, 3)}
         of_gates |= {"gate_size": (), "gate_phase": (), "leg": ()}
         counts = ("passed", "passing", "missing", "missed", "overtaken", "overtakes", "contacts")
-        of_drones = dict.fromkeys(
+        make_drone_block = dict.fromkeys(
             (*counts, "touching", "way", "way_before", "rank", "rank_before"), drones
         )
         shapes = {name: (gates, *shape) for name, shape in of_gates.items()}
-        return {**shapes, **of_drones, "split": (*drones, self.turns)}
+        return {**shapes, **make_drone_block, "split": (*drones, self.turns)}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a track, unless one is given, and put drones on its blocks."""
+        """Draw a track, unless one is given, and place drones on its starting blocks."""
         return self.course.spawn(rng)
 
     def start_memory(self, frame: Frame) -> None:
-        """Find the ways to the finish from the start, and the order there."""
+        """Compute the remaining distances and ranks at the start."""
         memory = frame.scene.memory
-        self._follow_ways(frame)
+        self._update_distances(frame)
         memory["way_before"][:] = memory["way"]
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Swing gates, and move goals with them.
+        """Move oscillating gates, and goals with them.
 
         Returns:
-            Whether gates can have moved.
+            Whether gates may have moved.
         """
         memory = scene.memory
         memory["gate_before"][flying] = memory["gate"][flying]
@@ -225,25 +228,24 @@ class Race(Task[RaceConfig]):
         return True
 
     def _aim(self, scene: Scene) -> None:
-        """Put drones' goals into the middles of their next gates; at the end into the last one."""
+        """Set goals to the centres of the next gates, or of the last gate after the finish."""
         memory = scene.memory
         turn = np.minimum(memory["passed"], self.turns - 1).astype(int) % self.course.gates
         for goal, gate in ((scene.goal, "gate"), (scene.goal_velocity, "gate_velocity")):
             goal[:] = np.take_along_axis(memory[gate], turn[..., None], axis=1)
 
-    def _follow_ways(self, frame: Frame) -> None:
-        """Bring the ways that are left up to date, and the order; count who was overtaken."""
+    def _update_distances(self, frame: Frame) -> None:
+        """Update the remaining distances, the ranks and the numbers of drones overtaken."""
         memory = frame.scene.memory
         gates = (memory["passed"], memory["gate"], memory["leg"], self.turns)
-        ways_left(frame.after.position, *gates, memory["way"])
+        compute_remaining_distances(frame.after.position, *gates, memory["way"])
         last = memory["split"][..., -1]
         order = (memory["rank"], memory["rank_before"], memory["overtaken"])
         rank_drones(memory["way"], last, frame.alive, *order)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Credit drones with gates, bring the order up to date, and count what went wrong."""
+        """Update passed gates, ranks, and numbers of missed gates and contacts."""
         memory = frame.scene.memory
-        # Gates that moved are crossed in their own frame, between before and after
         cross_gates(
             frame.before.position,
             frame.after.position,
@@ -260,26 +262,24 @@ class Race(Task[RaceConfig]):
             memory["passing"],
             memory["missing"],
         )
-        # Order by the ways left, now that gates are credited
         memory["way_before"][:] = memory["way"]
-        self._follow_ways(frame)
-        # Counts of the episode
+        self._update_distances(frame)
         memory["missed"][:] += memory["missing"]
         memory["overtakes"][:] += memory["overtaken"]
-        # A touch that lasts counts once
+        # A contact that persists counts once
         touching = frame.collision & frame.alive
         memory["contacts"][:] += touching & (memory["touching"] == 0)
         memory["touching"][:] = touching
-        # The next gate may be another goal, so distances are measured again
+        # Goals may have changed, so recompute the distances
         self._aim(frame.scene)
         fill_distances(frame.scene.goal, frame.after.position, frame.distance)
         fill_distances(frame.scene.goal, frame.known_position, frame.known_distance)
 
     def terminated(self, frame: Frame) -> np.ndarray:
-        """Tell who finished, crashed or left the arena; derive the events that terms read.
+        """Return which drones finished, crashed or left the arena; derive events for terms.
 
         Returns:
-            (W, N) bool. `frame.derived` gets all of `events`.
+            (W, N) bool. Sets all `events` in `frame.derived`.
         """
         finished: np.ndarray = frame.alive & self.succeeded(frame)
         ended: np.ndarray = super().terminated(frame) | finished | frame.depleted
@@ -289,16 +289,16 @@ class Race(Task[RaceConfig]):
         return ended
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell who passed the last gate, (W, N) bool."""
+        """Return which drones passed the last gate, (W, N) bool."""
         finished: np.ndarray = frame.scene.memory["passed"] >= self.turns
         return finished
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell the order, times and faults of the race; see the class."""
+        """Return ranks, times and faults; see the class docstring."""
         memory = frame.scene.memory
         passed, split = memory["passed"].astype(int), memory["split"]
         gates, now = self.course.gates, np.broadcast_to(frame.time[:, None], passed.shape)
-        # Before the first lap is over, its time is the time so far; the start was at 0.
+        # Times at which laps ended, starting with 0
         ends = np.concatenate([np.zeros((*passed.shape, 1)), split[..., gates - 1 :: gates]], -1)
         lap = passed // gates
         last, first = (
@@ -319,10 +319,9 @@ class Race(Task[RaceConfig]):
         }
 
     def world_state(self) -> Mapping[str, Block]:
-        """Tell where gates are, how they stand and move, and how many each drone has passed."""
+        """Return the poses and velocities of gates, and the number of gates passed by drones."""
         count, drones = self.course.gates, self.context.num_drones
         fast = np.full(3, self.course.fastest)
-        # The global state tells all gates; drones observe the next ones
         labels: list[Label] = []
         for k in range(count):
             labels += vector_labels(f"gate {k}", "m", self.arena_low, self.arena_high)
@@ -331,8 +330,8 @@ class Race(Task[RaceConfig]):
 
         def stands(frame: Frame, present: np.ndarray) -> np.ndarray:
             memory = frame.scene.memory
-            told = (memory["gate"], memory["gate_axis"][:, :, 0], memory["gate_velocity"])
-            return np.concatenate(told, axis=-1).reshape(len(present), -1)
+            columns = (memory["gate"], memory["gate_axis"][:, :, 0], memory["gate_velocity"])
+            return np.concatenate(columns, axis=-1).reshape(len(present), -1)
 
-        passed = of_drones("passed", "1", float(self.turns), drones)
+        passed = make_drone_block("passed", "1", float(self.turns), drones)
         return {"gates": Block(tuple(labels), stands), "passed": passed}

@@ -1,4 +1,4 @@
-"""Rewards, ends and observations as parts of a program; see `bulletuav.compiled.program`."""
+"""Evaluation and observation of a decision as steps of a `bulletuav.compiled.program`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -12,12 +12,12 @@ from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import Bound
 
 
-class Judgement(NamedTuple):
-    """What a task makes of a decision, in arrays (W, N) that a program fills.
+class Evaluation(NamedTuple):
+    """Termination, success and reward terms of a decision, (W, N) each, filled by a program.
 
     Attributes:
-        ended: Whose episode the task ends.
-        success: Who is where the task wants it.
+        ended: Drones whose episodes terminate.
+        success: Drones that are successful.
         terms: Reward terms by name, unweighted.
     """
 
@@ -26,33 +26,33 @@ class Judgement(NamedTuple):
     terms: Mapping[str, np.ndarray]
 
 
-class Kept:
-    """Arrays that a task makes anew for each decision, kept where compiled loops find them."""
+class StableArrays:
+    """Fixed copies of arrays that a task allocates in each decision, for compiled loops."""
 
     def __init__(self, program: Program, frame: Frame) -> None:
-        """Begin with none.
+        """Start without arrays.
 
         Args:
-            program: In which they are copied, before the first loop that reads them.
+            program: Program that copies the arrays before the first loop that reads them.
             frame: The decision.
         """
         self._program, self._frame = program, frame
         self._arrays: dict[str, np.ndarray] = {}
 
     def add(self, bound: Bound, out: np.ndarray) -> None:
-        """Add to the program that an ingredient fills `out`."""
-        if bound.loop is None:  # it takes all drones at once
+        """Add a step to the program that evaluates an ingredient into `out`."""
+        if bound.loop is None:  # a NumPy function of the whole frame
             self._program.turn(lambda: bound.fill(self._frame, out))
             return
         arguments = [self._argument(name, source) for name, source in bound.sources.items()]
         self._program.call(bound.loop, *arguments, out)
 
     def _argument(self, name: str, source: Any) -> Any:
-        """Find an argument where it stays, or copy it there."""
+        """Return an argument's array if it is persistent, else a refreshed copy."""
         if name in self._arrays:
             return self._arrays[name]
         value = source.read(self._frame)
-        if source.stays or not isinstance(value, np.ndarray):
+        if source.is_persistent or not isinstance(value, np.ndarray):
             return value
         kept = self._arrays[name] = np.array(value)
 
@@ -63,51 +63,52 @@ class Kept:
         return kept
 
 
-def add_outcome(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
-    """Add to a program that a task works out ends and successes, and what it needs for them.
+def add_outcome(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
+    """Add steps to a program that compute termination and success.
 
-    The task has evaluated a frame before.
+    The task must have evaluated a frame before.
 
     Args:
-        program: To be added to.
-        task: The task; what it overrides is Python's turn.
+        program: Program to extend.
+        task: The task. Methods that it overrides run as Python callbacks.
         frame: The decision.
-        judgement: What is filled.
+        evaluation: Arrays to fill.
     """
 
     def evaluate() -> None:
         result = task.evaluate_step(frame)
-        judgement.ended[:] = result.terminated
-        judgement.success[:] = result.success
-        _copy(result.terms, judgement)
+        evaluation.ended[:] = result.terminated
+        evaluation.success[:] = result.success
+        _copy(result.terms, evaluation)
 
-    # A task that judges by itself takes Python's turn
+    # An overridden `evaluate_step` runs as a Python callback
     kind, bound = type(task), task.bound
     if kind.evaluate_step is not Task.evaluate_step:
         program.turn(evaluate)
         return
-    # Own methods where there are some, and compiled ingredients beside them
     own = None if kind.terminated is Task.terminated else task.terminated
-    _add_flags(program, frame, judgement.ended, own, bound.ends)
+    _add_flags(program, frame, evaluation.ended, own, bound.ends)
     own = None if kind.succeeded is Task.succeeded else task.succeeded
     success = () if bound.success is None else (bound.success,)
-    _add_flags(program, frame, judgement.success, own, success)
+    _add_flags(program, frame, evaluation.success, own, success)
 
 
-def add_judgement(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
-    """Add to a program that a task works out what `add_outcome` tells, and reward terms."""
-    add_outcome(program, task, frame, judgement)
+def add_evaluation(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
+    """Add steps to a program that compute termination, success and reward terms.
+
+    See `add_outcome`.
+    """
+    add_outcome(program, task, frame, evaluation)
     kind, bound = type(task), task.bound
     if kind.evaluate_step is Task.evaluate_step:
-        _add_terms(program, task, frame, judgement)
-    # Terms that users add, by the task's own way or as ingredients
+        _add_terms(program, task, frame, evaluation)
     if kind.extra_terms is not Task.extra_terms:
-        program.turn(lambda: _copy(task.extra_terms(frame), judgement))
+        program.turn(lambda: _copy(task.extra_terms(frame), evaluation))
         return
-    kept = Kept(program, frame)
+    kept = StableArrays(program, frame)
     for name, term in bound.extra.items():
-        if name in judgement.terms:
-            kept.add(term, judgement.terms[name])
+        if name in evaluation.terms:
+            kept.add(term, evaluation.terms[name])
 
 
 def _add_flags(
@@ -117,42 +118,40 @@ def _add_flags(
     own: Callable[[Frame], np.ndarray] | None,
     bounds: Sequence[Bound],
 ) -> None:
-    """Add to a program that `out` tells where any ingredient does, or what a task's own method."""
+    """Add a step that sets `out` by a task's own method, or where any ingredient holds."""
     if own is not None:
         method = own
         program.turn(lambda: np.copyto(out, method(frame)))
         return
-    kept = Kept(program, frame)
+    kept = StableArrays(program, frame)
     for bound in bounds[:1]:
         kept.add(bound, out)
     for bound in bounds[1:]:
         another = np.zeros(out.shape, dtype=bool)
         kept.add(bound, another)
-        program.call(_join, another, out)
+        program.call(_merge_flags, another, out)
 
 
-def _add_terms(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
-    """Add to a program that a task's own reward terms are worked out."""
+def _add_terms(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
     if type(task).reward_terms is not Task.reward_terms:
-        program.turn(lambda: _copy(task.reward_terms(frame), judgement))
+        program.turn(lambda: _copy(task.reward_terms(frame), evaluation))
         return
-    kept = Kept(program, frame)
+    kept = StableArrays(program, frame)
     for name, term in task.bound.terms.items():
-        kept.add(term, judgement.terms[name])
+        kept.add(term, evaluation.terms[name])
     if any(task.weights.get(name) for name in task.computed_terms):
-        own = {name: judgement.terms[name] for name in task.bound.terms}
-        program.turn(lambda: _copy(task.compute_terms(frame, own), judgement))
+        own = {name: evaluation.terms[name] for name in task.bound.terms}
+        program.turn(lambda: _copy(task.compute_terms(frame, own), evaluation))
 
 
-def _copy(terms: Mapping[str, np.ndarray], judgement: Judgement) -> None:
-    """Keep terms that a task gave."""
+def _copy(terms: Mapping[str, np.ndarray], evaluation: Evaluation) -> None:
     for name, term in terms.items():
-        judgement.terms[name][:] = term
+        evaluation.terms[name][:] = term
 
 
 @kernel
-def _join(another: np.ndarray, out: np.ndarray) -> None:
-    """Set `out` (W, N) also where `another` is set."""
+def _merge_flags(another: np.ndarray, out: np.ndarray) -> None:
+    """Compute `out |= another`, both (W, N)."""
     for w in range(out.shape[0]):
         for i in range(out.shape[1]):
             out[w, i] = out[w, i] or another[w, i]
@@ -160,7 +159,7 @@ def _join(another: np.ndarray, out: np.ndarray) -> None:
 
 @kernel
 def clear(table: np.ndarray) -> None:
-    """Write zeros to an array of three axes."""
+    """Fill a 3-d array with zeros."""
     for a in range(table.shape[0]):
         for b in range(table.shape[1]):
             for c in range(table.shape[2]):

@@ -1,4 +1,4 @@
-"""Targets that drones are to see: users on the ground, or cells of it."""
+"""Fractions of targets in sight: users on the ground, or cells of it."""
 
 import numpy as np
 
@@ -6,43 +6,43 @@ from bulletuav.compiled.kernel import allocating
 from bulletuav.tasks.frame import Frame
 
 SERVED = "served share"
-"""Where a frame keeps what `served_by_any` returns"""
+"""Key of `Frame.derived` for the result of `get_served_fraction`"""
 
 
-def served_by_any(frame: Frame, active: np.ndarray) -> np.ndarray:
-    """Compute the share of active targets that some living drone sees.
+def get_served_fraction(frame: Frame, active: np.ndarray) -> np.ndarray:
+    """Return the fraction of active targets seen by at least one living drone, cached in the frame.
 
     Args:
-        frame: The decision, which keeps the share until something changes.
+        frame: The decision.
         active: (W, U) bool, targets that count.
 
     Returns:
         (W, N), the same for all drones of a world.
     """
     known = frame.derived.get(SERVED)
-    if known is None:  # else asked before, of the same frame
-        known = served_share(frame.readings["sight"], frame.alive, active)
+    if known is None:
+        known = compute_served_fraction(frame.readings["sight"], frame.alive, active)
         frame.derived[SERVED] = known
     return known
 
 
-def share_of(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
-    """Compute the share of active targets that are seen.
+def compute_seen_fraction(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
+    """Compute the fraction of active targets that are seen.
 
     Args:
         seen: (..., U) bool.
         active: (..., U) bool.
 
     Returns:
-        (...,), exactly 1 for all, 0 where none is active.
+        (...,), exactly 1 if all are seen, 0 if none is active.
     """
     share: np.ndarray = (seen & active).sum(axis=-1) / np.maximum(active.sum(axis=-1), 1)
     return share
 
 
 @allocating
-def served_share(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np.ndarray:
-    """Compute the share of active targets that any living drone sees.
+def compute_served_fraction(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np.ndarray:
+    """Compute the fraction of active targets seen by at least one living drone.
 
     Args:
         sight: (W, N, U) bool.
@@ -54,14 +54,13 @@ def served_share(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np
     """
     share = np.zeros(alive.shape)
     for w in range(alive.shape[0]):
-        seen, most = 0, 0
+        seen, num_active = 0, 0
         for j in range(active.shape[1]):
             if active[w, j]:
-                most += 1
-                # One drone that sees it is enough.
+                num_active += 1
                 for i in range(alive.shape[1]):
                     if alive[w, i] and sight[w, i, j]:
                         seen += 1
                         break
-        share[w] = seen / max(most, 1)
+        share[w] = seen / max(num_active, 1)
     return share

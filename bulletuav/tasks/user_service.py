@@ -1,4 +1,4 @@
-"""Tasks in which drones over a city serve users on the ground."""
+"""Base class of tasks in which drones over a city serve users on the ground."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Generic, Literal, TypeVar
@@ -7,28 +7,30 @@ import numpy as np
 
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import REBOUND, TaskConfig
-from bulletuav.tasks.ends import affected
+from bulletuav.tasks.ends import affected_drones
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
-from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_share
+from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
 from bulletuav.tasks.parts.users import Service, UserOptions, Users
 
 
 @dataclass(frozen=True)
 class UserServiceConfig(UserOptions, CityOptions, ObstacleOptions, TaskConfig):
-    """Options of tasks over users, beside those of users, cities and obstacles.
+    """Options of tasks with users, in addition to those of users, cities and obstacles.
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
-        wanted: Share of service that is success; of users served, unless the task says otherwise.
-        boundary: What happens at the bounds of the airspace. "end": the drone's episode ends.
-            "soft": it is thrown back. "hard": it stops there.
-        contact_ends: Whose episode a contact of collision shapes ends: that of the "drone", or
-            of its whole "world".
-        height: Least and greatest height of starts, m.
-        ceiling: Greatest height of the airspace, m: low enough that not every place sees all.
+        wanted: Fraction of service from which the task is successful: of users served, unless the
+            task defines another.
+        boundary: Behaviour at the bounds of the airspace. "end": the drone's episode ends. "soft":
+            the drone rebounds. "hard": the drone stops.
+        contact_ends: Episode that a contact of collision shapes ends: that of the "drone", or of
+            its whole "world".
+        height: Minimum and maximum height of starts, m.
+        ceiling: Maximum height of the airspace, m: low enough that not every position sees all
+            users.
     """
 
     d_safe: float = 2.0
@@ -43,17 +45,17 @@ UserServiceConfigT = TypeVar("UserServiceConfigT", bound=UserServiceConfig)
 
 
 class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
-    """Base of tasks over users: drones start at rest anywhere outdoors, and so do users.
+    """Base class of tasks with users: drones start at rest outdoors, and users are outdoors.
 
-    A drone's episode ends on contact of collision shapes and with an empty battery. At the bounds
-    of the city's square and at its ceiling drones stop, unless the option `boundary` says
-    otherwise. Success is the share `wanted` of users in sight of some drone.
+    A drone's episode ends on contact of collision shapes and when the battery is empty. Drones stop
+    at the bounds of the city's square and at its ceiling, unless the option `boundary` changes
+    this. The task is successful if at least the fraction `wanted` of users is in sight of a drone.
 
     Attributes:
-        town: The cities.
-        users: The users, who are the targets.
+        city_layouts: The cities.
+        users: The users, which are the targets.
         service_kind: Class of `service`.
-        service: What drones do for users.
+        service: Service that drones provide to users.
     """
 
     has_goals = False
@@ -70,37 +72,37 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
     }
 
     def __init__(self, config: UserServiceConfigT, context: TaskContext) -> None:
-        """Make the cities, and find where users can walk.
+        """Create the cities and the users' mobility model.
 
         Raises:
-            ValueError: A city leaves no room to fly or to walk.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If a city has no space to fly or to walk.
+            FileNotFoundError: If the city's file does not exist.
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
-        self.town = add_city(self)
-        check_share("wanted", config.wanted)
+        self.city_layouts = add_city(self)
+        check_fraction("wanted", config.wanted)
         self.rebound = REBOUND.get(config.boundary)
-        self.users = self.add(Users(self, self.town))
+        self.users = self.add(Users(self, self.city_layouts))
         self.service = self.add(self.service_kind(self, self.users))
 
     def targets(self, scene: Scene) -> np.ndarray:
-        """Return where the users are, (W, U, 3) m."""
+        """Return the positions of the users, (W, U, 3) m."""
         return self.users.places(scene)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a start of drones at rest, and of users, all outdoors."""
-        layout = self.town.draw(rng)
-        start = self.town.hovering(rng, layout, self.context.num_drones)
+        """Draw starts of drones, at rest, and of users, all outdoors."""
+        layout = self.city_layouts.draw(rng)
+        start = self.city_layouts.hovering(rng, layout, self.context.num_drones)
         return start._replace(memory=self.users.start(layout, rng))
 
     def terminated(self, frame: Frame) -> np.ndarray:
-        """Return whose episode ends by contact, or outside the airspace where options say so.
+        """Return which drones' episodes end by contact or, if `boundary` is "end", outside.
 
         Returns:
             (W, N) bool.
         """
-        ended = affected(frame.collision, frame, self.config.contact_ends)
+        ended = affected_drones(frame.collision, frame, self.config.contact_ends)
         if self.config.boundary == "end":
             ended = ended | self.outside(frame)
         return ended
@@ -116,5 +118,5 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
         return self.service.quality(place, targets, sight)
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Return whether the wanted share of service is reached, (W, N) bool."""
+        """Return whether the required fraction of service is reached, (W, N) bool."""
         return self.service.succeeded(frame)

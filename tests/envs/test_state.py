@@ -60,7 +60,7 @@ def test_cities_differ_by_layout_in_state_and_infos():
     layout = aviary.scene.layout
     assert set(layout) == {0, 1}
     for w in range(8):
-        city = aviary.task.town.cities[layout[w]]
+        city = aviary.task.city_layouts.cities[layout[w]]
         gamma = np.sqrt((city.heights**2).mean() / 2)
         expected = (city.coverage, len(city.heights) / 0.09, gamma)
         np.testing.assert_allclose(told[w], expected, rtol=1e-6)

@@ -28,7 +28,12 @@ from bulletuav.report.film import Film
 from bulletuav.report.replay import read_run, write_replay
 from bulletuav.report.results import merge
 from bulletuav.report.verification import Verifier
-from bulletuav.tasks.parts.tracks import RandomTrack, blocks, fault, load_track
+from bulletuav.tasks.parts.tracks import (
+    RandomTrack,
+    find_track_error,
+    load_track,
+    place_start_blocks,
+)
 from bulletuav.training.store import Store
 from bulletuav.training.study import Study
 
@@ -160,10 +165,10 @@ def make_track(folder):
 def read_track(folder):
     gates = load_track(folder / "own.toml", RandomTrack(4, 20.0, (2.0, 4.0), 0.0, "mixed", 1.5))
     try:
-        starts = blocks(gates, 2)
+        starts = place_start_blocks(gates, 2)
     except ValueError as error:  # of a race, which has a name for its track
         raise ValueError(f"{folder}: {error}") from None
-    fault(gates, starts, 0.1, 0.0)
+    find_track_error(gates, starts, 0.1, 0.0)
 
 
 def make_run(folder):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.tasks.rewards.airspace import CLEAR, CONFLICT, follow_encounters, variance_nearby
+from bulletuav.tasks.rewards.airspace import CLEAR, CONFLICT, update_encounters, variance_nearby
 from bulletuav.vehicle.swarm import Swarm
 
 AIRSPACES = ("crossing", "converge", "pursuit", "obstacles")
@@ -183,24 +183,24 @@ def test_encounters_by_hand():
 
     encounter, effort = np.zeros((2, 1, 2, 2))
     alive = np.ones((1, 2), dtype=bool)
-    follow_encounters(
+    update_encounters(
         encounter, effort, swarm((0, 250), (10, -10)), swarm((1, 249), (10, -10)), 5.0, alive
     )
     assert not encounter.any()  # they would meet, in 12.5 s
-    follow_encounters(
+    update_encounters(
         encounter, effort, swarm((0, 100), (10, -10)), swarm((1, 99), (10, -7)), 5.0, alive
     )
     assert encounter[0, 0, 1] == encounter[0, 1, 0] == CLEAR
     assert (effort[0, 0, 1], effort[0, 1, 0]) == (0, 3)
-    follow_encounters(
+    update_encounters(
         encounter, effort, swarm((0, 100), (-10, 10)), swarm((-1, 101), (0, 10)), 5.0, alive
     )
     assert effort[0, 0, 1] == 0  # they part
-    follow_encounters(
+    update_encounters(
         encounter, effort, swarm((0, 100), (10, -10)), swarm((48, 52), (10, -10)), 5.0, alive
     )
     assert encounter[0, 0, 1] == CONFLICT
-    follow_encounters(
+    update_encounters(
         encounter, effort, swarm((0, 100), (10, -10)), swarm((1, 99), (10, -10)), 5.0, ~alive
     )
     assert encounter[0, 0, 1] == CONFLICT

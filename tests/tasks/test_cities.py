@@ -32,7 +32,7 @@ def test_everybody_starts_outdoors_with_room_and_apart(task, kind):
     drawn = set()
     for seed in range(30):
         spawn = plan.task.spawn(np.random.default_rng(seed))
-        city = plan.task.town.cities[spawn.layout]
+        city = plan.task.city_layouts.cities[spawn.layout]
         drawn.add(spawn.layout)
         for places in (spawn.position, spawn.goal):
             assert city.outdoors(places, margin=RADIUS + 1).all()
@@ -115,7 +115,7 @@ def test_the_same_seed_is_the_same_world_among_however_many(make_urban, task):
 
 def test_a_city_made_by_hand(make_urban):
     aviary = make_urban("default", city=WALL)
-    assert aviary.task.town.cities == (WALL,)
+    assert aviary.task.city_layouts.cities == (WALL,)
     assert aviary.solids(0) is WALL.solids
     np.testing.assert_array_equal(aviary.task.arena_high, (100, 100, 15))
     assert list(aviary.line_of_sight([(0, 0, 10), (0, 70, 10)], [(30, 0, 10), (30, 70, 10)])) == [

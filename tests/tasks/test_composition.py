@@ -35,7 +35,7 @@ def test_obstacles_keep_off_starts_goals_and_buildings_and_stay_in_bounds(task):
     low, high = field.box()
     for w in range(3):
         for places in (aviary.swarm.position[w], at.goal[w]):
-            assert (cdist(places, at.obstacle[w]) > field.keep_off).all()
+            assert (cdist(places, at.obstacle[w]) > field.min_distance).all()
     moving = at.obstacle_velocity[:, :4]
     assert (moving != 0).all()
     assert (at.obstacle_velocity[:, 4:] == 0).all()

@@ -48,7 +48,9 @@ def frame(swarm, touched):
     """A frame of two worlds of three drones."""
     rest = dict.fromkeys(("before", "action", "scene", "time", "last", "goal_before"))
     alive = np.ones((2, 3), dtype=bool)
-    return Frame(after=swarm, tell=lambda: touched, alive=alive, d_safe=1.0, zone=2.0, **rest)
+    return Frame(
+        after=swarm, read_contacts=lambda: touched, alive=alive, d_safe=1.0, zone=2.0, **rest
+    )
 
 
 def test_a_drone_rests_that_touches_and_hardly_moves():
@@ -179,6 +181,6 @@ def test_a_task_cannot_tell_them_itself(name):
             return {name: frame.impulse}
 
     aviary = bulletuav.Aviary(Telling)
-    with pytest.raises(ValueError, match=f"'{name}', which infos tell already"):
+    with pytest.raises(ValueError, match=f"'{name}', which is a standard info"):
         aviary.reset()
     aviary.close()

@@ -9,7 +9,7 @@ from urban import STAY, TOWER, blocked
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.tasks.parts import city_layouts
 from bulletuav.tasks.parts.city_layouts import ground_cells
-from bulletuav.tasks.targets import share_of
+from bulletuav.tasks.targets import compute_seen_fraction
 
 
 def share_seen(drones, city):
@@ -116,5 +116,5 @@ def test_everything_seen_is_all_of_it_exactly():
     task = EnvSpec("coverage", 1, {"area": 300.0, "num_layouts": 1, "wanted": 1.0}).task
     everything = np.ones((1, task.num_targets), dtype=bool)
     nothing = np.zeros_like(everything)
-    assert share_of(everything, everything).tolist() == [1.0]
-    assert share_of(everything, nothing).tolist() == [0.0]
+    assert compute_seen_fraction(everything, everything).tolist() == [1.0]
+    assert compute_seen_fraction(everything, nothing).tolist() == [0.0]

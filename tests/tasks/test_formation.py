@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.tasks.parts.formation_plan import FormationConfig
-from bulletuav.tasks.parts.formations import Course, assign, in_world, off_places, off_shape
+from bulletuav.tasks.parts.formations import Course, assign_places, in_world, off_places, off_shape
 
 POINTS = {"dynamics": "single_integrator", "randomization": {}, "jitter": 0.0}
 DIAMOND = np.array([(8.0, 0.0, 0.0), (0.0, 8.0, 0.0), (0.0, -8.0, 0.0), (-8.0, 0.0, 4.0)])
@@ -139,7 +139,7 @@ def test_the_assignment_is_the_best_of_all():
             order: ((position - place[list(order)]) ** 2).sum()
             for order in itertools.permutations(range(6), 4)
         }
-        assert tuple(assign(position, place)) == min(sums, key=sums.get)
+        assert tuple(assign_places(position, place)) == min(sums, key=sums.get)
 
 
 def test_fixed_places_are_those_of_the_shape_in_order():

@@ -6,7 +6,7 @@ import pytest
 
 import bulletuav
 from bulletuav.policies.find import find_policy
-from bulletuav.tasks.frame import TOUCHDOWN_SPEED
+from bulletuav.tasks.frame import MAX_TOUCHDOWN_SPEED
 
 LEVELS = ["single_integrator", "point_mass", "rigid_body", "bullet"]
 POINTS = {"dynamics": "single_integrator"}
@@ -98,7 +98,7 @@ def test_hovering_low_is_no_landing():
 
 
 @pytest.mark.parametrize(
-    ("speed", "lands"), [(0.9 * TOUCHDOWN_SPEED, True), (1.1 * TOUCHDOWN_SPEED, False)]
+    ("speed", "lands"), [(0.9 * MAX_TOUCHDOWN_SPEED, True), (1.1 * MAX_TOUCHDOWN_SPEED, False)]
 )
 @pytest.mark.parametrize("dynamics", ["single_integrator", "bullet"])
 def test_a_fast_touch_is_a_collision(dynamics, speed, lands):

@@ -10,7 +10,7 @@ import pytest
 import bulletuav
 from bulletuav.tasks import Spawn, Task
 from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
-from bulletuav.tasks.observations.base import of_drones
+from bulletuav.tasks.observations.base import make_drone_block
 from bulletuav.tasks.parts.base import Part, Starts
 
 QUICK = {"dynamics": "single_integrator"}
@@ -45,7 +45,7 @@ class Counter(Part):
         return {f"count_{self.name}": self._counted(frame)}
 
     def world_state(self):
-        return {self.name: of_drones(self.name, "1", 100.0, 2)}
+        return {self.name: make_drone_block(self.name, "1", 100.0, 2)}
 
     def finish(self, spawn, is_given, rng):
         return spawn._replace(goal=2 * spawn.goal + self.step)
@@ -87,7 +87,7 @@ def test_a_task_without_parts_leaves_pythons_turns_out():
 
     with contextlib.closing(bulletuav.Aviary(Plain, **QUICK)) as aviary:
         for method in ("move_scene", "update_memory", "payload_power", "finish", "info"):
-            assert not aviary.task.has_own(method)
+            assert not aviary.task.overrides_method(method)
         aviary.reset(seeds=0)
         with contextlib.closing(bulletuav.Aviary(Counting, **QUICK)) as other:
             other.reset(seeds=0)

@@ -6,7 +6,7 @@ import pytest
 
 import bulletuav
 from bulletuav.policies import find_policy
-from bulletuav.tasks.parts.teams import NOBODY, follow_chase, nearest_opponents, zero_sum
+from bulletuav.tasks.parts.teams import NO_OPPONENT, measure_chase, nearest_opponents, zero_sum
 
 POINTS = {"dynamics": "single_integrator", "difficulty": "easy", "evader_speed": 1.0}
 STILL = (0.0, 0.0, 0.0)
@@ -127,11 +127,11 @@ def test_whoever_flies_past_within_a_decision_captures():
     least, closing = np.empty((2, 1, 3))
     by = np.empty((1, 3), dtype=np.int64)
     team = np.array([0, 0, 1])
-    follow_chase(before, after, np.ones((1, 3), dtype=bool), team, least, by, closing)
+    measure_chase(before, after, np.ones((1, 3), dtype=bool), team, least, by, closing)
     assert least[0].tolist() == [np.inf, np.inf, 1.0]
-    assert by[0].tolist() == [NOBODY, NOBODY, 0]
+    assert by[0].tolist() == [NO_OPPONENT, NO_OPPONENT, 0]
     assert closing[0].tolist() == [0, 0, 0]
-    follow_chase(before, after, np.array([[False, True, True]]), team, least, by, closing)
+    measure_chase(before, after, np.array([[False, True, True]]), team, least, by, closing)
     assert (least[0, 2], by[0, 2], closing[0, 2]) == (30.0, 1, 10.0)
 
 
@@ -142,7 +142,7 @@ def test_nearest_opponents_by_hand():
     nearest_opponents(place, np.ones((1, 4), dtype=bool), team, nearest)
     assert nearest[0].tolist() == [2, 2, 1, 1]
     nearest_opponents(place, np.array([[True, False, False, False]]), team, nearest)
-    assert nearest[0].tolist() == [NOBODY, NOBODY, 0, 0]
+    assert nearest[0].tolist() == [NO_OPPONENT, NO_OPPONENT, 0, 0]
 
 
 def test_payoffs_add_up_to_zero_in_any_order():
@@ -306,7 +306,7 @@ def test_captured_opponents_are_seen_no_more(game):
 def test_the_open_city_is_bare_ground(game):
     aviary = game([(0, 0, 20), (30, 0, 20)], (1, 1), area=(80.0, 120.0))
     np.testing.assert_array_equal(aviary.task.arena_high, (40, 60, 50))
-    assert not len(aviary.task.town.cities[0].footprints)
+    assert not len(aviary.task.city_layouts.cities[0].footprints)
     assert aviary.line_of_sight((-39, -59, 0.1), (39, 59, 0.1)).all()
 
 

@@ -11,19 +11,19 @@ import bulletuav
 from bulletuav.tasks.parts.gates import (
     BAR,
     Gate,
-    bar_places,
+    bar_poses,
+    compute_remaining_distances,
     cross_gates,
     gate_axes,
     rank_drones,
-    ways_left,
 )
 from bulletuav.tasks.parts.tracks import (
     RandomTrack,
-    blocks,
     draw_track,
-    fault,
+    find_track_error,
     list_tracks,
     load_track,
+    place_start_blocks,
 )
 from bulletuav.tasks.race import Race
 
@@ -83,8 +83,8 @@ def test_axes_of_gates_are_those_of_their_angles():
 @pytest.mark.parametrize(("shape", "sides"), [("square", 4), ("round", 12)])
 def test_bars_leave_the_opening_free_and_close_everything_about_it(shape, sides):
     gate = Gate((0.0, 0.0, 9.0), 50.0, 25.0, 10.0, shape, 2.4)
-    whose, offset, turn = bar_places([gate])
-    assert (whose == 0).all()
+    gate_index, offset, turn = bar_poses([gate])
+    assert (gate_index == 0).all()
     assert len(offset) == sides
     # Points of the gate's plane in the axes of each bar: x, y outwards, z along it.
     plane = RNG.uniform(-1.6, 1.6, (4000, 2))
@@ -262,7 +262,7 @@ def test_ways_left_are_sums_of_legs():
     leg = np.linalg.norm(np.roll(gate, -1, axis=1) - gate, axis=-1)
     position, way = RNG.uniform(-20, 20, (1, 7, 3)), np.empty((1, 7))
     passed = np.arange(7.0)[None]
-    ways_left(position, passed, gate, leg, 6, way)
+    compute_remaining_distances(position, passed, gate, leg, 6, way)
     for i in range(6):
         turns = [gate[0, turn % 3] for turn in range(i, 6)]
         steps = np.diff([position[0, i], *turns], axis=0)
@@ -376,7 +376,7 @@ def test_the_next_gates_are_seen_in_body_axes():
 @pytest.mark.parametrize("name", list_tracks())
 def test_our_tracks_can_be_flown_by_eight(name):
     track = load_track(name, USUAL)
-    assert fault(track, blocks(track, 8), 0.2, 0.0) is None
+    assert find_track_error(track, place_start_blocks(track, 8), 0.2, 0.0) is None
     aviary = made(name, num_drones=8, laps=2)
     assert aviary.task.turns == 2 * len(track)
     assert (aviary.task.arena_low < [gate.position for gate in track]).all()
@@ -388,7 +388,7 @@ def test_random_tracks_follow_from_the_seed_and_can_be_flown():
     assert tracks[3] == draw_track(np.random.default_rng(3), tilted, 8, 0.2, 1.0)
     assert len({track[0].position for track in tracks}) == 20
     for track in tracks:
-        assert fault(track, blocks(track, 8), 0.2, 1.0) is None
+        assert find_track_error(track, place_start_blocks(track, 8), 0.2, 1.0) is None
         assert [gate.shape for gate in track] == ["square", "round"] * 4
         heights = [gate.position[2] for gate in track]
         assert 2.0 <= min(heights) <= max(heights) <= 6.0

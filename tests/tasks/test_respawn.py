@@ -68,8 +68,8 @@ def test_goals_are_those_of_the_worlds_own_generator():
 
 
 def test_where_no_place_is_far_enough_the_farthest_is_taken():
-    town = bulletuav.Aviary("navigation", city=OPEN, leg=80.0, **FREE).task.town
-    goal = town.goal_from(np.random.default_rng(0), 0, np.array((0.0, 0, 10)), 500.0)
+    town = bulletuav.Aviary("navigation", city=OPEN, leg=80.0, **FREE).task.city_layouts
+    goal = town.draw_goal(np.random.default_rng(0), 0, np.array((0.0, 0, 10)), 500.0)
     assert 100 < np.linalg.norm(goal[:2]) < 90 * 2**0.5
 
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from bulletuav.conflict.separation import conflict
-from bulletuav.tasks.base import merged_weights
-from bulletuav.tasks.observations.neighbours import AHEAD, NOW, nearest, nearest_present
-from bulletuav.tasks.starts import refuse_overlap
+from bulletuav.tasks.base import merge_weights
+from bulletuav.tasks.observations.neighbours import AHEAD, NOW, nearest, write_nearest_present
+from bulletuav.tasks.starts import check_overlap
 
 NEIGHBOURS = 3
 
@@ -70,7 +70,7 @@ def test_neighbours_are_the_nearest_present_others(seed, drones):
     theirs = (np.broadcast_to(array[:, None], shape) for array in (position, velocity))
     nearest(position, velocity, *theirs, known, NOW, NEIGHBOURS, out)
     same = np.zeros_like(out)
-    nearest_present(position, velocity, present, NOW, NEIGHBOURS, same)
+    write_nearest_present(position, velocity, present, NOW, NEIGHBOURS, same)
     np.testing.assert_array_equal(same, out)
     distance = cdist(position[0], position[0])
     for i in range(drones):
@@ -90,18 +90,18 @@ def test_intruders_are_those_that_come_nearest_and_not_those_that_are():
     expected = {NOW: [20, 20, 0, 0, 0, 0, 0], AHEAD: [7200**0.5, 60, 60, 0, -10, -10, 0]}
     for horizon, first in expected.items():
         out = np.zeros((1, 3, 7))
-        nearest_present(position, velocity, np.ones((1, 3), bool), horizon, 1, out)
+        write_nearest_present(position, velocity, np.ones((1, 3), bool), horizon, 1, out)
         np.testing.assert_allclose(out[0, 0], first, atol=1e-12)
 
 
 def test_weights_merge_by_name():
-    assert merged_weights({"a": 1.0, "b": 2.0}, {"b": 3.0}) == {"a": 1.0, "b": 3.0}
+    assert merge_weights({"a": 1.0, "b": 2.0}, {"b": 3.0}) == {"a": 1.0, "b": 3.0}
     with pytest.raises(ValueError, match="did you mean 'goal'"):
-        merged_weights({"goal": 1.0}, {"gaol": 2.0})
+        merge_weights({"goal": 1.0}, {"gaol": 2.0})
 
 
 def test_overlap_names_the_pair():
-    refuse_overlap(np.array([(0.0, 0, 0), (0.3, 0, 0)]), 0.1)
-    refuse_overlap(np.array([(0.0, 0, 0)]), 0.1)
+    check_overlap(np.array([(0.0, 0, 0), (0.3, 0, 0)]), 0.1)
+    check_overlap(np.array([(0.0, 0, 0)]), 0.1)
     with pytest.raises(ValueError, match="drones 0 and 2 overlap"):
-        refuse_overlap(np.array([(0.0, 0, 0), (5, 0, 0), (0.1, 0, 0)]), 0.1)
+        check_overlap(np.array([(0.0, 0, 0), (5, 0, 0), (0.1, 0, 0)]), 0.1)

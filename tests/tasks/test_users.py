@@ -25,7 +25,7 @@ def test_users_start_outdoors(task, mobility):
         spawn = one.spawn(np.random.default_rng(seed))
         users = spawn.memory["users"]
         drawn.add(spawn.layout)
-        assert one.town.cities[spawn.layout].outdoors(users).all()
+        assert one.city_layouts.cities[spawn.layout].outdoors(users).all()
         assert users.shape == (40, 3)
         assert (np.abs(users[:, :2]) <= 125).all()
         assert (np.ptp(users[:, :2], axis=0) > 100).all()  # all over the place
@@ -45,7 +45,7 @@ def test_users_walk_whole_episodes_outdoors_and_no_faster_than_they_can(make, mo
         num_users=30,
         num_drones=1,
     )
-    city, places = aviary.task.town.cities[0], [aviary.scene.memory["users"].copy()]
+    city, places = aviary.task.city_layouts.cities[0], [aviary.scene.memory["users"].copy()]
     while aviary.alive.any():
         fly(aviary, STAY)
         places.append(aviary.scene.memory["users"].copy())

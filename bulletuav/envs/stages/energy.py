@@ -17,7 +17,7 @@ class DrainBatteries(Stage):
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls; see `Stage`."""
         state, task = worlds.state, worlds.task
-        if task.has_own("payload_power"):
+        if task.overrides_method("payload_power"):
             program.turn(lambda: np.copyto(state.payload, task.payload_power(state.scene)))
         taken = (state.wind, state.payload, state.flown)
         worlds.energy.add_to(program, state.before, state.swarm, *taken)

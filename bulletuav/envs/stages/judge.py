@@ -3,7 +3,7 @@
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
-from bulletuav.tasks.stages import add_judgement
+from bulletuav.tasks.stages import add_evaluation
 
 
 class Judge(Stage):
@@ -15,4 +15,4 @@ class Judge(Stage):
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls; see `Stage`."""
-        add_judgement(program, worlds.task, worlds.frame, worlds.judgement)
+        add_evaluation(program, worlds.task, worlds.frame, worlds.judgement)

@@ -16,7 +16,7 @@ class MoveScene(Stage):
         """Add the calls; see `Stage`."""
         # Only tasks that move anything take Python's time
         task, state = worlds.task, worlds.state
-        if task.has_own("move_scene"):
+        if task.overrides_method("move_scene"):
 
             def move() -> None:
                 task.move_scene(state.scene, state.time, state.flying, worlds.rng)

@@ -15,5 +15,5 @@ class Remember(Stage):
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls; see `Stage`."""
         task = worlds.task
-        if task.has_own("update_memory"):
+        if task.overrides_method("update_memory"):
             program.turn(lambda: task.update_memory(worlds.frame, worlds.rng))

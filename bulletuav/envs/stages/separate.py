@@ -5,7 +5,7 @@ import numpy as np
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
-from bulletuav.tasks.account import add_account, mark_contacts, mark_landings
+from bulletuav.tasks.frame_measures import add_frame_measures, mark_contacts, mark_landings
 
 
 class Separate(Stage):
@@ -18,7 +18,7 @@ class Separate(Stage):
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls; see `Stage`."""
         account, frame = worlds.account, worlds.frame
-        add_account(program, account, frame, worlds.dynamics.contact)
+        add_frame_measures(program, account, frame, worlds.dynamics.contact)
         if worlds.collects_contacts:
 
             def mark() -> None:

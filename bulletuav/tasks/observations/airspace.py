@@ -1,4 +1,4 @@
-"""Observation blocks about the airspace that drones fly in."""
+"""Observation blocks of the airspace."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from bulletuav.tasks.ingredients import block
 
 
 def _room_labels(task: Any) -> tuple[Label, ...]:
-    """Label the sides; what is farther than the range finder reaches counts as its reach."""
+    """Label the sides; distances are clipped to the maximum range of the range finder."""
     return tuple(Label(f"room {side}", "m", 0.0, task.context.max_range) for side in SIDES)
 
 

@@ -1,4 +1,4 @@
-"""Observation blocks: named numbers that drones observe, with unit and bounds."""
+"""Observation blocks: named numbers that drones observe, with units and bounds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from bulletuav.compiled.program import Program
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
 
-__all__ = ["Block", "Label", "Maker", "of_drones", "require_memory", "vector_labels"]
+__all__ = ["Block", "Label", "Maker", "make_drone_block", "require_task_memory", "vector_labels"]
 
 Compute = Callable[[Frame, np.ndarray], np.ndarray]
 Add = Callable[[Program, Frame, np.ndarray], bool]
@@ -22,10 +22,10 @@ class Block:
 
     Attributes:
         labels: Name, unit and bounds of each number.
-        compute: Gives (W, N, len(labels)) of a frame and `present` (W, N), the drones that can
-            still be met after it.
-        add: Adds to a program that numbers of a frame are written to an array (W, N, labels) of
-            zeros; tells whether it could. None where `compute` is called.
+        compute: Returns (W, N, len(labels)) from a frame and `present` (W, N), the drones that are
+            still present after it.
+        add: Adds steps to a program that write the numbers of a frame to a zeroed array (W, N,
+            labels); returns False if it cannot. None to call `compute` instead.
     """
 
     labels: tuple[Label, ...]
@@ -34,27 +34,27 @@ class Block:
 
 
 Maker = Callable[[Any], Block]
-"""Makes a block for a task"""
+"""Creates a block for a task"""
 
 
-def of_drones(name: str, unit: str, most: float, drones: int) -> Block:
-    """Make the part of a global state that is memory (W, N) of this name, from 0 to `most`."""
-    labels = tuple(Label(f"{name} of drone_{i}", unit, 0.0, most) for i in range(drones))
+def make_drone_block(name: str, unit: str, high: float, drones: int) -> Block:
+    """Return a block of the global state that shows a memory array (W, N), from 0 to `high`."""
+    labels = tuple(Label(f"{name} of drone_{i}", unit, 0.0, high) for i in range(drones))
     return Block(labels, lambda frame, present: frame.scene.memory[name])
 
 
-def require_memory(task: Any, block: str, names: tuple[str, ...]) -> None:
-    """Refuse a block that shows what the task does not remember.
+def require_task_memory(task: Any, block: str, names: tuple[str, ...]) -> None:
+    """Check that a task has the memory that a block shows.
 
     Raises:
-        ValueError: The task has no memory of one of these names.
+        ValueError: If the task has no memory of one of these names.
     """
     if not task.memory().keys() >= set(names):
-        raise refused(task, block)
+        raise make_missing_error(task, block)
 
 
-def refused(task: Any, block: str) -> ValueError:
-    """Make an error for a block that shows what a task does not have."""
+def make_missing_error(task: Any, block: str) -> ValueError:
+    """Return the error for a block that shows data that a task does not have."""
     return ValueError(
         f"observation block {block!r} shows what task {task.name!r} does not have: leave it out"
     )

@@ -1,4 +1,4 @@
-"""Observation blocks about the gates of a race."""
+"""Observation blocks of the gates of a race."""
 
 from typing import Any
 
@@ -8,15 +8,15 @@ from bulletuav.geometry.rotation import Quat4, to_body
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.ingredients import block
-from bulletuav.tasks.observations.base import require_memory
+from bulletuav.tasks.observations.base import require_task_memory
 
 PER_GATE = 10
-"""Numbers of each: position, direction, velocity; width"""
+"""Numbers per gate: position, direction, velocity (3 each) and width"""
 
 
 def gate_labels(task: Any) -> tuple[Label, ...]:
-    """Label what is seen of the next gates."""
-    require_memory(task, "next_gates", ("gate", "gate_axis", "gate_velocity", "gate_size"))
+    """Return the labels of the next gates."""
+    require_task_memory(task, "next_gates", ("gate", "gate_axis", "gate_velocity", "gate_size"))
     size = np.full(3, float(np.linalg.norm(task.arena_high - task.arena_low)))
     fast = np.full(3, task.course.fastest)
     labels: list[Label] = []
@@ -41,18 +41,16 @@ def next_gates(
     laps: int,
     out: np.ndarray,
 ) -> None:
-    """Gates that come next, in body axes: middle, direction to fly, velocity; and width.
+    """Next gates, in body axes: position of the centre, direction of flight, velocity; and width.
 
-    Zeros where there are fewer.
+    Padded with zeros after the last gate.
     """
     count = len(all_gate)
     for k in range(len(out) // PER_GATE):
-        # Past the last gate of the last lap there is nothing
         turn = int(passed) + k
         if turn >= laps * count:
             continue
         g = turn % count
-        # From the world to the drone's own axes
         middle, ahead, moving = all_gate[g], all_gate_axis[g, 0], all_gate_velocity[g]
         way = (
             middle[0] - known_position[0],

@@ -1,7 +1,7 @@
-"""Observation blocks about the drone's own motion and its goal.
+"""Observation blocks of the drone's own motion and its goal.
 
-Positions and velocities are those that drones know (see `Frame`); without randomization they are
-the true ones. World axes are east, north, up.
+Positions and velocities are as measured by the drone (see `Frame`); without randomization they are
+exact. World axes are east, north, up.
 """
 
 from typing import Any
@@ -40,7 +40,7 @@ def position(known_position: Vec3) -> Vec3:
 @register("observation")
 @block(tuple(Label(f"quaternion {k}", "1", 0.0 if k == "w" else -1.0, 1.0) for k in "xyzw"))
 def attitude(quaternion: Quat4) -> Quat4:
-    """Own attitude: quaternion body to world, of the two signs the one with w >= 0."""
+    """Own attitude: quaternion body to world, with the sign for which w >= 0."""
     x, y, z, w = quaternion
     if w < 0.0:
         return -x, -y, -z, -w
@@ -78,7 +78,7 @@ def goal_position(goal: Vec3) -> Vec3:
 @register("observation")
 @block(lambda task: _across_arena("goal offset", task))
 def goal_offset(goal: Vec3, known_position: Vec3) -> Vec3:
-    """From the drone to its goal, world axes."""
+    """Vector from the drone to its goal, world axes."""
     return (
         goal[0] - known_position[0],
         goal[1] - known_position[1],
@@ -126,7 +126,7 @@ def alive(present: bool) -> float:
     )
 )
 def identity(i: int, out: np.ndarray) -> None:
-    """Which drone it is: 1 at its own index, else 0."""
+    """One-hot encoding of the drone's index."""
     for k in range(len(out)):
         out[k] = 1.0 if k == i else 0.0
 

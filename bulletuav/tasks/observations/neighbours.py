@@ -1,4 +1,4 @@
-"""Observation blocks about other drones and obstacles."""
+"""Observation blocks of other drones and of obstacles."""
 
 import math
 from typing import Any
@@ -16,17 +16,17 @@ from bulletuav.tasks.ingredients import PRESENT
 from bulletuav.tasks.observations.base import Block
 
 HEARD = "heard"
-"""Reading that tells which others drones have heard of; there only with communication"""
+"""Reading of which other drones each drone has received messages from; only with communication"""
 PER_NEIGHBOUR, PER_OBSTACLE = 7, 8
-"""Numbers of each: distance, relative position, relative velocity; of obstacles the radius, too"""
-NOW = 0.0
-"""Horizon, s, of what is nearest now"""
-AHEAD = 10.0
-"""Horizon of `intruders`, s: at 20 m/s two that fly at each other are 400 m apart"""
+"""Numbers each: distance, relative position, relative velocity; for obstacles also the radius"""
+NO_HORIZON = 0.0
+"""Look-ahead time of blocks sorted by current distance, s"""
+INTRUDER_HORIZON = 10.0
+"""Look-ahead time of `intruders`, s: two drones approaching at 20 m/s each are then 400 m apart"""
 
 
 def _relative(task: Any, name: str) -> tuple[Label, ...]:
-    """Label another's position and velocity as seen from the drone."""
+    """Return the labels of another body's relative position and velocity."""
     size = task.arena_high - task.arena_low
     speed = np.full(3, 4 * task.context.max_speed)
     position = vector_labels(f"{name} position", "m", -size, size)
@@ -42,25 +42,24 @@ def _distance(task: Any, name: str) -> Label:
 def neighbours(task: Any) -> Block:
     """Nearest other drones: distance, relative position and velocity.
 
-    Nearest first; zeros where there are fewer.
+    Sorted by distance and padded with zeros.
     """
-    return _others(task, "neighbour", NOW)
+    return _others(task, "neighbour", NO_HORIZON)
 
 
 @register("observation")
 def intruders(task: Any) -> Block:
-    """Other drones that come nearest within 10 s if all fly straight on, told as `neighbours`.
+    """Other drones with the smallest distance within 10 s of straight flight, as in `neighbours`.
 
-    That one first which comes nearest; zeros where there are fewer. Few of them say what many
-    neighbours do not: whom to avoid among those that fly side by side.
+    Sorted by this distance and padded with zeros. A few intruders show which drones to avoid, which
+    many neighbours that fly side by side may not.
     """
-    return _others(task, "intruder", AHEAD)
+    return _others(task, "intruder", INTRUDER_HORIZON)
 
 
 def _others(task: Any, name: str, horizon: float) -> Block:
-    """Make the block of others that come nearest within a time, s."""
+    """Return the block of other drones with the smallest distance within a time, s."""
     count = task.context.num_neighbours
-    # For each, the nearest first: distance, relative position and velocity
     labels: list[Label] = []
     for k in range(1, count + 1):
         labels += [_distance(task, f"{name} {k}"), *_relative(task, f"{name} {k}")]
@@ -68,18 +67,18 @@ def _others(task: Any, name: str, horizon: float) -> Block:
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         out = np.zeros((*present.shape, len(labels)))
         own = (frame.known_position, frame.known_velocity)
-        # With a radio drones know of those that they heard, else of all
+        # With communication, drones know only those whose messages they received
         if HEARD in frame.readings:
-            nearest(*own, *heard(frame, present), horizon, count, out)
+            write_nearest_known(*own, *known_others(frame, present), horizon, count, out)
         else:
-            nearest_present(*own, present, horizon, count, out)
+            write_nearest_present(*own, present, horizon, count, out)
         return out
 
     def add(program: Program, frame: Frame, out: np.ndarray) -> bool:
         if HEARD in frame.readings:
             return False
         own = (frame.known_position, frame.known_velocity)
-        program.call(nearest_present, *own, frame.derived[PRESENT], horizon, count, out)
+        program.call(write_nearest_present, *own, frame.derived[PRESENT], horizon, count, out)
         return True
 
     return Block(tuple(labels), compute, add)
@@ -89,7 +88,7 @@ def _others(task: Any, name: str, horizon: float) -> Block:
 def all_neighbours(task: Any) -> Block:
     """All other drones by index: relative position and velocity.
 
-    Zeros for those that are not there.
+    Zeros for absent drones.
     """
     drones = task.context.num_drones
     labels = tuple(label for k in range(1, drones) for label in _relative(task, f"other {k}"))
@@ -97,7 +96,7 @@ def all_neighbours(task: Any) -> Block:
     others = np.array(listed, dtype=int).reshape(drones, drones - 1)
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        position, velocity, known = heard(frame, present)
+        position, velocity, known = known_others(frame, present)
         own = np.concatenate([frame.known_position, frame.known_velocity], axis=-1)
         theirs = np.concatenate([position, velocity], axis=-1)
         seen = np.where(known[..., None], theirs - own[:, :, None], 0.0)
@@ -111,9 +110,8 @@ def all_neighbours(task: Any) -> Block:
 def obstacles(task: Any) -> Block:
     """Nearest obstacles: distance to bounding sphere, relative position and velocity, radius.
 
-    Nearest first; zeros where there are fewer.
+    Sorted by distance and padded with zeros.
     """
-    # Bounding spheres of the task's obstacles, which keep their sizes
     radius = np.array([obstacle.radius for obstacle in task.obstacles()])
     count = task.context.num_neighbours
     labels: list[Label] = []
@@ -121,35 +119,34 @@ def obstacles(task: Any) -> Block:
         labels += [_distance(task, f"obstacle {k}"), *_relative(task, f"obstacle {k}")]
         labels.append(Label(f"obstacle {k} radius", "m", 0.0, float(radius.max(initial=1.0))))
 
-    # On its own, or as a step of a compiled program
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         out = np.zeros((*present.shape, len(labels)))
         own = (frame.known_position, frame.known_velocity)
         scene = frame.scene
-        nearest_obstacles(*own, scene.obstacle, scene.obstacle_velocity, radius, count, out)
+        write_nearest_obstacles(*own, scene.obstacle, scene.obstacle_velocity, radius, count, out)
         return out
 
     def add(program: Program, frame: Frame, out: np.ndarray) -> bool:
         own = (frame.known_position, frame.known_velocity)
         them = (frame.scene.obstacle, frame.scene.obstacle_velocity, radius)
-        program.call(nearest_obstacles, *own, *them, count, out)
+        program.call(write_nearest_obstacles, *own, *them, count, out)
         return True
 
     return Block(tuple(labels), compute, add)
 
 
-def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Tell what drones know of each other.
+def known_others(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the positions and velocities of other drones as known to each drone.
 
-    Without communication that is what the others know of themselves.
+    Without communication these are the measurements of the other drones themselves.
 
     Args:
         frame: The decision.
-        present: (W, N) bool, drones that can still be met.
+        present: (W, N) bool, drones that are still present.
 
     Returns:
-        Position and velocity (W, N, N, 3) of drone j as drone i knows them, and whether it knows of
-        it, (W, N, N) bool.
+        Position and velocity (W, N, N, 3) of drone j as known to drone i, and whether drone i knows
+        them, (W, N, N) bool.
     """
     if HEARD in frame.readings:
         known = frame.readings[HEARD] & present[:, None, :]
@@ -165,10 +162,11 @@ def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 
 @func
-def _least(theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3], horizon: float) -> float:
-    """Compute how near another comes within `horizon`, s, if both fly straight on, m."""
+def _min_distance_within(
+    theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3], horizon: float
+) -> float:
+    """Compute the minimum distance within `horizon`, s, if both drones fly straight, m."""
     gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
-    # Where the other will be, relative to the drone
     later = (
         gap[0] + horizon * speed[0],
         gap[1] + horizon * speed[1],
@@ -181,10 +179,9 @@ def _least(theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3], horizon: float) ->
 def _write(
     out: np.ndarray, place: tuple[int, int, int], theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3]
 ) -> None:
-    """Write one of the others, as seen from the drone, to its `place` (w, i, slot)."""
+    """Write another drone's relative state to slot `place` (w, i, slot)."""
     w, i, slot = place
     first = PER_NEIGHBOUR * slot
-    # Relative to the drone, in world axes
     gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
     out[w, i, first] = math.sqrt(dot(gap, gap))
     for k in range(3):
@@ -193,7 +190,7 @@ def _write(
 
 
 @allocating
-def nearest(
+def write_nearest_known(
     position: np.ndarray,
     velocity: np.ndarray,
     their_position: np.ndarray,
@@ -203,21 +200,29 @@ def nearest(
     count: int,
     out: np.ndarray,
 ) -> None:
-    """Fill `out` (W, N, 7 count) with others that are `known` (W, N, N).
+    """Write the `known` (W, N, N) others with the smallest distance within `horizon`, s.
 
-    They are those that come nearest within `horizon`, s. See `heard` for what drones know of each
-    other.
+    Args:
+        position: (W, N, 3) m.
+        velocity: (W, N, 3) m/s.
+        their_position: (W, N, N, 3) positions of drone j as known to drone i, m.
+        their_velocity: (W, N, N, 3) velocities of drone j as known to drone i, m/s.
+        known: (W, N, N) bool, whether drone i knows drone j; see `known_others`.
+        horizon: s.
+        count: Maximum number of others.
+        out: (W, N, 7 count) output.
     """
     near, least = np.empty(count, dtype=np.int64), np.empty(count)
     for w in range(known.shape[0]):
         for i in range(known.shape[1]):
             own = (vec3(position, w, i), vec3(velocity, w, i))
-            # Sort the nearest ones in, one after the other
             found = 0
             for j in range(known.shape[1]):
                 if known[w, i, j]:
                     theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
-                    found = keep_nearest(near, least, found, j, _least(theirs, own, horizon))
+                    found = keep_nearest(
+                        near, least, found, j, _min_distance_within(theirs, own, horizon)
+                    )
             for slot in range(found):
                 j = near[slot]
                 theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
@@ -225,7 +230,7 @@ def nearest(
 
 
 @allocating
-def nearest_present(
+def write_nearest_present(
     position: np.ndarray,
     velocity: np.ndarray,
     present: np.ndarray,
@@ -233,20 +238,27 @@ def nearest_present(
     count: int,
     out: np.ndarray,
 ) -> None:
-    """Fill `out` (W, N, 7 count) with others that are `present` (W, N).
+    """Write the `present` (W, N) others with the smallest distance within `horizon`, s.
 
-    They are those that come nearest within `horizon`, s.
+    Args:
+        position: (W, N, 3) m.
+        velocity: (W, N, 3) m/s.
+        present: (W, N) bool.
+        horizon: s.
+        count: Maximum number of others.
+        out: (W, N, 7 count) output.
     """
     near, least = np.empty(count, dtype=np.int64), np.empty(count)
     for w in range(present.shape[0]):
         for i in range(present.shape[1]):
             own = (vec3(position, w, i), vec3(velocity, w, i))
-            # Sort the nearest ones in, one after the other
             found = 0
             for j in range(present.shape[1]):
                 if present[w, j] and j != i:
                     theirs = (vec3(position, w, j), vec3(velocity, w, j))
-                    found = keep_nearest(near, least, found, j, _least(theirs, own, horizon))
+                    found = keep_nearest(
+                        near, least, found, j, _min_distance_within(theirs, own, horizon)
+                    )
             for slot in range(found):
                 j = near[slot]
                 theirs = (vec3(position, w, j), vec3(velocity, w, j))
@@ -254,7 +266,7 @@ def nearest_present(
 
 
 @allocating
-def nearest_obstacles(
+def write_nearest_obstacles(
     position: np.ndarray,
     velocity: np.ndarray,
     obstacle: np.ndarray,
@@ -263,11 +275,20 @@ def nearest_obstacles(
     count: int,
     out: np.ndarray,
 ) -> None:
-    """Fill `out` (W, N, 8 count) with the nearest of K obstacles, by their bounding spheres."""
+    """Write the nearest of K obstacles, by distance to their bounding spheres.
+
+    Args:
+        position: (W, N, 3) m.
+        velocity: (W, N, 3) m/s.
+        obstacle: (W, K, 3) m.
+        obstacle_velocity: (W, K, 3) m/s.
+        radius: (K,) bounding radii, m.
+        count: Maximum number of obstacles.
+        out: (W, N, 8 count) output.
+    """
     near, distance = np.empty(count, dtype=np.int64), np.empty(count)
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
-            # Sort the nearest ones in, one after the other
             found = 0
             for j in range(len(radius)):
                 square = 0.0
@@ -275,7 +296,6 @@ def nearest_obstacles(
                     square += (obstacle[w, j, k] - position[w, i, k]) ** 2
                 gap = max(math.sqrt(square) - radius[j], 0.0)
                 found = keep_nearest(near, distance, found, j, gap)
-            # Write them, as seen from the drone
             for slot in range(found):
                 j = near[slot]
                 first = PER_OBSTACLE * slot

@@ -1,4 +1,4 @@
-"""Observations of all drones: blocks of numbers side by side, and pictures."""
+"""Observations of all drones: concatenated blocks of numbers, and images."""
 
 import inspect
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,24 +17,24 @@ from bulletuav.sensors.suite import provider, reading_labels
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import ALL, PRESENT, Binding, Bound
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.stages import Kept, clear
+from bulletuav.tasks.stages import StableArrays, clear
 
 STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
-"""Blocks of the global state, of every drone"""
+"""Blocks of the global state, for every drone"""
 Observation = np.ndarray | dict[str, np.ndarray]
 Format = Literal["vector", "dict"]
 VECTOR = "vector"
 
 
 def observation_name(source: Any) -> str:
-    """Tell the name of a block: a name itself, what follows the colon, or that of a function."""
+    """Return a block's name: the name itself, its part after the colon, or a function's name."""
     if isinstance(source, str):
         return source.rpartition(":")[2]
     return str(getattr(source, "__name__", type(source).__name__))
 
 
 def known_observations(sensors: Mapping[str, Sensor]) -> list[str]:
-    """List what can be observed by name: registered blocks and readings of sensors."""
+    """Return the names that can be observed: registered blocks and readings of sensors."""
     readings = {
         reading for one in sensors.values() for reading in one.gives if _is_shown(one, reading)
     }
@@ -46,16 +46,16 @@ def _is_shown(sensor: Sensor, reading: str) -> bool:
 
 
 class ObservationBuilder:
-    """The blocks of an observation side by side: one vector, or a dict.
+    """Observation of a task: blocks concatenated into one vector, or a dict.
 
-    Vectors are float32, clipped to their bounds, and with `normalise` scaled from the bounds to
-    [-1, 1]. With pictures among them an observation is a dict of "vector" (where there are numbers)
-    and the pictures; in the format "dict" it has an entry for each block.
+    Vectors are float32, clipped to their bounds, and scaled from the bounds to [-1, 1] if
+    `normalise`. An observation with images is a dict of "vector" (if there are numbers) and the
+    images; with the format "dict" it has an entry for each block.
 
     Attributes:
         labels: Name, unit and bounds of each number of the vector.
-        slices: Which numbers of the vector each block has, by name.
-        images: Names of the pictures.
+        slices: Slice of the vector of each block, by name.
+        images: Images, by name.
     """
 
     def __init__(
@@ -70,26 +70,25 @@ class ObservationBuilder:
         normalise: bool = False,
         form: Format = "vector",
     ) -> None:
-        """Make the blocks.
+        """Create the blocks.
 
         Args:
             sources: Names of blocks and readings, or blocks themselves.
-            task: The task that drones fly.
-            action: What they are told.
-            binding: What argument names of blocks stand for.
-            sensors: All sensors that there are, by name.
-            setup: What they know of their environment.
+            task: The task.
+            action: Action of the drones.
+            binding: Sources of the argument names of blocks.
+            sensors: All sensors, by name.
+            setup: Setup of the sensors.
             normalise: Whether numbers are scaled to [-1, 1].
             form: "vector", or "dict" with an entry for each block.
 
         Raises:
-            ValueError: A block does not exist, or is none.
+            ValueError: If a block does not exist or is invalid.
         """
-        # Numbers go into one vector, pictures stand beside it
         self.labels: list[Label] = []
         self.slices: dict[str, slice] = {}
         self.images: dict[str, Image] = {}
-        self._writers: list[tuple[slice, Bound | _Shown]] = []
+        self._writers: list[tuple[slice, Bound | _BlockWriter]] = []
         self._size, self._form = setup.camera_size, form
         for source in sources:
             made = _make(source, task, action, binding, sensors, setup)
@@ -97,23 +96,22 @@ class ObservationBuilder:
                 self.images[observation_name(source)] = made
                 continue
             labels, writer = made
-            # Each block has its part of the vector, in the order of the sources
             part = slice(len(self.labels), len(self.labels) + len(labels))
             self.labels += labels
             self.slices[observation_name(source)] = part
             self._writers.append((part, writer))
-        # Bounds of all labels, in single precision as what they bound
+        # Single precision, as the vector
         self.is_plain = not self.images and form == VECTOR
         self._low = np.array([label.low for label in self.labels], dtype=np.float32)
         self._high = np.array([label.high for label in self.labels], dtype=np.float32)
         middle, half = (self._low + self._high) / 2, (self._high - self._low) / 2
         self._bounds = (self._low, self._high, normalise, middle, half)
-        # Outwards the bounds are those after scaling
+        # Public bounds are those after scaling
         ones = np.ones_like(self._low)
         self.low, self.high = (-ones, ones) if normalise else (self._low, self._high)
 
     def space(self) -> Box | Dict:
-        """Make one drone's observation space, a new object each time."""
+        """Return one drone's observation space, a new object in each call."""
         if self.is_plain:
             return Box(self.low, self.high, dtype=np.float32)
         spaces: dict[str, Space[Any]] = {}
@@ -130,42 +128,42 @@ class ObservationBuilder:
         return Dict(spaces)
 
     def observe(self, frame: Frame, present: np.ndarray) -> Observation:
-        """Observe.
+        """Compute the observations of all drones.
 
         Args:
             frame: The decision, or the first frame after a reset.
-            present: (W, N) bool, drones that can still be met after it.
+            present: (W, N) bool, drones that are still present after it.
 
         Returns:
             (W, N, D) float32, or a dict of arrays (W, N, ...).
         """
         frame.derived[PRESENT] = present
-        vector = self.make_room(present.shape)
+        vector = self.make_vector(present.shape)
         for part, writer in self._writers:
             writer.fill(frame, vector[..., part])
         _bound(vector, *self._bounds)
         return self.shown(frame, vector)
 
     def reads_none_of(self, names: Iterable[str]) -> bool:
-        """Tell whether no block that is a function of one drone's numbers asks for any of these."""
+        """Return True if no block that is a function of one drone's numbers reads these names."""
         bounds = [writer for _, writer in self._writers if isinstance(writer, Bound)]
         asked = {name.removeprefix(ALL) for bound in bounds for name in bound.sources}
         return asked.isdisjoint(names)
 
-    def make_room(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Make room for the numbers of all drones, (W, N, D) float32."""
+    def make_vector(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Return zeros for the numbers of all drones, (W, N, D) float32."""
         return np.zeros((*shape, len(self.labels)), dtype=np.float32)
 
     def add_to(self, program: Program, frame: Frame, vector: np.ndarray) -> None:
-        """Add to a program that the numbers are written.
+        """Add steps to a program that write the numbers.
 
         Args:
-            program: To be added to.
-            frame: The decision; its `derived` has PRESENT, the drones that can still be met.
-            vector: (W, N, D) float32, written.
+            program: Program to extend.
+            frame: The decision; its `derived` has PRESENT, the drones that are still present.
+            vector: (W, N, D) float32, output.
         """
         program.call(clear, vector)
-        kept = Kept(program, frame)
+        kept = StableArrays(program, frame)
         for part, writer in self._writers:
             out = vector[..., part]
             if isinstance(writer, Bound):
@@ -175,7 +173,7 @@ class ObservationBuilder:
         program.call(_bound, vector, *self._bounds)
 
     def shown(self, frame: Frame, vector: np.ndarray) -> Observation:
-        """Make an observation of numbers (W, N, D) and the pictures of a frame."""
+        """Return an observation from the numbers (W, N, D) and the images of a frame."""
         if self.is_plain:
             return vector
         seen: dict[str, np.ndarray] = {}
@@ -184,16 +182,17 @@ class ObservationBuilder:
         return seen | {name: frame.readings[name].copy() for name in self.images}
 
     def split(self, observation: Any) -> dict[str, Any]:
-        """Split observations by the names of their blocks.
+        """Split observations by block.
 
         Args:
-            observation: (..., D) of one or more drones, or a dict with "vector" in it.
+            observation: (..., D) of one or more drones, or a dict with "vector".
 
         Returns:
-            Arrays (..., numbers of the block) by name, views of the given one. Pictures stay.
+            Arrays (..., numbers of the block) by name, views of the given array. Images are
+            unchanged.
 
         Raises:
-            ValueError: It has another number of numbers than an observation has.
+            ValueError: If the size does not match the observation.
         """
         if isinstance(observation, Mapping):
             rest = {name: value for name, value in observation.items() if name != VECTOR}
@@ -216,16 +215,16 @@ def _bound(
     middle: np.ndarray,
     half: np.ndarray,
 ) -> None:
-    """Clip `vector` (W, N, D) to its bounds (D,), and scale it to [-1, 1] where wanted."""
+    """Clip `vector` (W, N, D) to its bounds (D,), and scale it to [-1, 1] if `normalise`."""
     one = np.float32(1.0)
     for w in range(vector.shape[0]):
         for i in range(vector.shape[1]):
             for k in range(vector.shape[2]):
                 value = vector[w, i, k]
-                # Comparisons keep a NaN, which min and max may lose
+                # Comparisons preserve NaN, which min and max may not
                 value = low[k] if value < low[k] else value
                 value = high[k] if value > high[k] else value
-                # Rounding may leave it just outside
+                # Rounding may exceed the bounds
                 if normalise:
                     value = (value - middle[k]) / half[k]
                     value = -one if value < -one else value
@@ -240,10 +239,10 @@ def _make(
     binding: Binding,
     sensors: Mapping[str, Sensor],
     setup: SensorSetup,
-) -> "tuple[tuple[Label, ...], Bound | _Shown] | Image":
-    """Make the labels and the writer of a block, or a picture."""
+) -> "tuple[tuple[Label, ...], Bound | _BlockWriter] | Image":
+    """Return the labels and the writer of a block, or an image."""
     name = observation_name(source)
-    # A name that is no block may be a reading of a sensor
+    # Other names may be readings of sensors
     if isinstance(source, str) and ":" not in source and source not in names("observation"):
         labels = reading_labels(sensors, source, setup)
         if labels is None:
@@ -251,50 +250,48 @@ def _make(
         if isinstance(labels, Image):
             return labels
         checked = _checked(labels, f"reading {source!r} of a sensor")
-        return checked, _Shown(f"reading {source!r}", _reading(source))
+        return checked, _BlockWriter(f"reading {source!r}", _make_reading_block(source))
     block = source if isinstance(source, Block) else find("observation", source, callable)
-    who = f"observation block {name!r}"
-    # A function of one drone's numbers, which gets its loop here
+    title = f"observation block {name!r}"
     if getattr(block, "ingredient", None) == "block":
         make: Any = block.labels
         wants_action = "action" in inspect.signature(make).parameters
         labels = make(action if wants_action else task)
         if not labels:
-            raise ValueError(f"labels of {who} are empty: a label for each number is needed")
-        return _checked(labels, who), Bound(block, binding, who, np.float32, len(labels))
-    # Else it must make a block of the task
+            raise ValueError(f"labels of {title} are empty: a label for each number is needed")
+        return _checked(labels, title), Bound(block, binding, title, np.float32, len(labels))
     if isinstance(block, type):
         raise ValueError(f"observation block {shown(block)} is a class: a function is needed")
     if not isinstance(block, Block) and len(inspect.signature(block).parameters) != 1:
         raise ValueError(
-            f"{who} takes other arguments than the task: decorate it with @block(labels)"
+            f"{title} takes other arguments than the task: decorate it with @block(labels)"
         )
     made = block if isinstance(block, Block) else block(task)
     if not isinstance(made, Block):
         raise ValueError(
-            f"{who} gave {shown(made)} for the task: a Block is needed; decorate a function of one "
-            f"drone's numbers with @block(labels)"
+            f"{title} gave {shown(made)} for the task: a Block is needed; decorate a function "
+            f"of one drone's numbers with @block(labels)"
         )
-    return _checked(made.labels, who), _Shown(who, made)
+    return _checked(made.labels, title), _BlockWriter(title, made)
 
 
-def _checked(labels: Any, who: str) -> tuple[Label, ...]:
-    """Refuse labels that are none, or whose bounds are none."""
-    several = isinstance(labels, list | tuple) and not isinstance(labels, Label)
-    if not several or not all(isinstance(one, Label) for one in labels):
+def _checked(labels: Any, title: str) -> tuple[Label, ...]:
+    """Return labels as a tuple, after checking their types and bounds."""
+    as_shape_list = isinstance(labels, list | tuple) and not isinstance(labels, Label)
+    if not as_shape_list or not all(isinstance(one, Label) for one in labels):
         raise ValueError(
-            f"labels of {who} are {shown(labels)}: a list of Label(name, unit, low, high) is needed"
+            f"labels of {title} are {shown(labels)}: a list of Label(name, unit, low, high) is needed"
         )
     for one in labels:
         if not one.low <= one.high:
             raise ValueError(
-                f"bounds of {shown(one)} of {who} must be numbers, the lower one first"
+                f"bounds of {shown(one)} of {title} must be numbers, the lower one first"
             )
     return tuple(labels)
 
 
-def _reading(name: str) -> Block:
-    """Make the block that shows a reading as it is."""
+def _make_reading_block(name: str) -> Block:
+    """Return a block that shows a reading unchanged."""
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         return frame.readings[name].reshape(*present.shape, -1)
@@ -302,32 +299,31 @@ def _reading(name: str) -> Block:
     return Block((), compute)
 
 
-class _Shown:
-    """What writes the numbers of a block that is no function of one drone's numbers."""
+class _BlockWriter:
+    """Writer of a block that is not a function of one drone's numbers."""
 
-    def __init__(self, who: str, block: Block) -> None:
-        """Keep the block, and what messages call it."""
-        self._who, self._block = who, block
+    def __init__(self, title: str, block: Block) -> None:
+        self._title, self._block = title, block
 
     def fill(self, frame: Frame, out: np.ndarray) -> None:
         """Write the numbers of a frame to `out` (W, N, labels)."""
         numbers = self._block.compute(frame, frame.derived[PRESENT])
         if np.shape(numbers) != out.shape:
             raise ValueError(
-                f"{self._who} gave an array {np.shape(numbers)}: {out.shape} is needed, a number "
+                f"{self._title} gave an array {np.shape(numbers)}: {out.shape} is needed, a number "
                 f"for each of its labels"
             )
         out[...] = numbers
 
     def add_to(self, program: Program, frame: Frame, out: np.ndarray) -> None:
-        """Add to a program that they are written."""
+        """Add a step to a program that writes the numbers."""
         if self._block.add is not None and self._block.add(program, frame, out):
             return
         program.turn(lambda: self.fill(frame, out))
 
 
 def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> set[str]:
-    """List the readings that observations show, or that functions among them ask for by name."""
+    """Return the readings that observations show, or that their functions request."""
     wanted: set[str] = set()
     for source in sources:
         name = observation_name(source)
@@ -336,12 +332,12 @@ def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> se
         block = source
         if isinstance(source, str) and (":" in source or source in names("observation")):
             block = find("observation", source, callable)
-        wanted |= asked_readings(block, sensors)
+        wanted |= requested_readings(block, sensors)
     return wanted
 
 
-def asked_readings(ingredient: Any, sensors: Mapping[str, Sensor]) -> set[str]:
-    """List the readings that a function of one drone's numbers asks for by argument name."""
+def requested_readings(ingredient: Any, sensors: Mapping[str, Sensor]) -> set[str]:
+    """Return the readings that a function of one drone's numbers requests by argument name."""
     if not getattr(ingredient, "ingredient", None):
         return set()
     asked = {one.removeprefix("all_") for one in inspect.signature(ingredient).parameters}
@@ -349,7 +345,7 @@ def asked_readings(ingredient: Any, sensors: Mapping[str, Sensor]) -> set[str]:
 
 
 def part(observations: Observation, index: Any) -> Any:
-    """Take `observations[index]`, of each entry where they are a dict."""
+    """Return `observations[index]`, applied to each entry of a dict."""
     if isinstance(observations, dict):
         return {name: array[index] for name, array in observations.items()}
     return observations[index]

@@ -1,4 +1,4 @@
-"""Observation blocks of teams with opposed aims: opponents that a drone sees, and teammates."""
+"""Observation blocks of two-team games: opponents in sight, and teammates."""
 
 from typing import Any
 
@@ -9,22 +9,27 @@ from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.sensors.drone_sight import DRONE_SIGHT
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.observations.neighbours import NOW, PER_NEIGHBOUR, heard, nearest
+from bulletuav.tasks.observations.neighbours import (
+    NO_HORIZON,
+    PER_NEIGHBOUR,
+    known_others,
+    write_nearest_known,
+)
 
 PER_OPPONENT = 1 + PER_NEIGHBOUR
-"""Numbers of each: whether it is seen, distance, relative position, relative velocity"""
+"""Numbers per opponent: whether it is seen, distance, relative position, relative velocity"""
 
 
 def opponents_in_sight(task: Any, frame: Frame, present: np.ndarray) -> np.ndarray:
-    """Tell which opponents each drone sees.
+    """Return which opponents each drone sees.
 
-    They are within the task's `sight_range`, and nothing but drones is in between, where the
-    reading "drone_sight" tells that.
+    Opponents are seen within the task's `sight_range` and, if there is a reading "drone_sight",
+    only if nothing but drones is in between.
 
     Args:
-        task: The task, which has the teams.
+        task: The task, which defines the teams.
         frame: The decision.
-        present: (W, N) bool, drones that can still be met.
+        present: (W, N) bool, drones that are still present.
 
     Returns:
         (W, N, N) bool, whether drone i sees drone j.
@@ -39,14 +44,14 @@ def opponents_in_sight(task: Any, frame: Frame, present: np.ndarray) -> np.ndarr
     return seen
 
 
-def _labels(task: Any, who: str) -> tuple[Label, ...]:
-    """Label distance, relative position and relative velocity of another drone."""
+def _labels(task: Any, name: str) -> tuple[Label, ...]:
+    """Return the labels of another drone's distance, relative position and relative velocity."""
     size = task.arena_high - task.arena_low
     speed = np.full(3, 4 * task.context.max_speed)
     return (
-        Label(f"{who} distance", "m", 0.0, float(np.linalg.norm(size))),
-        *vector_labels(f"{who} position", "m", -size, size),
-        *vector_labels(f"{who} velocity", "m/s", -speed, speed),
+        Label(f"{name} distance", "m", 0.0, float(np.linalg.norm(size))),
+        *vector_labels(f"{name} position", "m", -size, size),
+        *vector_labels(f"{name} velocity", "m/s", -speed, speed),
     )
 
 
@@ -54,7 +59,7 @@ def _labels(task: Any, who: str) -> tuple[Label, ...]:
 def opponents(task: Any) -> Block:
     """Nearest opponents in sight: 1 for seen, distance, relative position and velocity.
 
-    Nearest first; zeros where there are fewer. They are measured without error, as by eye.
+    Sorted by distance and padded with zeros. Measured optically, without error.
     """
     slots = task.context.num_neighbours
     labels: list[Label] = []
@@ -62,15 +67,15 @@ def opponents(task: Any) -> Block:
         labels += [Label(f"opponent {k} seen", "1", 0.0, 1.0), *_labels(task, f"opponent {k}")]
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        # The eye needs no radio: true places of those in sight
+        # Optical: true positions, independent of communication
         position, velocity = frame.after.position, frame.after.velocity
         shape = (*present.shape, present.shape[1], 3)
         places = np.broadcast_to(position[:, None], shape)
         speeds = np.broadcast_to(velocity[:, None], shape)
         seen = opponents_in_sight(task, frame, present)
         rows = np.zeros((*present.shape, slots * PER_NEIGHBOUR))
-        nearest(position, velocity, places, speeds, seen, NOW, slots, rows)
-        # The nearest fill the first slots, so flags are a row of ones
+        write_nearest_known(position, velocity, places, speeds, seen, NO_HORIZON, slots, rows)
+        # The first slots are occupied
         flags = np.arange(slots) < seen.sum(axis=-1)[..., None]
         rows = rows.reshape(*present.shape, slots, PER_NEIGHBOUR)
         return np.concatenate([flags[..., None], rows], axis=-1).reshape(*present.shape, -1)
@@ -80,9 +85,9 @@ def opponents(task: Any) -> Block:
 
 @register("observation")
 def teammates(task: Any) -> Block:
-    """Nearest others of the own team: distance, relative position and velocity.
+    """Nearest drones of the own team: distance, relative position and velocity.
 
-    Nearest first; zeros where there are fewer. They tell each other where they think that they are.
+    Sorted by distance and padded with zeros. Positions are those that teammates measure and report.
     """
     slots = task.context.num_neighbours
     names = range(1, slots + 1)
@@ -90,10 +95,10 @@ def teammates(task: Any) -> Block:
     own = task.team[:, None] == task.team
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        position, velocity, known = heard(frame, present)
+        position, velocity, known = known_others(frame, present)
         rows = np.zeros((*present.shape, len(labels)))
         mine = (frame.known_position, frame.known_velocity)
-        nearest(*mine, position, velocity, known & own, NOW, slots, rows)
+        write_nearest_known(*mine, position, velocity, known & own, NO_HORIZON, slots, rows)
         return rows
 
     return Block(labels, compute)

@@ -1,4 +1,4 @@
-"""Observation blocks about targets that drones see, and about charge and power."""
+"""Observation blocks of targets that drones see, and of charge and power."""
 
 from typing import Any
 
@@ -8,30 +8,30 @@ from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import block
-from bulletuav.tasks.observations.base import Block, refused
-from bulletuav.tasks.targets import share_of
+from bulletuav.tasks.observations.base import Block, make_missing_error
+from bulletuav.tasks.targets import compute_seen_fraction
 
 MAX_POWER = 1000.0
-"""W, bound of observed power"""
+"""Bound of observed power, W"""
 
 
 @register("observation")
 @block([Label("charge", "1", 0.0, 1.0)])
 def battery(charge: float) -> float:
-    """Charge that is left, as a share."""
+    """Remaining fraction of the battery's charge."""
     return charge
 
 
 @register("observation")
 @block([Label("power", "W", 0.0, MAX_POWER)])
 def power(power: float) -> float:
-    """Power that the drone takes, mean of the decision."""
+    """Mean power of the drone in the decision."""
     return power
 
 
 @register("observation")
 def targets(task: Any) -> Block:
-    """Targets of the task: position relative to the drone, and whether it sees them."""
+    """Targets of the task: position relative to the drone, and whether the drone sees them."""
     size = task.arena_high - task.arena_low
     labels: list[Label] = []
     for k in range(1, task.num_targets + 1):
@@ -49,21 +49,21 @@ def targets(task: Any) -> Block:
 
 @register("observation")
 def seen_share(task: Any) -> Block:
-    """Share of the task's active targets that the drone sees."""
+    """Fraction of the task's active targets that the drone sees."""
     require_targets(task, "seen_share")
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         active = task.active_targets(frame.scene)[:, None]
-        return share_of(frame.readings["sight"], active)[..., None]
+        return compute_seen_fraction(frame.readings["sight"], active)[..., None]
 
     return Block((Label("seen share", "1", 0.0, 1.0),), compute)
 
 
 @register("observation")
 def centroids(task: Any) -> Block:
-    """Over ground, the centroid of all active targets, and that of the drone's own ones.
+    """Horizontal centroid of all active targets, and of the drone's own targets.
 
-    Its own are those nearer to it than to other living drones; all where it has none.
+    A drone's own targets are those closer to it than to other living drones; all if it has none.
     """
     require_targets(task, "centroids")
     bounds = [(task.arena_low[axis], task.arena_high[axis]) for axis in (0, 1)]
@@ -76,12 +76,11 @@ def centroids(task: Any) -> Block:
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         place = task.targets(frame.scene)[..., :2]
         active = task.active_targets(frame.scene)[:, None]
-        # Distances over ground; who is not present has no targets of its own
+        # Horizontal distances; absent drones have no own targets
         gap = np.linalg.norm(place[:, None] - frame.known_position[:, :, None, :2], axis=-1)
         gap = np.where(present[..., None], gap, np.inf)
-        # Between equals a target counts for both
+        # A target at equal distances belongs to both drones
         own = (gap == gap.min(axis=1, keepdims=True)) & active & present[..., None]
-        # Who has none is shown those of all
         own = np.where(own.any(axis=-1, keepdims=True), own, active)
         of_all = _mean(place, np.broadcast_to(active, own.shape))
         return np.concatenate([of_all, _mean(place, own)], axis=-1)
@@ -90,7 +89,7 @@ def centroids(task: Any) -> Block:
 
 
 def _mean(place: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Average the places (W, U, 2) that are `chosen` (W, N, U), to (W, N, 2)."""
+    """Return the means (W, N, 2) of the positions (W, U, 2) that are `chosen` (W, N, U)."""
     mean: np.ndarray = (
         chosen.astype(float) @ place / np.maximum(chosen.sum(axis=-1, keepdims=True), 1)
     )
@@ -99,7 +98,7 @@ def _mean(place: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 @register("observation")
 def sight_matrix(task: Any) -> Block:
-    """Which drone sees which target: the drone itself first, then the others by index."""
+    """Which drone sees which target: the drone's own row first, then the others by index."""
     drones, count = task.context.num_drones, task.num_targets
     names = ["own", *(f"other {k}" for k in range(1, drones))]
     labels = tuple(
@@ -116,10 +115,10 @@ def sight_matrix(task: Any) -> Block:
 
 
 def require_targets(task: Any, name: str) -> None:
-    """Refuse a block of targets for a task that has none.
+    """Check that the task of a block has targets.
 
     Raises:
-        ValueError: It has none.
+        ValueError: If the task has none.
     """
     if not task.num_targets:
-        raise refused(task, name)
+        raise make_missing_error(task, name)

@@ -1,4 +1,4 @@
-"""Observation blocks about teams."""
+"""Observation blocks of teams."""
 
 from typing import Any
 
@@ -8,12 +8,12 @@ from bulletuav.registry import register
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.observations.neighbours import heard
+from bulletuav.tasks.observations.neighbours import known_others
 
 
 @register("observation")
 def team(task: Any) -> Block:
-    """One-hot of the drone's team."""
+    """One-hot encoding of the drone's team."""
     count = int(task.team.max()) + 1
     own = np.eye(count)[task.team]
     labels = tuple(Label(f"in team {k}", "1", 0.0, 1.0) for k in range(count))
@@ -26,19 +26,18 @@ def team(task: Any) -> Block:
 
 @register("observation")
 def neighbour_teams(task: Any) -> Block:
-    """Nearest other drones, as in `neighbours`: 1 of the own team, -1 of another, 0 where fewer."""
+    """Teams of the drones in `neighbours`: 1 for the own team, -1 for another, 0 for padding."""
     slots = task.context.num_neighbours
     labels = tuple(Label(f"neighbour {k} team", "1", -1.0, 1.0) for k in range(1, slots + 1))
     relation = np.where(task.team[:, None] == task.team, 1.0, -1.0)
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        position, _, known = heard(frame, present)
-        # The same order as in `neighbours`: nearest first, stable
+        position, _, known = known_others(frame, present)
+        # Sorted as in `neighbours`
         distance = np.linalg.norm(position - frame.known_position[:, :, None], axis=-1)
         distance = np.where(known, distance, np.inf)
         nearest = np.argsort(distance, axis=-1, kind="stable")[..., :slots]
         is_there = np.take_along_axis(known, nearest, axis=-1)
-        # Zeros where fewer are known
         of_team = np.take_along_axis(np.broadcast_to(relation, known.shape), nearest, axis=-1)
         out = np.zeros((*present.shape, slots))
         out[..., : nearest.shape[-1]] = np.where(is_there, of_team, 0.0)

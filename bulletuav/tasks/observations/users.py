@@ -1,4 +1,4 @@
-"""Observation blocks of what drones do for users on the ground."""
+"""Observation blocks of the drones' service to users on the ground."""
 
 from typing import Any
 
@@ -8,18 +8,18 @@ from bulletuav.network.link import capacity
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.frame import Frame
-from bulletuav.tasks.observations.base import Block, require_memory
+from bulletuav.tasks.observations.base import Block, require_task_memory
 
 MAX_DATA_RATE = 500.0
-"""Mbit/s, bound of an observed rate"""
+"""Bound of an observed data rate, Mbit/s"""
 MAX_QUEUE = 100.0
-"""Tasks, bound of an observed queue"""
+"""Bound of an observed queue, tasks"""
 
 
 @register("observation")
 def dwell_time(task: Any) -> Block:
-    """For how long the drone has seen targets without a break, mean of all."""
-    require_memory(task, "dwell_time", ("dwell_time",))
+    """Time for which the drone has seen targets without interruption, mean over targets."""
+    require_task_memory(task, "dwell_time", ("dwell_time",))
     label = Label("dwell_time", "s", 0.0, task.context.duration)
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
@@ -30,9 +30,12 @@ def dwell_time(task: Any) -> Block:
 
 @register("observation")
 def server(task: Any) -> Block:
-    """Load of the drone's cores, queue, latency and completed share, in the last decision."""
+    """Utilisation of the drone's cores, queue, latency and completed fraction of tasks.
+
+    All refer to the last decision.
+    """
     names = ("utilisation", "queue", "latency", "completed_share")
-    require_memory(task, "server", names)
+    require_task_memory(task, "server", names)
     labels = (
         Label("utilisation", "1", 0.0, 1.0),
         Label("queue", "tasks", 0.0, MAX_QUEUE),
@@ -51,8 +54,8 @@ def server(task: Any) -> Block:
 
 @register("observation")
 def link_rates(task: Any) -> Block:
-    """Rate that each user would reach to the drone if it had it for itself."""
-    require_memory(task, "link_rates", ("received",))
+    """Rate of each user's link to the drone with the whole bandwidth."""
+    require_task_memory(task, "link_rates", ("received",))
     band, noise = task.config.bandwidth, task.service.uplink.noise
     users = range(1, task.num_targets + 1)
     labels = tuple(Label(f"rate of user {j}", "Mbit/s", 0.0, MAX_DATA_RATE) for j in users)

@@ -1,4 +1,4 @@
-"""Starts and goals of flights through free airspace, and the distances between them."""
+"""Options of free airspace, and distances between starts."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -13,8 +13,8 @@ class AirspaceOptions:
     """Options of flights through free airspace.
 
     Attributes:
-        altitude: Height above ground of starts and goals, m.
-        jitter: Largest random shift of a start on each axis, m.
+        altitude: Altitude of starts and goals above ground, m.
+        jitter: Maximum random offset of a start on each axis, m.
         margin: Distance from starts and goals to the bounds of the arena, m.
     """
 
@@ -23,12 +23,12 @@ class AirspaceOptions:
     margin: float = 30.0
 
     def scattered(self, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Shift places (N, 3), m, at random by up to `jitter` on each axis."""
+        """Offset positions (N, 3), m, at random by up to `jitter` on each axis."""
         return places + rng.uniform(-self.jitter, self.jitter, places.shape)
 
 
 class HasSeparation(Protocol):
-    """Options among which is `d_safe`, m."""
+    """Options that include `d_safe`, m."""
 
     @property
     def d_safe(self) -> float:
@@ -36,23 +36,23 @@ class HasSeparation(Protocol):
 
 
 def clearance(config: HasSeparation, context: TaskContext) -> float:
-    """Return the distance between two drones below which they conflict or touch, m."""
+    """Return the distance below which two drones are in conflict or contact, m."""
     return max(2 * context.collision_radius, config.d_safe)
 
 
-def least_distance(config: AirspaceOptions, chord: float) -> float:
-    """Return how near to each other two drones may start, m.
+def min_start_distance(config: AirspaceOptions, chord: float) -> float:
+    """Return the minimum distance between two jittered starts, m.
 
     Args:
-        config: Options, of which `jitter` counts.
-        chord: Distance between their undisturbed places, which are at the same height, m.
+        config: Options with `jitter`.
+        chord: Distance between the nominal starts, which have the same altitude, m.
     """
     worst_shift = 2 * np.sqrt(2) * config.jitter
     return float(chord - worst_shift)
 
 
 def require_margin(config: AirspaceOptions) -> None:
-    """Refuse jitter that reaches beyond the bounds. Raises ValueError."""
+    """Raise ValueError if jitter can move starts out of the arena."""
     if config.margin <= config.jitter:
         raise ValueError(
             f"margin {config.margin:g} m must exceed jitter {config.jitter:g} m: "
@@ -63,7 +63,7 @@ def require_margin(config: AirspaceOptions) -> None:
 def circle_arena(
     config: AirspaceOptions, context: TaskContext, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the arena of drones that start on a circle about the origin.
+    """Return the arena of drones that start on a circle around the origin.
 
     Args:
         config: Options of the airspace.
@@ -74,7 +74,7 @@ def circle_arena(
         Lower and upper corner, (3,) each, m.
 
     Raises:
-        ValueError: Drones could start outside the arena, or touch the ground.
+        ValueError: If drones could start outside the arena, or touch the ground.
     """
     require_margin(config)
     if config.altitude - config.jitter <= context.collision_radius:

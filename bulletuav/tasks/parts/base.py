@@ -1,4 +1,4 @@
-"""What parts of tasks are."""
+"""Base classes of parts of tasks and of start distributions."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -17,39 +17,39 @@ Rngs = Sequence[np.random.Generator]
 class Part:
     """A part of a task, such as a city or its users, with its own options, state and infos.
 
-    A task adds its parts by `Task.add`, and asks each of them, in that order, for everything that
-    it does not do itself. The methods are those of `Task` of the same names, where arguments and
-    results are explained; all do nothing by default.
+    A task registers its parts by `Task.add`, and delegates to them in this order. The methods
+    correspond to those of `Task` of the same names, where arguments and results are documented; by
+    default all do nothing.
     """
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """List the bodies that it puts into every world; those of all parts follow each other."""
+        """Return the part's obstacles in every world; those of all parts are concatenated."""
         return ()
 
     def layouts(self) -> Sequence[Solids]:
-        """List what can stand in a world, one at a time."""
+        """Return alternative sets of buildings, one of which is in each world."""
         return ()
 
     def is_free(self, place: np.ndarray, radius: float, layout: int) -> bool:
-        """Return whether a ball touches nothing of it; it must be free of all parts."""
+        """Return True if a ball intersects nothing of the part; it must be free of all parts."""
         return True
 
     def finish(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
         """Complete the start of one world.
 
         Args:
-            spawn: The start, with the places that users gave.
-            is_given: Whether they gave any.
+            spawn: The start, with positions set by the user.
+            is_given: Whether the user set any.
             rng: Generator of the world.
         """
         return spawn
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Move what belongs to it through one decision, and return whether obstacles moved."""
+        """Move the part's objects through one decision; return whether obstacles moved."""
         return False
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Return the shapes of the arrays that it keeps in `scene.memory`, by name."""
+        """Return the shapes of the part's arrays in `scene.memory`, by name."""
         return {}
 
     def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
@@ -57,41 +57,41 @@ class Part:
         return {}
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Bring these arrays up to date after a decision."""
+        """Update these arrays after a decision."""
 
     def payload_power(self, scene: Scene) -> np.ndarray | float:
-        """Return the power of the drones' equipment, (W, N) W; that of all parts adds up."""
+        """Return the power of the drones' equipment, (W, N) W, summed over parts."""
         return 0.0
 
     def quantities(self) -> Mapping[str, Any]:
-        """Return what it derives from a frame, by the names that ingredients use."""
+        """Return the quantities that the part derives from a frame, by name, for ingredients."""
         return {}
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Return its infos, (W, N) by name."""
+        """Return the part's infos, (W, N) by name."""
         return {}
 
     def world_state(self) -> Mapping[str, Block]:
-        """Return its blocks of the global state, by name."""
+        """Return the part's blocks of the global state, by name."""
         return {}
 
 
 class Starts(ABC):
-    """Where drones start and go to; see `GoalFlight.starts`."""
+    """Distribution of starts and goals; see `GoalFlight.starts`."""
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Spawn:
-        """Draw starts and goals of one world, and what else lies there, of drones at rest."""
+        """Draw starts and goals of one world, and its obstacles, with drones at rest."""
 
     def next_goal(self, place: np.ndarray, layout: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw the goal (3,), m, of a drone at `place` (3,), m, where goals respawn.
+        """Draw the next goal (3,), m, of a drone, if goals respawn.
 
         Args:
-            place: Where the drone reached its last goal.
+            place: (3,) position at which the drone reached its last goal, m.
             layout: Index of the city in its world.
             rng: Generator of the world.
 
         Raises:
-            ValueError: Here goals do not respawn.
+            ValueError: If goals do not respawn.
         """
         raise ValueError("at_goal is 'respawn': this task draws no further goals")

@@ -1,4 +1,4 @@
-"""Cities of a task: options, layouts, and random places in them."""
+"""Cities of a task: options, layouts, and random positions in them."""
 
 import contextlib
 import math
@@ -25,23 +25,23 @@ from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.base import Part
 
 RASTER_CELL = 4.0
-"""Side of the cells of the raster from which places are drawn, m"""
+"""Side of the cells of the raster from which positions are drawn, m"""
 BUILDING_MARGIN = 1.0
-"""Distance beyond its radius between a drone that starts, or a goal, and buildings, m"""
+"""Distance beyond its radius between a starting drone, or a goal, and buildings, m"""
 EDGE_MARGIN = 10.0
-"""Distance between drones that start, or goals, and the city's edge, m"""
+"""Distance between starts, or goals, and the city's edge, m"""
 USER_HEIGHT = 1.5
 """Height of a user's device above the ground, m"""
 OPEN = "open"
-"""Name of the city in which nothing stands"""
+"""Name of the city without buildings"""
 MEASURES = (
     Label("city_alpha", "1", 0.0, 1.0),
     Label("city_beta", "1/km^2", 0.0, MAX_VALUES["beta"]),
     Label("city_gamma", "m", 0.0, MAX_VALUES["gamma"]),
 )
-"""What infos and the global state have of a city"""
+"""City parameters in infos and the global state"""
 MAX_TRIES = 200
-"""Random draws of a place before it counts as impossible"""
+"""Maximum number of draws of a position before an error is raised"""
 
 
 @dataclass(frozen=True)
@@ -52,19 +52,19 @@ class CityOptions:
         city: "suburban", "urban", "dense" or "high_rise"; "open" for none; (alpha, beta, gamma),
             see `bulletuav.city.statistics.Statistics`; the path of a .geojson or .obj file; or a
             `City`.
-        area: Side of the city's square, or its lengths along x and y, m. Files have the smallest
-            square that holds all.
+        area: Side of the city's square, or its lengths along x and y, m. Cities from files have
+            their smallest bounding square.
         irregularity: Irregularity of the city, from 0, a regular grid, to 1.
-        num_layouts: Number of cities that are made; a world has one of them for an episode. Files
-            give one.
-        city_seed: Seed of the first city, the same for all worlds. Layout k is what
-            `bulletuav city` makes of this seed + k.
-        height: Least and greatest height of starts and goals, m. They are outdoors.
-        ceiling: Greatest height of the airspace, m.
-        min_separation: Least distance between starts, and between goals, m.
-        obstacle_radius: Least and greatest radius of the obstacles' bounding spheres, m: they have
+        num_layouts: Number of cities that are generated; each world has one of them per episode.
+            Files give one.
+        city_seed: Seed of the first city, the same for all worlds. Layout k is the city that
+            `bulletuav city` generates with this seed + k.
+        height: Minimum and maximum height of starts and goals, m. They are outdoors.
+        ceiling: Maximum height of the airspace, m.
+        min_separation: Minimum distance between starts, and between goals, m.
+        obstacle_radius: Minimum and maximum radius of the obstacles' bounding spheres, m: they have
             to fit into streets.
-        obstacle_speed: Greatest speed of an obstacle on each axis, m/s.
+        obstacle_speed: Maximum speed of an obstacle on each axis, m/s.
     """
 
     city: Any = "urban"
@@ -80,29 +80,26 @@ class CityOptions:
 
 
 def make_cities(config: CityOptions) -> tuple[City, ...]:
-    """Make the cities that the options ask for.
+    """Create the cities that the options describe.
 
     Args:
-        config: Options, of which `city`, `area`, `irregularity`, `num_layouts` and `city_seed`
-            count.
+        config: Options; `city`, `area`, `irregularity`, `num_layouts` and `city_seed` are used.
 
     Returns:
         A city for each layout.
 
     Raises:
-        ValueError: There can be no such city.
-        FileNotFoundError: `city` is the path of a file that is not there.
+        ValueError: If the options are invalid.
+        FileNotFoundError: If `city` is the path of a file that does not exist.
     """
     sides = _sides(config.area)
     kind = config.city
-    # A city that is ready, or a file of one.
     if isinstance(kind, City):
         return (kind,)
     ending = Path(kind).suffix.lower() if isinstance(kind, str | Path) else ""
     if isinstance(kind, Path) or ending in READERS:
         read = find_choice(f"kind of file for city {str(kind)!r},", ending, READERS)
         return (read(Path(kind)),)
-    # Cities made at random, of a known kind or of given statistics.
     if isinstance(kind, str):
         find_choice("kind of city", kind, {**KINDS, OPEN: None})
     else:
@@ -129,7 +126,7 @@ def make_cities(config: CityOptions) -> tuple[City, ...]:
 def _generated(
     kind: str | Statistics, sides: tuple[float, float], seed: int, irregularity: float
 ) -> City:
-    """Generate a city, of which several environments of a process share all that it knows."""
+    """Generate a read-only city; environments of a process share it through the cache."""
     city = generate(kind, sides, np.random.default_rng(seed), irregularity)
     for array in (city.solids.boxes, city.building, city.streets.nodes, city.streets.edges):
         array.setflags(write=False)
@@ -137,14 +134,14 @@ def _generated(
 
 
 def open_ground(sides: tuple[float, float]) -> City:
-    """Make ground of these lengths along x and y, m, on which nothing stands."""
+    """Return a city without buildings, with the given lengths along x and y, m."""
     nothing = Solids(np.zeros((0, 2, 3)))
     nowhere = Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int))
     return City(OPEN, sides[0], nothing, np.zeros(0, dtype=int), nowhere, sides[1])
 
 
 def _sides(area: Any) -> tuple[float, float]:
-    """Make lengths along x and y, m, of one number or two."""
+    """Return lengths along x and y, m, from one number or two."""
     single = not isinstance(area, list | tuple)
     given = (area, area) if single else as_sequence("area", area, 2)
     sides = (finite("area", given[0]), finite("area", given[1]))
@@ -154,7 +151,6 @@ def _sides(area: Any) -> tuple[float, float]:
 
 
 def _given_statistics(given: Any) -> Statistics:
-    """Make statistics of the three numbers that the option `city` gives."""
     try:
         return Statistics(*as_sequence("city", given, 3))
     except ValueError as error:
@@ -164,10 +160,10 @@ def _given_statistics(given: Any) -> Statistics:
 
 
 class CityLayouts(Part):
-    """Cities of a task by layout, and random places outdoors in them.
+    """Cities of a task by layout, and random positions outdoors in them.
 
-    Infos are "city_alpha", the built-up share of the world's city; "city_beta", buildings per
-    km^2; and "city_gamma", the Rayleigh scale of heights, m. The global state has them, too.
+    Infos are "city_alpha", the built-up fraction of the world's city; "city_beta", buildings per
+    km^2; and "city_gamma", the Rayleigh scale of heights, m. They are also in the global state.
 
     Attributes:
         config: Options of the cities.
@@ -175,19 +171,19 @@ class CityLayouts(Part):
         solids: Buildings of each layout, for the engine.
         low: (3,) lower corner of the airspace above all layouts, m.
         high: (3,) upper corner of the airspace, m.
-        parameters: alpha, beta and gamma (L + 1, 3) of each city, see `parameters`; then zeros, for
-            worlds without a city.
+        parameters: alpha, beta and gamma (L + 1, 3) of each city, see `parameters`; the last row is
+            zero, for worlds without a city.
     """
 
     def __init__(self, task: Task[Any]) -> None:
-        """Make the cities, and rasters of the places where drones have room.
+        """Create the cities, and rasters of the positions with space for a drone.
 
         Args:
-            task: The task, with options of cities, whose drones are to have room.
+            task: The task, with options of cities.
 
         Raises:
-            ValueError: The options leave no room to fly.
-            FileNotFoundError: The city's file is not there.
+            ValueError: If the options leave no space to fly.
+            FileNotFoundError: If the city's file does not exist.
         """
         config: CityOptions = task.config
         context, self._takes_off = task.context, task.takes_off
@@ -198,7 +194,7 @@ class CityLayouts(Part):
         self.cities = make_cities(config)
         self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
         self.parameters = np.array([*map(parameters, self.cities), (0.0, 0.0, 0.0)])
-        # The airspace holds the widest city, and must hold drones as far apart as asked for.
+        # The airspace contains the widest city, and must be larger than `min_separation`
         reach = np.max([city.sides for city in self.cities], axis=0) / 2
         self.low = np.array([-reach[0], -reach[1], 0.0])
         self.high = np.array([reach[0], reach[1], config.ceiling])
@@ -208,7 +204,7 @@ class CityLayouts(Part):
                 f"min_separation is {config.min_separation:g} m: less than {diagonal:.4g} m, "
                 f"as far as the city's airspace reaches, is needed"
             )
-        # Wherever in a free cell a drone starts, it is clear of buildings.
+        # Any position in a free cell is clear of buildings
         margin = context.collision_radius + BUILDING_MARGIN + RASTER_CELL / np.sqrt(2)
         self._raster = [
             _outdoor_cells(city, RASTER_CELL, margin, EDGE_MARGIN) for city in self.cities
@@ -217,27 +213,27 @@ class CityLayouts(Part):
             if not len(raster):
                 raise ValueError(
                     f"city {city.name!r} has no street {2 * margin:.3g} m wide, "
-                    f"{EDGE_MARGIN:g} m off its edge: drones have no room; "
+                    f"{EDGE_MARGIN:g} m off its edge: drones do not fit; "
                     f"lower alpha, or raise area"
                 )
 
     def layouts(self) -> Sequence[Solids]:
-        """List the buildings of each city."""
+        """Return the buildings of each city."""
         return self.solids
 
     def is_free(self, place: np.ndarray, radius: float, layout: int) -> bool:
-        """Return whether a ball at a place (3,), m, is off all buildings of a city."""
+        """Return True if a ball at a position (3,), m, intersects no building of a city."""
         city = self.cities[layout]
-        # The highest roof below the ball, on a raster of it.
+        # Highest roof below the ball, sampled on a grid
         steps = radius * np.linspace(-1.0, 1.0, 5)
         below = place[:2] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         is_above = place[2] - radius > float(city.roof(below).max())
         return bool(is_above) or bool(city.outdoors(place, radius))
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Return what the cities of the worlds measure, the same for all drones of a world."""
+        """Return the parameters of the worlds' cities, the same for all drones of a world."""
         layout = frame.scene.layout
-        # The same read-only arrays while the same cities stand
+        # Cached read-only arrays until a layout changes
         stands = layout.tobytes()
         if self._measured[0] != stands:
             rows = np.repeat(self.parameters[layout][..., None], self._num_drones, 2)
@@ -248,7 +244,7 @@ class CityLayouts(Part):
         return dict(self._measured[1])
 
     def world_state(self) -> Mapping[str, Block]:
-        """Return what the city that stands in the world measures."""
+        """Return the parameters of the world's city."""
 
         def measured(frame: Frame, present: np.ndarray) -> np.ndarray:
             parameters: np.ndarray = self.parameters[frame.scene.layout]
@@ -257,13 +253,13 @@ class CityLayouts(Part):
         return {"city": Block(MEASURES, measured)}
 
     def require(self, leg: float) -> None:
-        """Refuse a distance from start to goal that a city is too small for.
+        """Check that all cities are large enough for a distance from start to goal.
 
         Args:
             leg: Distance, m.
 
         Raises:
-            ValueError: In some city no two places are that far apart.
+            ValueError: If in some city no two positions are that far apart.
         """
         diagonals = (
             np.linalg.norm(np.ptp(raster, axis=0) + RASTER_CELL) for raster in self._raster
@@ -275,16 +271,16 @@ class CityLayouts(Part):
             )
 
     def draw(self, rng: np.random.Generator) -> int:
-        """Draw a layout, all with the same chance."""
+        """Draw a layout uniformly."""
         return int(rng.integers(len(self.cities)))
 
     def outdoors(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
-        """Draw places outdoors with room for a drone.
+        """Draw positions outdoors with space for a drone.
 
         Args:
             rng: Random generator.
-            layout: Which city.
-            count: Number of places.
+            layout: Index of the city.
+            count: Number of positions.
 
         Returns:
             (count, 2) m.
@@ -295,46 +291,46 @@ class CityLayouts(Part):
         return place
 
     def places(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
-        """Draw places for drones, `min_separation` apart.
+        """Draw positions of drones, at least `min_separation` apart.
 
         Args:
             rng: Random generator.
-            layout: Which city.
-            count: Number of places.
+            layout: Index of the city.
+            count: Number of positions.
 
         Returns:
             (count, 3) m.
 
         Raises:
-            ValueError: There is no room for so many.
+            ValueError: If no such positions were found.
         """
-        return self._drawn(rng, layout, count, None, 0.0)
+        return self._draw_positions(rng, layout, count, None, 0.0)
 
     def legs(
         self, rng: np.random.Generator, layout: int, count: int, leg: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw starts and goals; starts, and goals, are `min_separation` apart.
+        """Draw starts and goals; starts, and goals, are at least `min_separation` apart.
 
         Args:
             rng: Random generator.
-            layout: Which city.
+            layout: Index of the city.
             count: Number of drones.
-            leg: Least distance from a drone's start to its goal, m.
+            leg: Minimum distance from a drone's start to its goal, m.
 
         Returns:
             Starts (count, 3) and goals (count, 3), m.
 
         Raises:
-            ValueError: There is no room for so many.
+            ValueError: If no such positions were found.
         """
         for _ in range(MAX_TRIES):
             start = self.places(rng, layout, count)
-            # A start in the middle may have nowhere so far away: then others are drawn.
+            # A start near the centre may have no goal that far away: draw again
             with contextlib.suppress(ValueError):
-                return start, self._drawn(rng, layout, count, start, leg)
-        raise self._no_room(layout, count, f" and leg {leg:g} m")
+                return start, self._draw_positions(rng, layout, count, start, leg)
+        raise self._make_room_error(layout, count, f" and leg {leg:g} m")
 
-    def _drawn(
+    def _draw_positions(
         self,
         rng: np.random.Generator,
         layout: int,
@@ -342,39 +338,38 @@ class CityLayouts(Part):
         start: np.ndarray | None,
         leg: float,
     ) -> np.ndarray:
-        """Draw places (count, 3), each `leg` from its entry of `start` where that is given."""
+        """Draw positions (count, 3), m, each at least `leg` from its entry of `start` if given."""
         lowest, highest = self.config.height
         if start is None and self._takes_off:
-            highest = lowest  # apart as seen from above
+            highest = lowest  # so that `min_separation` holds on the ground
         places = np.empty((count, 3))
         for i in range(count):
             for _ in range(MAX_TRIES):
                 places[i, :2] = self.outdoors(rng, layout, 1)[0]
                 places[i, 2] = rng.uniform(lowest, highest)
-                # Most goals are too near their starts, which takes less time to see
+                # First, as most goals are too close and this check is cheap
                 if start is not None and math.dist(start[i], places[i]) < leg:
                     continue
                 gaps = np.linalg.norm(places[:i] - places[i], axis=1)
                 if gaps.min(initial=np.inf) >= self.config.min_separation:
                     break
             else:
-                raise self._no_room(layout, count, "")
+                raise self._make_room_error(layout, count, "")
         return places
 
-    def _no_room(self, layout: int, count: int, also: str) -> ValueError:
-        """Make the error for a city that is too small for so many drones."""
+    def _make_room_error(self, layout: int, count: int, also: str) -> ValueError:
         return ValueError(
             f"no places for {count} drones with min_separation "
             f"{self.config.min_separation:g} m{also} in a city of side "
             f"{self.cities[layout].sides.min():g} m: lower these, or raise area"
         )
 
-    def goal_from(
+    def draw_goal(
         self, rng: np.random.Generator, layout: int, place: np.ndarray, leg: float
     ) -> np.ndarray:
-        """Draw a goal (3,), m, for a drone at `place` (3,): the first that is `leg` m away.
+        """Draw a goal (3,), m, at least `leg` from a drone at `place` (3,), m.
 
-        Where none of many is, the farthest.
+        Returns the farthest of MAX_TRIES goals if none is that far away.
         """
         farthest, reach = place, -1.0
         for _ in range(MAX_TRIES):
@@ -387,22 +382,22 @@ class CityLayouts(Part):
         return farthest
 
     def hovering(self, rng: np.random.Generator, layout: int, count: int) -> Spawn:
-        """Draw a start at rest at random places, which are the drones' goals too.
+        """Draw a start at rest at random positions, which are also the goals.
 
         Args:
             rng: Random generator.
-            layout: Which city.
+            layout: Index of the city.
             count: Number of drones.
 
         Raises:
-            ValueError: There is no room for so many.
+            ValueError: If no such positions were found.
         """
         place = self.places(rng, layout, count)
         return Spawn(position=place, goal=place, layout=layout)
 
 
 def add_city(task: Task[Any]) -> CityLayouts:
-    """Add cities to a task; its arena is their ground, up to the ceiling.
+    """Add cities to a task and set its arena to their ground, up to the ceiling.
 
     Args:
         task: The task, with options of cities.
@@ -411,16 +406,16 @@ def add_city(task: Task[Any]) -> CityLayouts:
         The cities.
 
     Raises:
-        ValueError: They leave no room to fly.
-        FileNotFoundError: The city's file is not there.
+        ValueError: If the cities leave no space to fly.
+        FileNotFoundError: If the city's file does not exist.
     """
-    town = task.add(CityLayouts(task))
-    task.arena_low, task.arena_high = town.low, town.high
-    return town
+    city_layouts = task.add(CityLayouts(task))
+    task.arena_low, task.arena_high = city_layouts.low, city_layouts.high
+    return city_layouts
 
 
 def _check_heights(config: CityOptions, context: TaskContext) -> None:
-    """Refuse heights outside the airspace, and drones that could start in touch."""
+    """Check that heights are inside the airspace, and that drones cannot start in contact."""
     lowest, highest = config.height
     if not context.collision_radius < lowest <= highest < config.ceiling:
         raise ValueError(
@@ -438,9 +433,9 @@ def _check_heights(config: CityOptions, context: TaskContext) -> None:
 
 @lru_cache(32)
 def _outdoor_cells(city: City, cell: float, margin: float, edge: float = 0.0) -> np.ndarray:
-    """Return the middles (M, 2) of a raster's cells that are outdoors, m.
+    """Return the centres (M, 2) of a raster's cells that are outdoors, m.
 
-    They are `margin` m from footprints and `edge` m from the city's edge.
+    They are at least `margin` m from footprints and `edge` m from the city's edge.
     """
     middles = [
         (np.arange(count) + 0.5) * side / count - side / 2
@@ -454,7 +449,7 @@ def _outdoor_cells(city: City, cell: float, margin: float, edge: float = 0.0) ->
 
 
 def ground_cells(city: City, cell: float) -> np.ndarray:
-    """Return the middles of the cells of a square raster that are outdoors.
+    """Return the centres of the cells of a square raster that are outdoors.
 
     Args:
         city: The city.

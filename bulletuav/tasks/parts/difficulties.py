@@ -1,4 +1,4 @@
-"""Difficulties that several tasks share: what each makes uncertain, and which city it takes."""
+"""Difficulties shared by several tasks: randomization, numbers of drones, and cities."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ UNCERTAINTY: dict[str, dict[str, Any]] = {
         },
     },
 }
-"""What each difficulty makes uncertain.
+"""Randomization by difficulty.
 
 Units are those of `bulletuav.envs.randomization.Randomization`.
 """
@@ -41,7 +41,7 @@ AIRSPACE_DIFFICULTIES: dict[str, dict[str, Any]] = {
     "hard": {"num_drones": 20, "num_obstacles": 6, "num_moving": 3, **UNCERTAINTY["hard"]},
     "extreme": {"num_drones": 100, "num_obstacles": 12, "num_moving": 6, **UNCERTAINTY["extreme"]},
 }
-"""Difficulties of flights through free airspace: drones, obstacles, and what is uncertain."""
+"""Difficulties of flights through free airspace: drones, obstacles and randomization."""
 
 URBAN_DIFFICULTIES: dict[str, dict[str, Any]] = {
     "easy": UNCERTAINTY["easy"],
@@ -63,4 +63,4 @@ URBAN_DIFFICULTIES: dict[str, dict[str, Any]] = {
         **UNCERTAINTY["extreme"],
     },
 }
-"""Difficulties of tasks in cities: the city, the number of drones, and what is uncertain."""
+"""Difficulties of tasks in cities: the city, the number of drones, and randomization."""

@@ -1,4 +1,4 @@
-"""Edge computing from the air: users send tasks to drones, which compute them."""
+"""Edge computing from the air: users offload tasks to servers on drones."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -25,44 +25,44 @@ from bulletuav.network.service_stats import ServiceStats
 from bulletuav.network.uplink import Uplink
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame, Scene
-from bulletuav.tasks.observations.base import Block, of_drones
+from bulletuav.tasks.observations.base import Block, make_drone_block
 from bulletuav.tasks.observations.users import MAX_QUEUE
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.users import Service, Users
 
 MAX_TASKS = 1e6
-"""Most tasks that a world may have in a decision on average"""
-LEAST_TASKS = 1e-9
-"""Tasks in a decision that rewards divide by where there are fewer"""
-LEAST_RATE = 1e-9
-"""Rate by which uploads are divided where there is less, bit/s"""
+"""Maximum mean number of tasks per world and decision"""
+MIN_TASKS = 1e-9
+"""Lower bound of the expected tasks per decision by which rewards are divided"""
+MIN_RATE = 1e-9
+"""Lower bound of data rates by which uploads are divided, bit/s"""
 
 
 @dataclass(frozen=True)
 class EdgeOptions:
-    """Options of edge computing: tasks, servers, and who serves whom.
+    """Options of edge computing: tasks, servers, and the assignment of users.
 
     Attributes:
         num_users: Number of users on the ground, outdoors.
-        wanted: Share of the episode's tasks that is success when completed.
-        arrival_rate: Tasks of each user, 1/s; they come as a Poisson process.
-        task_bits: Least and greatest size of a task, bit; sizes are uniform.
-        cycles_per_bit: Cycles that a bit takes to compute.
-        deadline: Time from the arrival of a task to its result, s. A task that would be later is
-            given up.
-        num_cores: Cores of each drone.
+        wanted: Fraction of completed tasks of the episode from which the task is successful.
+        arrival_rate: Arrival rate of each user's tasks, a Poisson process, 1/s.
+        task_bits: Minimum and maximum size of a task, bit; sizes are uniformly distributed.
+        cycles_per_bit: Processor cycles per bit of a task.
+        deadline: Maximum time from the arrival of a task to its result, s. Tasks that would be
+            later are dropped.
+        num_cores: Number of cores of each drone.
         core_frequency: Frequency of a core, cycles/s.
-        capacitance: Effective capacitance of a core, which takes capacitance * core_frequency^3,
-            W.
-        queue: "simulated", task by task; or "erlang", the mean response of M/M/c, as if the load
-            had always been as now.
-        assignment: Who serves whom: "max_rate", "nearest" or "dtlcm", see
+        capacitance: Effective switched capacitance of a core, whose power is capacitance *
+            core_frequency^3, W.
+        queue: "simulated", task by task; or "erlang", the mean response time of an M/M/c queue in
+            steady state at the current load.
+        assignment: Assignment of users to drones: "max_rate", "nearest" or "dtlcm", see
             `bulletuav.network.assignment`.
-        distance_weight: Weight of distance in "dtlcm", from 0 to 1; computing capacity has the
-            rest.
-        power_scale: Power that the reward term `energy` divides by, W: about what full thrust and
-            busy cores take.
+        distance_weight: Weight of distance in "dtlcm", from 0 to 1; the rest weighs computing
+            capacity.
+        power_scale: Power by which the reward term `energy` is divided, W: about that of full
+            thrust and busy cores.
     """
 
     num_users: int = field(default=50, metadata={"most": 10_000})
@@ -80,16 +80,16 @@ class EdgeOptions:
     power_scale: float = 400.0
 
 
-class _Service(NamedTuple):
-    """Programs of a decision's tasks, and the arrays of a frame in which they work.
+class _ServicePrograms(NamedTuple):
+    """Programs that process a decision's tasks, and the arrays of the frame that they use.
 
     Attributes:
         frame: The frame.
         sight: Its reading "sight".
-        first: Bounds (W + 1,) of the worlds' tasks.
-        uniform: Random numbers of which tasks are made.
-        receiving: Works out what drones receive from users.
-        working: Connects users and drones, and computes the tasks.
+        first: (W + 1,) offsets of the worlds' tasks.
+        uniform: Random numbers from which tasks are generated.
+        receiving: Computes the power that drones receive from users.
+        working: Assigns users to drones, and processes the tasks.
     """
 
     frame: Frame
@@ -100,48 +100,47 @@ class _Service(NamedTuple):
     working: Program
 
     def sees(self, frame: Frame) -> bool:
-        """Tell whether the frame's reading is still the same array; the first one makes it."""
+        """Return True if the frame's reading "sight" is still the same array."""
         return frame.readings["sight"] is self.sight
 
 
 class EdgeComputing(Service):
-    """Servers on drones: users send tasks to the drone that serves them, which computes them.
+    """Edge servers on drones: users offload tasks to the drone that serves them.
 
-    A task of D bits takes D / rate to upload; a user sends one after the other. Then it waits for
-    a core of the drone, first come first served. It computes for
-    D * cycles_per_bit / core_frequency. What becomes of it is settled when it is generated, at the
-    rates of the end of that decision. Beside flight drones pay for what their cores did in the
-    decision before.
+    A task of D bits takes D / rate to upload; a user uploads one task at a time. The task then
+    waits for a core of the drone, first come first served, and takes D * cycles_per_bit /
+    core_frequency to compute. Its outcome is determined when it is generated, at the data rates at
+    the end of that decision. In addition to flight, drones consume the power of their cores in the
+    previous decision.
 
-    The tasks tell the reward terms. With their weights a completed task, its share of `tasks` less
-    that of `latency`, is worth more than nothing. A drone that serves nobody only pays for its
-    flight.
+    Reward terms depend on the tasks. With the default weights a completed task has a positive
+    value: its contribution to `tasks` exceeds that to `latency`. A drone that serves no user only
+    pays for its flight.
 
-    Infos, (W, N): "completed", the share of tasks that are completed, and "latency", their mean
-    latency, s. Tasks that are yet to come, as many as on average, count as not completed, so ending
-    early does not raise the share. "dropped", how many tasks of the episode were lost. These are
-    the same for all drones. "queue", tasks of mean size that wait at each drone or are computed
-    there, and "utilisation", the share of the last decision in which its cores worked, mean over
-    them.
+    Infos, (W, N): "completed", the fraction of completed tasks, and "latency", their mean latency,
+    s. The expected number of future tasks counts as not completed, so ending early does not raise
+    the fraction. "dropped" is the number of tasks lost in the episode. These are the same for all
+    drones. "queue" is the number of tasks of mean size that wait or are computed at each drone, and
+    "utilisation" the mean fraction of the last decision for which its cores were busy.
 
     Attributes:
         uplink: Radio link from users to drones.
     """
 
     def __init__(self, task: Task[Any], users: Users) -> None:
-        """Make the radio link, and the arrivals of tasks.
+        """Set up the radio link and the arrivals of tasks.
 
         Args:
             task: The task, with options of users, radio and edge computing.
-            users: Those who send tasks.
+            users: Users that generate tasks.
 
         Raises:
-            ValueError: A size cannot be.
+            ValueError: If an option is invalid.
         """
         super().__init__(task, users)
         config, context = task.config, task.context
         self._config, self._context = config, context
-        # Sizes and rates of tasks, which bound the memory that they take
+        # Bounds on tasks also bound the memory that they need
         smallest, largest = config.task_bits
         if not 0 < smallest <= largest:
             raise ValueError(
@@ -156,17 +155,16 @@ class EdgeComputing(Service):
             )
         rates = np.full(config.num_users, config.arrival_rate)
         self._arrivals = Arrivals(rates, context.period, config.task_bits)
-        # These divide, or scale what is used
         for name in ("cycles_per_bit", "deadline", "core_frequency", "power_scale"):
             if getattr(config, name) <= 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
         finite("distance_weight", config.distance_weight, 0, 1)
         self.uplink = Uplink(config)
-        self._expected_tasks = max(tasks, LEAST_TASKS)
-        # Uploads end at the deadline: a user sends no more than all the time.
+        self._expected_tasks = max(tasks, MIN_TASKS)
+        # Uploads end at the deadline, so a user transmits at most all the time
         load = min(config.arrival_rate * config.deadline, 1.0)
         self._activity = load if isinstance(config.activity, str) else float(config.activity)
-        # Numbers of the servers: cycles of a task, cycles/s, tasks/s and W.
+        # Servers: cycles per task, cycles/s, tasks/s and W
         mean_bits = (smallest + largest) / 2
         self._demand = float(mean_bits * config.cycles_per_bit)
         self._capacity = float(config.num_cores * config.core_frequency)
@@ -174,15 +172,15 @@ class EdgeComputing(Service):
         self._service_rate = float(rate)
         power = core_power(config.capacitance, config.core_frequency)
         self._compute_power = config.num_cores * float(power)
-        self._service: _Service | None = None
+        self._service: _ServicePrograms | None = None
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Return the shapes of what is kept of servers and the episode's tasks.
+        """Return the shapes of the memory of servers and tasks.
 
         Returns:
             The fields of `bulletuav.network.service_stats.ServiceStats`; "received" (N, U), power
-            from each user, W; "serves" (N, U), 1 where the drone serves the user; "link_free" (U,)
-            and "core_free" (N, C), time for which uplinks and cores are still taken, s.
+            from each user, W; "serves" (N, U), 1 if the drone serves the user; "link_free" (U,) and
+            "core_free" (N, C), time until uplinks and cores are free, s.
         """
         drones = self._context.num_drones
         users = self._config.num_users
@@ -199,48 +197,47 @@ class EdgeComputing(Service):
         }
 
     def quantities(self) -> Mapping[str, Any]:
-        """Return how many tasks a decision has on average."""
+        """Return the expected number of tasks per decision."""
         return {"expected_tasks": self._expected_tasks}
 
     def payload_power(self, scene: Scene) -> np.ndarray:
-        """Return the power of the cores that were busy in the last decision, (W, N) W."""
+        """Return the power of the cores in the last decision, (W, N) W."""
         power: np.ndarray = scene.memory["utilisation"] * self._compute_power
         return power
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Work out who serves whom at which rate, and what becomes of the decision's tasks."""
+        """Assign users to drones, compute data rates, and process the decision's tasks."""
         service = self._service
         if service is None or service.frame is not frame or not service.sees(frame):
             first = np.zeros(len(frame.alive) + 1, dtype=np.int64)
             service = self._service = self._make_service(frame, first, np.empty(0))
-        # What worlds draw: fading, then tasks
+        # Worlds draw fading first, then tasks
         flying = np.logical_or.reduce(frame.alive, axis=1)
         service.receiving.run()
         received = frame.scene.memory["received"]
         self.uplink.fade(received, service.sight, rngs, flying)
-        room = self._arrivals.draw(rngs, flying, service.first, service.uniform)
-        if room is not service.uniform:
-            service = self._service = self._make_service(frame, service.first, room)
+        buffer = self._arrivals.draw(rngs, flying, service.first, service.uniform)
+        if buffer is not service.uniform:
+            service = self._service = self._make_service(frame, service.first, buffer)
         service.working.run()
 
-    def _make_service(self, frame: Frame, first: np.ndarray, uniform: np.ndarray) -> "_Service":
-        """Make the programs that work in a frame's arrays."""
+    def _make_service(
+        self, frame: Frame, first: np.ndarray, uniform: np.ndarray
+    ) -> _ServicePrograms:
+        """Create the programs for the arrays of a frame."""
         config, memory, swarm = self._config, frame.scene.memory, frame.after
         users, received, sight = memory["users"], memory["received"], frame.readings["sight"]
-        # Power that each drone receives from each user, by their lines of sight
         receiving = Program()
         poses = (swarm.position, swarm.quaternion)
         self.uplink.add_received(receiving, *poses, users, sight, received)
-        # Users go to drones by the strategy, by power, distance or load
         working = Program()
         servers, rates = np.zeros(users.shape[:2], dtype=np.int64), np.zeros(users.shape[:2])
         weight = float(config.distance_weight)
         strategy = Strategy(STRATEGIES[config.assignment], self._capacity, self._demand, weight)
         scheme, noise = ACCESS[config.access], self.uplink.noise
         band = Band(float(config.bandwidth), noise, scheme, self._activity)
-        who = (swarm.position, frame.alive, users, received, memory["utilisation"])
-        working.call(associate_users, strategy, band, *who, servers, memory["serves"], rates)
-        # Tasks are computed one by one, or in the mean
+        geometry = (swarm.position, frame.alive, users, received, memory["utilisation"])
+        working.call(associate_users, strategy, band, *geometry, servers, memory["serves"], rates)
         dt, *bits = self._arrivals.decision
         drawn = TaskNumbers(first, uniform, self._arrivals.cumulative, *bits)
         queue = Queue(
@@ -257,23 +254,23 @@ class EdgeComputing(Service):
         stats = ServiceStats(*(memory[name] for name in ServiceStats._fields))
         free = (memory["link_free"], memory["core_free"])
         working.call(process_tasks, drawn, queue, servers, rates, *free, frame.time, stats)
-        return _Service(frame, sight, first, uniform, receiving, working)
+        return _ServicePrograms(frame, sight, first, uniform, receiving, working)
 
     def quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
-        """Return the share of a user's tasks that would be in time.
+        """Return the fraction of a user's tasks that would meet the deadline.
 
-        Each drone is taken to have equally many users, without interference and without a queue.
+        Assumes equally many users per drone, no interference and no queue.
 
         Args:
-            place: (C, 3) of drones, m.
-            targets: (U, 3) of users, m.
+            place: (C, 3) positions of drones, m.
+            targets: (U, 3) positions of users, m.
             sight: (C, U) bool, whether they are in line of sight.
 
         Returns:
             (C, U) from 0 to 1.
         """
         config = self._config
-        # Power that a level drone receives at each place; no world flies, so no fading is drawn.
+        # Power received by a level drone at each position; no world flies, so no fading is drawn
         level = np.tile([0.0, 0.0, 0.0, 1.0], (1, len(place), 1))
         power = self.uplink.received(
             position=place[None],
@@ -283,20 +280,20 @@ class EdgeComputing(Service):
             rng=[None],
             flying=np.zeros(1, dtype=bool),
         )[0]
-        # The rate that is left to each user, and the largest task that is in time at that rate.
+        # Rate of each user, and the largest task that meets the deadline at this rate
         users = max(len(targets) / self._context.num_drones, 1.0)
         rate = capacity(config.bandwidth / users, users * power / self.uplink.noise)
         seconds_per_bit = (
-            1 / np.maximum(rate, LEAST_RATE) + config.cycles_per_bit / config.core_frequency
+            1 / np.maximum(rate, MIN_RATE) + config.cycles_per_bit / config.core_frequency
         )
         in_time = config.deadline / seconds_per_bit
-        # The share of the sizes, which are uniform, up to that one.
+        # Fraction of the uniformly distributed sizes up to that task
         smallest, largest = config.task_bits
         share = np.minimum((in_time - smallest) / max(largest - smallest, 1e-9), 1.0)
         return np.where(in_time < smallest, 0.0, share)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Return how the episode's tasks have gone so far; see the class."""
+        """Return the service statistics of the episode; see the class docstring."""
         memory = frame.scene.memory
         kept = {"completed": "share", "latency": "mean_latency"}
         kept |= {name: name for name in ("queue", "utilisation")}
@@ -309,7 +306,7 @@ class EdgeComputing(Service):
         """Return utilisation and queue of every drone."""
         bounds = {"utilisation": ("1", 1.0), "queue": ("tasks", MAX_QUEUE)}
         drones = self._context.num_drones
-        return {name: of_drones(name, *bound, drones) for name, bound in bounds.items()}
+        return {name: make_drone_block(name, *bound, drones) for name, bound in bounds.items()}
 
     def links(self, frame: Frame) -> np.ndarray:
         """Return which drones serve which users, (W, N, U) bool; none before the first decision."""
@@ -317,14 +314,14 @@ class EdgeComputing(Service):
         return serving
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Return whether the wanted share of the episode's tasks is completed, (W, N) bool."""
+        """Return whether the required fraction of tasks is completed, (W, N) bool."""
         completed: np.ndarray = frame.scene.memory["share"] >= self._config.wanted
         return completed
 
 
 EDGE_DIFFICULTIES = {
     **URBAN_DIFFICULTIES,
-    # 16 drones serve everybody wherever they are.
+    # 16 drones serve all users from any positions
     "extreme": {**URBAN_DIFFICULTIES["extreme"], "num_drones": 8},
 }
 """Difficulties of tasks of edge computing"""
@@ -335,4 +332,4 @@ EDGE_SHOWS = {
     "queue": "queue (tasks)",
     "collision": "collisions",
 }
-"""Infos that pictures of edge computing show"""
+"""Infos that pictures of edge computing show, with captions"""

@@ -1,4 +1,4 @@
-"""Shapes of formations: places about a leader, m forward, left and up of it."""
+"""Shapes of formations: places relative to a leader, m forward, left and up."""
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
@@ -13,9 +13,9 @@ from bulletuav.errors import numbers_of, shown, unknown
 LETTERS = "letters"
 """Name of the shape that writes the option `text`"""
 GRID = {mark: (k % 3, 4 - k // 3) for k, mark in enumerate("abcdefghijklmno")}
-"""Points of a letter's grid, three wide and five high: abc is its upper row, mno its lower one"""
+"""Points of a letter's grid, three wide and five high: abc is its top row, mno its bottom row"""
 ADVANCE = 3
-"""From one letter to the next, in steps of the grid"""
+"""Distance from one letter to the next, in steps of the grid"""
 STROKES: Mapping[str, str] = MappingProxyType(
     {
         "A": "mgbio gi", "B": "mgabfhlnm gh", "C": "cbdjno", "D": "mabflnm", "E": "cagmo gh",
@@ -27,11 +27,11 @@ STROKES: Mapping[str, str] = MappingProxyType(
         "6": "cagmoig", "7": "acn", "8": "agmoica gi", "9": "igaciom",
     }
 )  # fmt: skip
-"""Strokes of each letter along points of the grid; strokes meet at these points only"""
+"""Strokes of each letter along points of the grid; strokes meet only at these points"""
 
 
-def wedge(count: int, spacing: float) -> np.ndarray:
-    """Place drones on the two arms of a V, which are at right angles, the first at its tip.
+def wedge_places(count: int, spacing: float) -> np.ndarray:
+    """Return places on the two arms of a V at right angles, the first at its tip.
 
     Args:
         count: N.
@@ -46,14 +46,14 @@ def wedge(count: int, spacing: float) -> np.ndarray:
     return np.stack([-step * rank, step * rank * side, np.zeros(count)], axis=1)
 
 
-def line(count: int, spacing: float) -> np.ndarray:
-    """Place drones side by side, the first on the left; see `wedge`."""
+def line_places(count: int, spacing: float) -> np.ndarray:
+    """Return places on a line abreast, the first on the left; see `wedge_places`."""
     left = spacing * ((count - 1) / 2 - np.arange(count))
     return np.stack([np.zeros(count), left, np.zeros(count)], axis=1)
 
 
-def ring(count: int, spacing: float) -> np.ndarray:
-    """Place drones evenly on a circle, the first in front, the next to its left; see `wedge`."""
+def ring_places(count: int, spacing: float) -> np.ndarray:
+    """Return places evenly spaced on a circle, from the front to the left; see `wedge_places`."""
     if count == 1:
         return np.zeros((1, 3))
     angle = 2 * np.pi * np.arange(count) / count
@@ -62,17 +62,17 @@ def ring(count: int, spacing: float) -> np.ndarray:
 
 
 SHAPES: Mapping[str, Callable[[int, float], np.ndarray]] = MappingProxyType(
-    {"v": wedge, "line": line, "ring": ring}
+    {"v": wedge_places, "line": line_places, "ring": ring_places}
 )
-"""Shapes that are the same for any text, by name"""
+"""Shapes that do not depend on a text, by name"""
 NAMES = (*SHAPES, LETTERS)
 
 
-def letters(count: int, spacing: float, text: str) -> np.ndarray:
-    """Write a text that is read from above, its top in front.
+def letter_places(count: int, spacing: float, text: str) -> np.ndarray:
+    """Return places that write a text, seen from above with its top in front.
 
-    A drone is on each corner and end of a stroke. The others go, one by one, to the stroke on
-    which drones are farthest apart, and spread evenly there.
+    Each corner and end of a stroke has a place. The remaining places are added one by one to the
+    stroke with the widest spacing, and evenly spaced there.
 
     Args:
         count: N.
@@ -80,12 +80,12 @@ def letters(count: int, spacing: float, text: str) -> np.ndarray:
         text: Letters, digits and spaces.
 
     Returns:
-        (N, 3) m, with the middle of the text at the leader.
+        (N, 3) m, with the centre of the text at the leader.
 
     Raises:
-        ValueError: A letter is unknown, nothing is to be written, or drones are too few for it.
+        ValueError: If a letter is unknown, the text is empty, or there are too few drones for it.
     """
-    # Corners that strokes share take one drone
+    # Corners shared by strokes have one place
     edges = _edges(text)
     corners = list(dict.fromkeys(point for edge in edges for point in edge))
     if count < len(corners):
@@ -93,26 +93,24 @@ def letters(count: int, spacing: float, text: str) -> np.ndarray:
             f"text {shown(text)} has {len(corners)} corners and ends, each of which needs a "
             f"drone: num_drones is {count}"
         )
-    # The others: always one more to the stroke with the widest gaps
     ends = np.array(edges, dtype=float)
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     inner = np.zeros(len(edges), dtype=int)
     for _ in range(count - len(corners)):
         inner[np.argmax(length / (inner + 1))] += 1
-    # Even shares between the ends of each stroke
     parts = [np.array(corners, dtype=float)]
     for (start, end), number in zip(ends, inner.tolist(), strict=True):
         share = np.arange(1, number + 1)[:, None] / (number + 1)
         parts.append(start + share * (end - start))
-    # From a page to x ahead and y to the left, the middle at the leader
+    # From page axes (right, up) to x forward and y left, centred at the leader
     right, forward = np.concatenate(parts).T
     middle = (right.max() + right.min()) / 2, (forward.max() + forward.min()) / 2
     place = np.stack([forward - middle[1], middle[0] - right, np.zeros(count)], axis=1)
-    return place * (spacing / least_gap(place))
+    return place * (spacing / min_place_distance(place))
 
 
 def _edges(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """List the straight pieces of a text's strokes, from point to point of the grid."""
+    """Return the straight segments of a text's strokes, as pairs of points of the grid."""
     if not isinstance(text, str):
         raise ValueError(f"text is {shown(text)}: letters, digits and spaces are needed")
     edges = []
@@ -127,18 +125,18 @@ def _edges(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     return edges
 
 
-def several(shapes: Any) -> tuple[Any, ...]:
-    """Tell the shapes of an option that may be one shape, or several in a list or tuple.
+def as_shape_list(shapes: Any) -> tuple[Any, ...]:
+    """Return the shapes of an option that is one shape or a sequence of shapes.
 
     Args:
-        shapes: A name, places (M, 3), or several of these.
+        shapes: A name, places (M, 3), or several of these in a list or tuple.
     """
     listed = isinstance(shapes, list | tuple) and any(map(_is_shape, shapes))
     return tuple(shapes) if listed else (shapes,)
 
 
 def _is_shape(value: Any) -> bool:
-    """Tell whether an entry of a list is a shape, and not one place of a shape."""
+    """Return True if an entry of a list is a shape rather than one place of a shape."""
     if isinstance(value, str):
         return True
     return isinstance(value, list | tuple | np.ndarray) and any(
@@ -146,29 +144,29 @@ def _is_shape(value: Any) -> bool:
     )
 
 
-def places_of(shape: Any, count: int, spacing: float, text: str, apart: float) -> np.ndarray:
-    """Find the places of a shape.
+def find_places(shape: Any, count: int, spacing: float, text: str, apart: float) -> np.ndarray:
+    """Return the places of a shape.
 
     Args:
-        shape: A name, or places (M, 3) about the leader, m.
+        shape: A name, or places (M, 3) relative to the leader, m.
         count: Number of drones.
-        spacing: Distance between neighbours in shapes that have names, m.
-        text: What the letters write.
-        apart: Distance that all places exceed, m.
+        spacing: Distance between neighbours in named shapes, m.
+        text: Text of the letters.
+        apart: Distance that the distances between places must exceed, m.
 
     Returns:
         (M, 3) m.
 
     Raises:
-        ValueError: The shape is unknown, has too few places, or places that are too close.
+        ValueError: If the shape is unknown, has too few places, or places that are too close.
     """
     if not isinstance(shape, str):
         place = _given(shape, count)
     elif shape == LETTERS:
-        place = letters(count, spacing, text)
+        place = letter_places(count, spacing, text)
     else:
         place = _named(shape)(count, spacing)
-    nearest = least_gap(place)
+    nearest = min_place_distance(place)
     if nearest <= apart:
         raise ValueError(
             f"shapes: places of {shown(shape)} are {nearest:.3g} m apart, more than {apart:.3g} m "
@@ -177,23 +175,22 @@ def places_of(shape: Any, count: int, spacing: float, text: str, apart: float) -
     return place
 
 
-def least_gap(place: np.ndarray) -> float:
-    """Compute the distance between the two nearest of places (M, 3), m; infinite of one."""
-    from scipy.spatial import cKDTree  # which takes long to import
+def min_place_distance(place: np.ndarray) -> float:
+    """Return the distance between the two nearest of places (M, 3), m; infinite for one place."""
+    from scipy.spatial import cKDTree  # slow to import
 
     distance, _ = cKDTree(place).query(place, k=2)
     return float(distance[:, 1].min())
 
 
 def _named(shape: str) -> Callable[[int, float], np.ndarray]:
-    """Find a shape by its name."""
     if shape not in SHAPES:
         raise unknown("entry of shapes", shape, NAMES)
     return SHAPES[shape]
 
 
 def _given(shape: Any, count: int) -> np.ndarray:
-    """Take places that a user gives, and refuse what are none, or too few."""
+    """Return places set by the user, after checking their shape and number."""
     try:
         place = numbers_of("a shape is", shape)
     except ValueError:
@@ -201,7 +198,7 @@ def _given(shape: Any, count: int) -> np.ndarray:
     if place.ndim != 2 or place.shape[1] != 3 or not np.isfinite(place).all():
         names = ", ".join(map(repr, NAMES))
         raise ValueError(
-            f"shapes: {shown(shape)} is no shape: {names}, or finite places (M, 3) in metres "
+            f"shapes: {shown(shape)} is no shape: {names}, or finite places (M, 3), in metres "
             f"forward, left and up of the leader are needed"
         )
     if len(place) < count:

@@ -1,4 +1,4 @@
-"""Frames that move with a leader, who goes to which place in them, and how far off all are."""
+"""Moving frames of leaders, assignment of drones to places, and formation errors."""
 
 import math
 from typing import NamedTuple
@@ -8,18 +8,18 @@ import numpy as np
 from bulletuav.compiled.functions import cos, hypot, sin
 from bulletuav.compiled.kernel import allocating, kernel
 
-SWEEPS = 6
-"""Of Jacobi's rotations; four leave nothing of random matrices but the last bits"""
+JACOBI_SWEEPS = 6
+"""Sweeps of Jacobi's eigenvalue algorithm; four reduce random matrices to rounding errors"""
 
 
 class Leader(NamedTuple):
-    """Moving frames of K leaders, who fly level and turn about the vertical.
+    """Moving frames of K leaders that fly level and turn about the vertical axis.
 
     Attributes:
         position: (K, 3) m.
         velocity: (K, 3) m/s.
         yaw: (K,) direction of flight, from east to north, rad.
-        turn: (K,) change of it, rad/s.
+        turn: (K,) turn rate, rad/s.
     """
 
     position: np.ndarray
@@ -29,23 +29,23 @@ class Leader(NamedTuple):
 
 
 class Course:
-    """The way of a leader at one speed, straight on or round a circle, about the origin.
+    """Path of a leader at constant speed, straight or circular, centred at the origin.
 
     Attributes:
-        turn: Size of the turn, rad/s.
-        reach: Greatest distance of the leader from the origin, m.
+        turn: Absolute turn rate, rad/s.
+        reach: Maximum distance of the leader from the origin, m.
     """
 
     def __init__(
         self, speed: float, turn: float, altitude: float, duration: float, period: float
     ) -> None:
-        """Find the middle of the way, which is put above the origin.
+        """Compute the centre of the path, which is placed above the origin.
 
         Args:
             speed: m/s.
-            turn: Size of the turn, rad/s.
+            turn: Absolute turn rate, rad/s.
             altitude: Height above ground, m.
-            duration: Of the flight, s.
+            duration: Length of the flight, s.
             period: Time between decisions, s.
         """
         self.turn = turn
@@ -57,20 +57,20 @@ class Course:
         self.reach = float(hypot(offset[:, 0], offset[:, 1]).max())
 
     def _way(self, time: np.ndarray, course: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """Compute the ways (K, 2) from the start, m: chords of arcs."""
+        """Compute the displacements (K, 2) from the start, m, as chords of arcs."""
         half = turn * time / 2
-        # The chord of an arc is shorter than it by sin(half) / half, and points to its middle.
+        # The chord is sin(half) / half of the arc's length, and points to the middle of the arc
         share = np.where(half == 0, 1.0, sin(half) / np.where(half == 0, 1.0, half))
         chord = self._speed * time * share
         return np.stack([chord * cos(course + half), chord * sin(course + half)], axis=1)
 
     def at(self, time: np.ndarray, course: np.ndarray, turn: np.ndarray) -> Leader:
-        """Tell where leaders are.
+        """Return the states of leaders at given times.
 
         Args:
-            time: (K,) since the start, s.
+            time: (K,) time since the start, s.
             course: (K,) direction of flight at the start, from east to north, rad.
-            turn: (K,) rad/s, to the left; its size is that of this course.
+            turn: (K,) turn rate to the left, rad/s, with the absolute value of this course.
         """
         side = np.where(turn < 0, -1.0, 1.0)
         x, y = self._middle[0], side * self._middle[1]
@@ -83,9 +83,9 @@ class Course:
 
 
 def in_world(place: np.ndarray, leader: Leader) -> tuple[np.ndarray, np.ndarray]:
-    """Tell where places of leaders' frames are in the world, and how they move.
+    """Transform places from leaders' frames to the world.
 
-    A place moves with the leader and round it: v + turn x r.
+    A place moves with the leader and rotates about it: v + turn x r.
 
     Args:
         place: (K, N, 3) forward, left and up of each leader, m.
@@ -103,29 +103,29 @@ def in_world(place: np.ndarray, leader: Leader) -> tuple[np.ndarray, np.ndarray]
     return leader.position[:, None] + offset, leader.velocity[:, None] + round_it
 
 
-def greatest_speed(place: np.ndarray, speed: float, turn: float) -> float:
-    """Compute the speed of the fastest of places (M, 3) about a leader that turns, m/s.
+def max_place_speed(place: np.ndarray, speed: float, turn: float) -> float:
+    """Return the maximum speed of places (M, 3) relative to a turning leader, m/s.
 
     Args:
         place: Forward, left and up of the leader, m.
-        speed: Of the leader, m/s.
-        turn: Size of its turn to either side, rad/s.
+        speed: Speed of the leader, m/s.
+        turn: Absolute turn rate of the leader, rad/s.
     """
     along = speed + turn * np.abs(place[:, 1])
     return float(hypot(along, turn * place[:, 0]).max())
 
 
-def assign(position: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Choose places so that the sum of the squared distances to them is least.
+def assign_places(position: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Assign drones to places with the minimum sum of squared distances.
 
     Args:
-        position: (N, 3) of drones, m.
-        place: (M, 3) of at least as many places, m.
+        position: (N, 3) positions of drones, m.
+        place: (M, 3) places, M >= N, m.
 
     Returns:
-        (N,) index of each one's place.
+        (N,) index of each drone's place.
     """
-    from scipy.optimize import linear_sum_assignment  # which takes long to import
+    from scipy.optimize import linear_sum_assignment  # slow to import
 
     square = ((position[:, None] - place) ** 2).sum(axis=-1)
     chosen: np.ndarray = linear_sum_assignment(square)[1]
@@ -133,17 +133,17 @@ def assign(position: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def off_places(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Compute how far swarms are off their places: the root of the mean squared distance.
+    """Compute the root mean square distance of drones from their places.
 
-    Nothing is taken off it: a swarm in perfect shape beside its leader is off.
+    The error includes a common offset: a perfect shape beside its leader has an error.
 
     Args:
         position: (W, N, 3) m.
         goal: (W, N, 3) places, m.
-        counts: (W, N) bool, drones that count.
+        counts: (W, N) bool, drones to include.
 
     Returns:
-        (W,) m, 0 where no drone counts.
+        (W,) m, 0 if no drone is included.
     """
     square = ((position - goal) ** 2).sum(axis=-1)
     number = np.maximum(counts.sum(axis=1), 1)
@@ -153,23 +153,23 @@ def off_places(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np
 
 @allocating
 def off_shape(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Compute what is left of `off_places` after the best shift and rotation of the places.
+    """Compute the root mean square distance from places after optimal translation and rotation.
 
-    B. K. P. Horn, Closed-form solution of absolute orientation using unit quaternions (1987).
-    Mirror images and other sizes stay off.
+    Reflection and scaling are not removed. Method: B. K. P. Horn, Closed-form solution of absolute
+    orientation using unit quaternions (1987).
 
     Args:
         position: (W, N, 3) m.
         goal: (W, N, 3) places, m.
-        counts: (W, N) bool, drones that count.
+        counts: (W, N) bool, drones to include.
 
     Returns:
-        (W,) m, 0 where no drone counts.
+        (W,) m, 0 if no drone is included.
     """
     off = np.zeros(len(position))
     s, table = np.empty((3, 3)), np.empty((4, 4))
     for w in range(len(position)):
-        # The best shift puts the means on each other.
+        # The optimal translation aligns the means
         number, mean = 0, np.zeros((2, 3))
         for i in range(counts.shape[1]):
             if counts[w, i]:
@@ -179,7 +179,7 @@ def off_shape(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.
         if number == 0:
             continue
         mean /= number
-        # Sums of squares, and of products of coordinates before and after the rotation.
+        # Sum of squares, and cross-covariance
         s[:] = 0.0
         square = 0.0
         for i in range(counts.shape[1]):
@@ -189,7 +189,7 @@ def off_shape(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.
                     square += to * to + (goal[w, i, a] - mean[1, a]) ** 2
                     for b in range(3):
                         s[b, a] += (goal[w, i, b] - mean[1, b]) * to
-        # The best rotation is the eigenvector of the largest eigenvalue of Horn's matrix.
+        # The optimal rotation belongs to the largest eigenvalue of Horn's matrix
         table[0, 0] = s[0, 0] + s[1, 1] + s[2, 2]
         for a in range(3):
             b, c = (a + 1) % 3, (a + 2) % 3
@@ -203,19 +203,18 @@ def off_shape(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.
 
 @kernel
 def _largest_eigenvalue(table: np.ndarray) -> float:
-    """Compute the largest eigenvalue of a symmetric matrix by Jacobi's rotations, in place."""
+    """Compute the largest eigenvalue of a symmetric matrix by Jacobi rotations, in place."""
     size = len(table)
-    for _ in range(SWEEPS):
+    for _ in range(JACOBI_SWEEPS):
         for p in range(size - 1):
             for q in range(p + 1, size):
                 if table[p, q] == 0.0:
                     continue
-                # The rotation that makes this entry zero.
+                # The rotation that annihilates this entry
                 ratio = (table[q, q] - table[p, p]) / (2.0 * table[p, q])
                 tangent = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
                 cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
                 sine = tangent * cosine
-                # It turns two columns, and then two rows
                 for k in range(size):
                     one, other = table[k, p], table[k, q]
                     table[k, p] = cosine * one - sine * other
@@ -224,7 +223,6 @@ def _largest_eigenvalue(table: np.ndarray) -> float:
                     one, other = table[p, k], table[q, k]
                     table[p, k] = cosine * one - sine * other
                     table[q, k] = sine * one + cosine * other
-    # What is left is diagonal, but for rounding
     largest = table[0, 0]
     for k in range(1, size):
         largest = max(largest, table[k, k])

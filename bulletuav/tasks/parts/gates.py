@@ -1,7 +1,7 @@
-"""Gates of a race: frames of bars that can be hit, and what it is to fly through one.
+"""Gates of a race: solid frames made of bars, and the test for flying through them.
 
-A gate has axes of its own: x is the direction in which it is to be flown, y points left, z up.
-The opening is a regular polygon across x, so that what counts is what the bars leave free.
+The axes of a gate are x, the direction of flight, y to the left and z up. The opening is a regular
+polygon perpendicular to x: the area that the bars leave free.
 """
 
 import math
@@ -17,29 +17,29 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, from_euler
 
 SIDES = {"square": 4, "round": 12}
-"""How many sides the openings of gates have"""
+"""Number of sides of the opening, by shape"""
 BAR = 0.2
 """Thickness of the bars of a frame, m"""
 ORANGE = (0.95, 0.45, 0.1, 1.0)
 """Colour of frames, RGBA"""
-BESIDE = 3.0
-"""Who crosses a gate's plane beside the opening missed it, up to so many sizes from its middle"""
+MISS_RANGE = 3.0
+"""Distance from the centre up to which crossing the plane beside the opening is a miss, sizes"""
 
 
 @dataclass(frozen=True)
 class Gate:
-    """A gate that stands somewhere.
+    """Pose, shape and size of a gate.
 
     Attributes:
-        position: Middle of the opening, m.
-        yaw: Direction in which it is to be flown, from east to north, degrees.
-        pitch: How steeply upwards that is, degrees.
-        roll: Turn of the frame about that direction, degrees.
+        position: Centre of the opening, m.
+        yaw: Direction of flight, from east to north, degrees.
+        pitch: Inclination of the direction of flight, positive upwards, degrees.
+        roll: Rotation of the frame about this direction, degrees.
         shape: "square" or "round".
         size: Width of the opening between opposite sides, m.
 
     Raises:
-        ValueError: The shape is unknown, or a number is none that a gate can have.
+        ValueError: If the shape is unknown, or a number is out of range.
     """
 
     position: tuple[float, float, float]
@@ -66,12 +66,12 @@ class Gate:
 
     @property
     def reach(self) -> float:
-        """Distance of the frame's outer corners from the middle, m."""
+        """Distance of the frame's outer corners from the centre, m."""
         return (self.size / 2 + BAR) / float(cos(math.pi / self.sides))
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
-        """Turn from its axes to the world's (x, y, z, w)."""
+        """Rotation from the gate's axes to the world's (x, y, z, w)."""
         roll, pitch, yaw = np.radians(
             np.array([self.roll, -self.pitch, self.yaw], dtype=float)
         ).tolist()
@@ -79,35 +79,35 @@ class Gate:
         return x, y, z, w
 
 
-def frame_of(gate: Gate) -> list[Obstacle]:
-    """Make the bars of a frame, one at each side of the opening; they overlap at the corners."""
+def make_gate_frame(gate: Gate) -> list[Obstacle]:
+    """Return the bars of a gate's frame, one per side; they overlap at the corners."""
     length = 2 * (gate.size / 2 + BAR) * float(tan(math.pi / gate.sides))
     return [Obstacle("box", (BAR, BAR, length), ORANGE)] * gate.sides
 
 
-def bar_places(gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Tell where the bars of gates are.
+def bar_poses(gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the poses of the bars of gates.
 
     Returns:
-        (B,) which gate each belongs to; (B, 3) how far it is from that gate's middle, in world
-        axes, m; (B, 4) its turn, body to world. A bar's y points away from the middle.
+        (B,) index of each bar's gate; (B, 3) offset from the gate's centre, in world axes, m; (B,
+        4) quaternion, body to world. A bar's y axis points away from the centre.
     """
     sides = np.array([gate.sides for gate in gates])
-    whose = np.repeat(np.arange(len(gates)), sides)
-    side = np.arange(len(whose)) - np.repeat(np.cumsum(sides) - sides, sides)
-    angle = (2 * np.pi * side / sides[whose])[:, None]
-    out = (np.array([gate.size for gate in gates])[whose, None] + BAR) / 2
-    axis = gate_axes(gates)[whose]
+    gate_index = np.repeat(np.arange(len(gates)), sides)
+    side = np.arange(len(gate_index)) - np.repeat(np.cumsum(sides) - sides, sides)
+    angle = (2 * np.pi * side / sides[gate_index])[:, None]
+    out = (np.array([gate.size for gate in gates])[gate_index, None] + BAR) / 2
+    axis = gate_axes(gates)[gate_index]
     offset = out * (cos(angle) * axis[:, 1] + sin(angle) * axis[:, 2])
-    # The gate's turn, after one about its own x axis.
-    x, y, z, w = np.array([gate.quaternion for gate in gates])[whose].T[..., None]
+    # The gate's rotation composed with one about its x axis
+    x, y, z, w = np.array([gate.quaternion for gate in gates])[gate_index].T[..., None]
     c, s = cos(angle / 2), sin(angle / 2)
     turn = np.concatenate([w * s + x * c, y * c + z * s, z * c - y * s, w * c - x * s], axis=1)
-    return whose, offset, turn
+    return gate_index, offset, turn
 
 
 def gate_axes(gates: Sequence[Gate]) -> np.ndarray:
-    """List the axes x, y, z of gates in the world, (G, 3, 3)."""
+    """Return the axes x, y, z of gates in the world, (G, 3, 3)."""
     return np.array([axes(gate.quaternion) for gate in gates])
 
 
@@ -128,36 +128,36 @@ def cross_gates(
     passing: np.ndarray,
     missing: np.ndarray,
 ) -> None:
-    """Credit drones with the gates that they fly through in a decision, straight on meanwhile.
+    """Detect passed and missed gates in a decision, assuming straight motion in between.
 
-    What counts is how they move against the gate, which may move itself.
+    The motion is relative to the gate, which may move.
 
     Args:
-        before: (W, N, 3) positions before it, m.
-        after: (W, N, 3) those after it, m.
-        flown: (W, N) bool, drones that flew it.
-        time: (W,) at its end, s.
-        period: How long it took, s.
-        gate_before: (W, G, 3) where the middles of the gates were before it, m.
-        gate: (W, G, 3) where they are after it, m.
+        before: (W, N, 3) positions before the decision, m.
+        after: (W, N, 3) positions after the decision, m.
+        flown: (W, N) bool, drones that flew the decision.
+        time: (W,) time at the end of the decision, s.
+        period: Length of the decision, s.
+        gate_before: (W, G, 3) centres of the gates before the decision, m.
+        gate: (W, G, 3) centres of the gates after the decision, m.
         axis: (W, G, 3, 3) axes of the gates: x, the direction of flight, then y and z.
         size: (W, G) widths of the openings, m.
-        sides: (G,) how many sides they have.
-        passed: (W, N) how many gates drones have passed in turn; brought up to date.
-        split: (W, N, L) when they passed each of all laps, s; written.
-        passing: (W, N) 1 where a gate was passed now, else 0; written.
-        missing: (W, N) 1 where the gate's plane was crossed beside the opening; written.
+        sides: (G,) numbers of sides of the openings.
+        passed: (W, N) number of gates passed in order; updated.
+        split: (W, N, L) times of passing each gate of all laps, s; updated.
+        passing: (W, N) output: 1 if a gate was passed in this decision, else 0.
+        missing: (W, N) output: 1 if the gate's plane was crossed beside the opening, else 0.
     """
     for w in range(before.shape[0]):
         for i in range(before.shape[1]):
             passing[w, i] = 0.0
             missing[w, i] = 0.0
-            # Who has passed all gates, or flew no more, is not asked
+            # Skip drones that finished or do not fly
             turn = int(passed[w, i])
             if not flown[w, i] or turn >= split.shape[2]:
                 continue
             g = turn % gate.shape[1]
-            # Where the drone is in the gate's axes, before and after.
+            # Positions in the gate's axes, before and after
             x0, y0, z0, x1, y1, z1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(3):
                 old = before[w, i, k] - gate_before[w, g, k]
@@ -168,29 +168,29 @@ def cross_gates(
                 x1 += axis[w, g, 0, k] * new
                 y1 += axis[w, g, 1, k] * new
                 z1 += axis[w, g, 2, k] * new
-            # The plane of the opening counts when it is crossed forwards.
+            # The plane has to be crossed forwards
             if not (x0 < 0.0 and x1 >= 0.0):
                 continue
-            # Where and when the plane was crossed
+            # Point and time of crossing
             share = x0 / (x0 - x1)
             y = y0 + share * (y1 - y0)
             z = z0 + share * (z1 - z0)
-            # Beyond which side of the polygon is the crossing farthest out?
+            # Maximum distance from the centre, along the normals of the polygon's sides
             out = 0.0
             for side in range(sides[g]):
                 angle = 2.0 * math.pi * side / sides[g]
                 out = max(out, y * cos(angle) + z * sin(angle))
-            # Through the opening, or so near beside it that it counts as missed
+            # Through the opening, or close enough beside it to be a miss
             if out <= 0.5 * size[w, g]:
                 passing[w, i] = 1.0
                 split[w, i, turn] = time[w] - (1.0 - share) * period
                 passed[w, i] += 1.0
-            elif y * y + z * z <= (BESIDE * size[w, g]) ** 2:
+            elif y * y + z * z <= (MISS_RANGE * size[w, g]) ** 2:
                 missing[w, i] = 1.0
 
 
 @kernel
-def ways_left(
+def compute_remaining_distances(
     position: np.ndarray,
     passed: np.ndarray,
     gate: np.ndarray,
@@ -198,25 +198,25 @@ def ways_left(
     turns: int,
     way: np.ndarray,
 ) -> None:
-    """Compute how far drones have yet to fly, straight from gate to gate.
+    """Compute the remaining distances to the finish, straight from gate to gate.
 
     Args:
         position: (W, N, 3) m.
-        passed: (W, N) gates that they have passed.
-        gate: (W, G, 3) where the middles of the gates are, m.
-        leg: (W, G) from each gate to the next, m.
-        turns: Gates of all laps.
-        way: (W, N) m; written.
+        passed: (W, N) number of gates passed.
+        gate: (W, G, 3) centres of the gates, m.
+        leg: (W, G) distance from each gate to the next, m.
+        turns: Number of gates of all laps.
+        way: (W, N) output, m.
     """
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
             way[w, i] = 0.0
             turn = int(passed[w, i])
-            # Who has passed all gates has no way left
+            # Drones that finished have no remaining distance
             if turn >= turns:
                 continue
             g = turn % gate.shape[1]
-            # To the next gate, and from gate to gate through all laps
+            # Distance to the next gate, then from gate to gate through all laps
             square = 0.0
             for k in range(3):
                 square += (gate[w, g, k] - position[w, i, k]) ** 2
@@ -234,15 +234,15 @@ def rank_drones(
     rank_before: np.ndarray,
     overtaken: np.ndarray,
 ) -> None:
-    """Put drones in order: by the way that is left, and those that finished by their times.
+    """Rank drones by remaining distance, and finished ones by their times.
 
     Args:
-        way: (W, N) how far each has yet to fly, m; 0 where it finished.
-        split: (W, N) when it finished, s.
+        way: (W, N) remaining distance, m; 0 if finished.
+        split: (W, N) time of finishing, s.
         flown: (W, N) bool, drones that flew the decision.
-        rank: (W, N) from 1; brought up to date.
-        rank_before: (W, N) those before the decision, 0 at the start; written.
-        overtaken: (W, N) how many of those that were before it are behind it now; written.
+        rank: (W, N) rank from 1; updated.
+        rank_before: (W, N) output: rank before the decision, 0 at the start.
+        overtaken: (W, N) output: number of drones that were ahead and are behind now.
     """
     drones = way.shape[1]
     for w in range(way.shape[0]):
@@ -250,17 +250,16 @@ def rank_drones(
             rank_before[w, i] = rank[w, i]
             rank[w, i] = 1.0
             for j in range(drones):
-                # One more place for each that is ahead; ties go by time, then by number
+                # Ties are broken by time, then by index
                 is_first = way[w, j] < way[w, i]
                 if way[w, j] == way[w, i]:
                     is_first = split[w, j] < split[w, i] or (split[w, j] == split[w, i] and j < i)
                 if is_first:
                     rank[w, i] += 1.0
         for i in range(drones):
-            # Whoever was ahead before and is behind now, and still flies
             overtaken[w, i] = 0.0
             for j in range(drones):
-                # Who stands still by a crash is passed, not overtaken.
+                # Crashed drones are not overtaken
                 fly = flown[w, i] and flown[w, j]
                 was_behind = 0.0 < rank_before[w, j] < rank_before[w, i]
                 if fly and was_behind and rank[w, j] > rank[w, i]:

@@ -1,4 +1,4 @@
-"""Obstacles that stand or move among the drones, and directions in which drones start."""
+"""Static and moving obstacles, and directions in which drones start."""
 
 import math
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ from bulletuav.geometry.rotation import dot, minus, point
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Scene, Spawn
 from bulletuav.tasks.parts.base import Part, Rngs
-from bulletuav.tasks.parts.headings import check_heading, facing, headed
+from bulletuav.tasks.parts.headings import check_heading, heading_directions, level_attitudes
 
 GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
-"""Its multiples modulo 1 spread sizes evenly over any number of obstacles"""
+"""Multiples modulo 1 spread sizes evenly over any number of obstacles"""
 MAX_TRIES = 1000
-"""How often an obstacle is drawn anew until it keeps clear of starts, goals and buildings"""
+"""Maximum number of draws of an obstacle until it is clear of starts, goals and buildings"""
 
 
 @dataclass(frozen=True)
@@ -26,14 +26,14 @@ class ObstacleOptions:
     """Options of obstacles and headings.
 
     Attributes:
-        heading: Direction of flight at the start, and of the noses: "goal", "random" (in space),
-            an angle from east to north, or one for each drone, degrees. When left out, drones that
+        heading: Direction of flight and of the nose at the start: "goal", "random" (in space), an
+            angle from east to north, or one angle for each drone, degrees. By default drones that
             start in flight fly towards their goals, and noses point east.
         num_obstacles: Number of obstacles; every second one is a cube, the others are spheres.
-        num_moving: Number of them that move, reflected at the bounds of their space.
-        obstacle_radius: Least and greatest radius of the obstacles' bounding spheres, m. Sizes
-            spread between them.
-        obstacle_speed: Greatest speed of an obstacle on each axis, m/s.
+        num_moving: Number of moving obstacles, which are reflected at the bounds of their space.
+        obstacle_radius: Minimum and maximum radius of the obstacles' bounding spheres, m. Sizes are
+            evenly spread in between.
+        obstacle_speed: Maximum speed of an obstacle on each axis, m/s.
     """
 
     heading: Any = None
@@ -44,22 +44,22 @@ class ObstacleOptions:
 
 
 class ObstacleField(Part):
-    """Obstacles among the drones, which stand or move; and the option `heading`.
+    """Static and moving obstacles, and the option `heading`.
 
     Attributes:
         radius: (K,) radii of the obstacles' bounding spheres, m.
-        keep_off: (K,) distances of their middles from starts and goals, m.
-        bounds: Corners (3,) of the box in which their middles are, m; None for the task's arena.
+        min_distance: (K,) minimum distances of their centres from starts and goals, m.
+        bounds: Corners (3,) of the box of their centres, m; None for the task's arena.
     """
 
     def __init__(self, task: Task[Any]) -> None:
-        """Make the obstacles of a task.
+        """Create the obstacles of a task.
 
         Args:
-            task: The task, with their options; its arena, and what stands in it, may follow later.
+            task: The task, with options of obstacles; its arena and layouts may be set later.
 
         Raises:
-            ValueError: Their sizes or numbers cannot be, or the heading.
+            ValueError: If sizes, numbers or the heading are invalid.
         """
         config: ObstacleOptions = task.config
         self._config, self._task, context = config, task, task.context
@@ -75,31 +75,30 @@ class ObstacleField(Part):
                 f"num_moving {config.num_moving} of {config.num_obstacles} obstacles: "
                 f"at most all can move"
             )
-        # Obstacles of all sizes, and how far off starts and goals are.
         index = np.arange(config.num_obstacles)
         sizes = smallest + (largest - smallest) * (index * GOLDEN_RATIO % 1)
         self._bodies = tuple(_body(k, radius) for k, radius in enumerate(sizes.tolist()))
         self.radius = np.array([body.radius for body in self._bodies])
-        self.keep_off = self.radius + max(2 * context.collision_radius, task.config.d_safe)
+        self.min_distance = self.radius + max(2 * context.collision_radius, task.config.d_safe)
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """List the obstacles, those that move first."""
+        """Return the obstacles, moving ones first."""
         return self._bodies
 
     def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return corners (3,) of the box in which the obstacles' middles are, m."""
+        """Return the corners (3,) of the box of the obstacles' centres, m."""
         if self.bounds is not None:
             return self.bounds
         reach = self.radius.max(initial=0.0)
         return self._task.arena_low + reach, self._task.arena_high - reach
 
     def finish(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
-        """Turn drones as `heading` says, and draw obstacles clear of all starts and goals.
+        """Apply `heading` to the drones, and draw obstacles clear of all starts and goals.
 
         Raises:
-            ValueError: There is no room for them.
+            ValueError: If obstacles do not fit.
         """
-        spawn = self._turned(spawn, is_given, rng)
+        spawn = self._apply_heading(spawn, is_given, rng)
         if not self._bodies:
             return spawn
         low, high = self.box()
@@ -108,7 +107,7 @@ class ObstacleField(Part):
                 f"obstacle_radius is {self._config.obstacle_radius}: the arena has no room for "
                 f"obstacles of {self.radius.max():.3g} m; lower it"
             )
-        # Those that the task has drawn stay, unless they are in the way.
+        # Obstacles drawn by the task are kept unless they are blocked
         shape = (len(self._bodies), 3)
         was_drawn = len(spawn.obstacle) > 0
         drawn = spawn.obstacle if was_drawn else rng.uniform(low, high, shape)
@@ -118,13 +117,11 @@ class ObstacleField(Part):
             fastest = self._config.obstacle_speed
             velocity = rng.uniform(-fastest, fastest, shape)
             velocity[self._config.num_moving :] = 0.0
-        # In the way is who is too near to a start, a goal or a building
         goal = np.broadcast_to(spawn.goal, spawn.position.shape)
         places = np.concatenate([spawn.position, goal], dtype=float)
         tries = np.zeros(len(obstacle), dtype=int)
         k = 0
-        while (k := self._first_in_the_way(obstacle, k, places, spawn.layout)) < len(obstacle):
-            # Drawn anew, one by one; those before it stay
+        while (k := self._find_first_blocked(obstacle, k, places, spawn.layout)) < len(obstacle):
             obstacle[k] = rng.uniform(low, high)
             tries[k] += 1
             if tries[k] == MAX_TRIES:
@@ -135,39 +132,41 @@ class ObstacleField(Part):
                 )
         return spawn._replace(obstacle=obstacle, obstacle_velocity=velocity)
 
-    def _turned(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
-        """Turn velocities and noses as `heading` says.
+    def _apply_heading(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
+        """Rotate velocities and attitudes to the option `heading`.
 
-        Where it says nothing and places are given, drones fly towards their goals.
+        Without the option, drones with given positions fly towards their goals.
         """
         heading = self._config.heading
         if heading is None and not (is_given and "goal" in self._task.places):
             return spawn
         place = spawn.position
-        direction = headed(heading or "goal", np.broadcast_to(spawn.goal, place.shape) - place, rng)
+        direction = heading_directions(
+            heading or "goal", np.broadcast_to(spawn.goal, place.shape) - place, rng
+        )
         velocity = np.broadcast_to(spawn.velocity, place.shape)
         speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-        quaternion = spawn.quaternion if heading is None else facing(direction)
+        quaternion = spawn.quaternion if heading is None else level_attitudes(direction)
         return spawn._replace(velocity=direction * speed, quaternion=quaternion)
 
-    def _first_in_the_way(
+    def _find_first_blocked(
         self, obstacle: np.ndarray, first: int, places: np.ndarray, layout: int
     ) -> int:
-        """Find the first of the obstacles (K, 3) m, from `first` on, that has to be elsewhere.
+        """Return the index of the first blocked obstacle, from `first` on; K if there is none.
 
-        It is too near to places (M, 3) or in what stands; K where none is.
+        An obstacle (K, 3), m, is blocked if it is too close to positions (M, 3) or in a building.
         """
-        near: int = first_near(obstacle, first, self.keep_off, places)
+        near: int = find_first_near(obstacle, first, self.min_distance, places)
         for k in range(first, near):
             if not self._task.is_free(obstacle[k], float(self.radius[k]), layout):
                 return k
         return near
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Move obstacles straight on, reflected at the bounds; where buildings are, turned back.
+        """Move obstacles straight, reflected at bounds and reversed at buildings.
 
         Returns:
-            Whether any obstacle can have moved.
+            Whether any obstacle may have moved.
         """
         moving = self._config.num_moving
         if not moving:
@@ -176,19 +175,19 @@ class ObstacleField(Part):
         before = scene.obstacle[flying, :moving]
         velocity = scene.obstacle_velocity[flying, :moving]
         place = before + self._task.context.period * velocity
-        # How far each is beyond a bound, on each axis: it comes back as far, and turns round.
+        # Reflect the distance beyond a bound, on each axis
         beyond = np.maximum(place - high, 0) + np.minimum(place - low, 0)
         place = place - 2 * beyond
         turned = np.where(beyond == 0, 1.0, -1.0)
-        self._turn_back(before, place, turned, scene.layout[flying])
+        self._reverse_at_buildings(before, place, turned, scene.layout[flying])
         scene.obstacle[flying, :moving] = place
         scene.obstacle_velocity[flying, :moving] *= turned
         return True
 
-    def _turn_back(
+    def _reverse_at_buildings(
         self, before: np.ndarray, place: np.ndarray, turned: np.ndarray, layout: np.ndarray
     ) -> None:
-        """Let obstacles that would enter a building stay where they were, and turn round."""
+        """Keep obstacles that would enter a building in place, and reverse their velocity."""
         if not self._task.layouts():
             return
         for w, k in np.ndindex(place.shape[:2]):
@@ -198,28 +197,30 @@ class ObstacleField(Part):
 
 
 @kernel
-def first_near(obstacle: np.ndarray, first: int, keep_off: np.ndarray, places: np.ndarray) -> int:
-    """Find the first of the obstacles (K, 3), from `first` on, that does not keep off places.
+def find_first_near(
+    obstacle: np.ndarray, first: int, min_distance: np.ndarray, places: np.ndarray
+) -> int:
+    """Return the index of the first obstacle, from `first` on, that is too close to a position.
 
     Args:
-        obstacle: (K, 3) their middles, m.
-        first: Index of the first that is looked at.
-        keep_off: (K,) distances that they have to exceed, m.
-        places: (M, 3) m.
+        obstacle: (K, 3) centres of the obstacles, m.
+        first: Index of the first obstacle to check.
+        min_distance: (K,) distances that they have to exceed, m.
+        places: (M, 3) positions, m.
 
     Returns:
-        Its index; K where none is.
+        Index of the obstacle; K if there is none.
     """
     for k in range(first, obstacle.shape[0]):
         for m in range(places.shape[0]):
             away = minus(point(places, m), point(obstacle, k))
-            if not math.sqrt(dot(away, away)) > keep_off[k]:
+            if not math.sqrt(dot(away, away)) > min_distance[k]:
                 return k
     return int(obstacle.shape[0])
 
 
 def _body(index: int, radius: float) -> Obstacle:
-    """Make a sphere, or for odd indices a cube, of that bounding radius, m."""
+    """Return a sphere, or a cube for odd indices, with the given bounding radius, m."""
     if index % 2:
         side = 2 * radius / np.sqrt(3)
         return Obstacle("box", (side, side, side))

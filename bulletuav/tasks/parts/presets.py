@@ -1,4 +1,4 @@
-"""Presets that several tasks share: sizes and rates of other projects' environments."""
+"""Presets shared by several tasks: sizes and rates of other projects' environments."""
 
 import math
 from typing import Any
@@ -30,7 +30,7 @@ UAVCONFLICT: dict[str, Any] = {
 }
 """Sizes, observation and reward constants of UAVConflictGym.
 
-docs/conflict.md lists where the tasks differ from it, and why.
+docs/conflict.md lists the differences of the tasks from it, and the reasons.
 """
 
 URBANMARL: dict[str, Any] = {
@@ -45,9 +45,9 @@ URBANMARL: dict[str, Any] = {
     "max_speed": 20.0,
     "max_climb": 12.0,
 }
-"""Sizes and rates of UrbanMARL 0.3.1 that all its scenarios share.
+"""Sizes and rates shared by all scenarios of UrbanMARL 0.3.1.
 
-docs/service.md lists where the tasks differ from them, and why.
+docs/service.md lists the differences of the tasks from them, and the reasons.
 """
 _UNPAID = ("progress", "conflict", "warning", "energy", "time", "out_of_bounds")
 _FLIGHT = {**dict.fromkeys(_UNPAID, 0.0), "goal": 5.0}
@@ -85,7 +85,7 @@ URBANMARL_LIDAR_NAVIGATION: dict[str, Any] = {
     "weights": {
         **_FLIGHT,
         "collision": -5.0,
-        "proximity": -0.25,  # UrbanMARL's is in shares of the range: 15 m are 0.25 of 60 m
+        "proximity": -0.25,  # UrbanMARL uses fractions of the range: 15 m are 0.25 of 60 m
         "distance": -1 / math.dist((0.0, 0.0, 0.0), (500.0, 500.0, 200.0)),
     },
 }

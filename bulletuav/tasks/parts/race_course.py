@@ -1,4 +1,4 @@
-"""The course of a race: its options, its gates as bodies that may swing, and where drones start."""
+"""Course of a race: options, gates as bodies that may oscillate, and starting blocks."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -8,42 +8,42 @@ import numpy as np
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.frame import Scene, Spawn, TaskContext
-from bulletuav.tasks.parts.gates import Gate, bar_places, frame_of, gate_axes
+from bulletuav.tasks.parts.gates import Gate, bar_poses, gate_axes, make_gate_frame
 from bulletuav.tasks.parts.tracks import (
     RANDOM,
     RandomTrack,
-    blocks,
     draw_track,
-    fault,
+    find_track_error,
     load_track,
+    place_start_blocks,
 )
 
-HOVER = 1.0
-"""Height at which drones start that do not take off, m"""
+HOVER_HEIGHT = 1.0
+"""Height at which drones start if they do not take off, m"""
 
 
 @dataclass(frozen=True)
 class RaceConfig(TaskConfig):
-    """Options of `race`, beside those of every task.
+    """Options of `race`, in addition to those of every task.
 
     Attributes:
-        track: "random" for one that is drawn for each episode, the name of a track that comes with
-            the package, or the path of a TOML file.
-        laps: How often all gates are flown through.
-        num_gates: Gates of a random track.
-        track_radius: Greatest distance of a gate of a random track from the middle, m.
-        gate_height: Least and greatest height of the middles of its gates, m.
-        gate_tilt: Greatest pitch and roll of its gates, degrees.
-        gate_shape: Shape of gates where a file tells none: "square", "round", or "mixed".
+        track: "random" for a track drawn for each episode, the name of a track of the package, or
+            the path of a TOML file.
+        laps: Number of laps through all gates.
+        num_gates: Number of gates of a random track.
+        track_radius: Maximum distance of a gate of a random track from the centre, m.
+        gate_height: Minimum and maximum height of the centres of its gates, m.
+        gate_tilt: Maximum pitch and roll of its gates, degrees.
+        gate_shape: Shape of gates unless a file sets it: "square", "round", or "mixed".
         gate_size: Width of their openings, m.
-        gate_motion: How far gates swing to either side, m.
-        gate_period: Time of a swing to and fro, s.
-        gates_seen: How many of the next gates a drone observes.
-        contact_ends: What a contact ends: "drone", the drone's episode, or "nothing".
-        penalty: What a gate missed, or a contact, adds to `race_time`, s.
+        gate_motion: Amplitude of the lateral oscillation of gates, m.
+        gate_period: Period of the oscillation, s.
+        gates_seen: Number of next gates that a drone observes.
+        contact_ends: Effect of a contact: "drone" ends the drone's episode, "nothing" does not.
+        penalty: Time added to `race_time` for each missed gate and each contact, s.
         margin: Distance from gates to the bounds of the arena, m.
-        take_off: Whether drones start at rest on the ground, with rotors that stand still. Else
-            they hover 1 m high at the start.
+        take_off: Whether drones start at rest on the ground, with rotors stopped. Otherwise they
+            start hovering at a height of 1 m.
     """
 
     track: str = RANDOM
@@ -64,23 +64,23 @@ class RaceConfig(TaskConfig):
 
 
 class RaceCourse:
-    """What drones race on: gates that are given, or drawn for each episode.
+    """Gates of a race, given or drawn for each episode.
 
     Attributes:
-        gates: How many there are.
-        turns: Gates of all laps.
+        gates: Number of gates.
+        turns: Number of gates of all laps.
         bodies: Bars of all gates.
-        sides: (G,) how many sides the openings have.
+        sides: (G,) numbers of sides of the openings.
         widest, narrowest: Width of the widest and of the narrowest opening, m.
-        fastest: Speed of gates in the middle of their swings, m/s; 1 where none does.
-        arena: Its lower and upper corner, (3,) each, m.
+        fastest: Maximum speed of oscillating gates, m/s; 1 if gates do not move.
+        arena: Lower and upper corner of the arena, (3,) each, m.
     """
 
     def __init__(self, config: RaceConfig, context: TaskContext) -> None:
-        """Read the track, or draw one to learn what all have in common.
+        """Read the track, or draw one to determine the properties common to all random tracks.
 
         Raises:
-            ValueError: There is no such track, or it cannot be flown.
+            ValueError: If the track does not exist or cannot be flown.
         """
         low, high = config.gate_height
         if not 0 < low <= high:
@@ -88,55 +88,52 @@ class RaceCourse:
                 f"gate_height is {config.gate_height}: from low to high, above 0, is needed"
             )
         if config.gate_motion and not config.gate_period:
-            raise ValueError("gate_period is 0 s: above 0 is needed where gates swing")
+            raise ValueError("gate_period is 0 s: above 0 is needed if gates oscillate")
         self._config, self._context = config, context
-        # What a user gives may be no text at all, such as an array.
+        # `track` may be anything, such as an array
         self._is_random = isinstance(config.track, str) and config.track == RANDOM
         shape = (config.gate_tilt, config.gate_shape, config.gate_size)
         self._like = RandomTrack(config.num_gates, config.track_radius, config.gate_height, *shape)
         self._given = None if self._is_random else self._read()
-        # Bars are the same in all random tracks; only where they are is drawn.
+        # All random tracks have the same bars, in different poses
         some = self._given or self._drawn(np.random.default_rng(0))
         self.gates, self.turns = len(some), config.laps * len(some)
-        self.bodies = tuple(bar for gate in some for bar in frame_of(gate))
+        self.bodies = tuple(bar for gate in some for bar in make_gate_frame(gate))
         self.sides = np.array([gate.sides for gate in some])
         sizes = [gate.size for gate in some]
         self.widest, self.narrowest = max(sizes), min(sizes)
         self._rate = 2 * np.pi / config.gate_period if config.gate_motion else 0.0
         self._speed = self._rate * config.gate_motion
         self.fastest = self._speed or 1.0
-        self._whose = bar_places(some)[0]
+        self._gate_index = bar_poses(some)[0]
         self.arena = self._lay_out(some)
 
     def _read(self) -> tuple[Gate, ...]:
-        """Read the track that is given, and refuse one that cannot be flown."""
+        """Read the given track, and check that it can be flown."""
         config, context = self._config, self._context
         gates = load_track(config.track, self._like)
-        places = blocks(gates, context.num_drones)
-        found = fault(gates, places, context.collision_radius, config.gate_motion)
+        places = place_start_blocks(gates, context.num_drones)
+        found = find_track_error(gates, places, context.collision_radius, config.gate_motion)
         if found is not None:
             raise ValueError(f"track {config.track!r} cannot be flown: {found}")
         return gates
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Gate, ...]:
-        """Draw a track."""
         racers = (self._context.num_drones, self._context.collision_radius)
         return draw_track(rng, self._like, *racers, self._config.gate_motion)
 
     def _lay_out(self, gates: tuple[Gate, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Lay out the arena, and refuse tracks that are too long for an episode."""
+        """Return the arena, after checking that the track is short enough for an episode."""
         config, context = self._config, self._context
         middle, start = np.array([gate.position for gate in gates]), self._blocks(gates)
-        # The arena holds gates and blocks, with a margin around
         places = np.concatenate([middle, start])
         low, high = places.min(axis=0), places.max(axis=0)
-        if self._given is None:  # wherever gates and blocks of others are
+        if self._given is None:  # contains all random tracks
             behind = float(np.linalg.norm(start[:, :2] - middle[0, :2], axis=1).max())
             reach = config.track_radius + behind
             low, high = np.full(3, -reach), np.array((reach, reach, config.gate_height[1]))
         low, high = low - config.margin, high + config.margin
         low[2] = 0.0
-        # The shortest way through all gates, m, must be possible in the time
         lap = float(np.linalg.norm(middle - np.roll(middle, 1, axis=0), axis=1).sum())
         furthest = context.max_speed * context.duration
         if config.laps * lap > furthest:
@@ -148,21 +145,20 @@ class RaceCourse:
         return low, high
 
     def _blocks(self, gates: tuple[Gate, ...]) -> np.ndarray:
-        """Tell where drones start, (N, 3) m."""
-        start: np.ndarray = blocks(gates, self._context.num_drones) + np.array((0.0, 0.0, HOVER))
+        """Return the starting positions, (N, 3) m."""
+        start: np.ndarray = place_start_blocks(gates, self._context.num_drones) + np.array(
+            (0.0, 0.0, HOVER_HEIGHT)
+        )
         return start
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw a track, unless one is given, and the swings of its gates; put drones on blocks."""
+        """Draw a track, unless given, and the phases of its gates; place drones on blocks."""
         gates = self._given or self._drawn(rng)
-        # Gates swing from a phase of their own
         phase = rng.uniform(-np.pi, np.pi, len(gates))
         middle, axis = np.array([gate.position for gate in gates]), gate_axes(gates)
         (aside,), (velocity,) = self.swing(np.zeros(1), axis[None], phase[None])
-        # Frames are bars about the middle, which move with it
-        whose, offset, turn = bar_places(gates)
+        gate_index, offset, turn = bar_poses(gates)
         now = middle + aside
-        # What is kept of the gates; `leg` goes from each to the next
         memory = {
             "gate": now,
             "gate_before": now,
@@ -176,8 +172,8 @@ class RaceCourse:
             position=self._blocks(gates),
             goal=now[0],
             goal_velocity=velocity[0],
-            obstacle=now[whose] + offset,
-            obstacle_velocity=velocity[whose],
+            obstacle=now[gate_index] + offset,
+            obstacle_velocity=velocity[gate_index],
             obstacle_quaternion=turn,
             memory=memory,
         )
@@ -185,11 +181,11 @@ class RaceCourse:
     def swing(
         self, time: np.ndarray, axis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Tell how far gates swing to their left, and how fast.
+        """Return the offsets and velocities of oscillating gates, along their y axes.
 
         Args:
-            time: (K,) since the start, s.
-            axis: (K, G, 3, 3) their axes.
+            time: (K,) time since the start, s.
+            axis: (K, G, 3, 3) axes of the gates.
             phase: (K, G) rad.
 
         Returns:
@@ -200,7 +196,7 @@ class RaceCourse:
         return self._config.gate_motion * sin(angle) * left, self._speed * cos(angle) * left
 
     def move(self, scene: Scene, time: np.ndarray, flying: np.ndarray) -> None:
-        """Swing the gates of the worlds of `flying` (W,) on by a decision that begins at `time`."""
+        """Move the gates of worlds `flying` (W,) through a decision that starts at `time`."""
         memory = scene.memory
         axis, phase = memory["gate_axis"][flying], memory["gate_phase"][flying]
         old, _ = self.swing(time[flying], axis, phase)
@@ -208,5 +204,5 @@ class RaceCourse:
         moved = new - old
         memory["gate"][flying] += moved
         memory["gate_velocity"][flying] = velocity
-        scene.obstacle[flying] += moved[:, self._whose]
-        scene.obstacle_velocity[flying] = velocity[:, self._whose]
+        scene.obstacle[flying] += moved[:, self._gate_index]
+        scene.obstacle_velocity[flying] = velocity[:, self._gate_index]

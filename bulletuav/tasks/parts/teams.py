@@ -1,4 +1,4 @@
-"""Teams with opposed aims: sizes, nearest opponents, who comes close, and payoffs that add to 0."""
+"""Two-team games: team sizes, nearest opponents, closest approaches, and zero-sum payoffs."""
 
 import math
 from typing import Any
@@ -10,25 +10,25 @@ from bulletuav.errors import shown
 from bulletuav.geometry.closest_approach import closest_squared, offset
 from bulletuav.geometry.rotation import dot
 
-NOBODY = -1
-"""Index where there is no opponent"""
-GRAIN = 2.0**-20
-"""Payoffs are whole multiples of it: sums of those are exact, in whatever order"""
+NO_OPPONENT = -1
+"""Index if there is no opponent"""
+PAYOFF_STEP = 2.0**-20
+"""Payoffs are integer multiples of this step, so their sums are exact in any order"""
 
 
 def team_sizes(given: Any, drones: int, usual: tuple[int, int]) -> tuple[int, int]:
-    """Take the option `teams`: the sizes of two teams.
+    """Return the sizes of two teams from the option `teams`.
 
     Args:
-        given: What the option says; None for the usual sizes.
-        drones: How many there are in both.
-        usual: Sizes when the option is left out.
+        given: Value of the option; None for the default.
+        drones: Number of drones of both teams.
+        usual: Default sizes.
 
     Returns:
-        Drones of the first team, and of the second.
+        Number of drones of the first team, and of the second.
 
     Raises:
-        ValueError: They are no two whole numbers, or do not add up.
+        ValueError: If the sizes are not two integers with the sum `drones`.
     """
     if given is None:
         return usual
@@ -48,66 +48,64 @@ def team_sizes(given: Any, drones: int, usual: tuple[int, int]) -> tuple[int, in
 def nearest_opponents(
     position: np.ndarray, present: np.ndarray, team: np.ndarray, nearest: np.ndarray
 ) -> None:
-    """Find the nearest drone of another team, for each drone.
+    """Find the nearest drone of another team for each drone.
 
     Args:
         position: (W, N, 3) m.
         present: (W, N) bool, drones that can be found.
-        team: (N,) number of each one's team.
-        nearest: (W, N) its index, or NOBODY; written.
+        team: (N,) index of each drone's team.
+        nearest: (W, N) output: index of the nearest opponent, or NO_OPPONENT.
     """
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
-            # Nobody, until somebody is found
-            nearest[w, i] = NOBODY
-            least = np.inf
+            nearest[w, i] = NO_OPPONENT
+            min_distance = np.inf
             for j in range(position.shape[1]):
                 if present[w, j] and team[j] != team[i]:
-                    # Among equals the first one
+                    # Ties are broken by index
                     gap = offset(position, w, i, j)
                     square = dot(gap, gap)
-                    if square < least:
-                        least = square
+                    if square < min_distance:
+                        min_distance = square
                         nearest[w, i] = j
 
 
 @kernel
-def follow_chase(
+def measure_chase(
     before: np.ndarray,
     after: np.ndarray,
     flown: np.ndarray,
     team: np.ndarray,
-    least: np.ndarray,
+    min_distance: np.ndarray,
     by: np.ndarray,
     closing: np.ndarray,
 ) -> None:
-    """Tell how near chasers, team 0, came to each evader in a decision.
+    """Compute the closest approach of chasers (team 0) to each evader in a decision.
 
-    All fly straight meanwhile.
+    All drones are assumed to move straight during the decision.
 
     Args:
-        before: (W, N, 3) positions before it, m.
-        after: (W, N, 3) those after it, m.
-        flown: (W, N) bool, drones that flew it; others do not count.
+        before: (W, N, 3) positions before the decision, m.
+        after: (W, N, 3) positions after the decision, m.
+        flown: (W, N) bool, drones that flew the decision; others are ignored.
         team: (N,) 0 for chasers, 1 for evaders.
-        least: (W, N) least distance from a chaser, m; infinite where there is none; written.
-        by: (W, N) which chaser that was, or NOBODY; written.
-        closing: (W, N) by how much the nearest chaser is nearer than before, m; 0 where there is
-            none; written.
+        min_distance: (W, N) output: minimum distance from a chaser, m; infinite if there is none.
+        by: (W, N) output: index of this chaser, or NO_OPPONENT.
+        closing: (W, N) output: decrease of the distance to the nearest chaser, m; 0 if there is
+            none.
     """
     for w in range(before.shape[0]):
         for i in range(before.shape[1]):
-            # What stays for chasers, and for evaders that nobody chases
-            least[w, i] = np.inf
-            by[w, i] = NOBODY
+            # Result for chasers, and for evaders without chasers
+            min_distance[w, i] = np.inf
+            by[w, i] = NO_OPPONENT
             closing[w, i] = 0.0
             if team[i] == 0 or not flown[w, i]:
                 continue
-            # The nearest at the start, on the way, and at the end may be three chasers.
+            # The nearest chasers before, during and after the decision may differ
             first, nearest, last = np.inf, np.inf, np.inf
             for j in range(before.shape[1]):
                 if team[j] == 0 and flown[w, j]:
-                    # Both fly straight, so their gap does, too
                     later = offset(after, w, i, j)
                     start, way = closest_squared(offset(before, w, i, j), later)
                     first = min(first, start)
@@ -115,27 +113,26 @@ def follow_chase(
                     if way < nearest:
                         nearest = way
                         by[w, i] = j
-            # From squares to m
-            if by[w, i] != NOBODY:
-                least[w, i] = math.sqrt(nearest)
+            if by[w, i] != NO_OPPONENT:
+                min_distance[w, i] = math.sqrt(nearest)
                 closing[w, i] = math.sqrt(first) - math.sqrt(last)
 
 
 def zero_sum(gain: np.ndarray, paid: np.ndarray, paying: np.ndarray) -> np.ndarray:
-    """Share gains among the drones of one team that flew, and take them from the other's.
+    """Distribute gains equally over the drones of one team, and charge them to the other team.
 
-    Each one's share is rounded to `GRAIN`. So payoffs of a world add up to 0, not nearly but to the
-    bit, in whatever order; also times weights that are whole, or such as 1/16.
+    Shares are rounded to `PAYOFF_STEP`. The payoffs of a world therefore sum exactly to 0 in any
+    order, also when weighted by integers or fractions such as 1/16.
 
     Args:
-        gain: (W, N) what each drone of `paying` loses, all in all.
-        paid: (W, N) bool, drones that share it.
-        paying: (W, N) bool, drones that lose; of the other team.
+        gain: (W, N) total loss of each drone of `paying`.
+        paid: (W, N) bool, drones that share the gains.
+        paying: (W, N) bool, drones of the other team that lose.
 
     Returns:
-        (W, N) payoffs; zeros in worlds where nobody shares.
+        (W, N) payoffs; zero in worlds where no drone is paid.
     """
     count = paid.sum(axis=1, keepdims=True)
-    each = np.round(np.where(paying, gain, 0.0) / np.maximum(count, 1) / GRAIN) * GRAIN
+    each = np.round(np.where(paying, gain, 0.0) / np.maximum(count, 1) / PAYOFF_STEP) * PAYOFF_STEP
     payoff: np.ndarray = np.where(paid, each.sum(axis=1, keepdims=True), 0.0) - each * count
     return payoff

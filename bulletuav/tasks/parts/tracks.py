@@ -1,4 +1,4 @@
-"""Race tracks: read from files, made at random, and refused where they cannot be flown."""
+"""Race tracks: read from files, drawn at random, and checked for whether they can be flown."""
 
 import math
 from collections.abc import Mapping
@@ -16,39 +16,39 @@ from bulletuav.vehicle.airframes import URDF_FOLDER
 
 RANDOM = "random"
 """Name of tracks that are drawn for each episode"""
-FIELDS = ("position", "yaw", "pitch", "roll", "shape", "size")
-"""What a file tells of a gate; only `position` is needed"""
-ROOM = 3.0
-"""Clear way that is needed before and behind a gate, m"""
-FREE = 0.5
-"""How far that way keeps from frames and from the ground, m"""
-ROW = 4
-"""Blocks side by side"""
-ASIDE, BACK = 2.0, 2.5
-"""Distance between neighbouring blocks, and between rows of them, m"""
-RUN_UP = 6.0
+GATE_FIELDS = ("position", "yaw", "pitch", "roll", "shape", "size")
+"""Fields of a gate in a file; only `position` is required"""
+CLEAR_LENGTH = 3.0
+"""Length that must be clear before and behind a gate, m"""
+MIN_CLEARANCE = 0.5
+"""Distance of this clear path from frames and from the ground, m"""
+BLOCKS_PER_ROW = 4
+"""Number of starting blocks in a row"""
+BLOCK_SPACING, ROW_SPACING = 2.0, 2.5
+"""Distance between neighbouring blocks, and between rows of blocks, m"""
+RUN_UP_DISTANCE = 6.0
 """Distance from the first row of blocks to the first gate, m"""
 MAX_TRIES = 200
-"""How often a random track is drawn anew until it can be flown"""
-SPREAD = 0.3
-"""How much nearer to the middle than others a gate of a random track can be, as a share"""
-AIM = 15.0
-"""How far the direction of a random gate is off the way through it, degrees"""
+"""Maximum number of draws of a random track until it can be flown"""
+RADIUS_SPREAD = 0.3
+"""Variation of the distance of a random track's gates from the centre, as a fraction"""
+MAX_YAW_OFFSET = 15.0
+"""Maximum deviation of a random gate's yaw from the direction of the track, degrees"""
 
 TRACK_FOLDER = URDF_FOLDER.parent / "tracks"
-"""Folder of the tracks that come with the package"""
+"""Folder of the tracks of the package"""
 
 
 @dataclass(frozen=True)
 class RandomTrack:
-    """What random tracks are like.
+    """Distribution of random tracks.
 
     Attributes:
-        gates: How many gates they have.
-        radius: Greatest distance of a gate from the middle, m.
-        height: Least and greatest height of the middles of gates, m.
-        tilt: Greatest pitch and roll of gates, degrees.
-        shape: "square", "round", or "mixed" for both in turn.
+        gates: Number of gates.
+        radius: Maximum distance of a gate from the centre, m.
+        height: Minimum and maximum height of the centres of gates, m.
+        tilt: Maximum pitch and roll of gates, degrees.
+        shape: "square", "round", or "mixed" for alternating shapes.
         size: Width of the openings, m.
     """
 
@@ -60,21 +60,23 @@ class RandomTrack:
     size: float
 
     def draw(self, rng: np.random.Generator) -> tuple[Gate, ...]:
-        """Draw gates round the middle, in a random sense of rotation; they may overlap."""
+        """Draw gates around the centre, clockwise or counterclockwise; they may overlap."""
         count = self.gates
         turn = 2 * np.pi * (np.arange(count) + rng.uniform(-0.2, 0.2, count)) / count
         angle = (1.0 if rng.uniform() < 0.5 else -1.0) * turn + rng.uniform(-np.pi, np.pi)
-        radius = self.radius * rng.uniform(1 - SPREAD, 1, count)
+        radius = self.radius * rng.uniform(1 - RADIUS_SPREAD, 1, count)
         height = rng.uniform(*self.height, count)
         place = np.stack([radius * cos(angle), radius * sin(angle), height], axis=1)
-        # Gates are flown along the way from the one before to the one behind, more or less.
+        # Gates face roughly from the previous gate to the next one
         way = np.roll(place, -1, axis=0) - np.roll(place, 1, axis=0)
-        yaw = np.degrees(atan2(way[:, 1], way[:, 0])) + rng.uniform(-AIM, AIM, count)
+        yaw = np.degrees(atan2(way[:, 1], way[:, 0])) + rng.uniform(
+            -MAX_YAW_OFFSET, MAX_YAW_OFFSET, count
+        )
         slope = np.degrees(atan2(way[:, 2], hypot(way[:, 0], way[:, 1])))
         pitch = slope + self.tilt * rng.uniform(-1, 1, count)
         roll = self.tilt * rng.uniform(-1, 1, count)
         pitch = np.clip(pitch, -60, 60)
-        # The first gate is upright: drones come to it from the ground.
+        # The first gate is upright, as drones approach it from the ground
         pitch[0] = roll[0] = 0.0
         shapes = [self.shape_of(k) for k in range(count)]
         numbers = zip(place.tolist(), yaw.tolist(), pitch.tolist(), roll.tolist(), strict=True)
@@ -84,12 +86,12 @@ class RandomTrack:
         )
 
     def shape_of(self, k: int) -> str:
-        """Tell the shape of gate k."""
+        """Return the shape of gate k."""
         return ("square", "round")[k % 2] if self.shape == "mixed" else self.shape
 
 
 def list_tracks() -> list[str]:
-    """List the names of the tracks that come with the package."""
+    """Return the names of the tracks of the package."""
     return sorted(path.stem for path in TRACK_FOLDER.glob("*.toml"))
 
 
@@ -97,16 +99,16 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
     """Read a track.
 
     Args:
-        source: Name of a track, or the path of a TOML file. That has a table `[[gates]]` for each
-            gate, in the order of flight, with what `Gate` has; angles and shape may be left out.
-        usual: Shape and size of gates whose file tells none.
+        source: Name of a track, or the path of a TOML file with a table `[[gates]]` for each gate,
+            in the order of flight, with the fields of `Gate`; angles and shape are optional.
+        usual: Default shape and size of gates.
 
     Returns:
         The gates.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The name is unknown, or the file is no track.
+        FileNotFoundError: If the file does not exist.
+        ValueError: If the name is unknown, or the file is not a valid track.
     """
     names = list_tracks()
     if not isinstance(source, str | Path):
@@ -114,12 +116,10 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
             f"track is {shown(source)}: {RANDOM!r}, a name such as {names[0]!r}, or the path of a "
             f".toml file is needed"
         )
-    # A name is a file of the package
     if isinstance(source, str) and not source.endswith(".toml"):
         if source not in names:
             raise unknown("track", source, (RANDOM, *names))
         source = TRACK_FOLDER / f"{source}.toml"
-    # Files of others may be anything
     path = require_file("track", source, f"choose from {', '.join(names)}, or give a .toml file")
     tables = read_toml(path).get("gates")
     if not isinstance(tables, list) or len(tables) < 2:
@@ -128,30 +128,30 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
 
 
 def _gate_of(path: Path, k: int, table: object, usual: RandomTrack) -> Gate:
-    """Make a gate of its table. Raises ValueError for what it cannot be made of."""
-    who = f"gate {k} of track {path}"
+    """Create a gate from its table in a file. Raises ValueError if the table is invalid."""
+    label = f"gate {k} of track {path}"
     if not isinstance(table, dict):
-        raise ValueError(f"{who} is {shown(table)}: a table [[gates]] is needed")
+        raise ValueError(f"{label} is {shown(table)}: a table [[gates]] is needed")
     for name in table:
-        if name not in FIELDS:
-            raise ValueError(f"{who} has {shown(name)}: {suggest_names(name, FIELDS)}")
+        if name not in GATE_FIELDS:
+            raise ValueError(f"{label} has {shown(name)}: {suggest_names(name, GATE_FIELDS)}")
     if "position" not in table:
-        raise ValueError(f"{who} has no position: position = [x, y, z] is needed, m")
+        raise ValueError(f"{label} has no position: position = [x, y, z] is needed, m")
     given: Mapping[str, Any] = {"shape": usual.shape_of(k), "size": usual.size, **table}
     try:
         return Gate(**given)
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{who}: {error}") from None
+        raise ValueError(f"{label}: {error}") from None
 
 
-def blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
-    """Place starting blocks on the ground before the first gate, in rows of four.
+def place_start_blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
+    """Return the positions of starting blocks on the ground before the first gate, in rows of four.
 
     Returns:
-        (N, 3) m; the first ones are nearest to the gate.
+        (N, 3) m; the first blocks are nearest to the gate.
 
     Raises:
-        ValueError: The first gate is to be flown straight up or down.
+        ValueError: If the direction of the first gate is too steep.
     """
     (east, north, _) = gate_axes(gates[:1])[0, 0]
     level = float(hypot(east, north))
@@ -163,67 +163,68 @@ def blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
     # Axes on the ground, towards the gate and to its left
     forward = np.array((east, north)) / level
     left = np.array((-forward[1], forward[0]))
-    # Rows of four; the last one is in the middle, too
+    # Each row is centred, also an incomplete last row
     index = np.arange(drones)
-    row, column = index // ROW, index % ROW
-    in_row = np.minimum(drones - row * ROW, ROW)
-    aside = ASIDE * (column - (in_row - 1) / 2)
-    behind = RUN_UP + BACK * row
+    row, column = index // BLOCKS_PER_ROW, index % BLOCKS_PER_ROW
+    in_row = np.minimum(drones - row * BLOCKS_PER_ROW, BLOCKS_PER_ROW)
+    aside = BLOCK_SPACING * (column - (in_row - 1) / 2)
+    behind = RUN_UP_DISTANCE + ROW_SPACING * row
     places = np.array(gates[0].position[:2]) - np.outer(behind, forward) + np.outer(aside, left)
     return np.column_stack([places, np.zeros(drones)])
 
 
-def fault(gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: float) -> str | None:
-    """Tell why a track cannot be flown, or None where it can.
+def find_track_error(
+    gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: float
+) -> str | None:
+    """Return the reason why a track cannot be flown, or None.
 
     Args:
-        gates: In the order of flight.
-        start: (N, 3) where drones start, m.
-        radius: Of the drones, m.
-        motion: How far gates move to either side, m.
+        gates: Gates in the order of flight.
+        start: (N, 3) start positions, m.
+        radius: Collision radius of the drones, m.
+        motion: Amplitude of the gates' oscillation, m.
     """
     middle = np.array([gate.position for gate in gates])
     reach = np.array([gate.reach for gate in gates]) + motion
     forward = gate_axes(gates)[:, 0]
-    # How far each gate is from each other one, and that from the way through it.
+    # Distances between gates, and from the clear paths through them
     way = middle - middle[:, None]
-    along = np.clip((way * forward[:, None]).sum(axis=-1), -ROOM, ROOM)
+    along = np.clip((way * forward[:, None]).sum(axis=-1), -CLEAR_LENGTH, CLEAR_LENGTH)
     off = way - along[..., None] * forward[:, None]
     gap, off = (np.sqrt((one**2).sum(axis=-1)) for one in (way, off))
-    apart, clear = reach[:, None] + reach, reach + FREE
+    apart, clear = reach[:, None] + reach, reach + MIN_CLEARANCE
     np.fill_diagonal(gap, np.inf)
     np.fill_diagonal(off, np.inf)
     block = np.sqrt(((start[:, None] - middle) ** 2).sum(axis=-1)).min(axis=0)
-    # The first fault is told, with what mends it
     for k, gate in enumerate(gates):
-        who = f"gate {k} at {shown(gate.position)} m"
+        label = f"gate {k} at {shown(gate.position)} m"
         if gate.size <= 2 * radius:
-            return f"{who} is {gate.size:g} m wide, and a drone is {2 * radius:.3g} m: widen it"
+            return f"{label} is {gate.size:g} m wide, and a drone is {2 * radius:.3g} m: widen it"
         if middle[k, 2] < reach[k] and middle[k, 2] < _depth(gate):
-            return f"{who} reaches into the ground: raise it"
+            return f"{label} reaches into the ground: raise it"
         if (gap[k] < apart[k]).any():
             other = int((gap[k] < apart[k]).argmax())
             return (
-                f"{who} and gate {other} overlap: their middles are {gap[k, other]:.3g} m apart, "
+                f"{label} and gate {other} overlap: their middles are {gap[k, other]:.3g} m apart, "
                 f"{apart[k, other]:.3g} m are needed"
             )
         if (off[k] < clear).any():
             return (
-                f"{who} faces gate {int((off[k] < clear).argmax())} like a wall: {ROOM:g} m before "
-                f"and behind it have to be clear; turn or move it"
+                f"{label} is blocked by gate {int((off[k] < clear).argmax())}: "
+                f"{CLEAR_LENGTH:g} m before and behind it have to be clear; turn or move it"
             )
-        if middle[k, 2] - ROOM * abs(forward[k, 2]) < FREE:
+        if middle[k, 2] - CLEAR_LENGTH * abs(forward[k, 2]) < MIN_CLEARANCE:
             return (
-                f"{who} faces the ground: the way through it is below {FREE:g} m at {ROOM:g} m "
-                f"from it; raise it, or lower its pitch"
+                f"{label} faces the ground: the path through it is below {MIN_CLEARANCE:g} m at "
+                f"{CLEAR_LENGTH:g} m from it; raise it, or lower its pitch"
             )
         if block[k] < clear[k]:
-            return f"{who} is {block[k]:.3g} m from a starting block: {clear[k]:.3g} m are needed"
+            return f"{label} is {block[k]:.3g} m from a starting block: {clear[k]:.3g} m are needed"
     return None
 
 
 def _depth(gate: Gate) -> float:
-    """Tell how far a frame reaches down from its middle, m."""
+    """Return how far a frame extends below its centre, m."""
     _, left, up = gate_axes([gate])[0]
     steps = 2 * math.pi * (np.arange(gate.sides) + 0.5) / gate.sides
     return float(-gate.reach * (cos(steps) * left[2] + sin(steps) * up[2]).min())
@@ -232,22 +233,22 @@ def _depth(gate: Gate) -> float:
 def draw_track(
     rng: np.random.Generator, like: RandomTrack, drones: int, radius: float, motion: float
 ) -> tuple[Gate, ...]:
-    """Draw a track that can be flown.
+    """Draw a random track that can be flown.
 
     Args:
         rng: Random generator.
-        like: What it is like.
-        drones: How many start.
-        radius: Of the drones, m.
-        motion: How far gates move to either side, m.
+        like: Distribution of the track.
+        drones: Number of drones.
+        radius: Collision radius of the drones, m.
+        motion: Amplitude of the gates' oscillation, m.
 
     Raises:
-        ValueError: None was found; the last fault is told.
+        ValueError: If no valid track was found; the message states the last error.
     """
     found = None
     for _ in range(MAX_TRIES):
         gates = like.draw(rng)
-        found = fault(gates, blocks(gates, drones), radius, motion)
+        found = find_track_error(gates, place_start_blocks(gates, drones), radius, motion)
         if found is None:
             return gates
     raise ValueError(

@@ -18,34 +18,34 @@ URBAN_DEFAULTS: dict[str, Any] = {
     "max_speed": 15.0,
     "battery_capacity": 23.3,
 }
-"""Common options of tasks in cities, unless a task says otherwise"""
+"""Environment options of tasks in cities, unless a task sets others"""
 
 
-def check_share(name: str, value: float) -> None:
-    """Refuse what is not a share that can be reached.
+def check_fraction(name: str, value: float) -> None:
+    """Check that an option is a fraction above 0 and at most 1.
 
     Args:
         name: Name of the option.
         value: Its value.
 
     Raises:
-        ValueError: It is not above 0 and at most 1.
+        ValueError: If the value is out of range.
     """
     if not 0 < value <= 1:
-        raise ValueError(f"{name} is {value:g}: a share above 0 and at most 1 is needed")
+        raise ValueError(f"{name} is {value:g}: a fraction above 0 and at most 1 is needed")
 
 
 @dataclass(frozen=True)
 class StreetOptions:
     """Heights of tasks in the streets of a city, below most of its roofs.
 
-    Seven of ten houses of an urban city are higher than 12.5 m, 2.5 m below the ceiling. Straight
-    lines of 200 m or more at that height miss all of them in 7 % of flights, most of them along a
-    street. Below a ceiling of 30 m it would be half of the flights.
+    Seven of ten houses of an urban city are higher than 12.5 m, which is 2.5 m below the ceiling.
+    Straight lines of 200 m or more at that height miss all of them in 7 % of flights, most of them
+    along a street. Below a ceiling of 30 m it would be half of the flights.
 
     Attributes:
-        height: Least and greatest height of starts and goals, m. They are outdoors.
-        ceiling: Greatest height of the airspace, m.
+        height: Minimum and maximum height of starts and goals, m. They are outdoors.
+        ceiling: Maximum height of the airspace, m.
     """
 
     height: tuple[float, float] = (5.0, 12.0)
@@ -54,16 +54,16 @@ class StreetOptions:
 
 @dataclass(frozen=True)
 class UrbanFlightOptions(StreetOptions):
-    """Options of flights to goals in cities, beside those of cities and of all flights.
+    """Options of flights to goals in cities, in addition to those of cities and of all flights.
 
     Attributes:
-        leg: Least distance from a drone's start to its goal, m.
+        leg: Minimum distance from a drone's start to its goal, m.
         d_safe: Separation below which two drones are in conflict, m.
-        start_speed: Least and greatest speed at the start, m/s.
-        at_goal: What happens at the goal: "leave", "land" or "hold", see `FlightConfig`; or
-            "respawn": the drone gets another goal outdoors, at `leg` from there if it can be.
-            Every goal counts for the term `goal`, and goals end nothing. Success is one goal or
-            more, without a crash; infos count them as `goals`.
+        start_speed: Minimum and maximum speed at the start, m/s.
+        at_goal: Behaviour at the goal: "leave", "land" or "hold", see `FlightConfig`; or "respawn":
+            the drone gets another goal outdoors, at a distance of `leg` if possible. Every goal
+            counts for the term `goal`, and goals do not end episodes. A drone is successful after
+            at least one goal without collision; infos report the number as `goals`.
     """
 
     leg: float = 200.0
@@ -75,26 +75,26 @@ class UrbanFlightOptions(StreetOptions):
 class CityLegs(Starts):
     """Starts, at rest, and goals outdoors in a city, at least the option `leg` apart."""
 
-    def __init__(self, task: Task[Any], town: CityLayouts) -> None:
+    def __init__(self, task: Task[Any], city_layouts: CityLayouts) -> None:
         """Check that legs fit into the cities.
 
         Args:
             task: The task, with options of flights through cities.
-            town: Its cities.
+            city_layouts: Its cities.
 
         Raises:
-            ValueError: A city is too small for a leg.
+            ValueError: If a city is too small for a leg.
         """
-        self._town, self._num_drones = town, task.context.num_drones
+        self._city_layouts, self._num_drones = city_layouts, task.context.num_drones
         self._leg = float(task.config.leg)
-        town.require(self._leg)
+        city_layouts.require(self._leg)
 
     def draw(self, rng: np.random.Generator) -> Spawn:
         """Draw starts and goals; see the base class."""
-        layout = self._town.draw(rng)
-        start, goal = self._town.legs(rng, layout, self._num_drones, self._leg)
+        layout = self._city_layouts.draw(rng)
+        start, goal = self._city_layouts.legs(rng, layout, self._num_drones, self._leg)
         return Spawn(start, goal, layout=layout)
 
     def next_goal(self, place: np.ndarray, layout: int, rng: np.random.Generator) -> np.ndarray:
         """Draw the next goal of a drone; see the base class."""
-        return self._town.goal_from(rng, layout, place, self._leg)
+        return self._city_layouts.draw_goal(rng, layout, place, self._leg)

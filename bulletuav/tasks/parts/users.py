@@ -1,4 +1,4 @@
-"""Users on the ground, who may walk, and how long drones have seen them."""
+"""Users on the ground, who may walk, and the service that drones provide to them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from bulletuav.tasks.frame import Frame, Scene
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.base import Part, Rngs
 from bulletuav.tasks.parts.city_layouts import USER_HEIGHT, CityLayouts
-from bulletuav.tasks.targets import served_by_any
+from bulletuav.tasks.targets import get_served_fraction
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class UserOptions:
 
     Attributes:
         num_users: Number of users on the ground, outdoors.
-        mobility: How users walk: "still", "gauss_markov", "manhattan", "hotspot" or "waypoint"; a
-            dict with options of that model too, such as {"model": "waypoint", "pause": (0, 5)};
-            or a `Mobility`.
+        mobility: Mobility model of the users: "still", "gauss_markov", "manhattan", "hotspot" or
+            "waypoint"; a dict that also sets options of the model, such as {"model": "waypoint",
+            "pause": (0, 5)}; or a `Mobility`.
     """
 
     num_users: int = field(default=20, metadata={"most": 10_000})
@@ -35,82 +35,82 @@ class UserOptions:
 
 
 class Users(Part):
-    """Users on the ground of cities: where they are, and for how long drones have seen them.
+    """Users on the ground of cities: positions, and times in sight of drones.
 
-    Infos are "served", the share of users that some living drone sees, and "dwell_time", for how
-    long the drone has seen users without a break, mean of all, s.
+    Infos are "served", the fraction of users seen by at least one living drone, and "dwell_time",
+    the time for which the drone has seen users without interruption, averaged over users, s.
 
     Attributes:
-        mobility: How they walk.
+        mobility: Mobility model.
     """
 
-    def __init__(self, task: Task[Any], town: CityLayouts) -> None:
-        """Find where users can walk.
+    def __init__(self, task: Task[Any], city_layouts: CityLayouts) -> None:
+        """Set up the mobility model in the cities.
 
         Args:
-            task: The task, with options of users, whose targets they become.
-            town: Its cities.
+            task: The task, with options of users; its targets are set to the users.
+            city_layouts: Its cities.
 
         Raises:
-            ValueError: A city leaves no room to walk, or there is no such mobility.
+            ValueError: If a city has no space to walk, or the mobility model is unknown.
         """
         self._task, self._count = task, int(task.config.num_users)
         task.num_targets = self._count
         self.mobility = find_mobility(task.config.mobility)
-        self._ground = Ground(town.cities, USER_HEIGHT)
+        self._ground = Ground(city_layouts.cities, USER_HEIGHT)
         self.mobility.require(self._ground)
 
     def start(self, layout: int, rng: np.random.Generator) -> Mapping[str, np.ndarray]:
-        """Draw where the users of a world are, by the names of its memory."""
+        """Draw the initial state of the users of a world, by name of its memory."""
         return self.mobility.start(rng, self._ground, layout, self._count)
 
     def places(self, scene: Scene) -> np.ndarray:
-        """Return where the users are, (W, U, 3) m."""
+        """Return the positions of the users, (W, U, 3) m."""
         return scene.memory["users"]
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Return the shapes of what is kept of users.
+        """Return the shapes of the memory of users.
 
         Returns:
-            "users" (U, 3), where they are, m, and what their mobility model keeps; "dwell_time"
-            (N, U), for how long each drone has seen each user without a break, s, and its mean
-            over users, "mean_dwell_time" (N,).
+            "users" (U, 3), positions, m, and the state of the mobility model; "dwell_time" (N, U),
+            time for which each drone has seen each user without interruption, s, and its mean over
+            users, "mean_dwell_time" (N,).
         """
         drones = self._task.context.num_drones
         dwell = {"dwell_time": (drones, self._count), "mean_dwell_time": (drones,)}
         return {**self.mobility.state(self._count), **dwell}
 
     def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
-        """Return the bounds of what the mobility model keeps."""
+        """Return the bounds of the state of the mobility model."""
         return self.mobility.bounds(self._ground)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Let users walk; they are no obstacles."""
+        """Move the users, who are no obstacles."""
         period = self._task.context.period
         self.mobility.move(scene.memory, self._ground, scene.layout, flying, period, rngs)
         return False
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Note for how long each living drone has seen each user without a break."""
+        """Update the times for which living drones have seen users without interruption."""
         memory, period = frame.scene.memory, self._task.context.period
         times = (memory["dwell_time"], memory["mean_dwell_time"])
         update_dwell_time(*times, frame.readings["sight"], frame.alive, period)
 
     def served(self, frame: Frame) -> np.ndarray:
-        """Compute the share of users that some living drone sees, (W, N)."""
-        return served_by_any(frame, self._task.active_targets(frame.scene))
+        """Compute the fraction of users seen by at least one living drone, (W, N)."""
+        return get_served_fraction(frame, self._task.active_targets(frame.scene))
 
     def quantities(self) -> Mapping[str, Any]:
-        """Return the share of users that some drone sees, and how long they have been seen, s."""
+        """Return the fraction of users in sight, and the mean time in sight, s."""
         return {"served": self.served, "mean_service_time": _mean_service_time}
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Return the served share and the mean dwell time."""
+        """Return the served fraction and the mean dwell time."""
         mean = frame.scene.memory["mean_dwell_time"]
         return {"served": self.served(frame), "dwell_time": mean.copy()}
 
     def world_state(self) -> Mapping[str, Block]:
-        """Return where the users are."""
+        """Return the positions of the users."""
         count, task = self._count, self._task
         names = (f"user {j}" for j in range(1, count + 1))
         labels = [vector_labels(one, "m", task.arena_low, task.arena_high) for one in names]
@@ -122,10 +122,10 @@ class Users(Part):
 
 
 class Service(Part):
-    """What drones do for users; here they see them, as relays would."""
+    """Service of drones to users; this base class serves all users in sight, as a relay does."""
 
     def __init__(self, task: Task[Any], users: Users) -> None:
-        """Serve the users of a task.
+        """Set up the service to the users of a task.
 
         Args:
             task: The task, with the option `wanted`.
@@ -134,21 +134,21 @@ class Service(Part):
         self._wanted, self._users = float(task.config.wanted), users
 
     def links(self, frame: Frame) -> np.ndarray:
-        """Return which drones serve which users, (W, N, U) bool; those that they see."""
+        """Return which drones serve which users, (W, N, U) bool: those in sight."""
         return frame.seen
 
     def quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
-        """Return what users are worth to drones; see `Task.service_quality`."""
+        """Return how well drones would serve users; see `Task.service_quality`."""
         return sight.astype(float)
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Return whether some drone sees the wanted share of users, (W, N) bool."""
+        """Return whether the required fraction of users is in sight of a drone, (W, N) bool."""
         return self._users.served(frame) >= self._wanted
 
 
 def _mean_service_time(frame: Frame) -> np.ndarray:
-    """Compute for how long users have been seen, by the drone that has for longest, (W, N) s."""
+    """Compute the maximum time in sight over drones, averaged over users, (W, N) s."""
     longest = np.maximum.reduce(frame.scene.memory["dwell_time"], axis=1)
-    # As `np.mean` adds and divides, in fewer calls
+    # Equal to `np.mean`, with less overhead
     mean: np.ndarray = np.add.reduce(longest, axis=-1, keepdims=True) / longest.shape[-1]
     return mean + np.zeros(frame.alive.shape)

@@ -15,14 +15,14 @@ from bulletuav.vehicle.swarm import Swarm
 @register("reward")
 @reward
 def progress(distance_before: float, distance: float) -> float:
-    """Metres nearer to the goal than before the decision."""
+    """Decrease of the distance to the goal in the decision, m."""
     return distance_before - distance
 
 
 @register("reward")
 @reward
 def goal(reached: bool) -> float:
-    """1 on reaching it, once."""
+    """1 in the decision in which the goal is reached."""
     return 1.0 if reached else 0.0
 
 
@@ -36,14 +36,14 @@ def conflict(conflicts: int) -> float:
 @register("reward")
 @reward
 def warning(nearness: float) -> float:
-    """Sum over other drones: from 0 at the edge of the warning zone, linear, to 1 at d_safe."""
+    """Sum over other drones of their proximity: 0 at the edge of the warning zone, 1 at d_safe."""
     return nearness
 
 
 @register("reward")
 @reward
 def obstacle_warning(obstacle_nearness: float) -> float:
-    """Sum over obstacles: 0 at d_safe from the bounding sphere, linear, to 1 at contact."""
+    """Sum over obstacles of their proximity: 0 at d_safe from the bounding sphere, 1 at contact."""
     return obstacle_nearness
 
 
@@ -57,14 +57,14 @@ def collision(collision: bool) -> float:
 @register("reward")
 @reward
 def out_of_bounds(outside: bool) -> float:
-    """1 outside the arena, or thrown back at its bounds."""
+    """1 outside the arena, or at its bounds."""
     return 1.0 if outside else 0.0
 
 
 @register("reward")
 @reward
 def energy(velocity: Vec3, velocity_before: Vec3) -> float:
-    """Square of the velocity change, (m/s)^2."""
+    """Squared change of velocity, (m/s)^2."""
     x = velocity[0] - velocity_before[0]
     y = velocity[1] - velocity_before[1]
     z = velocity[2] - velocity_before[2]
@@ -74,7 +74,7 @@ def energy(velocity: Vec3, velocity_before: Vec3) -> float:
 @register("reward")
 @reward
 def efficiency(way: float, first_way: float, goal_radius: float) -> float:
-    """1 at the goal, 0 as far from it as at the start: 1 - d / d0, of the way to its end."""
+    """1 - d / d0: 1 at the goal, 0 at the distance d0 of the start."""
     return 1 - way / max(first_way, goal_radius)
 
 
@@ -90,9 +90,9 @@ def speed_keeping(velocity: Vec3, max_speed: float) -> float:
 @register("reward")
 @reward
 def time(terminated: bool, finished: bool, time: float, duration: float, period: float) -> float:
-    """1 a decision until the drone has finished; an end before that costs all that are left.
+    """1 per decision until the drone has finished; an early end costs all remaining decisions.
 
-    So no drone saves time by crashing or leaving.
+    Hence no drone saves time by crashing or leaving.
     """
     if finished:
         return 0.0
@@ -102,11 +102,12 @@ def time(terminated: bool, finished: bool, time: float, duration: float, period:
 @register("reward")
 @reward
 def shaping(way: float, way_before: float, terminated: bool, discount: float) -> float:
-    """Gain of the discounted potential.
+    """Potential-based shaping with the negative remaining distance as potential.
 
-    That is the discounted potential after the decision, less that before. It is minus the way to
-    where the goal stops, m, and 0 where the episode terminates. It leaves optimal policies as they
-    are: A. Ng, D. Harada, S. Russell, Policy invariance under reward transformations, 1999.
+    The term is the discounted potential after the decision minus the potential before. The
+    potential is minus the remaining distance, m, and 0 if the episode terminates. Shaping preserves
+    optimal policies: A. Ng, D. Harada, S. Russell, Policy invariance under reward transformations,
+    1999.
     """
     return way_before - discount * (0.0 if terminated else way)
 
@@ -116,9 +117,9 @@ def shaping(way: float, way_before: float, terminated: bool, discount: float) ->
 def concession(
     i: int, encounter: np.ndarray, effort: np.ndarray, all_effort: np.ndarray, ended: bool
 ) -> float:
-    """At the end of an episode: for how many drones it made way, less how many made way for it.
+    """At the end: drones to which the drone gave way, minus drones that gave way to it.
 
-    0 at least; see `follow_encounters`.
+    At least 0; see `update_encounters`.
     """
     balance = 0.0
     if ended:
@@ -131,7 +132,7 @@ def concession(
 @register("reward")
 @reward
 def proximity(lidar: np.ndarray, proximity_range: float) -> float:
-    """From 0 where the shortest range is `proximity_range`, linear, to 1 at 0 m."""
+    """Linear in the shortest range: 0 at `proximity_range`, 1 at 0 m."""
     shortest = lidar[0]
     for k in range(1, len(lidar)):
         shortest = min(shortest, lidar[k])
@@ -140,20 +141,20 @@ def proximity(lidar: np.ndarray, proximity_range: float) -> float:
 
 
 NONE, CLEAR, CONFLICT = 0.0, 1.0, 2.0
-"""Between two drones: no encounter yet, one that stayed clear, one that became a conflict"""
+"""State of a pair of drones: no encounter yet, an encounter without conflict, a conflict"""
 LOOK_AHEAD = 10.0
-"""s"""
+"""Time within which drones have to approach for an encounter, s"""
 
 
 @func
-def _change(before: Swarm, after: Swarm, w: int, i: int) -> float:
-    """Compute the size of a drone's velocity change, m/s."""
+def _velocity_change(before: Swarm, after: Swarm, w: int, i: int) -> float:
+    """Compute the magnitude of a drone's velocity change, m/s."""
     own, new = vec3(before.velocity, w, i), vec3(after.velocity, w, i)
     return math.sqrt((new[0] - own[0]) ** 2 + (new[1] - own[1]) ** 2 + (new[2] - own[2]) ** 2)
 
 
 @kernel
-def follow_encounters(
+def update_encounters(
     encounter: np.ndarray,
     effort: np.ndarray,
     before: Swarm,
@@ -161,18 +162,18 @@ def follow_encounters(
     d_safe: float,
     alive: np.ndarray,
 ) -> None:
-    """Bring the encounters of all pairs up to date after a decision.
+    """Update the encounters of all pairs of drones after a decision.
 
-    An encounter begins when two living drones would come closer than d_safe within 10 s, if both
-    flew straight on from where they were. From then on `effort` sums up each one's changes of
-    velocity while they near each other, at a second approach, too. Of the two, the drone with the
-    larger sum makes way. It is a conflict once they are closer than d_safe.
+    An encounter begins when two living drones would come closer than d_safe within 10 s of straight
+    flight. From then on `effort` accumulates the velocity changes of each drone while the two
+    approach each other, also in later approaches. The drone with the larger sum gave way. An
+    encounter becomes a conflict once the drones are closer than d_safe.
 
     Args:
-        encounter: (W, N, N) state of each pair: NONE, CLEAR or CONFLICT; changed in place.
-        effort: (W, N, N) m/s; changed in place.
+        encounter: (W, N, N) state of each pair: NONE, CLEAR or CONFLICT; updated.
+        effort: (W, N, N) m/s; updated.
         before: Swarm before the decision.
-        after: Swarm after it.
+        after: Swarm after the decision.
         d_safe: m.
         alive: (W, N) bool, drones that flew the decision.
     """
@@ -181,14 +182,14 @@ def follow_encounters(
             for j in range(i + 1, alive.shape[1]):
                 if not (alive[w, i] and alive[w, j]):
                     continue
-                # How the two move towards each other, and how close they come in the decision.
+                # Relative motion, and closest approach within the decision
                 gap, speed = offset(before.position, w, i, j), offset(before.velocity, w, i, j)
                 along, fast = dot(gap, speed), dot(speed, speed)
                 _, least = closest_squared(gap, offset(after.position, w, i, j))
                 state = encounter[w, i, j]
-                # While they near each other an encounter may begin, and efforts count.
+                # Only approaching drones begin encounters and make efforts
                 if along < 0.0:
-                    # Time until they are closest, and the square of their distance then
+                    # Time until the closest approach in straight flight
                     meeting = -along / fast
                     if (
                         state == NONE
@@ -196,11 +197,10 @@ def follow_encounters(
                         and dot(gap, gap) + meeting * along < d_safe * d_safe
                     ):
                         state = CLEAR
-                    # Changes of velocity count only while there is something to avoid
                     if state != NONE:
-                        effort[w, i, j] += _change(before, after, w, i)
-                        effort[w, j, i] += _change(before, after, w, j)
-                # Told by the way flown, not by the one foreseen
+                        effort[w, i, j] += _velocity_change(before, after, w, i)
+                        effort[w, j, i] += _velocity_change(before, after, w, j)
+                # Conflicts depend on the actual paths
                 if least < d_safe * d_safe:
                     state = CONFLICT
                 encounter[w, i, j] = encounter[w, j, i] = state
@@ -210,13 +210,13 @@ def follow_encounters(
 def variance_nearby(
     reward: np.ndarray, position: np.ndarray, alive: np.ndarray, reach: float
 ) -> np.ndarray:
-    """Compute the variance of the rewards of living drones near each one, itself among them.
+    """Compute the variance of rewards over the living drones near each drone, itself included.
 
     Args:
         reward: (W, N).
         position: (W, N, 3) m.
         alive: (W, N) bool.
-        reach: How far the others may be, m.
+        reach: Maximum distance of nearby drones, m.
 
     Returns:
         (W, N), 0 for drones that are not alive.
@@ -224,7 +224,6 @@ def variance_nearby(
     result = np.zeros(reward.shape)
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
-            # Count, sum and sum of squares of those within reach.
             count, total, square = 0, 0.0, 0.0
             for j in range(alive.shape[1]):
                 gap = 0.0
@@ -243,20 +242,19 @@ def variance_nearby(
 def sum_obstacle_nearness(
     position: np.ndarray, obstacle: np.ndarray, reach: np.ndarray, d_safe: float, out: np.ndarray
 ) -> None:
-    """Sum up how deep drones are within d_safe of obstacles.
+    """Sum over obstacles the depth of drones within d_safe of them.
 
     Args:
         position: (W, N, 3) m.
         obstacle: (W, K, 3) m.
-        reach: (K,) distances of the middles at which they touch, m.
+        reach: (K,) distances between centres at contact, m.
         d_safe: m.
-        out: (W, N), overwritten; of each obstacle 0 at d_safe from touch, 1 in touch.
+        out: (W, N) output: for each obstacle 0 at d_safe from contact, 1 at contact.
     """
     for w in range(out.shape[0]):
         for i in range(out.shape[1]):
             out[w, i] = 0.0
             for k in range(obstacle.shape[1]):
                 away = minus(vec3(obstacle, w, k), vec3(position, w, i))
-                # 0 at d_safe and beyond, 1 in touch
                 gap = math.sqrt(dot(away, away)) - reach[k]
                 out[w, i] += min(max(1.0 - gap / d_safe, 0.0), 1.0)

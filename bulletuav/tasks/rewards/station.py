@@ -1,4 +1,4 @@
-"""Reward terms of reaching a place and holding it."""
+"""Reward terms of reaching and holding a position."""
 
 import math
 
@@ -10,7 +10,7 @@ from bulletuav.tasks.ingredients import reward
 @register("reward")
 @reward
 def alive() -> float:
-    """1 a decision."""
+    """1 per decision."""
     return 1.0
 
 

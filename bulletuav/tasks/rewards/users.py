@@ -7,13 +7,13 @@ from bulletuav.registry import register
 from bulletuav.tasks.ingredients import reward
 
 DWELL_TIME_SCALE = 0.1
-"""1/s"""
+"""Rate at which dwell times saturate, 1/s"""
 
 
 @register("reward")
 @reward
 def sight(sight: np.ndarray) -> float:
-    """Share of the targets that the drone sees."""
+    """Fraction of the targets that the drone sees."""
     seen = 0
     for j in range(len(sight)):
         seen += 1 if sight[j] else 0
@@ -23,23 +23,23 @@ def sight(sight: np.ndarray) -> float:
 @register("reward")
 @reward
 def served(served: float) -> float:
-    """Share of the active targets that some living drone sees."""
+    """Fraction of the active targets seen by at least one living drone."""
     return served
 
 
 @register("reward")
 @reward
 def dwell_time(mean_dwell_time: float) -> float:
-    """tanh(0.1 s) of the mean seconds s for which the drone has seen users: from 0 to 1."""
+    """tanh(0.1 s) of the mean time s for which the drone has seen users: from 0 to 1."""
     return tanh(DWELL_TIME_SCALE * mean_dwell_time)
 
 
 @register("reward")
 @reward
 def service_time(mean_service_time: float) -> float:
-    """tanh(0.1 s) of the mean seconds s for which users have been seen: from 0 to 1.
+    """tanh(0.1 s) of the mean time s for which users have been seen: from 0 to 1.
 
-    Of the drones that see a user the one counts that has done so for longest.
+    For each user the drone with the longest time counts. Times are in seconds.
     """
     return tanh(DWELL_TIME_SCALE * mean_service_time)
 
@@ -47,19 +47,19 @@ def service_time(mean_service_time: float) -> float:
 @register("reward")
 @reward
 def tasks(completed: float, expected_tasks: float) -> float:
-    """Completed tasks of the decision over those that all users are expected to have in one."""
+    """Completed tasks of the decision, divided by the expected number of tasks of all users."""
     return completed / expected_tasks
 
 
 @register("reward")
 @reward
 def latency(delay_completed: float, deadline: float, expected_tasks: float) -> float:
-    """Latencies of the completed tasks over the deadline, and over the expected tasks."""
+    """Latencies of the completed tasks over the deadline and the expected number of tasks."""
     return delay_completed / (deadline * expected_tasks)
 
 
 @register("reward")
 @reward
 def power_share(power: float, power_scale: float) -> float:
-    """Power that the drone takes over what full thrust and busy cores take."""
+    """Power of the drone, divided by that of full thrust and busy cores."""
     return power / power_scale
