@@ -32,10 +32,7 @@ class Stream:
     """
 
     def __init__(
-        self,
-        server: "StreamServer",
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
+        self, server: "StreamServer", reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         """Take over a connection that was accepted."""
         self.reader, self._writer, self._server = reader, writer, server
