@@ -142,7 +142,7 @@ class State(Arrays):
     setpoint: Annotated[np.ndarray, Array("W N S", float, "setpoints that the actions make")]
     levels: Annotated[np.ndarray, Array("W N", int, "`SetpointLevel` of each setpoint")]
     commanded: Annotated[np.ndarray, Array("W N 3", float, "velocities commanded last, m/s", STATE)]
-    alive: Annotated[np.ndarray, Array("W N", bool, "drones whose episode goes on", STATE)]
+    alive: Annotated[np.ndarray, Array("W N", bool, "drones whose episode is running", STATE)]
     steps: Annotated[
         np.ndarray, Array("W", np.int64, "decisions since the reset", STATE, max=MAX_STEPS)
     ]

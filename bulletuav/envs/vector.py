@@ -74,14 +74,14 @@ class BatchAviary(LabelledEnvironment):
         """Make the environment.
 
         Args:
-            task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+            task: A name from `list_tasks()`, `module:Name`, or a task class.
             num_envs: W.
             autoreset_mode: What happens when an episode is over.
             first_world: Number of the first world among those of several processes.
             **options: See `parallel_env`.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
         self.autoreset_mode = autoreset(autoreset_mode)
         as_int("num_envs", num_envs, 1, MOST_WORLDS)
@@ -95,7 +95,7 @@ class BatchAviary(LabelledEnvironment):
 
     @property
     def alive(self) -> np.ndarray:
-        """Drones whose episode goes on, (W, N) bool."""
+        """Drones whose episode is running, (W, N) bool."""
         return self.aviary.alive.copy()
 
     @property
@@ -141,7 +141,7 @@ class BatchAviary(LabelledEnvironment):
 
         Raises:
             ValueError: Actions cannot be; nobody has flown then.
-            RuntimeError: Before the first reset, or after `close`.
+            RuntimeError: If called before the first reset or after `close`.
         """
         actions = numbers_of("actions are", actions)
         if self.aviary.action.choices is not None:
@@ -180,12 +180,12 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
-        """Save all that makes the future of worlds; see `Aviary.save_state`."""
+        """Save the complete state of worlds; see `Aviary.save_state`."""
         return self.aviary.save_state(worlds)
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
-        """Go on from a state that was saved; see `Aviary.load_state`."""
+        """Restore a saved state; see `Aviary.load_state`."""
         observations = self.aviary.load_state(snapshot, worlds)
         chosen = slice(None) if worlds is None else worlds
         self._ended[chosen] = ~np.any(self.aviary.alive, axis=1)[chosen]
@@ -222,5 +222,5 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Free the engine. Further calls do nothing."""
         self.aviary.close()

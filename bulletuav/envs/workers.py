@@ -246,7 +246,7 @@ class WorkerAviary(LabelledEnvironment):
 
     @property
     def alive(self) -> np.ndarray:
-        """Drones whose episode goes on, (W, N) bool."""
+        """Drones whose episode is running, (W, N) bool."""
         return self._arrays["alive"].copy()
 
     @property
@@ -292,7 +292,7 @@ class WorkerAviary(LabelledEnvironment):
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
-        """Save all that makes the future of worlds; see `Aviary.save_state`."""
+        """Save the complete state of worlds; see `Aviary.save_state`."""
         rows, saved = self._ask_owners("save_state", self._spec.indices(worlds))
         for one in saved:
             one.require_whole()
@@ -301,7 +301,7 @@ class WorkerAviary(LabelledEnvironment):
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
-        """Go on from a state that was saved; see `Aviary.load_state`."""
+        """Restore a saved state; see `Aviary.load_state`."""
         chosen = self._spec.indices(worlds)
         require_snapshot(snapshot, Snapshot, len(chosen))
         # All is checked here before the first part writes
@@ -383,7 +383,7 @@ def batch_env(
     """Make many worlds of a task that reset themselves: arrays in, arrays out.
 
     Args:
-        task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+        task: A name from `list_tasks()`, `module:Name`, or a task class.
         num_envs: How many worlds there are.
         workers: Processes over which they are spread, for as many cores; see `WorkerAviary`.
         start_method: How processes start, as in `multiprocessing`.
@@ -394,7 +394,7 @@ def batch_env(
         A `BatchAviary`, or with several workers a `WorkerAviary`, which behaves the same.
 
     Raises:
-        ValueError: An option cannot be; the value and the remedy are named.
+        ValueError: If an option is invalid; the message names the value and the remedy.
         RuntimeError: A process has ended, or not answered in time.
     """
     _check_processes(workers, start_method, timeout)

@@ -153,7 +153,7 @@ class Worlds(Parts):
         }
 
     def bounds(self) -> Bounds:
-        """Return the bounds of arrays that a snapshot may write, by name."""
+        """Return the bounds of the arrays that a snapshot may write, by name."""
         return {
             **state_bounds(self.state.swarm),
             **self.state.bounds(),

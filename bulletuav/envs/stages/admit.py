@@ -18,7 +18,7 @@ class Admit(Stage):
     writes = ("action", "flown", "flying", "time")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, action = worlds.state, worlds.action
         bounds = (action.low, action.high, action.choices is not None)
 

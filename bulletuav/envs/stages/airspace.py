@@ -92,7 +92,7 @@ class MoveAndTurn(Stage):
     writes = ("setpoint", "obstacle", "dynamics")
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, contact = worlds.state, worlds.dynamics.contact
         turning = (state.swarm.quaternion, state.setpoint, state.yaw_rate)
         obstacles = (state.obstacle, state.obstacle_velocity, contact.before, contact.after)
@@ -107,7 +107,7 @@ class FlyCommands(Stage):
     writes = ("swarm", "dynamics", "engine")
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         flight = (state.levels, state.setpoint, state.wind)
         worlds.dynamics.add_to(program, state.swarm, state.alive, *flight)
@@ -122,7 +122,7 @@ class CountStep(Stage):
     writes = ("steps", "time", "dynamics")
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, pushes = worlds.state, (worlds.dynamics.force, worlds.dynamics.torque)
         hz = float(worlds.options.decision_hz)
         program.call(finish, state.steps, hz, state.time, *pushes)
@@ -136,7 +136,7 @@ class MeasureAll(Stage):
     writes = ("readings", "before")
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         if worlds.sensors.sensors:
             program.turn(worlds.measure)
 
@@ -149,6 +149,6 @@ class ShowLive(Stage):
     writes = ("engine",)
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         if worlds.options.render_mode == "human":
             program.turn(worlds.show_live)

@@ -15,7 +15,7 @@ class DrainBatteries(Stage):
     writes = ("payload", "energy", "dynamics")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, task = worlds.state, worlds.task
         if task.has_own("payload_power"):
             program.turn(lambda: np.copyto(state.payload, task.payload_power(state.scene)))

@@ -21,7 +21,7 @@ class Fly(Stage):
     writes = ("swarm", "dynamics", "steps", "time", "last", "moved", "commanded", "engine")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, task, dynamics = worlds.state, worlds.task, worlds.dynamics
         program.call(copy_vectors, state.scene.obstacle, dynamics.contact.after)
         flight = (state.levels, state.setpoint, state.wind)

@@ -14,5 +14,5 @@ class Judge(Stage):
     writes = ("ended", "success", "results")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         add_judgement(program, worlds.task, worlds.frame, worlds.judgement)

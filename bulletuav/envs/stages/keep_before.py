@@ -17,7 +17,7 @@ class KeepBefore(Stage):
     writes = ("before", "goal_before", "dynamics")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         obstacles = (state.scene.obstacle, worlds.dynamics.contact.before)
         goals = (state.scene.goal, state.goal_before)

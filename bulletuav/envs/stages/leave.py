@@ -16,7 +16,7 @@ class Leave(Stage):
     writes = ("terminated", "truncated", "present", "alive", "left", "engine")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         ends = (state.terminated, state.truncated, state.present, state.alive, state.left)
         charge = worlds.energy.readings()["charge"]
@@ -46,7 +46,7 @@ def conclude(
         terminated: (W, N) bool, written.
         truncated: (W, N) bool, written.
         present: (W, N) bool, written: drones that others still meet. The horizon takes none away.
-        alive: (W, N) bool, written: drones whose episode goes on.
+        alive: (W, N) bool, written: drones whose episode is running.
         left: (W, N) bool, written: drones that flew and are not alive any more.
 
     Returns:

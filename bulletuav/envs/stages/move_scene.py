@@ -13,7 +13,7 @@ class MoveScene(Stage):
     writes = ("scene",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         # Only tasks that move anything take Python's time
         task, state = worlds.task, worlds.state
         if task.has_own("move_scene"):

@@ -13,7 +13,7 @@ class Observe(Stage):
     writes = ("observations",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         self.add_observation(program, worlds)
         if worlds.options.render_mode == "human":
             program.turn(lambda: self._show(worlds))

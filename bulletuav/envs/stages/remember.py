@@ -13,7 +13,7 @@ class Remember(Stage):
     writes = ("scene",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         task = worlds.task
         if task.has_own("update_memory"):
             program.turn(lambda: task.update_memory(worlds.frame, worlds.rng))

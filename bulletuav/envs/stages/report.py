@@ -16,7 +16,7 @@ class Report(Stage):
     writes = ("results",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, account, energy = worlds.state, worlds.account, worlds.energy.readings()
         program.call(
             fill_infos,

@@ -19,7 +19,7 @@ class Reward(Stage):
     writes = ("results", "rewards")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, task, results = worlds.state, worlds.task, worlds.results
         weights = np.array([float(task.weights[name]) for name in results.names])
 

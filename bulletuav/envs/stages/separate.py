@@ -16,7 +16,7 @@ class Separate(Stage):
     writes = ("account",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         account, frame = worlds.account, worlds.frame
         add_account(program, account, frame, worlds.dynamics.contact)
         if worlds.collects_contacts:

@@ -18,7 +18,7 @@ class MakeSetpoints(Stage):
     writes = ("setpoint", "commanded", "dynamics")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, action, decode = worlds.state, worlds.action, worlds.action.decode
         if isinstance(decode, Compiled):
             numbers = (state.setpoint, *decode.numbers)

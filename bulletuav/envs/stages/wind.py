@@ -14,6 +14,6 @@ class SampleWind(Stage):
     writes = ("wind",)
 
     def add_to(self, program: Program, worlds: Worlds | AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         worlds.wind.add_to(program, state.swarm.position, state.time, state.wind)
