@@ -162,7 +162,7 @@ class Lens(NamedTuple):
         return found
 
     def lines(self, points: np.ndarray) -> np.ndarray:
-        """Project lines (L, 2, 3) to (K, 4) pixels; lines not in front of the camera are left out."""
+        """Project those lines (L, 2, 3) that are in front of the camera to (K, 4) pixels."""
         ends, is_before = self.project(points.reshape(-1, 3))
         ends = ends.reshape(-1, 4)
         both_before = np.all(is_before.reshape(-1, 2), axis=1)

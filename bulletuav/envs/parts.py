@@ -167,7 +167,7 @@ def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> Non
 
 
 def hover_speeds(options: EnvOptions) -> np.ndarray:
-    """Return the rotor speeds (N, R) at which drones hover, rad/s; 0 for rotors that a drone lacks."""
+    """Return the rotor speeds (N, R) at which drones hover, rad/s; 0 for missing rotors."""
     speeds = np.zeros((options.num_drones, max(len(one.rotors) for one in options.airframe)))
     for row, airframe in zip(speeds, options.airframe, strict=True):
         row[: len(airframe.rotors)] = airframe.hover_speed(options.gravity)

@@ -17,9 +17,9 @@ INFOS = {
     "power": float,
     "charge": float,
 }
-"""Names and types of what infos report beside reward terms, in the order of `report.fill_infos`.
+"""Names and types of infos in addition to reward terms, in the order of `report.fill_infos`.
 
-Those of tasks without goals have no "goal_distance".
+Tasks without goals have no "goal_distance".
 """
 
 
@@ -29,17 +29,17 @@ class Results:
     Attributes:
         names: Names of the T reward terms.
         unweighted: (T, W, N) reward terms.
-        weighted: (T, W, N) the same times their weights; the first rows of the table.
+        weighted: (T, W, N) weighted reward terms; the first rows of the table.
         infos: (9, W, N) `INFOS`; the other rows of the table.
     """
 
     def __init__(self, terms: list[str], shape: tuple[int, int], has_goals: bool) -> None:
-        """Make the arrays.
+        """Allocate the arrays.
 
         Args:
-            terms: Names of the reward terms that the task gives.
+            terms: Names of the task's reward terms.
             shape: (W, N).
-            has_goals: Whether infos report the distance to the goal.
+            has_goals: Whether infos have the distance to the goal.
         """
         self.names = terms
         self.unweighted = np.zeros((len(terms), *shape))
@@ -61,12 +61,12 @@ class Results:
         return dict(zip(self.names, self.weighted, strict=True))
 
     def told(self, more: Mapping[str, np.ndarray], world: object) -> Told:
-        """Copy what the last decision gave; calling the result makes infos of it.
+        """Copy the results of the last decision; calling the returned object makes infos.
 
         Args:
-            more: Arrays (W, N) by name that infos have beside the table.
-            world: Index of the world that they report of; all with `...`.
+            more: Further arrays (W, N) of infos, by name.
+            world: Index of the world of the infos; `...` for all.
         """
-        # Arrays that are never written are copied only when they are read
+        # Immutable arrays are copied only when infos are read
         copies = {name: one if stays(one) else np.array(one) for name, one in more.items()}
         return Told(self._table.copy(), self._rows, copies, world)

@@ -1,4 +1,4 @@
-"""Infos of steps in memory that processes share, so that none of them is sent."""
+"""Infos of steps in shared memory, so that none of them is sent between processes."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,23 +9,26 @@ from bulletuav.envs.infos import Infos, later, untold
 from bulletuav.envs.results import INFOS
 
 MORE = 16
-"""How many infos of tasks, sensors and what is uncertain have room beside the usual ones"""
+"""Number of rows for infos of tasks, sensors and randomization, in addition to `INFOS`"""
 TYPES = tuple(map(np.dtype, ("f8", "i8", "?")))
-"""Types of infos that have room"""
+"""Types of infos that can be shared"""
 EXACT = 2**53
-"""Greatest whole number up to which a float64 holds all"""
+"""Largest whole number up to which float64 is exact"""
 
 
 def room_for(terms: int) -> int:
-    """Tell for how many infos there has to be room, with so many reward terms."""
+    """Return the number of info rows to allocate for a number of reward terms."""
     return terms + len(INFOS) + MORE
 
 
 class SharedInfos:
-    """Infos of some worlds in a shared array; both sides know from the last reset what is where."""
+    """Infos of some worlds in a shared array.
+
+    Both sides know the names and types of the rows from the last reset.
+    """
 
     def __init__(self, array: np.ndarray) -> None:
-        """Take the array.
+        """Use a shared array.
 
         Args:
             array: (W, K, N) float64.
@@ -34,7 +37,7 @@ class SharedInfos:
         self._types: dict[str, np.dtype[Any]] = {}
 
     def learn(self, infos: Mapping[str, Any]) -> None:
-        """Note names and types of infos right after a reset, which each step has, too."""
+        """Store names and types of infos after a reset, which each step has, too."""
         worlds, room, drones = self._array.shape
         fit = len(infos) <= room and all(
             isinstance(one, np.ndarray) and one.shape == (worlds, drones) and one.dtype in TYPES
@@ -43,15 +46,15 @@ class SharedInfos:
         self._types = {name: one.dtype for name, one in infos.items()} if fit else {}
 
     def put(self, infos: Mapping[str, Any]) -> bool:
-        """Write infos of a step.
+        """Write the infos of a step.
 
         Returns:
-            Whether all are as those of the reset, and were written.
+            True if names and types are those of the reset, and the infos were written.
         """
         if not self._types:
             return False
         told, begin = untold(infos), 0
-        # Numbers of a decision lie in a table, from which infos need not be made first
+        # If infos were not read, their table is copied as a whole
         if told is not None:
             rows = [k for k, (name, _) in enumerate(told.rows) if name is not None]
             names, begin = [told.rows[k][0] for k in rows], len(rows)
@@ -70,10 +73,10 @@ class SharedInfos:
         return True
 
     def take(self, told: list[Any], parts: list[slice]) -> dict[str, Any]:
-        """Copy the infos of a step; where all were put here, they are made when they are read.
+        """Copy the infos of a step. Infos that were shared are computed when they are read.
 
         Args:
-            told: What each process answered: None where it put its infos here, else the infos.
+            told: Answer of each process: None if it shared its infos, else the infos.
             parts: Worlds of each process.
         """
         infos = self._copy()
@@ -91,19 +94,18 @@ class SharedInfos:
 
 
 def merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
-    """Merge infos of several processes.
+    """Merge the infos of several processes.
 
     Args:
         parts: Worlds of each process.
         infos: Infos of each process.
-        num_envs: How many worlds there are in all.
+        num_envs: Total number of worlds.
 
     Returns:
-        Infos of all worlds. Where a process lacks an entry (final ones) its worlds have zeros.
+        Infos of all worlds. Worlds of a process without an entry (final ones) have zeros.
     """
     whole: dict[str, Any] = {}
     for name in dict.fromkeys(name for info in infos for name in info):
-        # Those that have the entry, and what it is in them.
         given = [
             (part, info[name]) for part, info in zip(parts, infos, strict=True) if name in info
         ]

@@ -1,4 +1,4 @@
-"""Batches of worlds that reset themselves: arrays in, arrays out."""
+"""Batches of worlds with automatic resets: arrays in, arrays out."""
 
 from typing import Any
 
@@ -22,13 +22,13 @@ BatchResults = tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, 
 
 
 def autoreset(mode: Any) -> AutoresetMode:
-    """Find an `AutoresetMode`.
+    """Convert a value to an `AutoresetMode`.
 
     Args:
         mode: The mode itself, its name or its value.
 
     Raises:
-        ValueError: There is none; the choices are told.
+        ValueError: If there is no such mode; the message lists the choices.
     """
     if isinstance(mode, AutoresetMode):
         return mode
@@ -42,24 +42,25 @@ def autoreset(mode: Any) -> AutoresetMode:
 class BatchAviary(LabelledEnvironment):
     """W worlds of N drones: arrays in, arrays out.
 
-    A world's episode is over when all its drones are done. What happens then follows Gymnasium's
+    A world's episode is over when all its drones are done. The world is then reset by Gymnasium's
     `AutoresetMode`:
 
-    - NEXT_STEP: the step after the last one ignores the world's actions. It returns the first
-      observations of a new episode, with zero rewards.
+    - NEXT_STEP: the next step ignores the world's actions. It returns the first observations of a
+      new episode, with zero rewards.
     - SAME_STEP: the last step itself returns the first observations of a new episode.
-      info["final_obs"] (W, N, D), info["final_state"] and info["final_info"] hold the end. The
-      masks (W,) "_final_obs" and "_final_info" tell for which worlds.
+      info["final_obs"] (W, N, D), info["final_state"] and info["final_info"] have the results of
+      the old one. The masks (W,) "_final_obs" and "_final_info" select the worlds for which they
+      are defined.
     - DISABLED: the caller resets by `reset(options={"reset_mask": mask})`.
 
     Attributes:
         aviary: The batched core.
-        num_envs: W.
-        num_drones: N.
-        autoreset_mode: What happens when an episode is over.
-        observation_space: That of one drone.
-        action_space: That of one drone. In a mixed swarm drones with fewer rotors ignore the last
-            numbers.
+        num_envs: Number of worlds W.
+        num_drones: Number of drones N of a world.
+        autoreset_mode: When finished worlds are reset.
+        observation_space: Observation space of one drone.
+        action_space: Action space of one drone. In a mixed swarm drones with fewer rotors ignore
+            the last numbers.
     """
 
     def __init__(
@@ -71,13 +72,13 @@ class BatchAviary(LabelledEnvironment):
         first_world: int = 0,
         **options: Any,
     ) -> None:
-        """Make the environment.
+        """Create the environment.
 
         Args:
             task: A name from `list_tasks()`, `module:Name`, or a task class.
-            num_envs: W.
-            autoreset_mode: What happens when an episode is over.
-            first_world: Number of the first world among those of several processes.
+            num_envs: Number of worlds W.
+            autoreset_mode: When finished worlds are reset.
+            first_world: Index of the first world among those of several processes.
             **options: See `parallel_env`.
 
         Raises:
@@ -110,16 +111,16 @@ class BatchAviary(LabelledEnvironment):
         """Start new episodes.
 
         Args:
-            seed: An int s gives world k the seed s + k; a sequence gives one to each. None goes on
-                with each world's own random numbers.
+            seed: An int s gives world k the seed s + k. A sequence gives each world its own seed.
+                None continues the random numbers of each world.
             options: Any of "reset_mask", (W,) bool, for some of the worlds only; "start" and
-                "goal", (N, 3) m each, for places instead of drawn ones.
+                "goal", (N, 3) m each, for given instead of drawn positions.
 
         Returns:
             Observations of all worlds, (W, N, D) or a dict, and infos (W, N) by name.
 
         Raises:
-            ValueError: Seed or options cannot be, or the task's start.
+            ValueError: If seed or options are invalid, or the task's start is.
         """
         given = reset_options(options, MASK)
         mask = given.pop(MASK, None)
@@ -130,7 +131,7 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def step(self, actions: np.ndarray) -> BatchResults:
-        """Fly one decision of all worlds.
+        """Simulate one decision of all worlds.
 
         Args:
             actions: (W, N, A), or (W, N) choices of a discrete action.
@@ -140,20 +141,19 @@ class BatchAviary(LabelledEnvironment):
             and infos (W, N) by name.
 
         Raises:
-            ValueError: Actions cannot be; nobody has flown then.
+            ValueError: If actions are invalid; nothing is simulated then.
             RuntimeError: If called before the first reset or after `close`.
         """
         actions = numbers_of("actions are", actions)
         if self.aviary.action.choices is not None:
             actions = actions[..., None]
-        # Worlds that this step flies, and those that it resets instead.
+        # Worlds with living drones, and finished ones that are reset instead
         flying = self.aviary.alive.any(axis=1)
         fresh = self._ended & ~flying & (self.autoreset_mode != AutoresetMode.DISABLED)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)
         infos: dict[str, Any] = info
-        # What follows depends on the worlds in which nobody flies any more.
         ended = flying & ~np.any(self.aviary.alive, axis=1)
-        # A start may find no room: the next step tries again.
+        # If a reset raises, as no start is found, the next step tries again
         self._ended = fresh | ended
         if fresh.any():
             observations = self.aviary.reset(fresh)
@@ -172,7 +172,7 @@ class BatchAviary(LabelledEnvironment):
         return observations, rewards, terminated, truncated, infos
 
     def _with_fresh(self, info: dict[str, np.ndarray], worlds: np.ndarray) -> dict[str, Any]:
-        """Return infos in which those of `worlds` (W,) are of their new episodes."""
+        """Return infos with those of the new episodes in `worlds` (W,)."""
         first = self.aviary.first_info(worlds)
         return later(
             lambda: {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
@@ -193,7 +193,7 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
-        """Hash the state of each world; see `Aviary.state_hash`."""
+        """Compute a hash of the state of each world; see `Aviary.state_hash`."""
         return self.aviary.state_hash(worlds)
 
     @exclusive
@@ -207,16 +207,16 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
-        """Take a picture of one world.
+        """Render one world.
 
         Args:
-            world: Its index.
+            world: Index of the world.
 
         Returns:
             (height, width, 3) uint8 with render_mode "rgb_array", else None.
 
         Raises:
-            ValueError: There is no such world.
+            ValueError: If there is no such world.
         """
         return self.aviary.render(world)
 

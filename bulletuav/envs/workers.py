@@ -1,4 +1,4 @@
-"""Batches of worlds over several processes: each flies some of them, arrays are shared."""
+"""Batches of worlds over several processes with shared arrays."""
 
 import contextlib
 import itertools
@@ -40,24 +40,24 @@ from bulletuav.tasks.observations.observer import VECTOR, Observation
 
 MOST_WORKERS = 256
 TIMEOUT = 600.0
-"""Time that an answer may take, s: longer than any decision, and than compiling for a first one"""
+"""Maximum time of an answer, s: longer than any decision, and than the first compilation"""
 
 
 class WorkerAviary(LabelledEnvironment):
-    """A `BatchAviary` flown by several processes: same arrays in, same bits out.
+    """A `BatchAviary` over several processes, with the same results to the bit.
 
-    This process is one of them: it flies the first worlds itself while the others fly theirs.
-    Their number changes nothing in the results. Without a main guard
-    (`if __name__ == "__main__"`) scripts need the start method "fork". Functions among the options
-    (wind) see the worlds of one process at a time. In SAME_STEP the rows of worlds outside the
+    This process is one of them: it simulates the first worlds itself while the others simulate
+    theirs. The number of processes does not change the results. Scripts without a main guard (`if
+    __name__ == "__main__"`) need the start method "fork". Functions among the options (wind) are
+    called with the worlds of one process at a time. In SAME_STEP the rows of worlds outside the
     masks of final entries are undefined.
 
     Attributes:
-        num_envs: W.
-        num_drones: N.
-        autoreset_mode: What happens when an episode is over.
-        observation_space: That of one drone.
-        action_space: That of one drone; see `BatchAviary`.
+        num_envs: Number of worlds W.
+        num_drones: Number of drones N of a world.
+        autoreset_mode: When finished worlds are reset.
+        observation_space: Observation space of one drone.
+        action_space: Action space of one drone; see `BatchAviary`.
     """
 
     def __init__(
@@ -74,17 +74,17 @@ class WorkerAviary(LabelledEnvironment):
         """Start the processes.
 
         Args:
-            task: As of `BatchAviary`, like `num_envs`, `autoreset_mode` and the options.
-            num_envs: W.
-            autoreset_mode: What happens when an episode is over.
-            workers: How many processes there are, this one included.
-            start_method: As in `multiprocessing`, by default Python's own.
+            task: See `BatchAviary`, like `num_envs`, `autoreset_mode` and the options.
+            num_envs: Number of worlds W.
+            autoreset_mode: When finished worlds are reset.
+            workers: Number of processes, including this one.
+            start_method: As in `multiprocessing`; None for Python's default.
             timeout: Seconds after which a process without an answer counts as lost.
             **options: Options of the environment.
 
         Raises:
-            ValueError: Options cannot be.
-            RuntimeError: A process ends, or does not answer in time.
+            ValueError: If an option is invalid.
+            RuntimeError: If a process ends, or does not answer in time.
         """
         self.autoreset_mode = autoreset(autoreset_mode)
         as_int("num_envs", num_envs, 1, MOST_WORLDS)
@@ -103,14 +103,14 @@ class WorkerAviary(LabelledEnvironment):
         if self._spec.options.debug:
             raise ValueError("debug is True: debuggers see one process, so it needs workers=1")
         self._timeout = float(timeout)
-        # Who looks for answers takes a core
+        # Polling for answers occupies a core
         self._spin = SPIN if _cores() >= workers else 0.0
         self.observation_space: Box | Dict = self._observer.space()
         self.action_space: Space[Any] = widest_action_space(self._spec.action)
         # The worlds of each process
         bounds = [self.num_envs * k // workers for k in range(workers + 1)]
         self._parts = [slice(*pair) for pair in itertools.pairwise(bounds)]
-        # The first part, flown here; the others' processes, and what ends them
+        # The worlds of this process; the other processes, and the finalizer that ends them
         self._here: Part | None = None
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
@@ -124,7 +124,7 @@ class WorkerAviary(LabelledEnvironment):
             raise_first(self._answers(range(1, workers)))
 
     def _start_workers(self, start_method: str | None, recipe: tuple[Any, ...]) -> None:
-        """Take the memory that all processes share, start them, and make the worlds of this one."""
+        """Allocate shared memory, start the processes, and create the worlds of this one."""
         context: Any = multiprocessing.get_context(start_method)
         shared = SharedArrays(context, self._layout())
         self._arrays = shared.views(0, self.num_envs)
@@ -142,9 +142,9 @@ class WorkerAviary(LabelledEnvironment):
                 process.start()
         except (AssertionError, AttributeError, TypeError, pickle.PicklingError) as error:
             raise ValueError(
-                f"a worker process cannot start: {error}; processes that are workers themselves "
-                f"have none, and with start methods other than 'fork' options must be what pickle "
-                f"can take (no lambda)"
+                f"a worker process cannot start: {error}; worker processes cannot have workers of "
+                f"their own, and with start methods other than 'fork' options must be picklable "
+                f"(no lambda)"
             ) from None
         theirs.close()
         self._pipes.append(mine)
@@ -152,9 +152,9 @@ class WorkerAviary(LabelledEnvironment):
 
     @contextlib.contextmanager
     def _closed_by_errors(self) -> Iterator[None]:
-        """End the processes on any error, and on an interrupt.
+        """End the processes on any exception, including an interrupt.
 
-        Answers would be left unread otherwise, and taken for those to later questions.
+        Otherwise unread answers would be taken for those to later requests.
         """
         try:
             yield
@@ -163,7 +163,7 @@ class WorkerAviary(LabelledEnvironment):
             raise
 
     def _layout(self) -> Layout:
-        """Tell shape and type of the arrays that go between the processes."""
+        """Return shape and type of the arrays that the processes share."""
         drones = (self.num_envs, self.num_drones)
         space = self.observation_space
         parts = by_shared_name(space.spaces if isinstance(space, Dict) else space)
@@ -176,49 +176,49 @@ class WorkerAviary(LabelledEnvironment):
             "truncated": (drones, bool),
             "alive": (drones, bool),
             "ended": ((self.num_envs,), bool),
-            # How many each part was asked and has answered, at its first world
+            # Numbers of requests and answers of each process, at its first world
             "questions": ((self.num_envs,), np.int64),
             "answers": ((self.num_envs,), np.int64),
             "info": ((drones[0], room_for(len(self._spec.task.weights)), drones[1]), np.float64),
         }
 
     def _ask(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
-        """Call a method for some of the parts, with its arguments for each; tells their answers."""
+        """Call a method in some of the processes, with arguments for each; return the answers."""
         here = self._require_flown_here()
         with self._closed_by_errors():
             others = [k for k in keywords if k]
             for k in others:
-                # A dead worker takes no question; that it gives no answer either tells why.
+                # A dead worker is detected by its missing answer
                 with contextlib.suppress(OSError):
                     self._pipes[k - 1].send((method, keywords[k]))
                 self._arrays["questions"][self._parts[k].start] += 1
-            # The first part is flown here meanwhile
+            # This process simulates its own worlds meanwhile
             own = [here.answer(method, keywords[0])] if 0 in keywords else []
             answers = [*own, *self._answers(others)]
         return raise_first(answers)
 
     def _require_flown_here(self) -> Part:
-        """Return the part of this process. Raises RuntimeError where there is none."""
+        """Return the worlds of this process. Raises RuntimeError if there are none."""
         if self._here is None or not self._finalizer.alive or os.getpid() != self._owner:
             raise RuntimeError("this environment is closed, or of another process: make a new one")
         return self._here
 
     def _for_all(self, **keywords: Any) -> dict[int, dict[str, Any]]:
-        """Give all workers the same arguments."""
+        """Return the same arguments for all processes."""
         return dict.fromkeys(range(len(self._parts)), keywords)
 
     def _answers(self, workers: Sequence[int]) -> list[Any]:
-        """Wait for an answer of each worker; errors are among them."""
+        """Wait for an answer of each worker, which may be an exception."""
         end = time.monotonic() + self._timeout
         answers: list[Any] = []
         try:
             for k in workers:
                 left = max(0.0, end - time.monotonic())
                 asked, given = (self._arrays[it][self._parts[k]] for it in ("questions", "answers"))
-                # One more than questions: the first tells that the worlds are made
+                # One more than requests: the first answer says that the worlds are ready
                 is_there = came(given, int(asked[0]) + 1, min(self._spin, left))
                 if not is_there and not self._pipes[k - 1].poll(left):
-                    # It would not hear a request to end.
+                    # The process would not receive a request to end
                     self._processes[k - 1].kill()
                     raise RuntimeError(
                         f"worker process {k} has not answered for {self._timeout:g} s: it is "
@@ -235,10 +235,10 @@ class WorkerAviary(LabelledEnvironment):
         return answers
 
     def _observations(self) -> Observation:
-        """Copy the observations out of the shared arrays."""
+        """Return a copy of the observations in the shared arrays."""
         if not isinstance(self.observation_space, Dict):
             return self._arrays["observation/"].copy()
-        # The space sorts its entries; observations have them in the order of the blocks.
+        # Spaces sort their entries; observations have the order of the blocks
         observer = self._spec.observer
         order = (VECTOR, *observer.slices, *observer.images)
         names = filter(self.observation_space.spaces.__contains__, order)
@@ -273,14 +273,14 @@ class WorkerAviary(LabelledEnvironment):
 
     @exclusive
     def step(self, actions: np.ndarray) -> BatchResults:
-        """Fly one decision of all worlds; see `BatchAviary.step`."""
+        """Simulate one decision of all worlds; see `BatchAviary.step`."""
         if not self._started:
             raise RuntimeError("the worlds have not been started: call reset() first")
         choices = self._spec.action.choices is not None
         actions = numbers_of("actions are", actions)
         if choices:
             actions = actions[..., None]
-        # All parts read their actions from the shared array, and clip them.
+        # All processes read their actions from the shared array, and clip them
         given = self._arrays["action"]
         if choices or actions.shape != given.shape or not np.isfinite(actions).all():
             actions = self._spec.actions(actions, self._arrays["alive"])
@@ -304,7 +304,7 @@ class WorkerAviary(LabelledEnvironment):
         """Restore a saved state; see `Aviary.load_state`."""
         chosen = self._spec.indices(worlds)
         require_snapshot(snapshot, Snapshot, len(chosen))
-        # All is checked here before the first part writes
+        # Checked here before any process writes
         self._require_flown_here().require_loadable(snapshot)
         self._ask_owners("load_state", chosen, snapshot)
         self._started = True
@@ -312,7 +312,7 @@ class WorkerAviary(LabelledEnvironment):
 
     @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
-        """Hash the state of each world; see `Aviary.state_hash`."""
+        """Compute a hash of the state of each world; see `Aviary.state_hash`."""
         rows, told = self._ask_owners("state_hash", self._spec.indices(worlds))
         hashes = [one for ones in told for one in ones]
         return tuple(hashes[k] for k in np.argsort(rows))
@@ -320,10 +320,10 @@ class WorkerAviary(LabelledEnvironment):
     def _ask_owners(
         self, method: str, worlds: np.ndarray, snapshot: Snapshot | None = None
     ) -> tuple[np.ndarray, list[Any]]:
-        """Call a method of snapshots in all workers, each with those of worlds (S,) that it has.
+        """Call a snapshot method in all processes, each with those of worlds (S,) that it has.
 
         Returns:
-            (S,) places of worlds in the order of the answers, and what each worker answered.
+            (S,) indices into `worlds` in the order of the answers, and the answer of each process.
         """
         keywords, order = {}, []
         for k, part in enumerate(self._parts):
@@ -341,30 +341,29 @@ class WorkerAviary(LabelledEnvironment):
 
     @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
-        """Take a picture of one world; see `BatchAviary.render`."""
+        """Render one world; see `BatchAviary.render`."""
         self._spec.require_world(world)
-        # Ask the process that has the world, by its number there.
         k = next(k for k, part in enumerate(self._parts) if world < part.stop)
         (picture,) = self._ask("render", {k: {"world": world - self._parts[k].start}})
         return cast(np.ndarray | None, picture)
 
     @exclusive
     def close(self) -> None:
-        """End the processes; a second call does nothing."""
+        """End the processes. Further calls do nothing."""
         self._finalizer()
         if self._here is not None:
             self._here.close()
 
 
 def _cores() -> int:
-    """Count the cores that this process may use; quotas of containers are not seen."""
+    """Return the number of cores that this process may use, without quotas of containers."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:
-    """Raise ValueError for processes that cannot be."""
+    """Raise ValueError for invalid arguments of processes."""
     as_int("workers", workers, 1, MOST_WORKERS)
     if start_method is not None:
         choose("start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods()))
@@ -380,14 +379,15 @@ def batch_env(
     timeout: float = TIMEOUT,
     **options: Any,
 ) -> BatchAviary | WorkerAviary:
-    """Make many worlds of a task that reset themselves: arrays in, arrays out.
+    """Create a batch of worlds of a task with automatic resets: arrays in, arrays out.
 
     Args:
         task: A name from `list_tasks()`, `module:Name`, or a task class.
-        num_envs: How many worlds there are.
-        workers: Processes over which they are spread, for as many cores; see `WorkerAviary`.
-        start_method: How processes start, as in `multiprocessing`.
-        timeout: Seconds after which a process without an answer is given up.
+        num_envs: Number of worlds.
+        workers: Number of processes that share the worlds, to use as many cores; see
+            `WorkerAviary`.
+        start_method: Start method of processes, as in `multiprocessing`.
+        timeout: Seconds after which a process without an answer counts as lost.
         **options: `autoreset_mode` of `BatchAviary`, and options of `parallel_env`.
 
     Returns:
@@ -395,7 +395,7 @@ def batch_env(
 
     Raises:
         ValueError: If an option is invalid; the message names the value and the remedy.
-        RuntimeError: A process has ended, or not answered in time.
+        RuntimeError: If a process ended, or did not answer in time.
     """
     _check_processes(workers, start_method, timeout)
     if workers == 1:

@@ -1,4 +1,4 @@
-"""The stages of a decision, and of a step of an airspace, in the order in which they happen."""
+"""Stages of a decision, and of a step of an airspace, in their order."""
 
 from bulletuav.envs.stages.admit import Admit
 from bulletuav.envs.stages.airspace import CountStep, FlyCommands, MeasureAll, MoveAndTurn, ShowLive
@@ -22,7 +22,7 @@ __all__ = ["Stage", "airspace_stages", "decision_stages"]
 
 
 def decision_stages() -> tuple[Stage, ...]:
-    """Make the stages of a decision."""
+    """Return the stages of a decision."""
     return (
         Admit(),
         SampleWind(),
@@ -43,5 +43,5 @@ def decision_stages() -> tuple[Stage, ...]:
 
 
 def airspace_stages() -> tuple[Stage, ...]:
-    """Make the stages of a step of an airspace."""
+    """Return the stages of a step of an airspace."""
     return (SampleWind(), MoveAndTurn(), FlyCommands(), CountStep(), MeasureAll(), ShowLive())

@@ -1,4 +1,4 @@
-"""What a step of an airspace has instead of the stages of a task's decision."""
+"""Stages of a step of an airspace."""
 
 import math
 
@@ -12,14 +12,14 @@ from bulletuav.envs.stages.base import Stage
 from bulletuav.geometry.rotation import heading, quat4
 
 TURN = 2 * math.pi
-"""A whole turn, rad"""
+"""Full turn, rad"""
 MAX_LEAD = 1.0
-"""How far a yaw that turns may be ahead of the drone, rad"""
+"""Maximum angle of a turning yaw setpoint ahead of the drone, rad"""
 
 
 @func
 def half_turn(angle: float) -> float:
-    """Return the same angle within half a turn to either side, rad."""
+    """Wrap an angle to [-pi, pi), rad."""
     return angle - TURN * math.floor(angle / TURN + 0.5)
 
 
@@ -34,17 +34,17 @@ def prepare(
     before: np.ndarray,
     after: np.ndarray,
 ) -> None:
-    """Move obstacles through a step, and turn the yaws that drones of an airspace are to hold.
+    """Move obstacles through a step, and advance turning yaw setpoints.
 
     Args:
         quaternion: (W, N, 4) attitudes.
-        setpoint: (W, N, S) setpoints; the yaw of those that have one is their fourth number.
-        yaw_rate: (W, N) how fast to turn it, rad/s.
+        setpoint: (W, N, S) setpoints, with the yaw in the fourth column.
+        yaw_rate: (W, N) rates of the yaw setpoints, rad/s.
         period: Duration of the step, s.
-        obstacle: (W, K, 3) positions of obstacles before the step, m; moved to after it.
+        obstacle: (W, K, 3) positions of obstacles before the step, m; moved to those after it.
         obstacle_velocity: (W, K, 3) m/s.
-        before: (W, K, 3) positions before, written.
-        after: (W, K, 3) positions after, written.
+        before: (W, K, 3) positions before the step, written.
+        after: (W, K, 3) positions after the step, written.
     """
     for w in range(yaw_rate.shape[0]):
         for k in range(obstacle.shape[1]):
@@ -52,7 +52,7 @@ def prepare(
                 before[w, k, m] = obstacle[w, k, m]
                 obstacle[w, k, m] += period * obstacle_velocity[w, k, m]
                 after[w, k, m] = obstacle[w, k, m]
-        # Yaws stay near those that drones have, so that a drone that turns slowly is not overtaken
+        # Yaw setpoints stay near the yaws of drones, which may turn more slowly
         for i in range(yaw_rate.shape[1]):
             if yaw_rate[w, i] != 0.0:
                 present = heading(quat4(quaternion, w, i))
@@ -65,17 +65,17 @@ def prepare(
 def finish(
     steps: np.ndarray, hz: float, time: np.ndarray, force: np.ndarray, torque: np.ndarray
 ) -> None:
-    """Count a step of an airspace, and end the forces that were applied in it.
+    """Count a step of an airspace, and clear external forces.
 
     Args:
-        steps: (W,) steps before, counted.
-        hz: Steps a second.
+        steps: (W,) number of steps, incremented.
+        hz: Steps per second.
         time: (W,) written, s.
         force: (W, N, 3) N, cleared.
         torque: (W, N, 3) N m, cleared.
     """
     for w in range(steps.shape[0]):
-        # A division each time, as sums of a period drift
+        # Divided each time, as a sum of periods would drift
         steps[w] += 1
         time[w] = steps[w] / hz
         for i in range(force.shape[1]):
@@ -85,7 +85,7 @@ def finish(
 
 
 class MoveAndTurn(Stage):
-    """Move obstacles, and turn the yaw setpoints of drones that were commanded a yaw rate."""
+    """Move obstacles, and advance the yaw setpoints of drones with a commanded yaw rate."""
 
     name = "move and turn"
     reads = ("swarm.quaternion", "setpoint", "yaw_rate", "obstacle", "obstacle_velocity")
@@ -100,7 +100,7 @@ class MoveAndTurn(Stage):
 
 
 class FlyCommands(Stage):
-    """Fly all substeps (controllers, forces, contacts) of the setpoints that drones hold."""
+    """Simulate all substeps (controllers, forces, contacts) with the held setpoints."""
 
     name = "fly"
     reads = ("setpoint", "levels", "wind", "alive", "obstacle", "swarm", "dynamics")
@@ -115,7 +115,7 @@ class FlyCommands(Stage):
 
 
 class CountStep(Stage):
-    """Count the step, and end the forces that were applied in it."""
+    """Count the step, and clear the forces that were applied in it."""
 
     name = "count"
     reads = ("steps",)

@@ -1,4 +1,4 @@
-"""What the flight takes out of batteries."""
+"""Stage: energy consumption of the flight."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from bulletuav.envs.worlds import Worlds
 
 
 class DrainBatteries(Stage):
-    """Drain the batteries by what the flight and the payload take; find their voltage."""
+    """Drain the batteries by the power of flight and payload; compute their voltage."""
 
     name = "energy"
     reads = ("before", "swarm", "wind", "flown", "scene", "payload", "energy")

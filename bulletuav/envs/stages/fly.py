@@ -1,4 +1,4 @@
-"""The flight."""
+"""Stage: the flight."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from bulletuav.vehicle.swarm import confine
 
 
 class Fly(Stage):
-    """Fly all substeps (controllers, forces, contacts), bound drones by the arena, and count on."""
+    """Simulate all substeps (controllers, forces, contacts), and apply the arena's bounds."""
 
     name = "fly"
     reads = (
@@ -31,8 +31,8 @@ class Fly(Stage):
 
             def place_again() -> None:
                 dynamics.place(state.swarm, state.moved)
-                # Contacts report what drones meet there, too. Those of the flight are collected
-                # first: overlaps are found in the same arrays
+                # Overlaps at the new positions are contacts, too. Contacts of the flight are
+                # collected first, as overlaps are written to the same arrays
                 worlds.contacts.collect()
                 worlds.contacts.add(dynamics.overlaps(state.swarm, state.moved, state.flown))
 
@@ -62,10 +62,10 @@ def tick(
 
     Args:
         flying: (W,) bool.
-        steps: (W,) decisions since the reset, counted on.
-        hz: Decisions a second.
-        horizon: Decisions until an episode is truncated.
-        time: (W,) since the reset, s, written.
+        steps: (W,) decisions since the reset, incremented.
+        hz: Decisions per second.
+        horizon: Number of decisions after which an episode is truncated.
+        time: (W,) time since the reset, s, written.
         last: (W,) bool, whether the horizon is reached, written.
     """
     for w in range(flying.shape[0]):

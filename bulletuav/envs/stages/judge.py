@@ -1,4 +1,4 @@
-"""What the task makes of the decision."""
+"""Stage: the task's evaluation of the decision."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage

@@ -1,4 +1,4 @@
-"""Goals and obstacles that move."""
+"""Stage: motion of goals and obstacles."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
@@ -14,7 +14,7 @@ class MoveScene(Stage):
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
         """Add the calls of the stage; see `Stage.add_to`."""
-        # Only tasks that move anything take Python's time
+        # Tasks without moving objects need no Python callback
         task, state = worlds.task, worlds.state
         if task.has_own("move_scene"):
 

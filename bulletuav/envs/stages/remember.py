@@ -1,4 +1,4 @@
-"""What the task keeps over an episode."""
+"""Stage: update of the task's memory."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage

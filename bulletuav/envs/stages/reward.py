@@ -1,4 +1,4 @@
-"""Rewards."""
+"""Stage: rewards."""
 
 import math
 
@@ -12,7 +12,7 @@ from bulletuav.tasks.check import require_finite
 
 
 class Reward(Stage):
-    """Weigh reward terms and add them up."""
+    """Compute the weighted sum of reward terms."""
 
     name = "reward"
     reads = ("results", "flown")
@@ -38,19 +38,19 @@ def settle(
     weighted: np.ndarray,
     reward: np.ndarray,
 ) -> bool:
-    """Weigh the reward terms (T, W, N) and add them up; of drones that did not fly they are 0.
+    """Compute the weighted sum of reward terms (T, W, N); it is 0 for drones that did not fly.
 
     Returns whether any reward is not finite.
     """
     broken = False
     for w in range(flown.shape[0]):
         for i in range(flown.shape[1]):
-            # In the order of the terms, so that sums have the same bits everywhere
+            # In the order of the terms, so that sums have the same bits on all machines
             total = 0.0
             for k in range(weights.shape[0]):
                 weighted[k, w, i] = weights[k] * terms[k, w, i] if flown[w, i] else 0.0
                 total += weighted[k, w, i]
             reward[w, i] = total
-            # Only whether: Python finds the drone
+            # Python finds the drone and the term for the message
             broken = broken or not math.isfinite(total)
     return broken

@@ -1,4 +1,4 @@
-"""What sensors measure."""
+"""Stage: sensors."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage

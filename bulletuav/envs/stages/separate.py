@@ -1,4 +1,4 @@
-"""What follows from a flight for every drone."""
+"""Stage: separations and collisions."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from bulletuav.tasks.account import add_account, mark_contacts, mark_landings
 
 
 class Separate(Stage):
-    """Find separations, conflicts, collisions, landings and distances to goals."""
+    """Compute separations, conflicts, collisions, landings and distances to goals."""
 
     name = "separate"
     reads = ("before", "swarm", "scene.goal", "flown", "readings", "dynamics")
@@ -22,7 +22,7 @@ class Separate(Stage):
         if worlds.collects_contacts:
 
             def mark() -> None:
-                # Compiled code has marked all others
+                # Compiled code has marked all other contacts
                 if worlds.contacts.is_collected or worlds.options.contacts == "bullet":
                     mark_contacts(account, frame)
 

@@ -1,4 +1,4 @@
-"""The air at each drone."""
+"""Stage: wind at each drone."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.airspace_world import AirspaceWorld
@@ -7,7 +7,7 @@ from bulletuav.envs.worlds import Worlds
 
 
 class SampleWind(Stage):
-    """Find the wind, with its gusts, where drones are before the flight."""
+    """Compute the wind, with its gusts, at the drones' positions before the flight."""
 
     name = "wind"
     reads = ("swarm.position", "time")
