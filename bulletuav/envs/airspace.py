@@ -196,7 +196,7 @@ class Airspace(Environment):
             rotor_speed = choose("rotor_speed", rotor_speed, {"hover": self.hover_speed})[rows]
         most = self.world.max_rotor_speed(rows)
         state = state_numbers(most, position, quaternion, velocity, rates, rotor_speed)
-        self.simulation.look()
+        self.simulation.update_scene()
         self.world.place(rows, state)
 
     @exclusive
@@ -225,7 +225,7 @@ class Airspace(Environment):
             raise ValueError("there are no obstacles: make the airspace with the option obstacles")
         k = as_int("obstacle", obstacle, 0, count - 1)
         pose, moving = pose_of(position, quaternion), filled("velocity", velocity, (3,))
-        self.simulation.look()
+        self.simulation.update_scene()
         self.world.place_obstacle(k, *pose, moving)
 
     @exclusive
@@ -247,7 +247,7 @@ class Airspace(Environment):
             FileNotFoundError: If there is no such file.
         """
         self._require_open()
-        self.simulation.look()
+        self.simulation.update_scene()
         world, pose, surface = self.world, (position, quaternion), (friction, restitution)
 
         def check(scenery: Scenery) -> None:
@@ -428,7 +428,7 @@ class Airspace(Environment):
         self._require_open()
         require_snapshot(snapshot, Snapshot)
         self._layout().require(snapshot, ONLY)
-        self.simulation.look()
+        self.simulation.update_scene()
         world = self.world
         # Arrays that the caller has read from `readings` do not change
         world.readings = {name: reading.copy() for name, reading in world.readings.items()}

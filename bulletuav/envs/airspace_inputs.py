@@ -32,7 +32,7 @@ MOST_TURN = 1e4
 MOST = 1e9
 """Largest absolute value in a state or setpoint"""
 UNIT = 1e-6
-"""Tolerance of the norm of a unit quaternion"""
+"""Relative tolerance of quaternion norms and of rotor speeds"""
 FASTEST_OF = (FASTEST, FASTEST_SPIN)
 """Bounds of speed, m/s, and of angular rate, rad/s"""
 NEED_GRAVITY = ("point_mass", "double_integrator")
@@ -374,7 +374,7 @@ def hold_plainly(
     Args:
         levels: (1, N) levels that the drones hold, written.
         setpoint: (1, N, S) setpoints that the drones hold, written.
-        told: (1, N) bool, whether a drone was commanded any setpoint, written.
+        commanded: (1, N) bool, whether a drone was commanded any setpoint, written.
         drones: Value of the argument `drones`.
         level: One of `usual_widths`.
         width: Number of columns of the level; the yaw may be missing for drones that hold one.
@@ -399,7 +399,7 @@ def setpoint_numbers(
         setpoint: Value of the argument.
         count: (M,) for M drones, () for one.
         rotors: Number of rotors R of a ROTOR setpoint.
-        speaks: Whether a yaw or a yaw rate is given separately.
+        has_yaw: Whether a yaw or a yaw rate is given separately.
 
     Returns:
         Numbers that broadcast to (M, columns of the level); without the yaw if it is left out.

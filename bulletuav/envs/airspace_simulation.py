@@ -29,14 +29,14 @@ class AirspaceSimulation:
         """Insert a custom stage; see `Simulation.insert`."""
         self.stages, self.program = inserted(self.stages, stage, after, before), None
 
-    def look(self) -> None:
+    def update_scene(self) -> None:
         """Update the program if bodies changed since it was made."""
         if self.world.dynamics.look_around():
             self.program = None
 
     def step(self) -> None:
         """Simulate one step."""
-        self.look()
+        self.update_scene()
         program = self.program or self.make_program()
         try:
             program.run()

@@ -158,7 +158,7 @@ class Aviary(Environment):
             given = Given(*(given[k] if one is None else one for k, one in enumerate(places)))
         # All checks are made before the worlds are written
         simulation.start.draw(generators, given)
-        simulation.begin(chosen, worlds, generators)
+        simulation.start_worlds(chosen, worlds, generators)
         self._is_started = True
         if self.viewer is not None and chosen[0]:
             self.viewer.begin()
@@ -405,7 +405,7 @@ class Aviary(Environment):
             users, utilisations and queues. `global_state.labels` lists all numbers.
         """
         self._require_open()
-        return self.global_state.tell(self.current_frame(), self.alive)
+        return self.global_state.compute(self.current_frame(), self.alive)
 
     @exclusive
     def render(

@@ -35,9 +35,9 @@ class EpisodeStart:
 
     Attributes:
         starts: Rows of the drawn starts.
-        alone: Programs that update and observe selected worlds only; None if that would affect
+        by_world_programs: Programs that update and observe selected worlds only; None if that would affect
             others.
-        is_still: Whether the account of all worlds is up to date after a reset of some.
+        is_account_complete: Whether the account of all worlds is up to date after a reset of some.
     """
 
     def __init__(self, worlds: Worlds, first_seed: int | None) -> None:
@@ -115,16 +115,16 @@ class EpisodeStart:
         """Fill the account as if no time had passed.
 
         Args:
-            can_be_alone: Whether only the worlds that start may be updated; the others are brought
+            can_skip_others: Whether only the worlds that start may be updated; the others are brought
                 up to date when they are read.
         """
-        is_alone = can_be_alone and len(self._fresh_indices) < len(self._fresh)
-        alone = self.alone if is_alone else None
-        self.is_still = alone is None
-        if alone is None:
+        skips_others = can_be_alone and len(self._fresh_indices) < len(self._fresh)
+        programs = self.alone if skips_others else None
+        self.is_still = programs is None
+        if programs is None:
             self._stillness().program.run()
         else:
-            alone[0].run(self._fresh)
+            programs[0].run(self._fresh)
         self._start_memory()
 
     def observe(self, observing: Program) -> None:
@@ -151,9 +151,9 @@ class EpisodeStart:
             account, program = self._stillness()
             arrays = [*worlds.state_arrays().values(), *worlds.last_arrays().values()]
             arrays += [*account.conflict, *account[1:], worlds.vector, self._no_worlds]
-            still = by_world(program, arrays)
-            alone = by_world(observing, arrays)
-            self.alone = None if still is None or alone is None else (still, alone)
+            update = by_world(program, arrays)
+            observe = by_world(observing, arrays)
+            self.alone = None if update is None or observe is None else (update, observe)
 
     def _stillness(self) -> _Stillness:
         """Return the program that fills the account as if no time had passed."""

@@ -57,7 +57,7 @@ class GlobalState:
         self.low = np.array([label.low for label in self.labels], dtype=np.float32)
         self.high = np.array([label.high for label in self.labels], dtype=np.float32)
 
-    def tell(self, frame: Frame, alive: np.ndarray) -> np.ndarray:
+    def compute(self, frame: Frame, alive: np.ndarray) -> np.ndarray:
         """Compute the global state.
 
         Args:

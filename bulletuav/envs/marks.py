@@ -53,9 +53,9 @@ class Marks(NamedTuple):
 
     Attributes:
         drone: (M, 3) positions of drones.
-        way: (M, 2, 3) from each drone to its extrapolated position after one second.
+        motion: (M, 2, 3) from each drone to its extrapolated position after one second.
         goal: (N, 3) goals of all drones, if any.
-        course: (M, 2, 3) from each drone to its goal, if any.
+        to_goal: (M, 2, 3) from each drone to its goal, if any.
         target: (U, 3) targets.
         seen: (U,) bool, targets that any drone sees.
         link: (L, 2, 3) from drones to the targets that they serve.

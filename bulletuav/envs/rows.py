@@ -45,11 +45,11 @@ class Rows:
         worlds = len(every[0])
         self.mask = np.zeros(worlds, dtype=bool)
         self.data = np.empty((worlds, sum(one.shape[1] for one in every)), dtype=np.uint8)
-        self.collect, self.spread = Program(), Program()
+        self.gather, self.scatter = Program(), Program()
         begin = 0
         for one in every:
-            self.collect.call(_take, self.mask, one, self.data, begin)
-            self.spread.call(_put, self.mask, self.data, begin, one)
+            self.gather.call(_take, self.mask, one, self.data, begin)
+            self.scatter.call(_put, self.mask, self.data, begin, one)
             begin += one.shape[1]
 
 

@@ -72,17 +72,17 @@ class SharedInfos:
             self._array[:, k] = one
         return True
 
-    def take(self, told: list[Any], parts: list[slice]) -> dict[str, Any]:
+    def take(self, answers: list[Any], parts: list[slice]) -> dict[str, Any]:
         """Copy the infos of a step. Infos that were shared are computed when they are read.
 
         Args:
-            told: Answer of each process: None if it shared its infos, else the infos.
+            answers: Answer of each process: None if it shared its infos, else the infos.
             parts: Worlds of each process.
         """
         infos = self._copy()
-        if all(one is None for one in told):
+        if all(one is None for one in answers):
             return infos
-        each = zip(told, parts, strict=True)
+        each = zip(answers, parts, strict=True)
         full = [one or {name: every[part] for name, every in infos.items()} for one, part in each]
         return merged(parts, full, len(self._array))
 

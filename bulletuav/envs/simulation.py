@@ -71,7 +71,7 @@ class Simulation:
         Raises:
             ValueError: If an action of a living drone is invalid. The worlds are unchanged.
         """
-        self.look()
+        self.update_scene()
         self.start.is_still = True
         program = self.program or self.make_program()
         self.worlds.contacts.start_decision()
@@ -85,7 +85,7 @@ class Simulation:
             Time of each stage, by name, s. Each is about 1e-6 s longer than within `decide`, as
             Python calls it.
         """
-        self.look()
+        self.update_scene()
         self.start.is_still = True
         # Always made, as results after a reset need it
         program = self.program or self.make_program()
@@ -110,7 +110,7 @@ class Simulation:
         self.worlds.forget_derived()
         self.worlds.task.evaluate_step(self.worlds.frame)
 
-    def look(self) -> None:
+    def update_scene(self) -> None:
         """Update programs if bodies changed since they were made."""
         if self.worlds.dynamics.look_around():
             self._has_account = False
@@ -138,7 +138,7 @@ class Simulation:
         self.program = program  # last, so that an interrupt leaves no incomplete program
         return program
 
-    def begin(
+    def start_worlds(
         self, fresh: np.ndarray, indices: list[int], generators: list[np.random.Generator]
     ) -> None:
         """Start worlds from the drawn starts.
@@ -150,7 +150,7 @@ class Simulation:
         """
         self.start.write(fresh, indices, generators)
         # First readings allocate arrays that programs use
-        self.look()
+        self.update_scene()
         self.start.account(self.program is not None)
         if not self._checked:
             self._check()
@@ -195,7 +195,7 @@ class Simulation:
         """Recompute everything that follows from a state that was written directly."""
         self.worlds.contacts.keep(None)
         self.worlds.forget_derived()
-        self.look()
+        self.update_scene()
         self._reckoning.run()
         if self.program is None:
             self.make_program()

@@ -494,7 +494,7 @@ class Layout:
         rows = self._chosen(worlds)
         if rows is None:
             return pack(self._fields, rngs, worlds)
-        rows.collect.run()
+        rows.gather.run()
         size = rows.data.shape[1]
         data = np.empty((len(worlds), size + GENERATOR), dtype=np.uint8)
         data[np.argsort(worlds), :size] = rows.data[: len(worlds)]
@@ -510,7 +510,7 @@ class Layout:
             return
         size = rows.data.shape[1]
         rows.data[: len(worlds)] = data[np.argsort(worlds), :size]
-        rows.spread.run()
+        rows.scatter.run()
         for row, w in zip(data, worlds.tolist(), strict=True):
             _restore(rngs, w, row[size:].tobytes())
 

@@ -84,7 +84,7 @@ def work(
 
     Args:
         pipe: Receives requests and sends answers; the first answer says that the worlds are ready.
-        spin: Time for which the process polls for a request before it sleeps, s.
+        poll_time: Time for which the process polls for a request before it sleeps, s.
         shared: Arrays of all worlds.
         first: First world of this process.
         last: World after the last one of this process.
@@ -100,7 +100,7 @@ def work(
         pipe.send(portable(error))
         return
     views = shared.views(first, last)
-    questions, answers = views["questions"], views["answers"]
+    questions, answers = views["requests"], views["answers"]
     pipe.send(None)
     answers[0] += 1  # after sending, so that the parent need not wait for the pipe
     while (question := _next(pipe, questions, int(answers[0]), spin)) is not None:
@@ -212,7 +212,7 @@ def came(numbers: np.ndarray, number: int, spin: float) -> bool:
     Args:
         numbers: Shared array, whose first number is polled.
         number: Value to wait for.
-        spin: Maximum time, s.
+        poll_time: Maximum time, s.
 
     Returns:
         Whether the number has the value.

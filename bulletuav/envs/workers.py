@@ -177,7 +177,7 @@ class WorkerAviary(LabelledEnvironment):
             "alive": (drones, bool),
             "ended": ((self.num_envs,), bool),
             # Numbers of requests and answers of each process, at its first world
-            "questions": ((self.num_envs,), np.int64),
+            "requests": ((self.num_envs,), np.int64),
             "answers": ((self.num_envs,), np.int64),
             "info": ((drones[0], room_for(len(self._spec.task.weights)), drones[1]), np.float64),
         }
@@ -214,7 +214,7 @@ class WorkerAviary(LabelledEnvironment):
         try:
             for k in workers:
                 left = max(0.0, end - time.monotonic())
-                asked, given = (self._arrays[it][self._parts[k]] for it in ("questions", "answers"))
+                asked, given = (self._arrays[it][self._parts[k]] for it in ("requests", "answers"))
                 # One more than requests: the first answer says that the worlds are ready
                 is_there = came(given, int(asked[0]) + 1, min(self._spin, left))
                 if not is_there and not self._pipes[k - 1].poll(left):

@@ -14,7 +14,7 @@ MAX_KINDS = 32
 MAX_TEXT = 300
 """Maximum length of a name, or of a reason, in a line"""
 MAX_LINES = 100
-"""Maximum number of lines per `PERIOD`, for calls and for connections, so that floods fill no disk"""
+"""Maximum number of lines per `PERIOD`, for calls and for connections, so that logs stay small"""
 PERIOD = 60.0
 NUMBER = re.compile(r"(?<!\w)\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 

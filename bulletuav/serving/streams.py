@@ -94,7 +94,7 @@ class Stream:
         if evicted is not None:
             evicted.drop("evicted: it was idle longest, and another client needed its place")
 
-    def look(self) -> None:
+    def check_progress(self) -> None:
         """Check whether the peer has read data since the last check."""
         delivered = self._sent - self.unread
         if delivered > self._delivered or not self.unread:
@@ -261,7 +261,7 @@ class StreamServer:
     def sweep(self) -> None:
         """Drop connections that are overdue, or read none of their unread bytes."""
         for stream in self.connections.all():
-            stream.look()
+            stream.check_progress()
             if stream.stalled > self.limits.max_stall:
                 stream.drop(f"dropped: it read nothing for {self.limits.max_stall:g} s")
         for stream in self.connections.overdue():
