@@ -14,7 +14,7 @@ import numpy as np
 
 from bulletuav.analysis.metrics import Meter, MetricSpec
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.worker import portable
+from bulletuav.envs.worker import picklable
 from bulletuav.interrupts import kept_from_children
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.policies.base import Policy
@@ -277,4 +277,4 @@ def _work(
             pipe.send(result)
         pipe.send(None)
     except Exception as error:
-        pipe.send(portable(error))
+        pipe.send(picklable(error))

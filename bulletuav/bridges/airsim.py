@@ -24,13 +24,13 @@ from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.sockets import LOG_NAME, listening
 from bulletuav.envs.pacer import Pacer
 from bulletuav.errors import as_int, missing, shown
-from bulletuav.serving.connections import Clock, Connections, FullError, Limits
+from bulletuav.serving.connections import Clock, ConnectionLimits, Connections, FullError
 from bulletuav.serving.refusals import Refusals
-from bulletuav.serving.streams import Stream, StreamServer
+from bulletuav.serving.streams import StreamConnection, StreamServer
 
 PORT = 41451
 """Port that clients connect to, unless they are told another"""
-LIMITS = Limits()
+LIMITS = ConnectionLimits()
 MOST_REQUEST = 2**20
 """Greatest size of a request, bytes"""
 SCAN_BUFFER = 2**16
@@ -93,7 +93,7 @@ class AirsimServer:
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
-        limits: Limits = LIMITS,
+        limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
         """Open the port; clients are answered once it runs.
@@ -130,7 +130,7 @@ class AirsimServer:
         self.port: int = self._socket.getsockname()[1]
 
     @property
-    def connections(self) -> Connections[Stream]:
+    def connections(self) -> Connections[StreamConnection]:
         """The connections that there are."""
         return self._streams.connections
 
@@ -183,7 +183,7 @@ class AirsimServer:
             self.pacer.wait()
             await asyncio.sleep(self._left)
 
-    async def _talk(self, stream: Stream) -> None:
+    async def _talk(self, stream: StreamConnection) -> None:
         """Answer a client until it goes."""
         await _Client(self, stream).listen()
 
@@ -210,7 +210,7 @@ class AirsimServer:
 class _Client:
     """One client's connection."""
 
-    def __init__(self, server: AirsimServer, stream: Stream) -> None:
+    def __init__(self, server: AirsimServer, stream: StreamConnection) -> None:
         self._server, self._stream = server, stream
         self._calls, self._msgpack = server._calls, server._msgpack
         # Answers of motions that end while another answer is sent in parts

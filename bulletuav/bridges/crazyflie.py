@@ -14,12 +14,12 @@ from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import MOST_DATA, NULL, MalformedError, Packet, Port
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
 from bulletuav.envs.viewer import join_address
-from bulletuav.serving.connections import Clock, Limits
+from bulletuav.serving.connections import Clock, ConnectionLimits
 from bulletuav.serving.refusals import Refusals
 
 PORT = 19850
 """Port of the first drone; cflib looks for drones at this one and the nine after it"""
-LIMITS = Limits(max_clients=1, grace=0.5, max_idle=10.0)
+LIMITS = ConnectionLimits(max_clients=1, grace=0.5, max_idle=10.0)
 """Limits of a drone's client. Another one may have the drone after `grace` seconds of silence, as
 cflib pings at 10 Hz. After `max_idle` seconds it is sent no more logs."""
 SERVICES = frozenset(Port) - {Port.CONSOLE}
@@ -59,7 +59,7 @@ class CrazyflieServer(DatagramServer):
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
-        limits: Limits = LIMITS,
+        limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
         """Open the ports; clients are answered once it runs.

@@ -24,12 +24,12 @@ from bulletuav.envs.viewer import join_address
 from bulletuav.errors import as_int, finite
 from bulletuav.serving.connections import (
     ACCEPT_RETRY,
-    EXHAUSTED,
-    SPARED,
+    EVICTED_FOR_RESOURCES,
+    EXHAUSTED_ERRORS,
     Clock,
+    ConnectionLimits,
     Connections,
     FullError,
-    Limits,
     cannot_accept,
 )
 from bulletuav.serving.refusals import Refusals
@@ -44,7 +44,7 @@ SILENT = 10.0
 """How long an autopilot may take to answer, s; then it is let go"""
 START = 30.0
 """The same for its first answer, for which it has to start"""
-LIMITS = Limits(max_clients=1, max_pending=4)
+LIMITS = ConnectionLimits(max_clients=1, max_pending=4)
 """Limits of the connections of one body"""
 LONGEST_WAIT = 0.1
 """Time after which `run` looks again who has connected, s"""
@@ -117,7 +117,7 @@ class HilServer:
         port: int = PORT,
         speed: float = 1.0,
         patience: float = 1 / STEP_HZ,
-        limits: Limits = LIMITS,
+        limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
         """Open the ports; autopilots are answered once it runs.
@@ -238,13 +238,13 @@ class HilServer:
         try:
             one, address = self._listening[i].accept()
         except OSError as error:
-            if error.errno in EXHAUSTED:
+            if error.errno in EXHAUSTED_ERRORS:
                 self._log.log_server(cannot_accept(error))
                 self._selector.unregister(self._listening[i])
                 self._deaf[i] = self._clock() + ACCEPT_RETRY
                 for k, connections in enumerate(self._connections):
                     for link in connections.spare():
-                        self._drop(k, link, SPARED)
+                        self._drop(k, link, EVICTED_FOR_RESOURCES)
             return
         try:
             link = Link(one, join_address(*address[:2]))

@@ -12,16 +12,16 @@ import numpy as np
 
 from bulletuav.engine.c_extension import SWITCH
 
-USUAL_TYPES = tuple(map(np.dtype, ("f8", "f4", "i8", "i4")))
+ACTION_TYPES = tuple(map(np.dtype, ("f8", "f4", "i8", "i4")))
 """Types of action arrays that are copied without further conversion"""
 Function = TypeVar("Function", bound=Callable[..., Any])
-Rows = list[int] | None
+AgentRows = list[int] | None
 """Row of each agent in the arrays; None if all agents are listed in order"""
-Shared = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], bool]
+ResultsByAgent = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], bool]
 """Observations, rewards, terminated, truncated, each by agent; and whether any episode ended"""
 
 
-def take_plainly(actions: Any, agents: list[str], rows: Rows, given: np.ndarray) -> bool:
+def take_plainly(actions: Any, agents: list[str], rows: AgentRows, given: np.ndarray) -> bool:
     """Copy the action of each agent to its row.
 
     Args:
@@ -39,7 +39,7 @@ def take_plainly(actions: Any, agents: list[str], rows: Rows, given: np.ndarray)
     for one in own:
         if type(one) is not np.ndarray or one.shape != given.shape[2:]:
             return False
-        if one.dtype not in USUAL_TYPES:
+        if one.dtype not in ACTION_TYPES:
             return False
     if own:
         given[0, slice(len(own)) if rows is None else rows] = own
@@ -61,12 +61,12 @@ def take_one_plainly(action: Any, given: np.ndarray) -> bool:
 
 def share_plainly(
     agents: list[str],
-    rows: Rows,
+    rows: AgentRows,
     observations: np.ndarray,
     rewards: np.ndarray,
     terminated: np.ndarray,
     truncated: np.ndarray,
-) -> Shared:
+) -> ResultsByAgent:
     """Split results into dictionaries by agent, with Python's own types.
 
     Args:

@@ -18,27 +18,27 @@ from bulletuav.envs.airspace_inputs import (
     Drones,
     airspace_options,
     angles,
-    filled,
     hold,
     level_of,
+    numbers_of_shape,
     require_bodies,
     rows_of,
     setpoint_numbers,
+    setpoint_widths,
     state_numbers,
-    usual_widths,
 )
 from bulletuav.envs.airspace_simulation import AirspaceSimulation
 from bulletuav.envs.airspace_world import ALL, AirspaceWorld
-from bulletuav.envs.described import faces_of, parts_of
+from bulletuav.envs.descriptions import describe_parts, faces_of
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
 from bulletuav.envs.marks import drone_marks
 from bulletuav.envs.renderer import FIELD_OF_VIEW
 from bulletuav.envs.snapshot import (
-    Layout,
     Snapshot,
-    hashes_of,
+    SnapshotLayout,
+    hash_rows,
     own_snapshot,
-    pack,
+    pack_worlds,
     require_contacts,
     require_snapshot,
 )
@@ -133,7 +133,7 @@ class Airspace(Environment):
         self.swarm = Swarm(*map(_shown, state.swarm))
         self.levels, self.setpoint = _shown(state.levels), _shown(state.setpoint)
         self._held = (state.levels, state.setpoint, state.commanded)
-        self._widths = usual_widths(self.consumes, known, self.hover_speed.shape[1])
+        self._widths = setpoint_widths(self.consumes, known, self.hover_speed.shape[1])
         self._turns = False
         world.wind.reset(0, self.rng)
         world.uncertainty.reset(0, self.rng)
@@ -224,7 +224,7 @@ class Airspace(Environment):
         if not count:
             raise ValueError("there are no obstacles: make the airspace with the option obstacles")
         k = as_int("obstacle", obstacle, 0, count - 1)
-        pose, moving = pose_of(position, quaternion), filled("velocity", velocity, (3,))
+        pose, moving = pose_of(position, quaternion), numbers_of_shape("velocity", velocity, (3,))
         self.simulation.update_scene()
         self.world.place_obstacle(k, *pose, moving)
 
@@ -352,7 +352,10 @@ class Airspace(Environment):
         self._require_open()
         rows, count = rows_of(drones, len(self.airframes))
         shape = (*count, 3)
-        push, twist = filled("force", force, shape), filled("torque", torque, shape)
+        push, twist = (
+            numbers_of_shape("force", force, shape),
+            numbers_of_shape("torque", torque, shape),
+        )
         dynamics, name = self.world.dynamics, self._options.dynamics_name
         if push.any() and not dynamics.feels_force:
             raise ValueError(f"dynamics {name!r} ignores forces: use 'rigid_body' or 'bullet'")
@@ -410,7 +413,7 @@ class Airspace(Environment):
         layout, world = self._layout(), self.world
         # Bullet rounds the state that is written: both flights continue from the rounded one
         world.dynamics.restore(world.state.swarm, world.state.alive)
-        return own_snapshot(layout.pack(world.rng, ONLY), layout.form)
+        return own_snapshot(layout.pack_worlds(world.rng, ONLY), layout.form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot) -> None:
@@ -432,7 +435,7 @@ class Airspace(Environment):
         world = self.world
         # Arrays that the caller has read from `readings` do not change
         world.readings = {name: reading.copy() for name, reading in world.readings.items()}
-        self._layout().unpack(snapshot.data, world.rng, ONLY)
+        self._layout().unpack_worlds(snapshot.data, world.rng, ONLY)
         self._turns = bool(world.state.yaw_rate.any())
         world.uncertainty.restore(ONLY)
         world.set_obstacles()
@@ -442,12 +445,12 @@ class Airspace(Environment):
     def state_hash(self) -> str:
         """Compute a hash of the state; see `Aviary.state_hash`."""
         self._require_open()
-        (digest,) = hashes_of(pack(self.world.state_arrays(), self.world.rng, ONLY))
+        (digest,) = hash_rows(pack_worlds(self.world.state_arrays(), self.world.rng, ONLY))
         return digest
 
-    def _layout(self) -> Layout:
+    def _layout(self) -> SnapshotLayout:
         if self._parts is None:
-            self._parts = parts_of(self._options, **self._made)
+            self._parts = describe_parts(self._options, **self._made)
         return self.world.layout("airspace", self._parts)
 
     @exclusive

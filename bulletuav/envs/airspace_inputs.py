@@ -15,7 +15,7 @@ from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.envs.agents import in_c
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.randomization import Randomization, known_uncertainties
-from bulletuav.envs.resolve import airframes_of, make_tuples
+from bulletuav.envs.resolve_options import load_airframes, make_tuples
 from bulletuav.envs.viewer import VIEWERS
 from bulletuav.errors import UnknownOptionError, choose, finite, nearest, numbers_of, shown
 from bulletuav.geometry.obstacle import Obstacle
@@ -27,15 +27,15 @@ Drones = int | Sequence[int] | np.ndarray | None
 """Index of one drone, several indices, a mask (N,), or None for all"""
 Angle = float | Sequence[float] | np.ndarray
 """One angle for all drones, or one for each, rad"""
-MOST_TURN = 1e4
+MAX_YAW = 1e4
 """Largest yaw, rad, and largest yaw rate, rad/s"""
-MOST = 1e9
+MAX_NUMBER = 1e9
 """Largest absolute value in a state or setpoint"""
-UNIT = 1e-6
+TOLERANCE = 1e-6
 """Relative tolerance of quaternion norms and of rotor speeds"""
-FASTEST_OF = (FASTEST, FASTEST_SPIN)
+MOTION_BOUNDS = (FASTEST, FASTEST_SPIN)
 """Bounds of speed, m/s, and of angular rate, rad/s"""
-NEED_GRAVITY = ("point_mass", "double_integrator")
+DYNAMICS_WITH_GRAVITY = ("point_mass", "double_integrator")
 """Dynamics whose accelerations are bounded by a fraction of gravity"""
 UPRIGHT, STILL = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 """Quaternion of a level body that heads east, and zero velocity"""
@@ -43,11 +43,11 @@ LEVELS = {one.name.lower(): one for one in SetpointLevel}
 """Setpoint levels by name"""
 YAW = 3
 """Column of the yaw in a setpoint"""
-EVERY = slice(None)
+ALL_DRONES = slice(None)
 FLOAT = np.dtype(np.float64)
-PLAIN = frozenset((float, int))
+NUMBER_TYPES = frozenset((float, int))
 """Number types that need no further checks"""
-OF_TASKS = (
+TASK_OPTIONS = (
     "num_drones",
     "action",
     "horizon",
@@ -82,7 +82,7 @@ def airspace_options(
         UnknownOptionError: If there is no such option.
         ValueError: If a value is invalid.
     """
-    known = {field.name for field in dataclasses.fields(EnvOptions)}.difference(OF_TASKS)
+    known = {field.name for field in dataclasses.fields(EnvOptions)}.difference(TASK_OPTIONS)
     for name in given:
         if name not in known:
             raise UnknownOptionError(
@@ -97,7 +97,7 @@ def airspace_options(
     # Default values follow from the airframes
     values = dict(given)
     make_tuples(values)
-    values["airframe"] = airframes_of(airframe, len(places))
+    values["airframe"] = load_airframes(airframe, len(places))
     values.setdefault("max_speed", min(one.max_speed for one in values["airframe"]))
     listed = sensors if isinstance(sensors, list | tuple) else (sensors,)
     all_sensors = known_sensors(one for one in listed if not isinstance(one, str))
@@ -112,7 +112,7 @@ def airspace_options(
             f"render_mode is {options.render_mode!r}: live views show tasks; use 'human' or "
             f"'rgb_array'"
         )
-    if options.gravity == 0 and options.dynamics_name in NEED_GRAVITY:
+    if options.gravity == 0 and options.dynamics_name in DYNAMICS_WITH_GRAVITY:
         raise ValueError(
             f"gravity is 0: dynamics {options.dynamics_name!r} bounds accelerations by it, use "
             f"another dynamics"
@@ -152,7 +152,7 @@ def rows_of(drones: Drones, count: int) -> tuple[Any, tuple[int, ...]]:
     if type(drones) is int and 0 <= drones < count:
         return drones, ()
     if drones is None:
-        return EVERY, (count,)
+        return ALL_DRONES, (count,)
     try:
         rows = np.asarray(drones)
     except ValueError:  # rows of several lengths
@@ -187,18 +187,20 @@ def numbers(name: str, value: Any) -> np.ndarray:
     """
     if type(value) is np.ndarray and value.dtype is FLOAT:
         array = value
-    elif type(value) is tuple and PLAIN.issuperset(map(type, value)):
+    elif type(value) is tuple and NUMBER_TYPES.issuperset(map(type, value)):
         array = np.array(value, dtype=np.float64)
     else:
         array = numbers_of(f"{name} is", value)
     flat = array.ravel()
     # The sum of squares is not finite if any number is not
-    if not flat.dot(flat) <= MOST**2:
-        raise ValueError(f"{name} is {shown(value)}: finite numbers up to {MOST:g} are needed")
+    if not flat.dot(flat) <= MAX_NUMBER**2:
+        raise ValueError(
+            f"{name} is {shown(value)}: finite numbers up to {MAX_NUMBER:g} are needed"
+        )
     return array
 
 
-def filled(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+def numbers_of_shape(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     """Convert a value to finite numbers of a shape, given in full or once for all drones.
 
     Args:
@@ -226,11 +228,11 @@ def angles(name: str, value: Any, count: tuple[int, ...]) -> np.ndarray | float:
     """
     if np.ndim(value) == 0:
         one = value[()] if isinstance(value, np.ndarray) else value
-        return finite(name, one, -MOST_TURN, MOST_TURN)
+        return finite(name, one, -MAX_YAW, MAX_YAW)
     several = numbers(name, value)
-    if several.shape != count or np.abs(several).max(initial=0.0) > MOST_TURN:
+    if several.shape != count or np.abs(several).max(initial=0.0) > MAX_YAW:
         raise ValueError(
-            f"{name} is {shown(value)}: a number up to {MOST_TURN:g}, or one for each of the "
+            f"{name} is {shown(value)}: a number up to {MAX_YAW:g}, or one for each of the "
             f"drones, is needed"
         )
     return several
@@ -257,13 +259,13 @@ def state_numbers(
     """
     # Several drones at one position would overlap
     count = most.shape[:-1]
-    place = filled("position", position, (*count, 3))
+    place = numbers_of_shape("position", position, (*count, 3))
     if place.ndim < len(count) + 1 and count != (1,):
         raise ValueError(f"position has shape {place.shape}: {(*count, 3)} is needed")
     # Another norm is a mistake, such as w in the first column
-    turn = filled("quaternion", quaternion, (*count, 4))
+    turn = numbers_of_shape("quaternion", quaternion, (*count, 4))
     norms = np.sqrt((turn * turn).sum(axis=-1))
-    if (np.abs(norms - 1) > UNIT).any():
+    if (np.abs(norms - 1) > TOLERANCE).any():
         raise ValueError(
             f"quaternion is {shown(quaternion)}: a length of 1 is needed, divide by its norm"
         )
@@ -277,15 +279,18 @@ def state_numbers(
     # One number applies to all rotors of the airframe
     if np.ndim(rotor_speed) == 0:
         rotor_speed = np.where(most > 0, finite("rotor_speed", rotor_speed), 0.0)
-    speed = filled("rotor_speed", rotor_speed, most.shape)
-    if (speed < 0).any() or (speed > most * (1 + UNIT)).any():
+    speed = numbers_of_shape("rotor_speed", rotor_speed, most.shape)
+    if (speed < 0).any() or (speed > most * (1 + TOLERANCE)).any():
         raise ValueError(
             f"rotor_speed is {shown(rotor_speed)}: from 0 to the {most.max():g} rad/s of the "
             f"airframe is needed"
         )
     # Half of the speed at which a flight counts as diverged
-    moving = (filled("velocity", velocity, (*count, 3)), filled("rates", rates, (*count, 3)))
-    for name, array, most_of in zip(("velocity", "rates"), moving, FASTEST_OF, strict=True):
+    moving = (
+        numbers_of_shape("velocity", velocity, (*count, 3)),
+        numbers_of_shape("rates", rates, (*count, 3)),
+    )
+    for name, array, most_of in zip(("velocity", "rates"), moving, MOTION_BOUNDS, strict=True):
         if np.abs(array).max(initial=0.0) >= most_of / 2:
             raise ValueError(f"{name} is {shown(array)}: less than {most_of / 2:g} is needed")
     return place, turn, *moving, speed
@@ -336,7 +341,7 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
     return chosen
 
 
-def usual_widths(
+def setpoint_widths(
     consumes: SetpointLevel, options: EnvOptions, rotors: int
 ) -> dict[SetpointLevel, int]:
     """Return the number of setpoint columns of each level that needs no further checks.
@@ -360,7 +365,7 @@ def usual_widths(
 def hold_plainly(
     levels: np.ndarray,
     setpoint: np.ndarray,
-    told: np.ndarray,
+    commanded: np.ndarray,
     drones: Any,
     level: SetpointLevel,
     width: int,
@@ -376,7 +381,7 @@ def hold_plainly(
         setpoint: (1, N, S) setpoints that the drones hold, written.
         commanded: (1, N) bool, whether a drone was commanded any setpoint, written.
         drones: Value of the argument `drones`.
-        level: One of `usual_widths`.
+        level: One of `setpoint_widths`.
         width: Number of columns of the level; the yaw may be missing for drones that hold one.
         numbers: Value of the argument `setpoint`.
 
@@ -390,7 +395,7 @@ hold = in_c(hold_plainly)
 
 
 def setpoint_numbers(
-    level: SetpointLevel, setpoint: Any, count: tuple[int, ...], rotors: int, speaks: bool
+    level: SetpointLevel, setpoint: Any, count: tuple[int, ...], rotors: int, has_yaw: bool
 ) -> np.ndarray:
     """Check the numbers of a setpoint.
 
@@ -412,13 +417,13 @@ def setpoint_numbers(
     if level < SetpointLevel.ROTOR:
         width = YAW + 1
         if level < SetpointLevel.ATTITUDE:
-            width -= speaks or array.shape[-1:] == (YAW,)
-        elif speaks:
+            width -= has_yaw or array.shape[-1:] == (YAW,)
+        elif has_yaw:
             raise ValueError(
                 f"yaw and yaw_rate are for POSITION, VELOCITY and ACCELERATION, not {level.name}"
             )
     if array.shape != (width,) and array.shape != (*count, width):
-        twice = "; the yaw is given separately" if speaks else ""
+        twice = "; the yaw is given separately" if has_yaw else ""
         raise ValueError(
             f"setpoint of {level.name} has shape {array.shape}: {(*count, width)} is needed{twice}"
         )

@@ -3,7 +3,7 @@
 from bulletuav.compiled.program import Program
 from bulletuav.envs.airspace_world import AirspaceWorld
 from bulletuav.envs.stages import Stage, airspace_stages
-from bulletuav.envs.stages.base import inserted, programs_of, table
+from bulletuav.envs.stages.base import format_stages, insert_stage, stage_programs_of
 
 
 class AirspaceSimulation:
@@ -23,11 +23,11 @@ class AirspaceSimulation:
     def __repr__(self) -> str:
         """Return a table of the stages, with the arrays that each reads and writes."""
         dynamics, drones = self.world.options.dynamics_name, self.world.state.alive.shape[1]
-        return f"airspace in {dynamics}: {drones} drones\n{table(self.stages)}"
+        return f"airspace in {dynamics}: {drones} drones\n{format_stages(self.stages)}"
 
     def insert(self, stage: Stage, after: str | None = None, *, before: str | None = None) -> None:
         """Insert a custom stage; see `Simulation.insert`."""
-        self.stages, self.program = inserted(self.stages, stage, after, before), None
+        self.stages, self.program = insert_stage(self.stages, stage, after, before), None
 
     def update_scene(self) -> None:
         """Update the program if bodies changed since it was made."""
@@ -56,4 +56,4 @@ class AirspaceSimulation:
 
     def stage_programs(self) -> dict[str, Program]:
         """Make a program of each stage alone, by its name."""
-        return programs_of(self.stages, self.world)
+        return stage_programs_of(self.stages, self.world)

@@ -8,19 +8,19 @@ import numpy as np
 from bulletuav.compiled.program import Program
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.body_source import BodySource
-from bulletuav.envs.agents import USUAL_TYPES
-from bulletuav.envs.described import parts_of
-from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
+from bulletuav.envs.agents import ACTION_TYPES
+from bulletuav.envs.descriptions import describe_parts
+from bulletuav.envs.env_spec import MAX_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
-from bulletuav.envs.infos import Infos, Told, later
+from bulletuav.envs.infos import Infos, InfoTable, lazy_infos
 from bulletuav.envs.marks import marks_of
 from bulletuav.envs.simulation import Simulation
 from bulletuav.envs.snapshot import (
-    Layout,
     Snapshot,
-    hashes_of,
+    SnapshotLayout,
+    hash_rows,
     own_snapshot,
-    pack,
+    pack_worlds,
     require_contacts,
     require_parts,
     require_snapshot,
@@ -92,7 +92,7 @@ class Aviary(Environment):
             ValueError: If an option is invalid.
         """
         self._spec = spec = EnvSpec(task, num_worlds, options)
-        first_world = as_int("first_world", first_world, 0, MOST_WORLDS)
+        first_world = as_int("first_world", first_world, 0, MAX_WORLDS)
         self.worlds = worlds = Worlds(spec, first_world)
         seed = spec.options.seed
         self.simulation = Simulation(worlds, None if seed is None else seed + first_world)
@@ -185,14 +185,14 @@ class Aviary(Environment):
         if (
             type(actions) is np.ndarray
             and actions.shape == given.shape
-            and actions.dtype in USUAL_TYPES
+            and actions.dtype in ACTION_TYPES
         ):
             given[:] = actions  # the program checks them
         else:
             given[:] = self._spec.actions(actions, self.alive)
         self.decide()
         ends = (self.terminated.copy(), self.truncated.copy())
-        return Step(self.observations(), self.rewards.copy(), *ends, later(self.telling()))
+        return Step(self.observations(), self.rewards.copy(), *ends, lazy_infos(self.info_table()))
 
     def decide(self) -> None:
         """Simulate one decision with the actions that were written to `given`.
@@ -245,14 +245,14 @@ class Aviary(Environment):
         vector = self.worlds.vector.copy()
         return vector if self.observer.is_plain else self.observer.shown(self.worlds.frame, vector)
 
-    def telling(self, world: Any = ...) -> Told:
+    def info_table(self, world: Any = ...) -> InfoTable:
         """Copy the results of the last decision; calling the returned object makes infos.
 
         Args:
             world: Index of the world of the infos, which are then arrays (N,); `...` for all, (W,
                 N).
         """
-        return self.worlds.results.told(self.simulation.more_infos(), world)
+        return self.worlds.results.info_table(self.simulation.further_infos(), world)
 
     def require_action(self, drone: int, numbers: np.ndarray) -> None:
         """Raise ValueError for an invalid action (A,) of a drone; nothing is simulated."""
@@ -271,7 +271,7 @@ class Aviary(Environment):
         if worlds is None:
             self.current_frame()
         self.simulation.report_start()
-        return later(self.telling())
+        return lazy_infos(self.info_table())
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
@@ -288,7 +288,7 @@ class Aviary(Environment):
             ValueError: If there are no such worlds, or contacts are Bullet's own.
         """
         self.require_started()
-        self.simulation.start.complete()
+        self.simulation.start.complete_account()
         require_contacts(self.options.contacts)
         layout = self.worlds.layout(self._of, self._own_parts())
         chosen = self._spec.indices(worlds)
@@ -296,7 +296,7 @@ class Aviary(Environment):
         mask[chosen] = True
         # Bullet rounds the state that is written: both flights continue from the rounded one
         self.worlds.dynamics.restore(self.swarm, mask[:, None] & self.alive)
-        return own_snapshot(layout.pack(self.rng, chosen), layout.form)
+        return own_snapshot(layout.pack_worlds(self.rng, chosen), layout.form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
@@ -322,7 +322,7 @@ class Aviary(Environment):
         chosen = self._spec.indices(worlds)
         require_snapshot(snapshot, Snapshot, len(chosen))
         layout = self._layout_for(snapshot, chosen)
-        layout.unpack(snapshot.data, self.rng, chosen)
+        layout.unpack_worlds(snapshot.data, self.rng, chosen)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
         # Components with their own copies of the state
@@ -334,7 +334,7 @@ class Aviary(Environment):
         gone = mask[:, None] & ~self.alive
         if gone.any():
             parts.engine.park(gone)
-        self.simulation.reckon()
+        self.simulation.recompute()
         return self.observations()
 
     @exclusive
@@ -349,7 +349,7 @@ class Aviary(Environment):
         """
         self.require_started()
         chosen = self._spec.indices(worlds)
-        return hashes_of(pack(self.worlds.state_arrays(), self.rng, chosen))
+        return hash_rows(pack_worlds(self.worlds.state_arrays(), self.rng, chosen))
 
     @exclusive
     def require_loadable(self, snapshot: Snapshot) -> None:
@@ -362,13 +362,13 @@ class Aviary(Environment):
         require_snapshot(snapshot, Snapshot, None)
         self._layout_for(snapshot, np.zeros(len(snapshot), dtype=int))
 
-    def _layout_for(self, snapshot: Snapshot, chosen: np.ndarray) -> Layout:
+    def _layout_for(self, snapshot: Snapshot, chosen: np.ndarray) -> SnapshotLayout:
         """Check a snapshot against worlds (S,), and return the layout of its arrays."""
         if not self._is_started:
             self._require_open()
             require_parts(snapshot.form, self._own_parts(), self._of)
             self.reset()
-        self.simulation.start.complete()
+        self.simulation.start.complete_account()
         layout = self.worlds.layout(self._of, self._own_parts())
         layout.require(snapshot, chosen)
         return layout
@@ -379,7 +379,7 @@ class Aviary(Environment):
 
     def _own_parts(self) -> Mapping[str, str]:
         if self._parts is None:
-            self._parts = parts_of(self.options, self.task)
+            self._parts = describe_parts(self.options, self.task)
         return self._parts
 
     def current_frame(self) -> Frame:
@@ -392,7 +392,7 @@ class Aviary(Environment):
         """
         if not self._is_started:
             raise RuntimeError("the worlds have not been started: call reset() first")
-        self.simulation.start.complete()
+        self.simulation.start.complete_account()
         return self.worlds.frame
 
     @exclusive

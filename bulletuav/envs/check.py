@@ -73,25 +73,25 @@ def check_dynamics(dynamics: Any, **options: Any) -> None:
     _check_worlds(f"dynamics {name!r}", "hover", {**usual, **options})
 
 
-def _check_worlds(who: str, task: TaskSource, options: dict[str, Any]) -> None:
+def _check_worlds(subject: str, task: TaskSource, options: dict[str, Any]) -> None:
     """Fly a task twice in several worlds, and its last world alone: all results must agree."""
-    both = [list(_flown(task, options)) for _ in range(2)]
-    alone = list(_flown(task, options, num_worlds=1, first_world=NUM_WORLDS - 1))
+    both = [list(_fly(task, options)) for _ in range(2)]
+    alone = list(_fly(task, options, num_worlds=1, first_world=NUM_WORLDS - 1))
     for k, (one, other, single) in enumerate(zip(*both, alone, strict=True)):
         decision = (k + 1) // 2
         if not _equal(one, other):
             raise ValueError(
-                f"{who} differs at decision {decision} of two flights from the same seed: draw "
+                f"{subject} differs at decision {decision} of two flights from the same seed: draw "
                 f"from the given generators only, and clear all state at a reset"
             )
         if not _equal([array[-1:] for array in one], single):
             raise ValueError(
-                f"{who} gives a world other results at decision {decision} when it flies alone: "
+                f"{subject} gives a world other results when it flies alone, at decision {decision}: "
                 f"worlds must be independent of each other"
             )
 
 
-def _flown(
+def _fly(
     task: TaskSource, options: dict[str, Any], *, num_worlds: int = NUM_WORLDS, first_world: int = 0
 ) -> Iterator[list[np.ndarray]]:
     """Yield the results of some decisions with random actions, and observations after resets.

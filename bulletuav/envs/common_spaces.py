@@ -44,12 +44,12 @@ def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
 
 def _require_same_blocks(specs: Sequence[EnvSpec]) -> None:
     """Raise ValueError for vectors of the same size with other blocks, or in another order."""
-    told = [_blocks(spec) for spec in specs]
-    for stage, blocks in enumerate(told):
-        if blocks != told[0]:
+    block_lists = [_blocks(spec) for spec in specs]
+    for stage, blocks in enumerate(block_lists):
+        if blocks != block_lists[0]:
             raise ValueError(
-                f"stage 0 observes {told[0]}, and stage {stage} observes {blocks}: the same blocks "
-                f"of the same sizes, in the same order, are needed"
+                f"stage 0 observes {block_lists[0]}, and stage {stage} observes {blocks}: the same "
+                f"blocks of the same sizes, in the same order, are needed"
             )
 
 

@@ -13,18 +13,24 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.global_state import slices
 from bulletuav.envs.options import RENDER_MODES
-from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
+from bulletuav.envs.parallel import (
+    AgentResults,
+    ByAgent,
+    InfosByAgent,
+    ParallelAviary,
+    check_agents,
+)
 from bulletuav.envs.reset_options import reset_options
-from bulletuav.envs.snapshot import FaceSnapshot, require_face
+from bulletuav.envs.snapshot import EnvironmentSnapshot, require_environment_snapshot
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.envs.viewer import require_single
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown
 from bulletuav.sensors.base import Label
 from bulletuav.tasks import TaskSource
 
-MOST_STAGES = 100
-MOST_WINDOW = 1_000_000  # episodes
-BESIDE = ("flown", "curriculum", "successes", "generator")
+MAX_STAGES = 100
+MAX_WINDOW = 1_000_000  # episodes
+EXTRA_FIELDS = ("flown", "curriculum", "successes", "generator")
 """Fields of a snapshot in addition to the world"""
 DIFFICULTIES = tuple({"difficulty": name} for name in ("easy", "medium", "hard", "extreme"))
 """Stages that every task has"""
@@ -50,8 +56,8 @@ class Curriculum:
         Raises:
             ValueError: If numbers are invalid; 0 <= down < up <= 1 is needed.
         """
-        self.count = as_int("stages", count, 1, MOST_STAGES)
-        self.window = as_int("window", window, 1, MOST_WINDOW)
+        self.count = as_int("stages", count, 1, MAX_STAGES)
+        self.window = as_int("window", window, 1, MAX_WINDOW)
         self.up = finite("up", up)
         self.down = finite("down", down)
         if not 0 <= self.down < self.up <= 1:
@@ -201,7 +207,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
     @exclusive
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[ByAgent, Infos]:
+    ) -> tuple[ByAgent, InfosByAgent]:
         """Start a new episode, at the stage that the curriculum selects.
 
         Args:
@@ -260,12 +266,12 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         self.agents = env.agents[:]
         return observations, rewards, terminated, truncated, self._with_stage(infos)
 
-    def _with_stage(self, infos: Infos) -> Infos:
+    def _with_stage(self, infos: InfosByAgent) -> InfosByAgent:
         stage = float(self.curriculum.stage)
         return {agent: {**info, "stage": stage} for agent, info in infos.items()}
 
     @exclusive
-    def save_state(self) -> FaceSnapshot:
+    def save_state(self) -> EnvironmentSnapshot:
         """Save the complete state with the curriculum; see `Aviary.save_state`."""
         env = self.env
         (flown,) = (stage for stage, one in self._envs.items() if one is env)
@@ -275,13 +281,13 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             "successes": dict(self._successes),
             "generator": self._rng.bit_generator.state,
         }
-        return FaceSnapshot("curriculum_env", env.save_state(), beside)
+        return EnvironmentSnapshot("curriculum_env", env.save_state(), beside)
 
     @exclusive
-    def load_state(self, snapshot: FaceSnapshot) -> ByAgent:
+    def load_state(self, snapshot: EnvironmentSnapshot) -> ByAgent:
         """Restore a saved state at its stage; see `ParallelAviary.load_state`."""
         self._require_open()
-        require_face(snapshot, "curriculum_env", BESIDE)
+        require_environment_snapshot(snapshot, "curriculum_env", EXTRA_FIELDS)
         beside = snapshot.beside
         # A curriculum with fewer stages has no such world
         last = max(beside["flown"], beside["curriculum"]["stage"])
@@ -338,7 +344,7 @@ def check_stages(stages: Any) -> None:
     Raises:
         ValueError: If they are not.
     """
-    listed = as_sequence("stages", stages, most=MOST_STAGES)
+    listed = as_sequence("stages", stages, most=MAX_STAGES)
     if not all(isinstance(stage, Mapping) for stage in listed):
         raise ValueError(f"stages is {shown(stages)}: a list of names with values is needed")
 

@@ -12,7 +12,7 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.envs.global_state import GlobalState
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.envs.state import Sizes, State
 from bulletuav.errors import as_int, as_sequence, numbers_of, require_memory, shown, unknown
 from bulletuav.sensors.base import SensorSetup
@@ -36,7 +36,7 @@ from bulletuav.tasks.observations.observer import (
 )
 from bulletuav.tasks.starts import take_given
 
-MOST_WORLDS = 1_000_000
+MAX_WORLDS = 1_000_000
 BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
 """Bytes of a drone, an obstacle and a city in one world, without the arrays of the state.
 
@@ -69,8 +69,8 @@ class EnvSpec:
             ValueError: If an option is invalid.
         """
         kind = find_task(task)
-        self.num_worlds = as_int("num_worlds", num_worlds, 1, MOST_WORLDS)
-        self.options, config, self.sensors = resolve(kind, options)
+        self.num_worlds = as_int("num_worlds", num_worlds, 1, MAX_WORLDS)
+        self.options, config, self.sensors = resolve_options(kind, options)
         self._require_memory(BODY_BYTES * self.options.num_drones)
         self.task = _make_task(kind, config, self.options)
         places = (getattr(self.task.config, name, None) for name in PLACES)

@@ -44,7 +44,7 @@ class Environment:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the class and its arguments for pickle and `copy.deepcopy`."""
-        return _make_again, (type(self), *self.made_from)
+        return _recreate, (type(self), *self.made_from)
 
     def __copy__(self) -> NoReturn:
         """Raise TypeError."""
@@ -144,5 +144,5 @@ def exclusive_plainly(method: Method) -> Method:
 exclusive = in_c(exclusive_plainly)
 
 
-def _make_again(kind: type, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+def _recreate(kind: type, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     return kind(*args, **kwargs)

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.compiled.program import ByWorld, Program, by_world
-from bulletuav.envs.rows import add_rows, add_value, renew, spread
+from bulletuav.envs.rows import add_rows, add_value, expand_mask, update_present
 from bulletuav.envs.snapshot import UNSTARTED
-from bulletuav.envs.stages.fly import add_tick
+from bulletuav.envs.stages.fly import add_decision_count
 from bulletuav.envs.stages.keep_before import keep_before
 from bulletuav.envs.stages.separate import Separate
 from bulletuav.envs.worlds import Worlds
@@ -17,13 +17,13 @@ from bulletuav.tasks.frame import FIELDS, Spawn
 from bulletuav.tasks.given import Given
 from bulletuav.tasks.spawns import MEMORY, Starts
 
-STALE = frozenset(
+STALE_FIELDS = frozenset(
     {*(name for name in FIELDS if name.endswith("_before")), "conflicts", "separation", "nearness"}
 )
 """Fields of the frame that change when other worlds are brought up to date after a reset"""
 
 
-class _Stillness(NamedTuple):
+class _AccountUpdate(NamedTuple):
     """Program that fills the account as if no time had passed, and that account."""
 
     account: Account
@@ -35,8 +35,8 @@ class EpisodeStart:
 
     Attributes:
         starts: Rows of the drawn starts.
-        by_world_programs: Programs that update and observe selected worlds only; None if that would affect
-            others.
+        by_world_programs: Programs that update and observe selected worlds only; None if that would
+            affect others.
         is_account_complete: Whether the account of all worlds is up to date after a reset of some.
     """
 
@@ -56,9 +56,9 @@ class EpisodeStart:
         self._fresh_indices: list[int] = []
         self._fresh_drones = np.zeros(state.alive.shape, dtype=bool)
         self._start: Program | None = None
-        self._still: _Stillness | None = None
-        self.alone: tuple[ByWorld, ByWorld] | None = None
-        self.is_still = True
+        self._update: _AccountUpdate | None = None
+        self.by_world_programs: tuple[ByWorld, ByWorld] | None = None
+        self.is_account_complete = True
 
     def generators(self, worlds: list[int], seeds: list[int] | None) -> list[np.random.Generator]:
         """Return the random generator of each world that starts."""
@@ -111,18 +111,18 @@ class EpisodeStart:
         worlds.forget_derived()
         self._start.run()
 
-    def account(self, can_be_alone: bool) -> None:
+    def account(self, can_skip_others: bool) -> None:
         """Fill the account as if no time had passed.
 
         Args:
-            can_skip_others: Whether only the worlds that start may be updated; the others are brought
-                up to date when they are read.
+            can_skip_others: Whether only the worlds that start may be updated; the others are
+                brought up to date when they are read.
         """
-        skips_others = can_be_alone and len(self._fresh_indices) < len(self._fresh)
-        programs = self.alone if skips_others else None
-        self.is_still = programs is None
+        skips_others = can_skip_others and len(self._fresh_indices) < len(self._fresh)
+        programs = self.by_world_programs if skips_others else None
+        self.is_account_complete = programs is None
         if programs is None:
-            self._stillness().program.run()
+            self._account_update().program.run()
         else:
             programs[0].run(self._fresh)
         self._start_memory()
@@ -130,46 +130,52 @@ class EpisodeStart:
     def observe(self, observing: Program) -> None:
         """Write the observations after a reset."""
         self._worlds.forget_derived()
-        if self.is_still or self.alone is None:
+        if self.is_account_complete or self.by_world_programs is None:
             observing.run()
         else:
-            self.alone[1].run(self._due)
+            self.by_world_programs[1].run(self._due)
 
-    def complete(self) -> None:
+    def complete_account(self) -> None:
         """Bring worlds up to date that were skipped after a reset of others."""
-        if not self.is_still:
-            self.is_still = True
+        if not self.is_account_complete:
+            self.is_account_complete = True
             self._worlds.forget_derived()
-            self._stillness().program.run()
+            self._account_update().program.run()
 
-    def make_alone(self, observing: Program) -> None:
+    def make_by_world_programs(self, observing: Program) -> None:
         """Make programs that update selected worlds only, if that does not affect others."""
         worlds = self._worlds
-        self.alone = None
+        self.by_world_programs = None
         observer = worlds.observer
-        if worlds.num_worlds > 1 and worlds.sensors.keep_others and observer.reads_none_of(STALE):
-            account, program = self._stillness()
+        if (
+            worlds.num_worlds > 1
+            and worlds.sensors.keep_others
+            and observer.reads_none_of(STALE_FIELDS)
+        ):
+            account, program = self._account_update()
             arrays = [*worlds.state_arrays().values(), *worlds.last_arrays().values()]
             arrays += [*account.conflict, *account[1:], worlds.vector, self._no_worlds]
             update = by_world(program, arrays)
             observe = by_world(observing, arrays)
-            self.alone = None if update is None or observe is None else (update, observe)
+            self.by_world_programs = (
+                None if update is None or observe is None else (update, observe)
+            )
 
-    def _stillness(self) -> _Stillness:
+    def _account_update(self) -> _AccountUpdate:
         """Return the program that fills the account as if no time had passed."""
         account = self._worlds.account
-        if self._still is None or self._still.account is not account:
-            self._still = _Stillness(account, self._make_still())
-        return self._still
+        if self._update is None or self._update.account is not account:
+            self._update = _AccountUpdate(account, self._make_account_update())
+        return self._update
 
     def _make_start(self) -> Program:
         """Make the program that starts worlds from the drawn starts."""
         program, fresh, worlds, state = Program(), self._fresh, self._worlds, self._worlds.state
         self._add_rows(program)
-        program.call(spread, fresh, self._fresh_drones)
+        program.call(expand_mask, fresh, self._fresh_drones)
         worlds.dynamics.add_place(program, state.swarm, self._fresh_drones)
         add_value(program, fresh, 0, worlds.dynamics.contact.touches.number)
-        program.call(renew, state.alive, fresh, state.present, self._due)
+        program.call(update_present, state.alive, fresh, state.present, self._due)
         # Python callbacks together, as each leaves and enters compiled code
         if worlds.sensors.sensors:
             program.turn(self._reset_sensors)
@@ -178,14 +184,14 @@ class EpisodeStart:
         program.turn(lambda: worlds.measure(state.swarm, state.swarm, self._fresh_drones))
         return program
 
-    def _make_still(self) -> Program:
+    def _make_account_update(self) -> Program:
         """Make the program that fills the account as if no time had passed in the decision."""
         program, worlds, state = Program(), self._worlds, self._worlds.state
         worlds.energy.add_voltage(program)
         nothing = state.scene.obstacle[:, :0]
         before = (state.scene.goal, state.goal_before, nothing, nothing)
         program.call(keep_before, state.swarm, state.before, *before)
-        add_tick(program, worlds, self._no_worlds)
+        add_decision_count(program, worlds, self._no_worlds)
         Separate().add_to(program, worlds)
         return program
 

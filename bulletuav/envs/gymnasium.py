@@ -19,9 +19,9 @@ from gymnasium.vector.utils import batch_space
 from bulletuav.envs.agents import take_one
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.infos import later
+from bulletuav.envs.infos import lazy_infos
 from bulletuav.envs.options import RENDER_MODES
-from bulletuav.envs.reset_options import refuse_setting, reset_options
+from bulletuav.envs.reset_options import check_setting, reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.envs.vector import BatchAviary, BatchResults
@@ -120,12 +120,12 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
     def __setattr__(self, name: str, value: Any) -> None:
         """Set an attribute; raise AttributeError for one without effect."""
         if type(self) is CentralAviary and "_config" in vars(self):
-            refuse_setting(self, name, self._config)
+            check_setting(self, name, self._config)
         super().__setattr__(name, value)
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
         """Set an attribute for a wrapper; see `gymnasium.Env.set_wrapper_attr`."""
-        refuse_setting(self, name, self._config)
+        check_setting(self, name, self._config)
         return super().set_wrapper_attr(name, value, force=force)
 
     @exclusive
@@ -177,7 +177,7 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
             mean = aviary.rewards.item()
         else:
             observation, mean = part(self._observer.observe(seen), 0), float(aviary.rewards.mean())
-        infos = later(aviary.telling(0))
+        infos = lazy_infos(aviary.info_table(0))
         return observation, mean, is_over and not truncated, truncated, infos
 
     @exclusive
@@ -212,7 +212,7 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
 def _of_world(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the infos of the only world."""
-    return later(lambda: {name: value[0] for name, value in info.items()})
+    return lazy_infos(lambda: {name: value[0] for name, value in info.items()})
 
 
 class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, Any, Any]):

@@ -35,20 +35,20 @@ class Infos(dict[str, Any]):
         return dict(self)
 
 
-def later(make: Callable[[], Mapping[str, Any]]) -> Infos:
+def lazy_infos(make: Callable[[], Mapping[str, Any]]) -> Infos:
     """Create infos whose values `make` returns when any of them is first read."""
     infos = Infos(PENDING)
     infos._make = make
     return infos
 
 
-def untold(infos: Mapping[str, Any]) -> "Told | None":
+def unread_table(infos: Mapping[str, Any]) -> "InfoTable | None":
     """Return the results of a decision if its infos have not been read yet, else None."""
     make = infos._make if type(infos) is Infos else None
-    return make if type(make) is Told else None
+    return make if type(make) is InfoTable else None
 
 
-def _filled_first(name: str) -> Any:
+def _fill_first(name: str) -> Any:
     """Wrap a method of dict so that the values are computed first."""
     plain = getattr(dict, name)
 
@@ -67,11 +67,11 @@ METHODS = (
 )
 """Methods of dict that read the values"""
 for _name in METHODS:
-    setattr(Infos, _name, _filled_first(_name))
+    setattr(Infos, _name, _fill_first(_name))
 
 
 @dataclass(slots=True)
-class Told:
+class InfoTable:
     """Results of a decision; calling the object makes infos.
 
     Attributes:
@@ -89,18 +89,20 @@ class Told:
     def __call__(self) -> dict[str, np.ndarray]:
         """Return infos, whose arrays callers may modify."""
         more = {
-            name: (value.copy() if stays(value) else value)[self.world]
+            name: (value.copy() if is_immutable(value) else value)[self.world]
             for name, value in self.more.items()
         }
-        return columns(self.table[:, self.world], self.rows) | more
+        return columns_of_table(self.table[:, self.world], self.rows) | more
 
 
-def stays(value: Any) -> bool:
+def is_immutable(value: Any) -> bool:
     """Return True if an array is immutable: read-only, and not a view of another array."""
     return type(value) is np.ndarray and value.base is None and not value.flags.writeable
 
 
-def columns(table: np.ndarray, names: Iterable[tuple[str | None, Any]]) -> dict[str, np.ndarray]:
+def columns_of_table(
+    table: np.ndarray, names: Iterable[tuple[str | None, Any]]
+) -> dict[str, np.ndarray]:
     """Return the rows of a table as infos.
 
     Args:

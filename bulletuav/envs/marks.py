@@ -36,13 +36,13 @@ MISS: Colour = (250, 215, 140)
 """Colour of beams without a hit"""
 RING_RADIUS, CROSS_RADIUS, DOT_RADIUS, HIT_RADIUS = 7, 5, 2, 2
 """Radii of the marks of drones, goals, targets and hits, pixels"""
-ARROW = 6.0
+ARROWHEAD_LENGTH = 6.0
 """Length of the two strokes of an arrowhead, pixels"""
-CLEAR = 0.99
+OCCLUSION_RATIO = 0.99
 """Fraction of a point's depth below which a rendered surface occludes the point"""
-LEAST_ARROW = 3.0
+MIN_ARROW_LENGTH = 3.0
 """Minimum length of arrows, pixels"""
-KEY_HEIGHT = 240
+MIN_LEGEND_HEIGHT = 240
 """Minimum height of pictures with a legend, pixels"""
 LINE_HEIGHT = 14
 """Height of a line of the legend, pixels"""
@@ -64,9 +64,9 @@ class Marks(NamedTuple):
     """
 
     drone: np.ndarray
-    way: np.ndarray
+    motion: np.ndarray
     goal: np.ndarray = NO_POINTS
-    course: np.ndarray = NO_LINES
+    to_goal: np.ndarray = NO_LINES
     target: np.ndarray = NO_POINTS
     seen: np.ndarray = NONE
     link: np.ndarray = NO_LINES
@@ -91,8 +91,8 @@ def drone_marks(swarm: Swarm, flown: np.ndarray, world: int, sensors: Iterable[S
             mask = np.zeros_like(flown)
             mask[world] = flies
             beam, hit = sensor.beams(swarm, mask)
-    way = np.stack([drone, drone + swarm.velocity[world, flies]], axis=1)
-    return Marks(drone, way, beam=beam, hit=hit)
+    motion = np.stack([drone, drone + swarm.velocity[world, flies]], axis=1)
+    return Marks(drone, motion, beam=beam, hit=hit)
 
 
 def marks_of(task: Task[Any], frame: Frame, world: int, sensors: Iterable[Sensor]) -> Marks:
@@ -108,15 +108,15 @@ def marks_of(task: Task[Any], frame: Frame, world: int, sensors: Iterable[Sensor
     marks = drone_marks(frame.after, frame.alive, world, sensors)
     if task.has_goals:
         goal = frame.scene.goal[world]
-        marks = marks._replace(goal=goal, course=np.stack([position, goal], axis=1)[flies])
+        marks = marks._replace(goal=goal, to_goal=np.stack([position, goal], axis=1)[flies])
     # Inactive targets, and links to them, are not shown
     active = task.active_targets(frame.scene)[world]
     target = task.targets(frame.scene)[world]
-    who, whom = np.nonzero(task.links(frame)[world] & flies[:, None] & active)
+    drone_rows, target_rows = np.nonzero(task.links(frame)[world] & flies[:, None] & active)
     return marks._replace(
         target=target[active],
         seen=np.any(frame.seen[world], axis=0)[active],
-        link=np.stack([position[who], target[whom]], axis=1),
+        link=np.stack([position[drone_rows], target[target_rows]], axis=1),
     )
 
 
@@ -158,7 +158,7 @@ class Lens(NamedTuple):
         places, _ = self.project(points)
         inside = np.all((places >= 0) & (places < self.size), axis=1)
         x, y = np.where(inside[:, None], places, 0).astype(int).T
-        found: np.ndarray = inside & (depth[y, x] < CLEAR * away)
+        found: np.ndarray = inside & (depth[y, x] < OCCLUSION_RATIO * away)
         return found
 
     def lines(self, points: np.ndarray) -> np.ndarray:
@@ -189,28 +189,28 @@ def draw(marks: Marks, lens: Lens, pen: "ImageDraw.ImageDraw") -> None:
     lens.draw_lines(pen, marks.beam[~marks.hit], MISS)
     lens.draw_lines(pen, marks.beam[marks.hit], BEAM)
     lens.draw_lines(pen, marks.link, LINK)
-    lens.draw_lines(pen, marks.course, GOAL)
-    _dots(pen, lens.project(marks.beam[marks.hit, 1])[0], HIT_RADIUS, BEAM)
-    _dots(pen, lens.project(marks.target[~marks.seen])[0], DOT_RADIUS, UNSEEN)
-    _dots(pen, lens.project(marks.target[marks.seen])[0], DOT_RADIUS, SEEN)
+    lens.draw_lines(pen, marks.to_goal, GOAL)
+    _draw_dots(pen, lens.project(marks.beam[marks.hit, 1])[0], HIT_RADIUS, BEAM)
+    _draw_dots(pen, lens.project(marks.target[~marks.seen])[0], DOT_RADIUS, UNSEEN)
+    _draw_dots(pen, lens.project(marks.target[marks.seen])[0], DOT_RADIUS, SEEN)
     r = CROSS_RADIUS
     for x, y in lens.project(marks.goal)[0]:
         pen.line((x - r, y - r, x + r, y + r), GOAL, 2)
         pen.line((x - r, y + r, x + r, y - r), GOAL, 2)
-    for line in lens.lines(marks.way):
-        _arrow(pen, line)
+    for line in lens.lines(marks.motion):
+        _draw_arrow(pen, line)
     r = RING_RADIUS
     for x, y in lens.project(marks.drone)[0]:
         pen.ellipse((x - r, y - r, x + r, y + r), outline=DRONE, width=2)
-    if lens.size[1] >= KEY_HEIGHT:
-        _draw_key(pen, marks, lens.size[1])
+    if lens.size[1] >= MIN_LEGEND_HEIGHT:
+        _draw_legend(pen, marks, lens.size[1])
 
 
-def _draw_key(pen: "ImageDraw.ImageDraw", marks: Marks, height: int) -> None:
+def _draw_legend(pen: "ImageDraw.ImageDraw", marks: Marks, height: int) -> None:
     """Draw a legend of the colours in use into the lower left corner."""
     key = (
         (marks.drone, DRONE, "drone"),
-        (marks.way, VELOCITY, "motion in 1 s"),
+        (marks.motion, VELOCITY, "motion in 1 s"),
         (marks.goal, GOAL, "goal"),
         (marks.target[marks.seen], SEEN, "target in sight"),
         (marks.target[~marks.seen], UNSEEN, "target out of sight"),
@@ -226,19 +226,19 @@ def _draw_key(pen: "ImageDraw.ImageDraw", marks: Marks, height: int) -> None:
         pen.text((22, y), text, VELOCITY)
 
 
-def _dots(pen: "ImageDraw.ImageDraw", places: np.ndarray, radius: int, colour: Colour) -> None:
+def _draw_dots(pen: "ImageDraw.ImageDraw", places: np.ndarray, radius: int, colour: Colour) -> None:
     for x, y in places:
         pen.ellipse((x - radius, y - radius, x + radius, y + radius), colour)
 
 
-def _arrow(pen: "ImageDraw.ImageDraw", line: np.ndarray) -> None:
+def _draw_arrow(pen: "ImageDraw.ImageDraw", line: np.ndarray) -> None:
     """Draw an arrow along a line (4,), pixels, unless it is too short."""
     start, end = line[:2], line[2:]
     length = float(np.linalg.norm(end - start))
-    if length < LEAST_ARROW:
+    if length < MIN_ARROW_LENGTH:
         return
     pen.line(tuple(line), VELOCITY, 2)
     along = (end - start) / length
     across = np.array([-along[1], along[0]])
     for side in (-0.5, 0.5):
-        pen.line((*end, *(end - ARROW * (along + side * across))), VELOCITY, 2)
+        pen.line((*end, *(end - ARROWHEAD_LENGTH * (along + side * across))), VELOCITY, 2)

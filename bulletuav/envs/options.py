@@ -11,8 +11,8 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.randomization import CERTAIN, Randomization
-from bulletuav.envs.rates import MOST_HZ, decision_rate, picture_rate
-from bulletuav.envs.viewer import USUAL_ADDRESS, VIEWERS, parse_address
+from bulletuav.envs.rates import MAX_HZ, decision_rate, picture_rate
+from bulletuav.envs.viewer import DEFAULT_ADDRESS, VIEWERS, parse_address
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
@@ -29,29 +29,29 @@ from bulletuav.vehicle.wind import (
 
 ENERGIES = ("zeng", "actuator")
 FORMATS = ("vector", "dict")
-SEVERAL = (
+LIST_OPTIONS = (
     *("observation", "sensors", "effects", "wind"),
     *("render_size", "camera_size", "lidar_elevations"),
 )
 RENDER_MODES = ("rgb_array", "human", *VIEWERS)
 ROTOR_ACTIONS = ("rotor", "rpm")
-MOST_DRONES = 10_000
-MOST_PIXELS = 4096  # per side
-MOST_BEAMS = 8192  # of a drone's range finder, in total
-MOST_RANGE = 10_000.0  # m
-MOST_CAPACITY = 1e6  # W h
-MOST_NAMES = 100  # in a list of names
-MOST_SIZE, MOST_COUNT = 1e9, 10**9  # of task config numbers without a bound of their own
-MOST_WEIGHT = 1e6
-COUNTS = {
-    "num_drones": MOST_DRONES,
+MAX_DRONES = 10_000
+MAX_PIXELS = 4096  # per side
+MAX_BEAMS = 8192  # of a drone's range finder, in total
+MAX_LIDAR_RANGE = 10_000.0  # m
+MAX_CAPACITY = 1e6  # W h
+MAX_NAMES = 100  # in a list of names
+MAX_SIZE, MAX_COUNT = 1e9, 10**9  # of task config numbers without a bound of their own
+MAX_WEIGHT = 1e6
+MAX_COUNTS = {
+    "num_drones": MAX_DRONES,
     "num_neighbours": 1000,
     "horizon": 10**9,
-    "physics_hz": MOST_HZ,
-    "num_beams": MOST_BEAMS,
+    "physics_hz": MAX_HZ,
+    "num_beams": MAX_BEAMS,
 }
 """Maximum of each option that is a whole number above 0"""
-NAMED = ("observation", "sensors", "effects")
+NAME_LISTS = ("observation", "sensors", "effects")
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class EnvOptions:
     seed: int | None = None
     render_mode: str | None = None
     render_size: tuple[int, int] = (640, 480)
-    render_address: str = USUAL_ADDRESS
+    render_address: str = DEFAULT_ADDRESS
     controller: str = "lee"
     integral: bool = False
     effects: tuple[str, ...] = USUAL_EFFECTS
@@ -173,7 +173,7 @@ class EnvOptions:
     debug: bool = False
 
     def __post_init__(self) -> None:
-        for name, most in COUNTS.items():
+        for name, most in MAX_COUNTS.items():
             self._keep(name, as_int(name, getattr(self, name), 1, most))
         self._keep("decision_hz", decision_rate(self.decision_hz, self.physics_hz))
         if self.camera_hz is not None:
@@ -187,7 +187,7 @@ class EnvOptions:
             self._keep(
                 name,
                 tuple(
-                    as_int(name, side, 8, MOST_PIXELS)
+                    as_int(name, side, 8, MAX_PIXELS)
                     for side in as_sequence(name, getattr(self, name), 2)
                 ),
             )
@@ -221,17 +221,17 @@ class EnvOptions:
                     f"reward has {shown(name)}: {shown(value)}; (term, weight) is needed, such as "
                     f"(my_term, -0.1)"
                 )
-            finite(f"reward: weight of {name!r}", value[1], -MOST_WEIGHT, MOST_WEIGHT)
+            finite(f"reward: weight of {name!r}", value[1], -MAX_WEIGHT, MAX_WEIGHT)
 
     def _keep(self, name: str, value: Any) -> None:
         """Store a validated value, so that kernels are compiled for one type."""
         object.__setattr__(self, name, value)
 
     def _check_sensors(self) -> None:
-        self._keep("max_range", finite("max_range", self.max_range, most=MOST_RANGE))
+        self._keep("max_range", finite("max_range", self.max_range, most=MAX_LIDAR_RANGE))
         if self.max_range <= 0:
             raise ValueError(f"max_range is {self.max_range:g} m: it must be above 0")
-        elevations = as_sequence("lidar_elevations", self.lidar_elevations, most=MOST_BEAMS)
+        elevations = as_sequence("lidar_elevations", self.lidar_elevations, most=MAX_BEAMS)
         self._keep(
             "lidar_elevations",
             tuple(finite("lidar_elevations", elevation) for elevation in elevations),
@@ -244,11 +244,11 @@ class EnvOptions:
                 )
         if not self.lidar_elevations:
             raise ValueError("lidar_elevations is empty: give at least one angle")
-        if self.num_beams * len(self.lidar_elevations) > MOST_BEAMS:
+        if self.num_beams * len(self.lidar_elevations) > MAX_BEAMS:
             raise ValueError(
                 f"num_beams is {self.num_beams} at each of {len(self.lidar_elevations)} "
                 f"lidar_elevations: at most "
-                f"{MOST_BEAMS} beams in total are possible"
+                f"{MAX_BEAMS} beams in total are possible"
             )
         if isinstance(self.battery_capacity, str):
             if self.battery_capacity != "airframe":
@@ -260,7 +260,7 @@ class EnvOptions:
                         f"<battery> tag: give watt-hours"
                     )
         elif self.battery_capacity is not None:
-            capacity = finite("battery_capacity", self.battery_capacity, most=MOST_CAPACITY)
+            capacity = finite("battery_capacity", self.battery_capacity, most=MAX_CAPACITY)
             self._keep("battery_capacity", capacity)
             if capacity <= 0:
                 raise ValueError(

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from bulletuav.errors import finite
 
-LONGEST_DELAY = 1.0
+MAX_DELAY = 1.0
 """Delay after which a pacer restarts its deadlines, s, unless the period is longer"""
 
 
@@ -72,7 +72,7 @@ class Pacer:
             return 0.0
         self.late += 1
         self.latest = max(self.latest, delay)
-        if delay > max(LONGEST_DELAY, self._turn):
+        if delay > max(MAX_DELAY, self._turn):
             self.restart()
         else:
             self._deadline += self._turn

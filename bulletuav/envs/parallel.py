@@ -13,10 +13,10 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from bulletuav.envs.agents import share, take
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.infos import later
+from bulletuav.envs.infos import lazy_infos
 from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.reset_options import reset_options
-from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_face
+from bulletuav.envs.snapshot import EnvironmentSnapshot, Snapshot, require_environment_snapshot
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.envs.teams import team_rows
 from bulletuav.errors import choose, shown, unknown
@@ -25,9 +25,9 @@ from bulletuav.tasks.observations.observer import Observation, part
 
 ByAgent = dict[str, Any]
 """One value for each agent, by its name"""
-Infos = dict[str, dict[str, float]]
+InfosByAgent = dict[str, dict[str, float]]
 """Infos of each agent, by its name"""
-AgentResults = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], Infos]
+AgentResults = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], InfosByAgent]
 """Observations, rewards, terminated, truncated and infos of a step, each by agent"""
 
 
@@ -102,7 +102,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
     @exclusive
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[ByAgent, Infos]:
+    ) -> tuple[ByAgent, InfosByAgent]:
         """Start a new episode.
 
         Args:
@@ -149,7 +149,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         seen, rewards, terminated, truncated, any_ended = results
         if isinstance(observations, dict):
             seen = self._by_agent(observations, rows)
-        infos = self._infos(aviary.telling(), rows)
+        infos = self._infos(aviary.info_table(), rows)
         # Agents leave after the step that ended their episode
         if any_ended:
             self.agents = [one for one in agents if not terminated[one] and not truncated[one]]
@@ -182,22 +182,24 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         """Split observations (1, N, ...) by living agent."""
         if isinstance(observations, dict):
             return {agent: part(observations, (0, self._rows[agent])) for agent in self.agents}
-        return dict(zip(self.agents, _of(observations, rows), strict=True))
+        return dict(zip(self.agents, _rows_of(observations, rows), strict=True))
 
-    def _infos(self, telling: Callable[[], dict[str, np.ndarray]], rows: list[int] | None) -> Infos:
+    def _infos(
+        self, make_infos: Callable[[], dict[str, np.ndarray]], rows: list[int] | None
+    ) -> InfosByAgent:
         """Split infos (1, N) by living agent."""
         agents = self.agents
 
-        def make() -> Infos:
-            info = telling()
-            living = [_of(array, rows) for array in info.values()]
+        def make() -> InfosByAgent:
+            info = make_infos()
+            living = [_rows_of(array, rows) for array in info.values()]
             table = np.array(living, dtype=float).T.tolist()
             return {
                 agent: dict(zip(info, row, strict=True))
                 for agent, row in zip(agents, table, strict=True)
             }
 
-        return later(make)
+        return lazy_infos(make)
 
     @exclusive
     def save_state(self) -> Snapshot:
@@ -246,7 +248,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.aviary.close()
 
 
-def _of(array: np.ndarray, rows: list[int] | None) -> np.ndarray:
+def _rows_of(array: np.ndarray, rows: list[int] | None) -> np.ndarray:
     """Return rows of the only world of an array (1, N, ...)."""
     one: np.ndarray = array[0] if rows is None else array[0, rows]
     return one
@@ -294,7 +296,7 @@ def parallel_env(task: TaskSource, **options: Any) -> ParallelAviary:
     return ParallelAviary(task, **options)
 
 
-TURN = (
+TURN_FIELDS = (
     *("agents", "_live_agents", "_actions", "_agent_selector", "agent_selection", "new_agents"),
     *("new_values", "_observations", "rewards", "_cumulative_rewards", "terminations"),
     *("truncations", "infos", "_skip_agent_selection"),
@@ -352,15 +354,15 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
         super().close()
 
     @exclusive
-    def save_state(self) -> FaceSnapshot:
+    def save_state(self) -> EnvironmentSnapshot:
         """Save the complete state with the turns of agents; see `Aviary.save_state`."""
-        turn = {name: getattr(self.env, name, None) for name in TURN}
-        return FaceSnapshot("aec_env", self._parallel.save_state(), copy.deepcopy(turn))
+        turn = {name: getattr(self.env, name, None) for name in TURN_FIELDS}
+        return EnvironmentSnapshot("aec_env", self._parallel.save_state(), copy.deepcopy(turn))
 
     @exclusive
-    def load_state(self, snapshot: FaceSnapshot) -> None:
+    def load_state(self, snapshot: EnvironmentSnapshot) -> None:
         """Restore a saved state; see `Aviary.load_state`."""
-        require_face(snapshot, "aec_env", TURN)
+        require_environment_snapshot(snapshot, "aec_env", TURN_FIELDS)
         self._parallel.load_state(snapshot.flight)
         for name, value in copy.deepcopy(dict(snapshot.beside)).items():
             setattr(self.env, name, value)

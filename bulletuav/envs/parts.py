@@ -16,7 +16,7 @@ from bulletuav.engine.engine import Engine
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
-from bulletuav.envs.snapshot import BODIES, Bounds, Layout
+from bulletuav.envs.snapshot import BODIES, Bounds, SnapshotLayout
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor, SensorSetup
@@ -45,7 +45,7 @@ class Parts(ABC):
     """
 
     readings: dict[str, np.ndarray]
-    _layout: Layout | None = None
+    _layout: SnapshotLayout | None = None
     _varying: Sequence[object] = ()
 
     def __init__(
@@ -77,7 +77,7 @@ class Parts(ABC):
         self.dynamics.show(swarm, mask)
         self.engine.show_obstacles()
 
-    def layout(self, of: str, parts: Mapping[str, str]) -> Layout:
+    def layout(self, of: str, parts: Mapping[str, str]) -> SnapshotLayout:
         """Return the layout of arrays in snapshots.
 
         Args:
@@ -92,7 +92,7 @@ class Parts(ABC):
         if self._layout is None or not is_known:
             bodies = {BODIES: self.engine.bodies}
             arrays = {**bodies, **self.state_arrays(), **self.last_arrays()}
-            self._layout = Layout(of, parts, self.bounds(), arrays)
+            self._layout = SnapshotLayout(of, parts, self.bounds(), arrays)
             self._varying = varying
         return self._layout
 

@@ -14,7 +14,7 @@ from bulletuav.vehicle.wind import Wind
 
 Range = float | tuple[float, float]
 
-LEAST_THRUST = 0.5
+MIN_THRUST_FRACTION = 0.5
 """Fraction of the thrust that is left with a low battery"""
 DRONES = {
     "mass": Uncertain(0.1, 10.0, usual=1.0),
@@ -175,11 +175,11 @@ class Uncertainty:
         widths |= {"wind": 3} if "wind" in widths else {}
         self.drawn = {name: np.zeros((worlds, width)) for name, width in widths.items()}
         self._bounds = {name: spec.bounds(name) for name in self.drawn}
-        self._told: dict[str, np.ndarray] | None = None
+        self._info: dict[str, np.ndarray] | None = None
 
     def reset(self, world: int, rng: np.random.Generator) -> None:
         """Draw the parameters of a world for a new episode, and update drones and wind."""
-        self._told = None
+        self._info = None
         for name, values in self.drawn.items():
             values[world] = rng.uniform(*self._bounds[name], values.shape[1])
             for parameter in FACTORS.get(name, ()):
@@ -193,7 +193,7 @@ class Uncertainty:
 
     def restore(self, worlds: np.ndarray) -> None:
         """Update the engine after `drawn` and parameters were written in worlds (S,)."""
-        self._told = None
+        self._info = None
         if "mass" in self.drawn:
             for w in worlds.tolist():
                 row = self._parameters[w]
@@ -207,18 +207,18 @@ class Uncertainty:
     def drain(self, time: np.ndarray) -> None:
         """Reduce the thrust by what the batteries lost after `time` (W,) s of flight."""
         lost = self.drawn["battery"] * time[:, None] / 60
-        left = np.maximum(1 - lost, LEAST_THRUST) * self.drawn.get("thrust", 1.0)
+        left = np.maximum(1 - lost, MIN_THRUST_FRACTION) * self.drawn.get("thrust", 1.0)
         for parameter in FACTORS["thrust"]:
             self._parameters[parameter][:] = left * self._nominal[parameter]
 
     def info(self) -> dict[str, np.ndarray]:
         """Return the drawn values, (W, N) by name; read-only, the same arrays during an episode."""
-        if self._told is None:
-            self._told = self._tell()
-        return self._told
+        if self._info is None:
+            self._info = self._make_info()
+        return self._info
 
-    def _tell(self) -> dict[str, np.ndarray]:
-        told: dict[str, np.ndarray] = {}
+    def _make_info(self) -> dict[str, np.ndarray]:
+        infos: dict[str, np.ndarray] = {}
         for name, values in self.drawn.items():
             columns = {name: values}
             if name == "wind":
@@ -227,8 +227,8 @@ class Uncertainty:
                 array = np.empty(self._parameters.shape)
                 array[:] = column
                 array.flags.writeable = False
-                told[f"random/{key}"] = array
-        return told
+                infos[f"random/{key}"] = array
+        return infos
 
 
 CERTAIN = Randomization(None, {**DRONES, **WIND})

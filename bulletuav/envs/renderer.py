@@ -19,7 +19,7 @@ SHADOW: Colour = (120, 124, 120)
 """Colour of the vertical lines from drones to the ground"""
 DIRECTION = np.array([-0.55, -0.75, 0.5])
 """Direction from the target to the camera, in units of the distance"""
-NEAREST = 0.8
+MIN_DISTANCE = 0.8
 """Minimum distance of the camera, in units of `DIRECTION`, m"""
 MARGIN = 1.12
 """Factor on the smallest distance at which everything is in the picture"""
@@ -72,7 +72,7 @@ class Renderer:
         # Without anything to show, the camera looks at the last positions of drones
         shown = np.concatenate([marks.drone, marks.goal, marks.target])
         points = shown if len(shown) else swarm.position[world]
-        target, distance = fit(points, DIRECTION, self._size)
+        target, distance = fit_camera(points, DIRECTION, self._size)
         drones = (swarm, alive) if collision else None
         image, lens, _ = self.shot(world, target, distance * DIRECTION, marks.drone, drones)
         if marked:
@@ -158,7 +158,7 @@ class Renderer:
         high = points.max(axis=0)
         middle = (low + high) / 2
         diagonal = float(np.linalg.norm(high - low))
-        return middle, NEAREST + 1.1 * diagonal
+        return middle, MIN_DISTANCE + 1.1 * diagonal
 
     @staticmethod
     def _grid(target: np.ndarray, distance: float) -> np.ndarray:
@@ -183,7 +183,7 @@ class Renderer:
         return grid
 
 
-def fit(
+def fit_camera(
     points: np.ndarray, direction: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, float]:
     """Return the middle of points (M, 3), and the distance at which all just fit into a picture.
@@ -205,7 +205,7 @@ def fit(
     right, up, back = view_matrix(direction, np.zeros(3))[:3, :3] @ (points - middle).T
     tangent = np.tan(np.radians(FIELD_OF_VIEW) / 2)
     needed = np.maximum(np.abs(right) / aspect, np.abs(up)) / tangent + back
-    return middle, NEAREST + MARGIN * float(needed.max()) / float(np.linalg.norm(direction))
+    return middle, MIN_DISTANCE + MARGIN * float(needed.max()) / float(np.linalg.norm(direction))
 
 
 def pixel_size(distance: float, height: int) -> float:

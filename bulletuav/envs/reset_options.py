@@ -11,7 +11,7 @@ from bulletuav.tasks.given import PLACES
 
 MASK = "reset_mask"
 """Option that selects the worlds to reset, in batches"""
-OF_WRAPPERS = ("minari_autoseed", "options")
+WRAPPER_OPTIONS = ("minari_autoseed", "options")
 """Options that wrappers pass, which are ignored.
 
 The first is from Minari's wrapper, the second from PettingZoo's `parallel_api_test`.
@@ -23,7 +23,7 @@ _GOAL = "goals of drones are 'goal'"
 _SPEED = "speeds and attitudes at the start follow from the task's own options, such as start_speed"
 _SCENE = "obstacles follow from the task's own options, set when the environment is created"
 _WORLDS = "worlds of a batch are chosen by 'reset_mask' of batch_env and Gymnasium's vector classes"
-ELSEWHERE: Mapping[str, str] = {
+REPLACEMENTS: Mapping[str, str] = {
     **dict.fromkeys(("position", "positions", "pos", "initial_positions", "init_pos"), _START),
     **dict.fromkeys(("initial_xyzs", "start_pos", "start_positions", "spawn", "state"), _START),
     **dict.fromkeys(("goals", "goal_position", "destination", "waypoints"), _GOAL),
@@ -62,7 +62,7 @@ def reset_options(options: Any, *also: str) -> dict[str, Any]:
     given = dict(options or {})
     known = (*PLACES, *also)
     for name in given:
-        if name not in known and name not in OF_WRAPPERS:
+        if name not in known and name not in WRAPPER_OPTIONS:
             raise ValueError(f"options: {_without_effect(name, known)}")
     return {name: given[name] for name in known if given.get(name) is not None}
 
@@ -77,8 +77,8 @@ def _without_effect(name: Any, known: tuple[str, ...]) -> str:
     near = difflib.get_close_matches(text, known, n=1)
     if near:
         remedy = f"did you mean {near[0]!r}?"
-    elif text in ELSEWHERE:
-        remedy = f"{ELSEWHERE[text]};"
+    elif text in REPLACEMENTS:
+        remedy = f"{REPLACEMENTS[text]};"
     elif text in ENV_OPTIONS:
         remedy = f"{text} is fixed when the environment is created;"
     else:
@@ -87,7 +87,7 @@ def _without_effect(name: Any, known: tuple[str, ...]) -> str:
     return f"unknown option of a reset {shown(name)}: {remedy} a reset takes {valid}"
 
 
-def refuse_setting(env: Any, name: str, config: Any) -> None:
+def check_setting(env: Any, name: str, config: Any) -> None:
     """Raise AttributeError if setting an attribute would have no effect.
 
     Wrappers and vector classes set attributes by name, such as `set_attr` of stable-baselines3.

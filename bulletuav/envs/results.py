@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bulletuav.envs.infos import Told, stays
+from bulletuav.envs.infos import InfoTable, is_immutable
 
 INFOS = {
     "success": bool,
@@ -60,7 +60,7 @@ class Results:
         """Weighted reward terms (W, N) by name."""
         return dict(zip(self.names, self.weighted, strict=True))
 
-    def told(self, more: Mapping[str, np.ndarray], world: object) -> Told:
+    def info_table(self, more: Mapping[str, np.ndarray], world: object) -> InfoTable:
         """Copy the results of the last decision; calling the returned object makes infos.
 
         Args:
@@ -68,5 +68,5 @@ class Results:
             world: Index of the world of the infos; `...` for all.
         """
         # Immutable arrays are copied only when infos are read
-        copies = {name: one if stays(one) else np.array(one) for name, one in more.items()}
-        return Told(self._table.copy(), self._rows, copies, world)
+        copies = {name: one if is_immutable(one) else np.array(one) for name, one in more.items()}
+        return InfoTable(self._table.copy(), self._rows, copies, world)

@@ -26,7 +26,7 @@ def add_rows(program: Program, mask: np.ndarray, rows: np.ndarray, array: np.nda
     """
     assert (rows.dtype, rows.shape) == (array.dtype, array.shape), (rows.shape, array.shape)
     if array.size:
-        program.call(_put, mask, as_bytes(rows), 0, as_bytes(array))
+        program.call(_scatter_rows, mask, as_bytes(rows), 0, as_bytes(array))
 
 
 class Rows:
@@ -48,8 +48,8 @@ class Rows:
         self.gather, self.scatter = Program(), Program()
         begin = 0
         for one in every:
-            self.gather.call(_take, self.mask, one, self.data, begin)
-            self.scatter.call(_put, self.mask, self.data, begin, one)
+            self.gather.call(_gather_rows, self.mask, one, self.data, begin)
+            self.scatter.call(_scatter_rows, self.mask, self.data, begin, one)
             begin += one.shape[1]
 
 
@@ -82,7 +82,7 @@ def _copy(_: Any, target: Any, source: Any, count: Any) -> Any:
 
 
 @kernel
-def _put(mask: np.ndarray, rows: np.ndarray, begin: int, array: np.ndarray) -> None:
+def _scatter_rows(mask: np.ndarray, rows: np.ndarray, begin: int, array: np.ndarray) -> None:
     """Copy the first rows, from byte `begin` on, to the worlds of a mask (W,) of an array."""
     s = 0
     for w in range(mask.shape[0]):
@@ -93,7 +93,7 @@ def _put(mask: np.ndarray, rows: np.ndarray, begin: int, array: np.ndarray) -> N
 
 
 @kernel
-def _take(mask: np.ndarray, array: np.ndarray, rows: np.ndarray, begin: int) -> None:
+def _gather_rows(mask: np.ndarray, array: np.ndarray, rows: np.ndarray, begin: int) -> None:
     """Copy the worlds of a mask (W,) of an array to the first rows, from byte `begin` on."""
     s = 0
     for w in range(mask.shape[0]):
@@ -113,7 +113,7 @@ def _fill(mask: np.ndarray, row: np.ndarray, array: np.ndarray) -> None:
 
 
 @kernel
-def spread(mask: np.ndarray, each: np.ndarray) -> None:
+def expand_mask(mask: np.ndarray, each: np.ndarray) -> None:
     """Expand a mask (W,) of worlds to their drones (W, N)."""
     for w in range(each.shape[0]):
         for i in range(each.shape[1]):
@@ -121,7 +121,9 @@ def spread(mask: np.ndarray, each: np.ndarray) -> None:
 
 
 @kernel
-def renew(alive: np.ndarray, fresh: np.ndarray, present: np.ndarray, due: np.ndarray) -> None:
+def update_present(
+    alive: np.ndarray, fresh: np.ndarray, present: np.ndarray, due: np.ndarray
+) -> None:
     """Update which drones are present after a reset, and which worlds are observed again.
 
     Args:

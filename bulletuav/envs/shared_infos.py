@@ -5,20 +5,20 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.envs.infos import Infos, later, untold
+from bulletuav.envs.infos import Infos, lazy_infos, unread_table
 from bulletuav.envs.results import INFOS
 
-MORE = 16
+MAX_MORE_INFOS = 16
 """Number of rows for infos of tasks, sensors and randomization, in addition to `INFOS`"""
-TYPES = tuple(map(np.dtype, ("f8", "i8", "?")))
+INFO_TYPES = tuple(map(np.dtype, ("f8", "i8", "?")))
 """Types of infos that can be shared"""
-EXACT = 2**53
+MAX_EXACT_INTEGER = 2**53
 """Largest whole number up to which float64 is exact"""
 
 
-def room_for(terms: int) -> int:
+def num_info_rows(terms: int) -> int:
     """Return the number of info rows to allocate for a number of reward terms."""
-    return terms + len(INFOS) + MORE
+    return terms + len(INFOS) + MAX_MORE_INFOS
 
 
 class SharedInfos:
@@ -36,16 +36,18 @@ class SharedInfos:
         self._array = array
         self._types: dict[str, np.dtype[Any]] = {}
 
-    def learn(self, infos: Mapping[str, Any]) -> None:
+    def set_types(self, infos: Mapping[str, Any]) -> None:
         """Store names and types of infos after a reset, which each step has, too."""
         worlds, room, drones = self._array.shape
         fit = len(infos) <= room and all(
-            isinstance(one, np.ndarray) and one.shape == (worlds, drones) and one.dtype in TYPES
+            isinstance(one, np.ndarray)
+            and one.shape == (worlds, drones)
+            and one.dtype in INFO_TYPES
             for one in infos.values()
         )
         self._types = {name: one.dtype for name, one in infos.items()} if fit else {}
 
-    def put(self, infos: Mapping[str, Any]) -> bool:
+    def write(self, infos: Mapping[str, Any]) -> bool:
         """Write the infos of a step.
 
         Returns:
@@ -53,26 +55,28 @@ class SharedInfos:
         """
         if not self._types:
             return False
-        told, begin = untold(infos), 0
+        info_table, begin = unread_table(infos), 0
         # If infos were not read, their table is copied as a whole
-        if told is not None:
-            rows = [k for k, (name, _) in enumerate(told.rows) if name is not None]
-            names, begin = [told.rows[k][0] for k in rows], len(rows)
-            if [*names, *told.more] != list(self._types):
+        if info_table is not None:
+            rows = [k for k, (name, _) in enumerate(info_table.rows) if name is not None]
+            names, begin = [info_table.rows[k][0] for k in rows], len(rows)
+            if [*names, *info_table.more] != list(self._types):
                 return False
-            table = told.table if begin == len(told.table) else told.table[rows]
+            table = info_table.table if begin == len(info_table.table) else info_table.table[rows]
             self._array[:, :begin] = table.swapaxes(0, 1)
-            infos = told.more
+            infos = info_table.more
         elif list(infos) != list(self._types):
             return False
         others = zip(infos.values(), list(self._types.values())[begin:], strict=True)
         for k, (one, kind) in enumerate(others, begin):
-            if one.dtype != kind or (kind.kind == "i" and np.abs(one).max(initial=0) > EXACT):
+            if one.dtype != kind or (
+                kind.kind == "i" and np.abs(one).max(initial=0) > MAX_EXACT_INTEGER
+            ):
                 return False
             self._array[:, k] = one
         return True
 
-    def take(self, answers: list[Any], parts: list[slice]) -> dict[str, Any]:
+    def read(self, answers: list[Any], parts: list[slice]) -> dict[str, Any]:
         """Copy the infos of a step. Infos that were shared are computed when they are read.
 
         Args:
@@ -84,16 +88,16 @@ class SharedInfos:
             return infos
         each = zip(answers, parts, strict=True)
         full = [one or {name: every[part] for name, every in infos.items()} for one, part in each]
-        return merged(parts, full, len(self._array))
+        return merge_infos(parts, full, len(self._array))
 
     def _copy(self) -> Infos:
         array, types = self._array[:, : len(self._types)].copy(), self._types
-        return later(
+        return lazy_infos(
             lambda: {name: array[:, k].astype(kind) for k, (name, kind) in enumerate(types.items())}
         )
 
 
-def merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
+def merge_infos(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
     """Merge the infos of several processes.
 
     Args:
@@ -113,7 +117,7 @@ def merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> di
         if isinstance(first, dict):
             own_parts = [part for part, _ in given]
             own_infos = [value for _, value in given]
-            whole[name] = merged(own_parts, own_infos, num_envs)
+            whole[name] = merge_infos(own_parts, own_infos, num_envs)
             continue
         shape = (num_envs, *first.shape[1:])
         whole[name] = np.zeros(shape, dtype=first.dtype)

@@ -8,9 +8,9 @@ from bulletuav.compiled.program import Program
 from bulletuav.envs.episode_start import EpisodeStart
 from bulletuav.envs.results import Results
 from bulletuav.envs.stages import Stage, decision_stages
-from bulletuav.envs.stages.base import inserted, programs_of, table
+from bulletuav.envs.stages.base import format_stages, insert_stage, stage_programs_of
 from bulletuav.envs.stages.observe import Observe
-from bulletuav.envs.stages.report import Report
+from bulletuav.envs.stages.report import WriteInfos
 from bulletuav.envs.stages.separate import Separate
 from bulletuav.envs.worlds import Worlds
 from bulletuav.tasks.check import check_info, check_step_result
@@ -49,7 +49,7 @@ class Simulation:
         worlds, drones = self.worlds.state.alive.shape
         dynamics = self.worlds.options.dynamics_name
         title = f"{self.worlds.task.name} in {dynamics}: {worlds} worlds of {drones} drones"
-        return f"{title}\n{table(self.stages)}"
+        return f"{title}\n{format_stages(self.stages)}"
 
     def insert(self, stage: Stage, after: str | None = None, *, before: str | None = None) -> None:
         """Insert a custom stage into all later decisions.
@@ -63,7 +63,7 @@ class Simulation:
             ValueError: If none or both of these are given, there is no such stage, or the name of
                 the new stage is in use.
         """
-        self.stages, self.program = inserted(self.stages, stage, after, before), None
+        self.stages, self.program = insert_stage(self.stages, stage, after, before), None
 
     def decide(self) -> None:
         """Simulate one decision with the actions in `state.given`.
@@ -72,7 +72,7 @@ class Simulation:
             ValueError: If an action of a living drone is invalid. The worlds are unchanged.
         """
         self.update_scene()
-        self.start.is_still = True
+        self.start.is_account_complete = True
         program = self.program or self.make_program()
         self.worlds.contacts.start_decision()
         self.worlds.forget_derived()
@@ -86,7 +86,7 @@ class Simulation:
             Python calls it.
         """
         self.update_scene()
-        self.start.is_still = True
+        self.start.is_account_complete = True
         # Always made, as results after a reset need it
         program = self.program or self.make_program()
         if self._staged is None or self._staged[0] is not program:
@@ -103,7 +103,7 @@ class Simulation:
     def stage_programs(self) -> dict[str, Program]:
         """Make a program of each stage alone, by its name."""
         self._derive()
-        return programs_of(self.stages, self.worlds)
+        return stage_programs_of(self.stages, self.worlds)
 
     def _derive(self) -> None:
         """Let the task compute its derived values, so that programs find them."""
@@ -116,8 +116,8 @@ class Simulation:
             self._has_account = False
         if not self._has_account:
             self.worlds.make_account()
-            self._reckoning = Program()
-            Separate().add_to(self._reckoning, self.worlds)
+            self._recomputing = Program()
+            Separate().add_to(self._recomputing, self.worlds)
             # Last, so that an interrupt leaves no incomplete program
             self.program, self._has_account = None, True
 
@@ -133,8 +133,8 @@ class Simulation:
         # Reward terms are zero after a reset
         add_outcome(self._reporting, worlds.task, worlds.frame, worlds.judgement)
         self._reporting.call(clear, worlds.results.weighted)
-        Report().add_to(self._reporting, worlds)
-        self.start.make_alone(self._observing)
+        WriteInfos().add_to(self._reporting, worlds)
+        self.start.make_by_world_programs(self._observing)
         self.program = program  # last, so that an interrupt leaves no incomplete program
         return program
 
@@ -166,14 +166,14 @@ class Simulation:
         self.worlds.results = Results(terms, shape, task.has_goals)
         own = task.has_own("info")
         worlds = self.worlds
-        self._reports_more = own or bool(
+        self._has_further_infos = own or bool(
             task.lands or worlds.uncertainty.drawn or worlds.sensors.sensors
         )
         self._checked = True
 
-    def more_infos(self) -> dict[str, np.ndarray]:
+    def further_infos(self) -> dict[str, np.ndarray]:
         """Return the infos (W, N) in addition to reward terms and `results.INFOS`."""
-        if not self._reports_more:
+        if not self._has_further_infos:
             return {}
         worlds = self.worlds
         landed = {"landed": worlds.frame.landed} if worlds.task.lands else {}
@@ -191,12 +191,12 @@ class Simulation:
         self.worlds.forget_derived()
         self._reporting.run()
 
-    def reckon(self) -> None:
+    def recompute(self) -> None:
         """Recompute everything that follows from a state that was written directly."""
         self.worlds.contacts.keep(None)
         self.worlds.forget_derived()
         self.update_scene()
-        self._reckoning.run()
+        self._recomputing.run()
         if self.program is None:
             self.make_program()
         self.worlds.forget_derived()

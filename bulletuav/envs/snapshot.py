@@ -12,17 +12,17 @@ import numpy as np
 from bulletuav.contact.memory import ROWS
 from bulletuav.contact.touches import MOST_TOUCHES
 from bulletuav.dynamics.divergence import FASTEST, FASTEST_SPIN
-from bulletuav.envs.described import text_of
+from bulletuav.envs.descriptions import canonical_text
 from bulletuav.envs.rows import Rows
 from bulletuav.errors import shown
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 
-BODIES, BODIES_BYTES = "bodies", 8
+BODIES, BODIES_SIZE = "bodies", 8
 """Array (W,) uint64 that identifies the added bodies; the first array of a snapshot"""
-GENERATOR = 37
+GENERATOR_SIZE = 37
 """Size of the state of a random generator, bytes"""
-CHECKSUM = 16
+CHECKSUM_SIZE = 16
 """Size of a checksum, bytes"""
 UNSTARTED = np.random.default_rng(0)
 """Generator of worlds before their first reset; it is never used"""
@@ -32,20 +32,20 @@ Fields = Mapping[str, np.ndarray]
 
 Bounds = Mapping[str, tuple[Any, Any]]
 """Lowest and highest value of arrays by name; "name.field" if rows have fields"""
-UNIT = 1e-6
+QUATERNION_TOLERANCE = 1e-6
 """Tolerance of the components of a quaternion"""
 MAX_ROTOR_SPEED = 1e6
 """Maximum rotor speed, rad/s"""
 MAX_COORDINATE = 1e7
 """Maximum distance of a drone from its world's origin, m; diverging flights end before"""
-FIRST_FIELDS = ("data", "form", "checksum")
+SNAPSHOT_FIELDS = ("data", "form", "checksum")
 """Fields of a pickled snapshot"""
 FORM_FIELDS = ("of", "parts", "arrays")
 """Fields of a pickled form"""
-FACE_FIELDS = ("of", "flight", "beside", "checksum")
+ENVIRONMENT_FIELDS = ("of", "flight", "beside", "checksum")
 """Fields of a pickled snapshot of an environment class"""
 ANOTHER_VERSION = "the snapshot is of another version of bulletuav: save it again with this one"
-MOST_NAMED = 8
+MAX_LISTED = 8
 """Maximum number of differences that a message lists"""
 
 
@@ -55,7 +55,7 @@ class Form:
 
     Attributes:
         of: Kind of simulation, such as "environment of 'crossing'".
-        parts: Descriptions of the simulation's components, by name; see `described.describe_parts`.
+        parts: Descriptions of the simulation's components, by name; see `descriptions.describe_parts`.
         arrays: Name, type and shape of each array of a world.
     """
 
@@ -67,7 +67,7 @@ class Form:
     def digest(self) -> bytes:
         """Hash of all attributes."""
         text = repr((self.of, sorted(self.parts.items()), self.arrays))
-        return hashlib.blake2b(text.encode(), digest_size=CHECKSUM).digest()
+        return hashlib.blake2b(text.encode(), digest_size=CHECKSUM_SIZE).digest()
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes without the cached hash, which is computed again."""
@@ -91,7 +91,7 @@ def require_parts(form: Form, parts: Mapping[str, str], of: str) -> None:
 
     Args:
         form: Form of the snapshot.
-        parts: Descriptions of the components here, see `described.describe_parts`.
+        parts: Descriptions of the components here, see `descriptions.describe_parts`.
         of: Kind of simulation here.
 
     Raises:
@@ -108,10 +108,10 @@ def require_parts(form: Form, parts: Mapping[str, str], of: str) -> None:
     differ = [
         f"{name} is {form.parts.get(name, missing)} in the snapshot and "
         f"{parts.get(name, missing)} here"
-        for name in names[:MOST_NAMED]
+        for name in names[:MAX_LISTED]
     ]
-    if len(names) > MOST_NAMED:
-        differ.append(f"others are {', '.join(names[MOST_NAMED:])}")
+    if len(names) > MAX_LISTED:
+        differ.append(f"others are {', '.join(names[MAX_LISTED:])}")
     raise ValueError(
         f"the snapshot is of another simulation than this {of}: {'; '.join(differ)}; load it "
         f"where these are the same"
@@ -165,11 +165,11 @@ class Snapshot:
         """Return the pickled fields, with a checksum."""
         self._require_kinds()
         checksum = checksum_of(self.data, self.form) if self.is_own else self.checksum
-        return dict(zip(FIRST_FIELDS, (self.data, self.form, checksum), strict=True))
+        return dict(zip(SNAPSHOT_FIELDS, (self.data, self.form, checksum), strict=True))
 
     def __setstate__(self, state: Any) -> None:
         """Set the pickled fields, which are checked when the snapshot is loaded."""
-        if not isinstance(state, dict) or tuple(state) != FIRST_FIELDS:
+        if not isinstance(state, dict) or tuple(state) != SNAPSHOT_FIELDS:
             raise ValueError(ANOTHER_VERSION)
         for name, value in state.items():
             object.__setattr__(self, name, value)
@@ -197,7 +197,7 @@ class Snapshot:
         if self.is_own:
             return
         # Objects that were constructed by hand may have no attributes
-        data, form, checksum = map(vars(self).get, FIRST_FIELDS)
+        data, form, checksum = map(vars(self).get, SNAPSHOT_FIELDS)
         if not isinstance(data, np.ndarray) or data.dtype != np.uint8 or data.ndim != 2:
             found = shown(data)
             if isinstance(data, np.ndarray):
@@ -256,13 +256,13 @@ def own_snapshot(data: np.ndarray, form: Form) -> Snapshot:
 def checksum_of(data: np.ndarray, form: Form) -> bytes:
     """Return the hash of the bytes (S, B) of a snapshot and its form."""
     text = repr((form.digest, data.shape)).encode()
-    digest = hashlib.blake2b(text, digest_size=CHECKSUM)
+    digest = hashlib.blake2b(text, digest_size=CHECKSUM_SIZE)
     digest.update(cast(Any, np.ascontiguousarray(data)))
     return digest.digest()
 
 
 @dataclass(frozen=True, eq=False)
-class FaceSnapshot:
+class EnvironmentSnapshot:
     """State of an environment class that has state in addition to its world.
 
     Attributes:
@@ -287,19 +287,19 @@ class FaceSnapshot:
         Raises:
             ValueError: If the snapshot is damaged, or of another version.
         """
-        if not isinstance(state, dict) or tuple(state) != FACE_FIELDS:
+        if not isinstance(state, dict) or tuple(state) != ENVIRONMENT_FIELDS:
             raise ValueError(ANOTHER_VERSION)
         if self._checksum(state["beside"]) != state["checksum"]:
             raise ValueError(
                 f"the snapshot of {shown(state['of'])} is damaged: its checksum is not that of "
                 f"its contents; use another copy, or save it again"
             )
-        for name in FACE_FIELDS[:-1]:
+        for name in ENVIRONMENT_FIELDS[:-1]:
             object.__setattr__(self, name, state[name])
 
     def require_kinds(self) -> None:
         """Raise ValueError if an attribute is missing or has another type."""
-        kinds = dict(zip(FACE_FIELDS, (str, Snapshot, Mapping), strict=False))
+        kinds = dict(zip(ENVIRONMENT_FIELDS, (str, Snapshot, Mapping), strict=False))
         for name, kind in kinds.items():
             if not isinstance(value := vars(self).get(name), kind):
                 raise ValueError(
@@ -309,7 +309,7 @@ class FaceSnapshot:
 
     @staticmethod
     def _checksum(beside: Any) -> bytes:
-        return hashlib.blake2b(text_of(beside).encode(), digest_size=CHECKSUM).digest()
+        return hashlib.blake2b(canonical_text(beside).encode(), digest_size=CHECKSUM_SIZE).digest()
 
 
 def require_snapshot(snapshot: Any, kind: type, worlds: int | None = 1) -> None:
@@ -334,7 +334,9 @@ def require_snapshot(snapshot: Any, kind: type, worlds: int | None = 1) -> None:
             )
 
 
-def require_face(snapshot: Any, of: str, names: Collection[str] | None = None) -> None:
+def require_environment_snapshot(
+    snapshot: Any, of: str, names: Collection[str] | None = None
+) -> None:
     """Check that an object is a snapshot of a class of environments.
 
     Args:
@@ -345,7 +347,7 @@ def require_face(snapshot: Any, of: str, names: Collection[str] | None = None) -
     Raises:
         ValueError: If the object is something else, is damaged, or is of another class.
     """
-    require_snapshot(snapshot, FaceSnapshot)
+    require_snapshot(snapshot, EnvironmentSnapshot)
     snapshot.require_kinds()
     if snapshot.of != of:
         raise ValueError(
@@ -363,7 +365,7 @@ def state_bounds(swarm: Swarm) -> dict[str, tuple[float, float]]:
     """Return the bounds of the state of drones, and of parameters that index rotors."""
     return {
         "position": (-MAX_COORDINATE, MAX_COORDINATE),
-        "quaternion": (-1.0 - UNIT, 1.0 + UNIT),
+        "quaternion": (-1.0 - QUATERNION_TOLERANCE, 1.0 + QUATERNION_TOLERANCE),
         "velocity": (-FASTEST, FASTEST),
         "rates": (-FASTEST_SPIN, FASTEST_SPIN),
         "rotor_speed": (0.0, MAX_ROTOR_SPEED),
@@ -396,16 +398,16 @@ def arrays_of(fields: Fields) -> tuple[tuple[str, str, tuple[int, ...]], ...]:
     return tuple((name, str(one.dtype), one.shape[1:]) for name, one in fields.items())
 
 
-def pack(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
+def pack_worlds(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
     """Copy worlds (S,) of all arrays, and their random generators, into bytes (S, B)."""
     rows = _rows(worlds)
     parts = [_bytes_of(array[rows]) for array in fields.values() if array.size]
     states = b"".join(_generator_bytes(rngs[w]) for w in worlds.tolist())
-    parts.append(np.frombuffer(states, np.uint8).reshape(len(worlds), GENERATOR))
+    parts.append(np.frombuffer(states, np.uint8).reshape(len(worlds), GENERATOR_SIZE))
     return np.concatenate(parts, axis=1)
 
 
-def unpack(
+def unpack_worlds(
     data: np.ndarray, fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray
 ) -> None:
     """Write bytes (S, B) to worlds (S,) of all arrays, and to their random generators."""
@@ -420,7 +422,7 @@ def unpack(
         _restore(rngs, w, row.tobytes())
 
 
-class Layout:
+class SnapshotLayout:
     """Layout of arrays in the bytes of a snapshot.
 
     Inspecting 80 arrays takes longer than copying them. So it is done once, and again if an array
@@ -452,8 +454,8 @@ class Layout:
         """
         self.form.require(snapshot.form)
         # The first array of every layout
-        here = self._fields[BODIES][worlds].view(np.uint8).reshape(len(worlds), BODIES_BYTES)
-        if not np.array_equal(snapshot.data[:, :BODIES_BYTES], here):
+        here = self._fields[BODIES][worlds].view(np.uint8).reshape(len(worlds), BODIES_SIZE)
+        if not np.array_equal(snapshot.data[:, :BODIES_SIZE], here):
             raise ValueError(
                 "the snapshot is of worlds with other bodies: add the same bodies, in the same "
                 "order, before it is loaded"
@@ -466,7 +468,9 @@ class Layout:
 
     def _check(self, data: np.ndarray) -> None:
         """Check the bytes (S, B) of a foreign snapshot against all bounds."""
-        size = sum(array[0].nbytes for array in self._fields.values() if array.size) + GENERATOR
+        size = (
+            sum(array[0].nbytes for array in self._fields.values() if array.size) + GENERATOR_SIZE
+        )
         if data.shape[1] != size:
             raise ValueError(
                 f"the snapshot has {data.shape[1]} bytes per world, not {size}: it is truncated"
@@ -486,27 +490,29 @@ class Layout:
                     f"the snapshot has {name} {values[wrong][0]:g}: from {low:g} to {high:g} is "
                     f"needed; it is damaged"
                 )
-        if (data[:, 32 - GENERATOR] > 1).any() or not (data[:, 16 - GENERATOR] % 2).all():
+        if (data[:, 32 - GENERATOR_SIZE] > 1).any() or not (data[:, 16 - GENERATOR_SIZE] % 2).all():
             raise ValueError("the snapshot has no valid state of a random generator: it is damaged")
 
-    def pack(self, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
+    def pack_worlds(self, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
         """Copy worlds (S,) of all arrays, and their random generators; see the function."""
         rows = self._chosen(worlds)
         if rows is None:
-            return pack(self._fields, rngs, worlds)
+            return pack_worlds(self._fields, rngs, worlds)
         rows.gather.run()
         size = rows.data.shape[1]
-        data = np.empty((len(worlds), size + GENERATOR), dtype=np.uint8)
+        data = np.empty((len(worlds), size + GENERATOR_SIZE), dtype=np.uint8)
         data[np.argsort(worlds), :size] = rows.data[: len(worlds)]
         for row, w in zip(data, worlds.tolist(), strict=True):
             row[size:].data[:] = _generator_bytes(rngs[w])
         return data
 
-    def unpack(self, data: np.ndarray, rngs: list[np.random.Generator], worlds: np.ndarray) -> None:
+    def unpack_worlds(
+        self, data: np.ndarray, rngs: list[np.random.Generator], worlds: np.ndarray
+    ) -> None:
         """Write bytes (S, B) to worlds (S,) of all arrays; see the function."""
         rows = self._chosen(worlds)
         if rows is None:
-            unpack(data, self._fields, rngs, worlds)
+            unpack_worlds(data, self._fields, rngs, worlds)
             return
         size = rows.data.shape[1]
         rows.data[: len(worlds)] = data[np.argsort(worlds), :size]
@@ -544,7 +550,7 @@ def _columns(data: np.ndarray, fields: Fields) -> Iterator[tuple[str, np.ndarray
             yield f"{name}.{field}", np.ascontiguousarray(values[field])
 
 
-def hashes_of(data: np.ndarray) -> tuple[str, ...]:
+def hash_rows(data: np.ndarray) -> tuple[str, ...]:
     """Return the hash of each row of bytes (S, B)."""
     return tuple(hashlib.blake2b(row.tobytes(), digest_size=16).hexdigest() for row in data)
 

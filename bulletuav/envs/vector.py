@@ -7,9 +7,9 @@ from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.env_spec import MOST_WORLDS
+from bulletuav.envs.env_spec import MAX_WORLDS
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.infos import later
+from bulletuav.envs.infos import lazy_infos
 from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import widest_action_space
@@ -21,7 +21,7 @@ BatchResults = tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, 
 """Observations, rewards, terminated, truncated and infos of a step"""
 
 
-def autoreset(mode: Any) -> AutoresetMode:
+def as_autoreset_mode(mode: Any) -> AutoresetMode:
     """Convert a value to an `AutoresetMode`.
 
     Args:
@@ -84,8 +84,8 @@ class BatchAviary(LabelledEnvironment):
         Raises:
             ValueError: If an option is invalid.
         """
-        self.autoreset_mode = autoreset(autoreset_mode)
-        as_int("num_envs", num_envs, 1, MOST_WORLDS)
+        self.autoreset_mode = as_autoreset_mode(autoreset_mode)
+        as_int("num_envs", num_envs, 1, MAX_WORLDS)
         self.aviary = Aviary(task, num_envs, first_world=first_world, **options)
         self._observer = self.aviary.observer
         self.num_envs = self.aviary.num_worlds
@@ -174,7 +174,7 @@ class BatchAviary(LabelledEnvironment):
     def _with_fresh(self, info: dict[str, np.ndarray], worlds: np.ndarray) -> dict[str, Any]:
         """Return infos with those of the new episodes in `worlds` (W,)."""
         first = self.aviary.first_info(worlds)
-        return later(
+        return lazy_infos(
             lambda: {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
         )
 

@@ -12,7 +12,7 @@ MODULE = "bulletuav.report.live"
 """Module of the viewers"""
 VIEWERS = {"web": "PageView", "foxglove": "FoxgloveView"}
 """Class of the viewer of each live `render_mode`"""
-USUAL_ADDRESS = "127.0.0.1:8765"
+DEFAULT_ADDRESS = "127.0.0.1:8765"
 """Default address of the server, which only this machine can reach"""
 
 
@@ -53,7 +53,7 @@ def parse_address(address: Any) -> tuple[str, int]:
     host, colon, port = address.rpartition(":") if isinstance(address, str) else ("", "", "")
     if not (host and colon and port.isdecimal()):
         raise ValueError(
-            f"render_address is {shown(address)}: host:port is needed, such as {USUAL_ADDRESS!r}"
+            f"render_address is {shown(address)}: host:port is needed, such as {DEFAULT_ADDRESS!r}"
         )
     return host.strip("[]"), as_int("port of render_address", int(port), 0, 65535)
 

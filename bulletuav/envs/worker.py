@@ -19,23 +19,23 @@ from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.vector import BatchAviary
 from bulletuav.tasks import TaskSource
 
-GLANCE = 2.0
+PARENT_CHECK_PERIOD = 2.0
 """Period at which an idle process checks that its parent is alive, s"""
-PATIENCE = 5.0
+JOIN_TIMEOUT = 5.0
 """Time in which all workers have to end, s"""
-SPIN = 2e-4
+POLL_TIME = 2e-4
 """Time for which a process polls shared memory before it sleeps, s.
 
 Waking up takes as long as several polls, and many decisions are shorter.
 """
-Layout = dict[str, tuple[tuple[int, ...], Any]]
+SharedLayout = dict[str, tuple[tuple[int, ...], Any]]
 """Shape and NumPy type of each shared array, by name; the first axis is that of worlds"""
 
 
 class SharedArrays:
     """Arrays in shared memory, by name."""
 
-    def __init__(self, context: Any, layout: Layout) -> None:
+    def __init__(self, context: Any, layout: SharedLayout) -> None:
         """Allocate the memory.
 
         Args:
@@ -66,9 +66,9 @@ class SharedArrays:
         return arrays
 
 
-def work(
+def run_worker(
     pipe: Connection,
-    spin: float,
+    poll_time: float,
     shared: SharedArrays,
     first: int,
     last: int,
@@ -95,16 +95,16 @@ def work(
     # The parent handles interrupts
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        part = Part(shared, first, last, task, autoreset_mode, options)
+        part = BatchShard(shared, first, last, task, autoreset_mode, options)
     except Exception as error:
-        pipe.send(portable(error))
+        pipe.send(picklable(error))
         return
     views = shared.views(first, last)
-    questions, answers = views["requests"], views["answers"]
+    requests, answers = views["requests"], views["answers"]
     pipe.send(None)
     answers[0] += 1  # after sending, so that the parent need not wait for the pipe
-    while (question := _next(pipe, questions, int(answers[0]), spin)) is not None:
-        pipe.send(part.answer(*question))
+    while (request := _next_request(pipe, requests, int(answers[0]), poll_time)) is not None:
+        pipe.send(part.answer(*request))
         answers[0] += 1
     part.close()
     for stream in filter(None, (sys.stdout, sys.stderr)):
@@ -113,7 +113,7 @@ def work(
     os._exit(0)
 
 
-class Part:
+class BatchShard:
     """Some of the worlds of a batch, simulated by one process with results in shared arrays."""
 
     def __init__(
@@ -135,11 +135,11 @@ class Part:
         try:
             answer = self._call(method, keywords)
             if method == "reset":
-                self._infos.learn(answer)
-            elif method == "step" and self._infos.put(answer):
+                self._infos.set_types(answer)
+            elif method == "step" and self._infos.write(answer):
                 return None
         except Exception as error:
-            return portable(error)
+            return picklable(error)
         return answer
 
     def _call(self, method: str, keywords: dict[str, Any]) -> Any:
@@ -178,16 +178,16 @@ def raise_first(answers: list[Any]) -> list[Any]:
     return answers
 
 
-def portable(error: Exception) -> Exception:
+def picklable(error: Exception) -> Exception:
     """Return an exception that can be pickled, with the same message.
 
     Within this process the new exception has the original as its cause, which is not pickled.
     """
     if type(error) in (ValueError, RuntimeError, ImportError):
         return error
-    told = RuntimeError(f"{type(error).__name__}: {error}")
-    told.__cause__ = error
-    return told
+    copy = RuntimeError(f"{type(error).__name__}: {error}")
+    copy.__cause__ = error
+    return copy
 
 
 def end_processes(owner: int, pipes: list[Connection], processes: list[Any]) -> None:
@@ -199,14 +199,14 @@ def end_processes(owner: int, pipes: list[Connection], processes: list[Any]) -> 
         # The process may have ended already
         with contextlib.suppress(OSError):
             pipe.send(None)
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + JOIN_TIMEOUT
     for process in processes:
         process.join(max(0.0, end - time.monotonic()))
         process.kill()  # also ends stopped processes, which stay zombies until joined
-        process.join(PATIENCE)
+        process.join(JOIN_TIMEOUT)
 
 
-def came(numbers: np.ndarray, number: int, spin: float) -> bool:
+def poll_number(numbers: np.ndarray, number: int, poll_time: float) -> bool:
     """Poll a number until it has a value, or for a time.
 
     Args:
@@ -217,14 +217,14 @@ def came(numbers: np.ndarray, number: int, spin: float) -> bool:
     Returns:
         Whether the number has the value.
     """
-    end = time.perf_counter() + spin
+    end = time.perf_counter() + poll_time
     while numbers[0] != number:
         if time.perf_counter() > end:
             return False
     return True
 
 
-def _next(pipe: Connection, questions: np.ndarray, answered: int, spin: float) -> Any:
+def _next_request(pipe: Connection, requests: np.ndarray, answered: int, poll_time: float) -> Any:
     """Wait for the next request; return None when the parent process has ended.
 
     If the parent was forked, its end of the pipe may still be open then. So the process checks the
@@ -233,8 +233,8 @@ def _next(pipe: Connection, questions: np.ndarray, answered: int, spin: float) -
     parent = multiprocessing.parent_process()
     assert parent is not None
     try:
-        there = came(questions, answered, spin)
-        while not there and not pipe.poll(GLANCE):
+        there = poll_number(requests, answered, poll_time)
+        while not there and not pipe.poll(PARENT_CHECK_PERIOD):
             if not parent.is_alive():
                 return None
         return pipe.recv()

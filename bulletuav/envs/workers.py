@@ -15,30 +15,30 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
-from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
+from bulletuav.envs.env_spec import MAX_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.reset_options import MASK, reset_options
-from bulletuav.envs.shared_infos import SharedInfos, merged, room_for
+from bulletuav.envs.shared_infos import SharedInfos, merge_infos, num_info_rows
 from bulletuav.envs.snapshot import Snapshot, own_snapshot, require_snapshot
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
+from bulletuav.envs.vector import BatchAviary, BatchResults, as_autoreset_mode
 from bulletuav.envs.worker import (
-    SPIN,
-    Layout,
-    Part,
+    POLL_TIME,
+    BatchShard,
     SharedArrays,
+    SharedLayout,
     by_shared_name,
-    came,
     end_processes,
+    poll_number,
     raise_first,
-    work,
+    run_worker,
 )
 from bulletuav.errors import as_int, choose, finite, numbers_of
 from bulletuav.interrupts import kept_from_children
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import VECTOR, Observation
 
-MOST_WORKERS = 256
+MAX_WORKERS = 256
 TIMEOUT = 600.0
 """Maximum time of an answer, s: longer than any decision, and than the first compilation"""
 
@@ -86,8 +86,8 @@ class WorkerAviary(LabelledEnvironment):
             ValueError: If an option is invalid.
             RuntimeError: If a process ends, or does not answer in time.
         """
-        self.autoreset_mode = autoreset(autoreset_mode)
-        as_int("num_envs", num_envs, 1, MOST_WORLDS)
+        self.autoreset_mode = as_autoreset_mode(autoreset_mode)
+        as_int("num_envs", num_envs, 1, MAX_WORLDS)
         self._spec = EnvSpec(task, num_envs, options)
         self._observer = self._spec.observer
         self.num_envs = self._spec.num_worlds
@@ -104,14 +104,14 @@ class WorkerAviary(LabelledEnvironment):
             raise ValueError("debug is True: debuggers see one process, so it needs workers=1")
         self._timeout = float(timeout)
         # Polling for answers occupies a core
-        self._spin = SPIN if _cores() >= workers else 0.0
+        self._poll_time = POLL_TIME if _count_cores() >= workers else 0.0
         self.observation_space: Box | Dict = self._observer.space()
         self.action_space: Space[Any] = widest_action_space(self._spec.action)
         # The worlds of each process
         bounds = [self.num_envs * k // workers for k in range(workers + 1)]
-        self._parts = [slice(*pair) for pair in itertools.pairwise(bounds)]
+        self._slices = [slice(*pair) for pair in itertools.pairwise(bounds)]
         # The worlds of this process; the other processes, and the finalizer that ends them
-        self._here: Part | None = None
+        self._shard: BatchShard | None = None
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
         self._owner = os.getpid()
@@ -129,14 +129,14 @@ class WorkerAviary(LabelledEnvironment):
         shared = SharedArrays(context, self._layout())
         self._arrays = shared.views(0, self.num_envs)
         self._infos = SharedInfos(self._arrays["info"])
-        for part in self._parts[1:]:
-            self._start_worker(context, (self._spin, shared, part.start, part.stop, *recipe))
-        self._here = Part(shared, 0, self._parts[0].stop, *recipe)
+        for part in self._slices[1:]:
+            self._start_worker(context, (self._poll_time, shared, part.start, part.stop, *recipe))
+        self._shard = BatchShard(shared, 0, self._slices[0].stop, *recipe)
 
     def _start_worker(self, context: Any, arguments: tuple[Any, ...]) -> None:
         """Start a process with a pipe to it."""
         mine, theirs = context.Pipe()
-        process = context.Process(target=work, args=(theirs, *arguments), daemon=True)
+        process = context.Process(target=run_worker, args=(theirs, *arguments), daemon=True)
         try:
             with kept_from_children():
                 process.start()
@@ -162,7 +162,7 @@ class WorkerAviary(LabelledEnvironment):
             self.close()
             raise
 
-    def _layout(self) -> Layout:
+    def _layout(self) -> SharedLayout:
         """Return shape and type of the arrays that the processes share."""
         drones = (self.num_envs, self.num_drones)
         space = self.observation_space
@@ -179,33 +179,36 @@ class WorkerAviary(LabelledEnvironment):
             # Numbers of requests and answers of each process, at its first world
             "requests": ((self.num_envs,), np.int64),
             "answers": ((self.num_envs,), np.int64),
-            "info": ((drones[0], room_for(len(self._spec.task.weights)), drones[1]), np.float64),
+            "info": (
+                (drones[0], num_info_rows(len(self._spec.task.weights)), drones[1]),
+                np.float64,
+            ),
         }
 
-    def _ask(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
+    def _request(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
         """Call a method in some of the processes, with arguments for each; return the answers."""
-        here = self._require_flown_here()
+        shard = self._require_shard()
         with self._closed_by_errors():
             others = [k for k in keywords if k]
             for k in others:
                 # A dead worker is detected by its missing answer
                 with contextlib.suppress(OSError):
                     self._pipes[k - 1].send((method, keywords[k]))
-                self._arrays["questions"][self._parts[k].start] += 1
+                self._arrays["questions"][self._slices[k].start] += 1
             # This process simulates its own worlds meanwhile
-            own = [here.answer(method, keywords[0])] if 0 in keywords else []
+            own = [shard.answer(method, keywords[0])] if 0 in keywords else []
             answers = [*own, *self._answers(others)]
         return raise_first(answers)
 
-    def _require_flown_here(self) -> Part:
+    def _require_shard(self) -> BatchShard:
         """Return the worlds of this process. Raises RuntimeError if there are none."""
-        if self._here is None or not self._finalizer.alive or os.getpid() != self._owner:
+        if self._shard is None or not self._finalizer.alive or os.getpid() != self._owner:
             raise RuntimeError("this environment is closed, or of another process: make a new one")
-        return self._here
+        return self._shard
 
     def _for_all(self, **keywords: Any) -> dict[int, dict[str, Any]]:
         """Return the same arguments for all processes."""
-        return dict.fromkeys(range(len(self._parts)), keywords)
+        return dict.fromkeys(range(len(self._slices)), keywords)
 
     def _answers(self, workers: Sequence[int]) -> list[Any]:
         """Wait for an answer of each worker, which may be an exception."""
@@ -214,9 +217,9 @@ class WorkerAviary(LabelledEnvironment):
         try:
             for k in workers:
                 left = max(0.0, end - time.monotonic())
-                asked, given = (self._arrays[it][self._parts[k]] for it in ("requests", "answers"))
+                asked, given = (self._arrays[it][self._slices[k]] for it in ("requests", "answers"))
                 # One more than requests: the first answer says that the worlds are ready
-                is_there = came(given, int(asked[0]) + 1, min(self._spin, left))
+                is_there = poll_number(given, int(asked[0]) + 1, min(self._poll_time, left))
                 if not is_there and not self._pipes[k - 1].poll(left):
                     # The process would not receive a request to end
                     self._processes[k - 1].kill()
@@ -263,11 +266,11 @@ class WorkerAviary(LabelledEnvironment):
         mask = self._spec.mask(given.pop(MASK, None))
         seeds = self._spec.seeds(seed)
         keywords: dict[int, dict[str, Any]] = {}
-        for k, part in enumerate(self._parts):
+        for k, part in enumerate(self._slices):
             own = None if seeds is None else seeds[part]
             keywords[k] = {"seed": own, "options": {MASK: mask[part], **given}}
-        infos = merged(self._parts, self._ask("reset", keywords), self.num_envs)
-        self._infos.learn(infos)
+        infos = merge_infos(self._slices, self._request("reset", keywords), self.num_envs)
+        self._infos.set_types(infos)
         self._started = True
         return self._observations(), infos
 
@@ -285,15 +288,15 @@ class WorkerAviary(LabelledEnvironment):
         if choices or actions.shape != given.shape or not np.isfinite(actions).all():
             actions = self._spec.actions(actions, self._arrays["alive"])
         given[:] = actions
-        told = self._ask("step", self._for_all(choices=choices))
-        infos = self._infos.take(told, self._parts)
+        answers = self._request("step", self._for_all(choices=choices))
+        infos = self._infos.read(answers, self._slices)
         rewards, *ends = (self._arrays[k].copy() for k in ("reward", "terminated", "truncated"))
         return self._observations(), rewards, *ends, infos  # type: ignore[return-value]
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
         """Save the complete state of worlds; see `Aviary.save_state`."""
-        rows, saved = self._ask_owners("save_state", self._spec.indices(worlds))
+        rows, saved = self._request_of_owners("save_state", self._spec.indices(worlds))
         for one in saved:
             one.require_whole()
         data = np.concatenate([one.data for one in saved])
@@ -305,19 +308,19 @@ class WorkerAviary(LabelledEnvironment):
         chosen = self._spec.indices(worlds)
         require_snapshot(snapshot, Snapshot, len(chosen))
         # Checked here before any process writes
-        self._require_flown_here().require_loadable(snapshot)
-        self._ask_owners("load_state", chosen, snapshot)
+        self._require_shard().require_loadable(snapshot)
+        self._request_of_owners("load_state", chosen, snapshot)
         self._started = True
         return self._observations()
 
     @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
         """Compute a hash of the state of each world; see `Aviary.state_hash`."""
-        rows, told = self._ask_owners("state_hash", self._spec.indices(worlds))
-        hashes = [one for ones in told for one in ones]
+        rows, answers = self._request_of_owners("state_hash", self._spec.indices(worlds))
+        hashes = [one for ones in answers for one in ones]
         return tuple(hashes[k] for k in np.argsort(rows))
 
-    def _ask_owners(
+    def _request_of_owners(
         self, method: str, worlds: np.ndarray, snapshot: Snapshot | None = None
     ) -> tuple[np.ndarray, list[Any]]:
         """Call a snapshot method in all processes, each with those of worlds (S,) that it has.
@@ -326,36 +329,36 @@ class WorkerAviary(LabelledEnvironment):
             (S,) indices into `worlds` in the order of the answers, and the answer of each process.
         """
         keywords, order = {}, []
-        for k, part in enumerate(self._parts):
+        for k, part in enumerate(self._slices):
             rows = np.flatnonzero((worlds >= part.start) & (worlds < part.stop))
             keywords[k] = {"worlds": (worlds[rows] - part.start).tolist()}
             if snapshot is not None:
                 keywords[k]["snapshot"] = snapshot[rows]
             order.append(rows)
-        return np.concatenate(order), self._ask(method, keywords)
+        return np.concatenate(order), self._request(method, keywords)
 
     @exclusive
     def state(self) -> np.ndarray:
         """Return the global state; see `BatchAviary.state`."""
-        return np.concatenate(self._ask("state", self._for_all()))
+        return np.concatenate(self._request("state", self._for_all()))
 
     @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
         """Render one world; see `BatchAviary.render`."""
         self._spec.require_world(world)
-        k = next(k for k, part in enumerate(self._parts) if world < part.stop)
-        (picture,) = self._ask("render", {k: {"world": world - self._parts[k].start}})
+        k = next(k for k, part in enumerate(self._slices) if world < part.stop)
+        (picture,) = self._request("render", {k: {"world": world - self._slices[k].start}})
         return cast(np.ndarray | None, picture)
 
     @exclusive
     def close(self) -> None:
         """End the processes. Further calls do nothing."""
         self._finalizer()
-        if self._here is not None:
-            self._here.close()
+        if self._shard is not None:
+            self._shard.close()
 
 
-def _cores() -> int:
+def _count_cores() -> int:
     """Return the number of cores that this process may use, without quotas of containers."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
@@ -364,7 +367,7 @@ def _cores() -> int:
 
 def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:
     """Raise ValueError for invalid arguments of processes."""
-    as_int("workers", workers, 1, MOST_WORKERS)
+    as_int("workers", workers, 1, MAX_WORKERS)
     if start_method is not None:
         choose("start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods()))
     if finite("timeout", timeout) <= 0:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.resolve import action_for, resolve
+from bulletuav.envs.resolve_options import action_for, resolve_options
 from bulletuav.errors import choose, shown, unknown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.mismatch import naming_task
@@ -88,7 +88,7 @@ class PolicySpec(NamedTuple):
         """
         whole = {**self.options, **options}
         # Also refuses what cannot be, before any flight.
-        common = resolve(find_task(task), whole).options
+        common = resolve_options(find_task(task), whole).options
         # A policy without a list of actions can give all of them.
         if not self.actions or "action" in options:
             return whole

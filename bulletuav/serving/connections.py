@@ -26,13 +26,15 @@ Key = TypeVar("Key", bound=Hashable)
 Clock = Callable[[], float]
 
 
-EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+EXHAUSTED_ERRORS = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 """Errors of a system without resources for another connection"""
 ACCEPT_RETRY = 1.0
 """Time for which a server then accepts no connections, instead of retrying continuously, s"""
 
 
-SPARED = "evicted: it sent nothing, and the system has no resources for more connections"
+EVICTED_FOR_RESOURCES = (
+    "evicted: it sent nothing, and the system has no resources for more connections"
+)
 """Event of a pending connection that was closed for lack of resources"""
 
 
@@ -49,7 +51,7 @@ class FullError(ConnectionError):
 
 
 @dataclass(frozen=True)
-class Limits:
+class ConnectionLimits:
     """Limits of a server's connections.
 
     Attributes:
@@ -99,7 +101,7 @@ class Connections(Generic[Key]):
         limits: Limits of the connections.
     """
 
-    def __init__(self, limits: Limits, clock: Clock = time.monotonic) -> None:
+    def __init__(self, limits: ConnectionLimits, clock: Clock = time.monotonic) -> None:
         """Start without connections.
 
         Args:
@@ -141,7 +143,7 @@ class Connections(Generic[Key]):
             FullError: If all pending places are taken, and none of them may be evicted yet.
         """
         limits = self.limits
-        evicted = self._make_room(False, limits.max_pending, limits.pending_grace)
+        evicted = self._evict_idle(False, limits.max_pending, limits.pending_grace)
         self._entries[key] = _Entry(self._clock())
         return evicted
 
@@ -159,7 +161,7 @@ class Connections(Generic[Key]):
         """
         evicted = None
         if not self.is_client(key):
-            evicted = self._make_room(True, self.limits.max_clients, self.limits.grace)
+            evicted = self._evict_idle(True, self.limits.max_clients, self.limits.grace)
             self._entries[key] = _Entry(0.0, is_client=True)
         self._entries[key].active = self._clock()
         return evicted
@@ -211,7 +213,7 @@ class Connections(Generic[Key]):
         """Remove a connection, if it exists."""
         self._entries.pop(key, None)
 
-    def _make_room(self, is_client: bool, most: int, grace: float) -> Key | None:
+    def _evict_idle(self, is_client: bool, most: int, grace: float) -> Key | None:
         """Remove and return the longest idle connection of a kind, if the limit is reached.
 
         Raises:

@@ -50,7 +50,7 @@ class Refusals:
         Returns:
             Whether it was logged.
         """
-        line = f"{printable(call)} refused: {printable(reason)}"
+        line = f"{escape_line(call)} refused: {escape_line(reason)}"
         return self._log(client, "calls", NUMBER.sub("#", line), line)
 
     def log_connection(self, client: str, event: str) -> bool:
@@ -63,7 +63,7 @@ class Refusals:
         Returns:
             Whether it was logged.
         """
-        line = f"connection {printable(event)}"
+        line = f"connection {escape_line(event)}"
         return self._log(client, "connections", line, line)
 
     def log_server(self, event: str) -> None:
@@ -72,9 +72,9 @@ class Refusals:
         Args:
             event: The event, with the remedy.
         """
-        if self._has_room("server", 1):
+        if self._may_log("server", 1):
             self._lines["server"] += 1
-            self._logger.warning("server: %s", printable(event))
+            self._logger.warning("server: %s", escape_line(event))
 
     def forget(self, client: str) -> None:
         """Remove a client that has disconnected."""
@@ -86,7 +86,7 @@ class Refusals:
         # The dict is ordered by the last activity of clients
         if kinds:
             self._kinds[client] = kinds
-        if number in kinds or len(kinds) > MAX_KINDS or not self._has_room(topic):
+        if number in kinds or len(kinds) > MAX_KINDS or not self._may_log(topic):
             return False
         kinds.add(number)
         if len(kinds) > MAX_KINDS:
@@ -100,7 +100,7 @@ class Refusals:
         self._logger.warning("client %s: %s", client, line)
         return True
 
-    def _has_room(self, topic: str, most: int = MAX_LINES) -> bool:
+    def _may_log(self, topic: str, most: int = MAX_LINES) -> bool:
         """Return True if another line may be logged in this period."""
         if self._clock() - self._start > PERIOD:
             self._start = self._clock()
@@ -125,13 +125,13 @@ class LineLimit(logging.Filter):
         if self._clock() - self._start > PERIOD:
             self._start, self._count = self._clock(), 0
         self._count += 1
-        record.msg, record.args = printable(record.getMessage()), ()
+        record.msg, record.args = escape_line(record.getMessage()), ()
         if self._count == MAX_LINES:
             record.msg += f"; more lines are not logged for {PERIOD:.0f} s"
         return self._count <= MAX_LINES
 
 
-def printable(text: str) -> str:
+def escape_line(text: str) -> str:
     """Escape characters that would break a line of the log, and truncate long texts."""
     cut = text if len(text) <= MAX_TEXT else text[:MAX_TEXT] + "..."
     return "".join(

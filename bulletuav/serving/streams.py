@@ -9,12 +9,12 @@ from typing import Any
 
 from bulletuav.envs.viewer import join_address
 from bulletuav.serving.connections import (
-    EXHAUSTED,
-    SPARED,
+    EVICTED_FOR_RESOURCES,
+    EXHAUSTED_ERRORS,
     Clock,
+    ConnectionLimits,
     Connections,
     FullError,
-    Limits,
     cannot_accept,
 )
 from bulletuav.serving.refusals import Refusals
@@ -23,7 +23,7 @@ SWEEP_PERIOD = 0.25
 """Period of checks for overdue and stalled connections, s"""
 
 
-class Stream:
+class StreamConnection:
     """One connection, with a bounded send queue.
 
     Attributes:
@@ -41,7 +41,7 @@ class Stream:
         name = writer.get_extra_info("peername") or ("unknown", 0)
         self.peer = join_address(*name[:2])
         self._sent = self._delivered = 0
-        self._moved = server.clock()
+        self._progress_time = server.clock()
         one = writer.get_extra_info("socket")
         # Detects peers that vanished, such as a machine that was switched off
         with contextlib.suppress(OSError):
@@ -68,7 +68,7 @@ class Stream:
             self.drop(f"dropped: it left {self.unread} bytes unread")
             return
         if not self.unread:
-            self._moved = self._server.clock()
+            self._progress_time = self._server.clock()
         self._sent += len(data)
         self._writer.write(data)
 
@@ -98,7 +98,7 @@ class Stream:
         """Check whether the peer has read data since the last check."""
         delivered = self._sent - self.unread
         if delivered > self._delivered or not self.unread:
-            self._moved = self._server.clock()
+            self._progress_time = self._server.clock()
         if delivered > self._delivered:
             self._server.connections.touch(self)
         self._delivered = delivered
@@ -106,7 +106,7 @@ class Stream:
     @property
     def stalled(self) -> float:
         """Time for which the peer has read none of its unread bytes, s."""
-        return self._server.clock() - self._moved if self.unread else 0.0
+        return self._server.clock() - self._progress_time if self.unread else 0.0
 
     def close(self) -> None:
         """Close the connection after the queue was sent."""
@@ -155,8 +155,8 @@ class StreamServer:
 
     def __init__(
         self,
-        talk: Callable[[Stream], Awaitable[None]],
-        limits: Limits,
+        talk: Callable[[StreamConnection], Awaitable[None]],
+        limits: ConnectionLimits,
         log: Refusals,
         clock: Clock = time.monotonic,
     ) -> None:
@@ -169,8 +169,8 @@ class StreamServer:
             clock: Function that returns the time, s.
         """
         self._talk, self.limits, self.log, self.clock = talk, limits, log, clock
-        self.connections: Connections[Stream] = Connections(limits, clock)
-        self._talks: dict[asyncio.Task[None], Stream] = {}
+        self.connections: Connections[StreamConnection] = Connections(limits, clock)
+        self._talks: dict[asyncio.Task[None], StreamConnection] = {}
         self._server: asyncio.Server | None = None
         self._sweeper: asyncio.Task[None] | None = None
 
@@ -182,8 +182,8 @@ class StreamServer:
             max_line: Maximum length of a line that a stream's reader reads, bytes.
         """
         self._handle_errors_of(listening)
-        self._server = await asyncio.start_server(self._meet, sock=listening, limit=max_line)
-        self._sweeper = asyncio.create_task(self._sweep_often())
+        self._server = await asyncio.start_server(self._accept, sock=listening, limit=max_line)
+        self._sweeper = asyncio.create_task(self._sweep_periodically())
 
     def _handle_errors_of(self, listening: socket.socket) -> None:
         """Log exhausted resources as one line, without a traceback.
@@ -196,10 +196,10 @@ class StreamServer:
         def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
             error, of = context.get("exception"), context.get("socket")
             is_ours = of is not None and of.fileno() == listening.fileno()
-            if is_ours and isinstance(error, OSError) and error.errno in EXHAUSTED:
+            if is_ours and isinstance(error, OSError) and error.errno in EXHAUSTED_ERRORS:
                 self.log.log_server(cannot_accept(error))
                 for stream in self.connections.spare():
-                    stream.drop(SPARED)
+                    stream.drop(EVICTED_FOR_RESOURCES)
             elif before is not None:
                 before(loop, context)
             else:
@@ -231,14 +231,14 @@ class StreamServer:
             task.cancel()
         await asyncio.gather(*talks, return_exceptions=True)
 
-    def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Start to serve a connection; `stop` closes it, even if its task has not started yet."""
-        stream = Stream(self, reader, writer)
+        stream = StreamConnection(self, reader, writer)
         task = asyncio.get_running_loop().create_task(self._serve(stream))
         self._talks[task] = stream
         task.add_done_callback(self._talks.pop)
 
-    async def _serve(self, stream: Stream) -> None:
+    async def _serve(self, stream: StreamConnection) -> None:
         """Serve a connection until it ends."""
         try:
             with contextlib.suppress(ConnectionError):
@@ -252,7 +252,7 @@ class StreamServer:
             self.connections.remove(stream)
             self.log.forget(stream.peer)
 
-    async def _sweep_often(self) -> None:
+    async def _sweep_periodically(self) -> None:
         """Run `sweep` periodically."""
         while True:
             await asyncio.sleep(SWEEP_PERIOD)

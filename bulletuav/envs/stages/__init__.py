@@ -7,11 +7,11 @@ from bulletuav.envs.stages.energy import DrainBatteries
 from bulletuav.envs.stages.fly import Fly
 from bulletuav.envs.stages.judge import Judge
 from bulletuav.envs.stages.keep_before import KeepBefore
-from bulletuav.envs.stages.leave import Leave
+from bulletuav.envs.stages.leave import EndEpisodes
 from bulletuav.envs.stages.move_scene import MoveScene
 from bulletuav.envs.stages.observe import Observe
 from bulletuav.envs.stages.remember import Remember
-from bulletuav.envs.stages.report import Report
+from bulletuav.envs.stages.report import WriteInfos
 from bulletuav.envs.stages.reward import Reward
 from bulletuav.envs.stages.sense import Sense
 from bulletuav.envs.stages.separate import Separate
@@ -35,10 +35,10 @@ def decision_stages() -> tuple[Stage, ...]:
         Separate(),
         Remember(),
         Judge(),
-        Leave(),
+        EndEpisodes(),
         Observe(),
         Reward(),
-        Report(),
+        WriteInfos(),
     )
 
 

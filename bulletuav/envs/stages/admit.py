@@ -22,14 +22,14 @@ class Admit(Stage):
         state, action = worlds.state, worlds.action
         bounds = (action.low, action.high, action.choices is not None)
 
-        def refuse() -> None:
+        def raise_error() -> None:
             worlds.contacts.undo_decision()
             worlds.spec.actions(state.given, state.alive)
 
         # Invalid actions end the decision before anything has changed
-        program.call(admit, state.given, state.alive, *bounds, state.action, otherwise=refuse)
+        program.call(admit, state.given, state.alive, *bounds, state.action, otherwise=raise_error)
         clock = (state.steps, float(worlds.options.decision_hz))
-        program.call(begin, state.alive, *clock, state.flown, state.flying, state.time)
+        program.call(mark_flying_drones, state.alive, *clock, state.flown, state.flying, state.time)
 
 
 @kernel
@@ -74,7 +74,7 @@ def admit(
 
 
 @kernel
-def begin(
+def mark_flying_drones(
     alive: np.ndarray,
     steps: np.ndarray,
     hz: float,

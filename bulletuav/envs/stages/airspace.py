@@ -13,18 +13,18 @@ from bulletuav.geometry.rotation import heading, quat4
 
 TURN = 2 * math.pi
 """Full turn, rad"""
-MAX_LEAD = 1.0
+MAX_YAW_LEAD = 1.0
 """Maximum angle of a turning yaw setpoint ahead of the drone, rad"""
 
 
 @func
-def half_turn(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
     """Wrap an angle to [-pi, pi), rad."""
     return angle - TURN * math.floor(angle / TURN + 0.5)
 
 
 @kernel
-def prepare(
+def move_and_turn(
     quaternion: np.ndarray,
     setpoint: np.ndarray,
     yaw_rate: np.ndarray,
@@ -56,13 +56,13 @@ def prepare(
         for i in range(yaw_rate.shape[1]):
             if yaw_rate[w, i] != 0.0:
                 present = heading(quat4(quaternion, w, i))
-                lead = half_turn(setpoint[w, i, 3] + period * yaw_rate[w, i] - present)
-                lead = min(max(lead, -MAX_LEAD), MAX_LEAD)
-                setpoint[w, i, 3] = half_turn(present + lead)
+                lead = wrap_angle(setpoint[w, i, 3] + period * yaw_rate[w, i] - present)
+                lead = min(max(lead, -MAX_YAW_LEAD), MAX_YAW_LEAD)
+                setpoint[w, i, 3] = wrap_angle(present + lead)
 
 
 @kernel
-def finish(
+def count_step(
     steps: np.ndarray, hz: float, time: np.ndarray, force: np.ndarray, torque: np.ndarray
 ) -> None:
     """Count a step of an airspace, and clear external forces.
@@ -96,7 +96,7 @@ class MoveAndTurn(Stage):
         state, contact = worlds.state, worlds.dynamics.contact
         turning = (state.swarm.quaternion, state.setpoint, state.yaw_rate)
         obstacles = (state.obstacle, state.obstacle_velocity, contact.before, contact.after)
-        program.call(prepare, *turning, 1 / worlds.options.decision_hz, *obstacles)
+        program.call(move_and_turn, *turning, 1 / worlds.options.decision_hz, *obstacles)
 
 
 class FlyCommands(Stage):
@@ -125,7 +125,7 @@ class CountStep(Stage):
         """Add the calls of the stage; see `Stage.add_to`."""
         state, pushes = worlds.state, (worlds.dynamics.force, worlds.dynamics.torque)
         hz = float(worlds.options.decision_hz)
-        program.call(finish, state.steps, hz, state.time, *pushes)
+        program.call(count_step, state.steps, hz, state.time, *pushes)
 
 
 class MeasureAll(Stage):

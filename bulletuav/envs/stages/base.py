@@ -40,7 +40,7 @@ class Stage(ABC):
         return inspect.cleandoc(type(self).__doc__ or "").partition("\n")[0]
 
 
-def inserted(
+def insert_stage(
     stages: Sequence[Stage], stage: Stage, after: str | None, before: str | None
 ) -> tuple[Stage, ...]:
     """Return the stages with one more.
@@ -70,7 +70,7 @@ def inserted(
     return (*stages[:place], stage, *stages[place:])
 
 
-def table(stages: Sequence[Stage]) -> str:
+def format_stages(stages: Sequence[Stage]) -> str:
     """Return a table of stages: the arrays that each reads and writes, and its summary."""
     heads = ("stage", "reads", "writes")
     rows = [(one.name, ", ".join(one.reads), ", ".join(one.writes)) for one in stages]
@@ -82,7 +82,7 @@ def table(stages: Sequence[Stage]) -> str:
     )
 
 
-def programs_of(stages: Sequence[Stage], worlds: Any) -> dict[str, Program]:
+def stage_programs_of(stages: Sequence[Stage], worlds: Any) -> dict[str, Program]:
     """Make a program of each stage alone, by its name."""
     programs = {stage.name: Program() for stage in stages}
     for stage in stages:

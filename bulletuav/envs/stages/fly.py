@@ -39,18 +39,18 @@ class Fly(Stage):
             box = (task.arena_low, task.arena_high, float(task.rebound))
             bounds = (state.swarm, state.commanded, state.flown, *box, state.moved)
             program.call(confine, *bounds, otherwise=place_again)
-        add_tick(program, worlds, state.flying)
+        add_decision_count(program, worlds, state.flying)
 
 
-def add_tick(program: Program, worlds: Worlds, flying: np.ndarray) -> None:
+def add_decision_count(program: Program, worlds: Worlds, flying: np.ndarray) -> None:
     """Add to a program that a decision is counted in worlds of a mask (W,)."""
     state, options = worlds.state, worlds.options
     clock = (state.steps, float(options.decision_hz), options.horizon)
-    program.call(tick, flying, *clock, state.time, state.last)
+    program.call(count_decision, flying, *clock, state.time, state.last)
 
 
 @kernel
-def tick(
+def count_decision(
     flying: np.ndarray,
     steps: np.ndarray,
     hz: float,

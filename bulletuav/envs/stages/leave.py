@@ -8,7 +8,7 @@ from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
 
 
-class Leave(Stage):
+class EndEpisodes(Stage):
     """End episodes, and remove the drones that leave from the airspace."""
 
     name = "leave"
@@ -21,11 +21,11 @@ class Leave(Stage):
         ends = (state.terminated, state.truncated, state.present, state.alive, state.left)
         charge = worlds.energy.readings()["charge"]
         given = (state.ended, charge, state.flown, state.last)
-        program.call(conclude, *given, *ends, otherwise=lambda: worlds.engine.park(state.left))
+        program.call(end_episodes, *given, *ends, otherwise=lambda: worlds.engine.park(state.left))
 
 
 @kernel
-def conclude(
+def end_episodes(
     ended: np.ndarray,
     charge: np.ndarray,
     flown: np.ndarray,

@@ -8,7 +8,7 @@ from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
 
 
-class Report(Stage):
+class WriteInfos(Stage):
     """Write infos in addition to reward terms."""
 
     name = "report"

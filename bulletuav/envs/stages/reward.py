@@ -23,15 +23,15 @@ class Reward(Stage):
         state, task, results = worlds.state, worlds.task, worlds.results
         weights = np.array([float(task.weights[name]) for name in results.names])
 
-        def refuse() -> None:
+        def raise_error() -> None:
             require_finite(task, results.named_weighted, state.rewards)
 
         sums = (results.unweighted, weights, state.flown, results.weighted, state.rewards)
-        program.call(settle, *sums, otherwise=refuse)
+        program.call(sum_rewards, *sums, otherwise=raise_error)
 
 
 @kernel
-def settle(
+def sum_rewards(
     terms: np.ndarray,
     weights: np.ndarray,
     flown: np.ndarray,

@@ -35,11 +35,11 @@ WITHOUT_EFFECT = frozenset(
     }
 )
 """Options that do not change how a simulation continues from a given state"""
-LONGEST = 60
+MAX_SHOWN_LENGTH = 60
 """Characters of a value that is written in full; longer ones are written as a hash"""
 
 
-def described(options: EnvOptions, config: Any) -> dict[str, Any]:
+def describe_options(options: EnvOptions, config: Any) -> dict[str, Any]:
     """Return all options of an environment as values that JSON can store.
 
     Args:
@@ -76,7 +76,9 @@ def described(options: EnvOptions, config: Any) -> dict[str, Any]:
     }
 
 
-def parts_of(options: EnvOptions, task: Task[Any] | None = None, **made: Any) -> dict[str, str]:
+def describe_parts(
+    options: EnvOptions, task: Task[Any] | None = None, **made: Any
+) -> dict[str, str]:
     """Describe everything that a simulation is made from, except for `WITHOUT_EFFECT`.
 
     Args:
@@ -88,7 +90,7 @@ def parts_of(options: EnvOptions, task: Task[Any] | None = None, **made: Any) ->
         A text for each component, by the names of the options. Components with equal texts are
         equal. "airframe.mass" and the like are the numbers of airframes.
     """
-    names = vars(options) if task is None else described(options, task.config)
+    names = vars(options) if task is None else describe_options(options, task.config)
     values = {one.name: getattr(options, one.name) for one in dataclasses.fields(options)}
     if task is not None:
         values |= {
@@ -103,7 +105,7 @@ def parts_of(options: EnvOptions, task: Task[Any] | None = None, **made: Any) ->
     airframes = values.pop("airframe")
     parts = {"bulletuav": __version__, "airframe": _shown([one.name for one in airframes])}
     if task is not None:
-        parts |= {"task": task.name, "task.code": _digest(text_of(type(task)))}
+        parts |= {"task": task.name, "task.code": _digest(canonical_text(type(task)))}
     for field in dataclasses.fields(Airframe):
         if field.name != "urdf":  # the numbers count, not where the file is
             values[f"airframe.{field.name}"] = [getattr(one, field.name) for one in airframes]
@@ -119,20 +121,20 @@ def faces_of(layouts: Sequence[Solids]) -> list[list[np.ndarray]]:
 
 def _shown(value: Any, name: Any = None) -> str:
     """Return a value as text; if that is long, its name and a hash."""
-    texts = {text_of(one) for one in value} if isinstance(value, list) else set()
+    texts = {canonical_text(one) for one in value} if isinstance(value, list) else set()
     # All drones have the same value
-    text = texts.pop() if len(texts) == 1 else text_of(value)
-    if len(text) <= LONGEST:
+    text = texts.pop() if len(texts) == 1 else canonical_text(value)
+    if len(text) <= MAX_SHOWN_LENGTH:
         return text
     named = "" if name is None else repr(name)
-    return f"{named[:LONGEST]} (hash {_digest(text)})".strip()
+    return f"{named[:MAX_SHOWN_LENGTH]} (hash {_digest(text)})".strip()
 
 
 def _digest(text: str) -> str:
     return hashlib.blake2b(text.encode(), digest_size=6).hexdigest()
 
 
-def text_of(value: Any, within: tuple[int, ...] = ()) -> str:
+def canonical_text(value: Any, within: tuple[int, ...] = ()) -> str:
     """Return a value as text, so that equal values have equal texts in every process.
 
     Code is represented by its source file, with the defaults and closure of a function; objects by
@@ -152,7 +154,7 @@ def text_of(value: Any, within: tuple[int, ...] = ()) -> str:
     # An object that contains itself
     if id(value) in within:
         return "itself"
-    inner = functools.partial(text_of, within=(*within, id(value)))
+    inner = functools.partial(canonical_text, within=(*within, id(value)))
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{inner(k)}: {inner(one)}" for k, one in value.items()) + "}"
     if isinstance(value, set | frozenset):

@@ -10,13 +10,13 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.envs.options import (
-    MOST_COUNT,
-    MOST_DRONES,
-    MOST_NAMES,
-    MOST_SIZE,
-    MOST_WEIGHT,
-    NAMED,
-    SEVERAL,
+    LIST_OPTIONS,
+    MAX_COUNT,
+    MAX_DRONES,
+    MAX_NAMES,
+    MAX_SIZE,
+    MAX_WEIGHT,
+    NAME_LISTS,
     EnvOptions,
 )
 from bulletuav.envs.randomization import Randomization, known_uncertainties
@@ -44,7 +44,7 @@ INGREDIENTS = ("observation", "sensors")
 """Lists of names or objects"""
 
 
-class Resolved(NamedTuple):
+class ResolvedOptions(NamedTuple):
     """Result of `resolve_options`.
 
     Attributes:
@@ -58,7 +58,7 @@ class Resolved(NamedTuple):
     sensors: dict[str, Sensor]
 
 
-def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
+def resolve_options(task: type[Task[Any]], given: Mapping[str, Any]) -> ResolvedOptions:
     """Create common options and the task's config from keyword arguments.
 
     Given values override those of the preset, which override those of the difficulty, which
@@ -85,7 +85,7 @@ def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
     make_tuples(values)
-    _find_airframes(values, given)
+    _load_airframes(values, given)
     if "action" not in given:
         values["action"] = _default_action(values)
     sensors = known_sensors(values.get("sensors", ()))
@@ -96,7 +96,7 @@ def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
     for_task = {name: value for name, value in values.items() if name in own}
     options = EnvOptions(**for_all)
     config = task.Config(**for_task)
-    return Resolved(options, _checked_config(config), sensors)
+    return ResolvedOptions(options, _validate_config(config), sensors)
 
 
 def _with_defaults(
@@ -132,12 +132,12 @@ def _with_defaults(
 
 def make_tuples(values: dict[str, Any]) -> None:
     """Convert list options to tuples, including single entries of such lists."""
-    for name in SEVERAL:
+    for name in LIST_OPTIONS:
         value = values.get(name)
         if isinstance(value, str) or (name in INGREDIENTS and _is_ingredient(value)):
             values[name] = (value,)
-        elif name in values and not _is_single(name, value):
-            most = MOST_NAMES if name in NAMED else None
+        elif name in values and not _is_unlisted(name, value):
+            most = MAX_NAMES if name in NAME_LISTS else None
             values[name] = as_sequence(name, value, most=most)
 
 
@@ -146,20 +146,20 @@ def _is_ingredient(value: Any) -> bool:
     return callable(value) or isinstance(value, Sensor | Block)
 
 
-def _is_single(name: str, value: Any) -> bool:
+def _is_unlisted(name: str, value: Any) -> bool:
     """Return True if an option that can be a list has a valid value that is not a list."""
     return (name == "wind" and callable(value)) or (name == "observation" and value is None)
 
 
-def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
+def _load_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
     """Load an airframe for each drone.
 
     The airframes determine the number of drones and the speed limit if these are not given.
     """
     several = isinstance(values["airframe"], list | tuple)
     if not several:
-        as_int("num_drones", values["num_drones"], 1, MOST_DRONES)
-    values["airframe"] = airframes_of(values["airframe"], values["num_drones"])
+        as_int("num_drones", values["num_drones"], 1, MAX_DRONES)
+    values["airframe"] = load_airframes(values["airframe"], values["num_drones"])
     if several and "num_drones" not in given:
         values["num_drones"] = len(values["airframe"])
     if "max_speed" not in given:
@@ -194,7 +194,7 @@ def action_for(dynamics: str | type[Dynamics], action: str, airframes: Sequence[
     return usable_action(action, airframes, level)
 
 
-def airframes_of(airframe: Any, count: int) -> tuple[Airframe, ...]:
+def load_airframes(airframe: Any, count: int) -> tuple[Airframe, ...]:
     """Load the airframe of each drone.
 
     Args:
@@ -211,11 +211,11 @@ def airframes_of(airframe: Any, count: int) -> tuple[Airframe, ...]:
         return (load_airframe(airframe),) * count
     if not airframe:
         raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
-    as_sequence("airframe", airframe, most=MOST_DRONES)
+    as_sequence("airframe", airframe, most=MAX_DRONES)
     return tuple(load_airframe(one) for one in airframe)
 
 
-def _checked_config(config: TaskConfig) -> TaskConfig:
+def _validate_config(config: TaskConfig) -> TaskConfig:
     """Validate a task's config, with numbers converted to the types of its fields.
 
     Raises:
@@ -223,7 +223,7 @@ def _checked_config(config: TaskConfig) -> TaskConfig:
     """
     kinds = typing.get_type_hints(type(config))  # also where annotations are postponed
     stored = {
-        field.name: _checked(field, kinds[field.name], getattr(config, field.name))
+        field.name: _validate(field, kinds[field.name], getattr(config, field.name))
         for field in dataclasses.fields(config)
         if field.init
     }
@@ -232,7 +232,7 @@ def _checked_config(config: TaskConfig) -> TaskConfig:
     return dataclasses.replace(config, **stored)
 
 
-def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
+def _validate(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
     """Validate the value of a field by its type.
 
     The metadata of a field may have its bounds "least" and "most". Float fields are sizes, so not
@@ -240,7 +240,7 @@ def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
     """
     # Bounds of the field override the defaults
     name = field.name
-    usual_most = MOST_COUNT if kind is int else MOST_SIZE
+    usual_most = MAX_COUNT if kind is int else MAX_SIZE
     most = field.metadata.get("most", usual_most)
     if kind is int:
         return as_int(name, value, field.metadata.get("least", 1), most)
@@ -256,18 +256,18 @@ def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
     elif kind == tuple[float, float]:
         return tuple(finite(name, number, most=most) for number in as_sequence(name, value, 2))
     elif name == "weights":
-        return _checked_weights(value)
+        return _validate_weights(value)
     return value
 
 
-def _checked_weights(weights: Any) -> dict[str, float]:
+def _validate_weights(weights: Any) -> dict[str, float]:
     if not isinstance(weights, Mapping):
         raise ValueError(
             f"weights is {shown(weights)}: a dict from reward terms to weights is needed"
         )
     return {
         term: finite(
-            f"weights: weight of reward term {shown(term)}", weight, -MOST_WEIGHT, MOST_WEIGHT
+            f"weights: weight of reward term {shown(term)}", weight, -MAX_WEIGHT, MAX_WEIGHT
         )
         for term, weight in weights.items()
     }
