@@ -13,7 +13,7 @@ from leaderboard_rows import Row, read_told
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.metrics import Estimate
 from bulletuav.analysis.seals import parse_call
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.files import replace_file
 from bulletuav.report.charts import COLOURS
 from bulletuav.report.figures import blank_figure, save_figure
@@ -172,7 +172,7 @@ def _summary(entries: Mapping[str, Sequence[Entry]], scores: Mapping[str, str]) 
 def _conditions(about: Mapping[str, Any]) -> str:
     """Write the task, difficulty, dynamics, episodes and seeds of the evaluation of a row."""
     call = parse_call(about["call"], trust=False)
-    options = resolve(find_task(call["task"]), call["options"]).options
+    options = resolve_options(find_task(call["task"]), call["options"]).options
     conditions = Conditions(
         task=call["task"],
         difficulty=options.difficulty,

@@ -17,12 +17,12 @@ from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.parallel import (
     AgentResults,
     ByAgent,
-    Infos,
+    InfosByAgent,
     ParallelAviary,
     check_agents,
 )
-from bulletuav.envs.reset_options import refuse_setting
-from bulletuav.envs.snapshot import FaceSnapshot, require_face
+from bulletuav.envs.reset_options import check_setting
+from bulletuav.envs.snapshot import EnvironmentSnapshot, require_environment_snapshot
 from bulletuav.envs.teams import team_names, team_rows
 from bulletuav.errors import find_choice, numbers_of, shown
 from bulletuav.policies import Policy, PolicySource, find_policy
@@ -104,7 +104,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
     @exclusive
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[ByAgent, Infos]:
+    ) -> tuple[ByAgent, InfosByAgent]:
         """Start a new episode; see `ParallelAviary.reset`.
 
         Returns:
@@ -174,17 +174,17 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         return entries
 
     @exclusive
-    def save_state(self) -> FaceSnapshot:
+    def save_state(self) -> EnvironmentSnapshot:
         """Save the state of the simulation and the memory of the opponents' policies.
 
         Weights of opponents that learn are not saved; see `Aviary.save_state`.
         """
         flight = self.env.save_state()
         assert self._policy is not None  # there was a reset
-        return FaceSnapshot("team_env", flight, self._policy.memory())
+        return EnvironmentSnapshot("team_env", flight, self._policy.memory())
 
     @exclusive
-    def load_state(self, snapshot: FaceSnapshot) -> ByAgent:
+    def load_state(self, snapshot: EnvironmentSnapshot) -> ByAgent:
         """Restore a saved state; see `Aviary.load_state`.
 
         Returns:
@@ -193,7 +193,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         Raises:
             ValueError: If the snapshot does not match this environment or its policies.
         """
-        require_face(snapshot, "team_env")
+        require_environment_snapshot(snapshot, "team_env")
         before = self._made.memory()
         self._made.restore(snapshot.beside)
         try:
@@ -260,12 +260,12 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
     def __setattr__(self, name: str, value: Any) -> None:
         """Set an attribute; raise AttributeError for options, which setting would not change."""
         if type(self) is CentralTeamAviary and "_config" in vars(self):
-            refuse_setting(self, name, self._config)
+            check_setting(self, name, self._config)
         super().__setattr__(name, value)
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
         """Set an attribute that a wrapper passes on; see `gymnasium.Env.set_wrapper_attr`."""
-        refuse_setting(self, name, self._config)
+        check_setting(self, name, self._config)
         return super().set_wrapper_attr(name, value, force=force)
 
     def _joined(self, spaces: Mapping[str, Space[Any]]) -> Box:
@@ -335,12 +335,12 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         return flat
 
     @exclusive
-    def save_state(self) -> FaceSnapshot:
+    def save_state(self) -> EnvironmentSnapshot:
         """Save the state of the simulation and of policies; see `TeamAviary.save_state`."""
         return self.env.save_state()
 
     @exclusive
-    def load_state(self, snapshot: FaceSnapshot) -> np.ndarray:
+    def load_state(self, snapshot: EnvironmentSnapshot) -> np.ndarray:
         """Restore a saved state; see `TeamAviary.load_state`.
 
         Returns:

@@ -11,7 +11,7 @@ import numba
 
 from bulletuav.analysis.episodes import BATCH, EpisodeJob
 from bulletuav.analysis.metrics import MetricSpec
-from bulletuav.envs.described import described, parts_of, text_of
+from bulletuav.envs.descriptions import canonical_text, describe_options, describe_parts
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.policies import PolicySpec
 from bulletuav.policies.base import check_action
@@ -53,7 +53,7 @@ def describe_flights(
         "batch": BATCH,
         "metrics": [metric.name for metric in measures],
         "fingerprint": _fingerprint(flights, spec, pilot.models, measures),
-        "options": described(spec.options, spec.task.config),
+        "options": describe_options(spec.options, spec.task.config),
         "call": call,
     }
     # The description is compared with one from a file, so it must pass through JSON, too.
@@ -99,8 +99,8 @@ def _fingerprint(
     # Names and paths are compared as values
     for source in (*policies, *(metric.source for metric in measures)):
         if not isinstance(source, str | Path):
-            digest.update(text_of(source).encode())
+            digest.update(canonical_text(source).encode())
     for model in models:
         digest.update(model.read_bytes())
-    digest.update(text_of(parts_of(spec.options, spec.task)).encode())
+    digest.update(canonical_text(describe_parts(spec.options, spec.task)).encode())
     return digest.hexdigest()[:16]

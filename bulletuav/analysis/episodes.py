@@ -14,7 +14,7 @@ import numpy as np
 
 from bulletuav.analysis.metrics import Meter, MetricSpec
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.worker import portable
+from bulletuav.envs.worker import picklable
 from bulletuav.interrupts import block_interrupts
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.policies.base import Policy
@@ -255,4 +255,4 @@ def _run_worker(pipe: Connection, run: EpisodeJob[Any], batches: list[range]) ->
             pipe.send(result)
         pipe.send(None)
     except Exception as error:
-        pipe.send(portable(error))
+        pipe.send(picklable(error))

@@ -23,7 +23,7 @@ from bulletuav.analysis.results_folder import RUN
 from bulletuav.analysis.scene import PARTS
 from bulletuav.analysis.seals import add_seal, format_call, hash_files
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.described import described
+from bulletuav.envs.descriptions import describe_options
 from bulletuav.errors import reason_of, require_file, shown
 from bulletuav.files import replace_file, whole_file
 from bulletuav.geometry.closest_approach import distances
@@ -131,7 +131,7 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
         "task": aviary.task.name,
         "policy": policy,
         "seed": seed,
-        "options": described(aviary.options, aviary.task.config),
+        "options": describe_options(aviary.options, aviary.task.config),
         "outcomes": [
             {name: value if value != np.inf else None for name, value in row._asdict().items()}
             for row in outcomes(recording)

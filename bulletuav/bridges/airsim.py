@@ -24,13 +24,13 @@ from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.sockets import LOG_NAME, open_listener
 from bulletuav.envs.pacer import Pacer
 from bulletuav.errors import as_int, missing_extra, shown
-from bulletuav.serving.connections import Clock, Connections, FullError, Limits
+from bulletuav.serving.connections import Clock, ConnectionLimits, Connections, FullError
 from bulletuav.serving.refusals import Refusals
-from bulletuav.serving.streams import Stream, StreamServer
+from bulletuav.serving.streams import StreamConnection, StreamServer
 
 PORT = 41451
 """Default port of AirSim's clients"""
-LIMITS = Limits()
+LIMITS = ConnectionLimits()
 MAX_REQUEST_BYTES = 2**20
 """Maximum size of a request, bytes"""
 SCAN_BUFFER = 2**16
@@ -93,7 +93,7 @@ class AirsimServer:
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
-        limits: Limits = LIMITS,
+        limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
         """Open the port; clients are answered while `run` runs.
@@ -131,7 +131,7 @@ class AirsimServer:
         self.port: int = self._socket.getsockname()[1]
 
     @property
-    def connections(self) -> Connections[Stream]:
+    def connections(self) -> Connections[StreamConnection]:
         """Open connections."""
         return self._streams.connections
 
@@ -184,7 +184,7 @@ class AirsimServer:
             self.pacer.wait()
             await asyncio.sleep(self._slack)
 
-    async def _serve_client(self, stream: Stream) -> None:
+    async def _serve_client(self, stream: StreamConnection) -> None:
         await _Client(self, stream).serve()
 
     async def advance(self, steps: int, is_wanted: Callable[[], bool] = lambda: True) -> None:
@@ -212,7 +212,7 @@ class AirsimServer:
 class _Client:
     """Connection of one client."""
 
-    def __init__(self, server: AirsimServer, stream: Stream) -> None:
+    def __init__(self, server: AirsimServer, stream: StreamConnection) -> None:
         self._server, self._stream = server, stream
         self._calls, self._msgpack = server._calls, server._msgpack
         # Responses of motions that end while another response is sent in parts

@@ -14,12 +14,12 @@ from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.crtp import MAX_DATA_SIZE, NULL_PACKET, CrtpPort, MalformedError, Packet
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
 from bulletuav.envs.viewer import join_address
-from bulletuav.serving.connections import Clock, Limits
+from bulletuav.serving.connections import Clock, ConnectionLimits
 from bulletuav.serving.refusals import Refusals
 
 PORT = 19850
 """Port of the first drone; cflib scans this port and the nine after it"""
-LIMITS = Limits(max_clients=1, grace=0.5, max_idle=10.0)
+LIMITS = ConnectionLimits(max_clients=1, grace=0.5, max_idle=10.0)
 """Limits of a drone's client. Another client may take the drone after `grace` seconds of silence
 (cflib pings at 10 Hz). After `max_idle` seconds the client receives no more logs."""
 SERVICES = frozenset(CrtpPort) - {CrtpPort.CONSOLE}
@@ -60,7 +60,7 @@ class CrazyflieServer(DatagramServer):
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
-        limits: Limits = LIMITS,
+        limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
         """Open the ports; clients are answered once `run` is called.

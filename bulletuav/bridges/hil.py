@@ -32,12 +32,12 @@ from bulletuav.envs.viewer import join_address
 from bulletuav.errors import as_int, finite
 from bulletuav.serving.connections import (
     ACCEPT_RETRY,
-    EXHAUSTED,
-    SPARED,
+    EVICTED_FOR_RESOURCES,
+    EXHAUSTED_ERRORS,
     Clock,
+    ConnectionLimits,
     Connections,
     FullError,
-    Limits,
     cannot_accept,
 )
 from bulletuav.serving.refusals import Refusals
@@ -52,7 +52,7 @@ ANSWER_TIMEOUT = 10.0
 """Time in which an autopilot must answer, s; after it the autopilot is dropped"""
 START_TIMEOUT = 30.0
 """Time in which an autopilot must answer for the first time, s; longer, since it has to start"""
-LIMITS = Limits(max_clients=1, max_pending=4)
+LIMITS = ConnectionLimits(max_clients=1, max_pending=4)
 """Limits of the connections of one vehicle"""
 MAX_LISTEN_TIME = 0.1
 """Maximum time that `run` waits for connections in one call, s"""
@@ -133,7 +133,7 @@ class HilServer:
         port: int = PORT,
         speed: float = 1.0,
         patience: float = 1 / STEP_HZ,
-        limits: Limits = LIMITS,
+        limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
         """Open the ports; autopilots are answered while `run` runs.
@@ -257,13 +257,13 @@ class HilServer:
         try:
             connection, address = self._listeners[i].accept()
         except OSError as error:
-            if error.errno in EXHAUSTED:
+            if error.errno in EXHAUSTED_ERRORS:
                 self._log.log_server(cannot_accept(error))
                 self._selector.unregister(self._listeners[i])
                 self._paused_ports[i] = self._clock() + ACCEPT_RETRY
                 for k, connections in enumerate(self._connections):
                     for link in connections.spare():
-                        self._drop(k, link, SPARED)
+                        self._drop(k, link, EVICTED_FOR_RESOURCES)
             return
         try:
             link = AutopilotLink(connection, join_address(*address[:2]))

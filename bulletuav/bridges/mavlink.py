@@ -17,14 +17,14 @@ from bulletuav.bridges.mavlink_services import describe_message, find_refusal_re
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import as_int
-from bulletuav.serving.connections import Clock, Connections, FullError, Limits
+from bulletuav.serving.connections import Clock, ConnectionLimits, Connections, FullError
 from bulletuav.serving.refusals import Refusals
 
 PORT = 18570
 """Port of the first vehicle"""
 CLIENT_PORT = 14540
 """Port to which the first vehicle sends unasked, at which MAVSDK listens"""
-LIMITS = Limits(
+LIMITS = ConnectionLimits(
     max_clients=8, max_pending=8, handshake=10.0, max_idle=10.0, grace=5.0, pending_grace=3.0
 )
 """Limits of a vehicle's clients; a client is pending while it has sent nothing but heartbeats"""
@@ -54,7 +54,7 @@ class MavlinkServer(DatagramServer):
         port: int = PORT,
         speed: float = 1.0,
         client_port: int | None = CLIENT_PORT,
-        limits: Limits = LIMITS,
+        limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
         """Open the ports; clients are answered once `run` is called.

@@ -23,7 +23,7 @@ from bulletuav.commands.arguments import (
 from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.viewer import USUAL_ADDRESS, parse_address
+from bulletuav.envs.viewer import DEFAULT_ADDRESS, parse_address
 from bulletuav.errors import as_int
 from bulletuav.policies import find_policy
 from bulletuav.report.live import LiveView
@@ -83,9 +83,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             f"--{name}",
             nargs="?",
-            const=USUAL_ADDRESS,
+            const=DEFAULT_ADDRESS,
             metavar="HOST:PORT",
-            help=f"show the flight {where} while it runs (default: {USUAL_ADDRESS})",
+            help=f"show the flight {where} while it runs (default: {DEFAULT_ADDRESS})",
         )
     add_trust(parser)
     add_options(parser)

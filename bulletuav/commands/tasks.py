@@ -15,7 +15,7 @@ from bulletuav.commands.output import print_table, print_text
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.ingredients import find_term
@@ -257,7 +257,7 @@ def _defaults(task: type[Task[Any]]) -> dict[str, Any]:
 
 def _default_actions(task: type[Task[Any]]) -> str | None:
     """Return the default action of each dynamics as NAME=VALUE; None if all are equal."""
-    actions = {name: resolve(task, {"dynamics": name}).options.action for name in DYNAMICS}
+    actions = {name: resolve_options(task, {"dynamics": name}).options.action for name in DYNAMICS}
     return _pairs(actions) if len(set(actions.values())) > 1 else None
 
 

@@ -20,7 +20,7 @@ from bulletuav.commands.evaluate import print_score
 from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.control.actions import CHOICES
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.files import replace_file
 from bulletuav.interrupts import TEXT
 from bulletuav.policies.run import (
@@ -261,7 +261,7 @@ def _with_action(task: str, algo: str, options: dict[str, Any]) -> dict[str, Any
     """Set the action `discrete` for DQN, unless the action is already discrete."""
     if algo != "dqn":
         return options
-    common = resolve(find_task(task), options).options
+    common = resolve_options(find_task(task), options).options
     if common.action in CHOICES:
         return options
     return {**options, "action": "discrete"}

@@ -1,1 +1,1 @@
-"""The batched core, and the environment classes of each API around it."""
+"""Batched simulation core, and environment classes for Gymnasium, PettingZoo and batches."""

@@ -1,8 +1,8 @@
-/* What Python does around a decision, in C: dictionaries of agents in and out (bulletuav.envs.agents), setpoints of an airspace
-   (bulletuav.envs.airspace_inputs), and who is in an environment (bulletuav.envs.environment).
+/* C implementations of Python functions around a decision: conversion of dictionaries by agent (bulletuav.envs.agents), setpoints
+   of an airspace (bulletuav.envs.airspace_inputs), and methods that exclude other threads (bulletuav.envs.environment).
 
-   Arrays are read by the layout that NumPy documents for the C interface (PyArrayObject_fields), so that its headers are not
-   needed to build this. */
+   Arrays are read by the memory layout that NumPy documents for the C interface (PyArrayObject_fields), so that its headers are
+   not needed to build this. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 #include <math.h>
@@ -23,7 +23,7 @@ enum { DOUBLE, SINGLE, INT64, INT32, NUMBERS, BOOL = NUMBERS, TYPES };
 
 static PyObject *ndarray, *types[TYPES];
 
-/* Whether `object` is an array (..., numbers of `type`) as it lies, with so many dimensions. */
+/* Return 1 if `object` is a contiguous, aligned array of `type` (NULL for any) with this number of dimensions. */
 static int lies(PyObject *object, int dimensions, PyObject *type) {
     if ((PyObject *)Py_TYPE(object) != ndarray) return 0;
     struct array *array = (struct array *)object;
@@ -31,7 +31,7 @@ static int lies(PyObject *object, int dimensions, PyObject *type) {
     return (array->flags & CONTIGUOUS) && (array->flags & ALIGNED);
 }
 
-/* The type of an array (`size`,) whose numbers can be copied as they lie; -1 for anything else. */
+/* Return the type of a contiguous array (`size`,) of numbers; -1 for anything else. */
 static int kind_of(PyObject *object, Py_ssize_t size) {
     if (!lies(object, 1, NULL) || ((struct array *)object)->shape[0] != size) return -1;
     for (int k = 0; k < NUMBERS; k++)
@@ -39,7 +39,7 @@ static int kind_of(PyObject *object, Py_ssize_t size) {
     return -1;
 }
 
-/* Copy an action (`size`,); tells whether it is such an array. */
+/* Copy an action (`size`,); return 0 if it is not such an array. */
 static int copy(PyObject *action, Py_ssize_t size, double *to) {
     int kind = kind_of(action, size);
     if (kind < 0) return 0;
@@ -52,13 +52,13 @@ static int copy(PyObject *action, Py_ssize_t size, double *to) {
     return 1;
 }
 
-/* The row of the i-th agent, of `most`; -1 where there is none. */
+/* Return the row of the i-th agent, below `most`; -1 if there is none. */
 static Py_ssize_t row_of(PyObject *rows, Py_ssize_t i, Py_ssize_t most) {
     Py_ssize_t row = rows == Py_None ? i : PyLong_AsSsize_t(PyList_GET_ITEM(rows, i));
     return row < most ? row : -1;
 }
 
-/* Whether agents are a list, and rows None or a list as long. */
+/* Return 1 if agents are a list, and rows None or a list of the same length. */
 static int fit(PyObject *agents, PyObject *rows) {
     return PyList_CheckExact(agents) &&
            (rows == Py_None || (PyList_CheckExact(rows) && PyList_GET_SIZE(rows) == PyList_GET_SIZE(agents)));
@@ -70,7 +70,7 @@ static PyObject *refuse(void) {
 }
 
 /* take(actions, agents, rows, given) -> bool: copy the action of each agent to its row of `given` (1, N, A), float64; rows None
-   for the first ones. False where one is missing or is not such an array; some may be copied then. */
+   for the first ones. False if an action is missing or is not such an array; some may be copied then. */
 static PyObject *take(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     if (count != 4 || !fit(arguments[1], arguments[2]) || !lies(arguments[3], 3, types[DOUBLE])) return refuse();
     PyObject *actions = arguments[0], *agents = arguments[1], *rows = arguments[2];
@@ -89,7 +89,7 @@ static PyObject *take(PyObject *self, PyObject *const *arguments, Py_ssize_t cou
     Py_RETURN_TRUE;
 }
 
-/* take_one(action, given) -> bool: copy an action (A,) to `given` (1, 1, A), float64. False where it is not such an array. */
+/* take_one(action, given) -> bool: copy an action (A,) to `given` (1, 1, A), float64. False if it is not such an array. */
 static PyObject *take_one(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     if (count != 2 || !lies(arguments[1], 3, types[DOUBLE])) return refuse();
     struct array *given = (struct array *)arguments[1];
@@ -97,7 +97,7 @@ static PyObject *take_one(PyObject *self, PyObject *const *arguments, Py_ssize_t
     return PyBool_FromLong(copy(arguments[0], given->shape[2], (double *)given->data));
 }
 
-/* Put a new reference into a dict. */
+/* Set an item of a dict, and release the reference to the value. */
 static int put(PyObject *dict, PyObject *agent, PyObject *value) {
     if (!value) return -1;
     int failed = PyDict_SetItem(dict, agent, value);
@@ -105,15 +105,15 @@ static int put(PyObject *dict, PyObject *agent, PyObject *value) {
     return failed;
 }
 
-/* Whether an array is (1, rows) as it lies. */
+/* Return 1 for a contiguous array (1, rows); any number of rows if negative. */
 static int is_world(PyObject *object, PyObject *type, Py_ssize_t rows) {
     if (!lies(object, 2, type)) return 0;
     Py_ssize_t *shape = ((struct array *)object)->shape;
     return shape[0] == 1 && (rows < 0 || shape[1] == rows);
 }
 
-/* share(agents, rows, observations, rewards, terminated, truncated) -> four dicts, and whether any agent ended: the rows of
-   arrays (1, N, ...), float64 and bool but for the observations; rows None for the first ones. */
+/* share(agents, rows, observations, rewards, terminated, truncated) -> four dicts by agent, and whether any episode ended: rows of
+   arrays (1, N, ...), of float64 and bool except for the observations; rows None for the first ones. */
 static PyObject *share(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     if (count != 6 || !fit(arguments[0], arguments[1]) || !is_world(arguments[3], types[DOUBLE], -1)) return refuse();
     PyObject *agents = arguments[0], *rows = arguments[1];
@@ -149,8 +149,8 @@ failed:
 
 enum { ATTITUDE_LEVEL = 3, YAW = 3 }; /* of SetpointLevel, and of a setpoint's columns */
 
-/* The numbers of `given`: of a contiguous array of float64 where they are, of a tuple of floats in `room`. NULL for anything else,
-   and for numbers above 1e6, whose sum of squares Python looks at. */
+/* Return the numbers of `given`: those of a contiguous float64 array in place, those of a tuple of floats copied to `room`. NULL for
+   anything else, and for numbers above 1e6, which Python checks. */
 static const double *numbers_of(PyObject *given, double *room, Py_ssize_t most, Py_ssize_t *count, int *dimensions) {
     const double *numbers = room;
     *dimensions = 1;
@@ -174,8 +174,8 @@ static const double *numbers_of(PyObject *given, double *room, Py_ssize_t most, 
     return numbers;
 }
 
-/* hold(levels, setpoint, told, drones, level, width, numbers) -> bool: let drones hold a setpoint of one level, which has so many
-   numbers; see bulletuav.envs.airspace_inputs. False, and nothing is written, where a closer look is needed. */
+/* hold(levels, setpoint, commanded, drones, level, width, numbers) -> bool: write setpoints of one level with `width` numbers; see
+   bulletuav.envs.airspace_inputs. False, with nothing written, if the arguments need further checks. */
 static PyObject *hold(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     if (count != 7 || !is_world(arguments[0], types[INT64], -1) || !lies(arguments[1], 3, types[DOUBLE])) return refuse();
     Py_ssize_t drones = ((struct array *)arguments[0])->shape[1], first = 0, last = drones;
@@ -205,7 +205,7 @@ static PyObject *hold(PyObject *self, PyObject *const *arguments, Py_ssize_t cou
     Py_ssize_t each = dimensions == 2 ? ((struct array *)arguments[6])->shape[1] : given;
     if (dimensions == 2 && (arguments[3] != Py_None || given != each * drones)) Py_RETURN_FALSE;
     if (each == YAW && level < ATTITUDE_LEVEL && width == YAW + 1) {
-        /* Without the yaw, which all hold already */
+        /* Without the yaw, if all drones hold one already */
         for (Py_ssize_t i = first; i < last; i++)
             if (!told[i] || levels[i] >= ATTITUDE_LEVEL) Py_RETURN_FALSE;
     } else if (each != width) {
@@ -221,7 +221,7 @@ static PyObject *hold(PyObject *self, PyObject *const *arguments, Py_ssize_t cou
     Py_RETURN_TRUE;
 }
 
-/* A method that one thread is in at a time. */
+/* A method that excludes other threads. */
 struct guard {
     PyObject_HEAD
     PyObject *method, *dict;
@@ -298,7 +298,7 @@ static PyType_Spec guard_spec = {
     guard_slots,
 };
 
-/* exclusive(method) -> what does the same, and raises RuntimeError while another thread is in such a method of the instance. */
+/* exclusive(method) -> the method, which raises RuntimeError while another thread is in an exclusive method of the instance. */
 static PyObject *exclusive(PyObject *self, PyObject *method) {
     struct guard *made = PyObject_GC_New(struct guard, guard_type);
     if (!made) return NULL;

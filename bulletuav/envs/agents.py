@@ -1,6 +1,6 @@
-"""Dictionaries of agents: actions that come in, and results that go out.
+"""Convert between per-agent dictionaries and batched arrays.
 
-Functions in C, in `_agents.c`, do the same in a fraction of the time, where they could be built.
+If it was built, the C extension `_agents.c` does the same in a fraction of the time.
 """
 
 import importlib
@@ -12,26 +12,26 @@ import numpy as np
 
 from bulletuav.engine.c_extension import SWITCH
 
-USUAL_TYPES = tuple(map(np.dtype, ("f8", "f4", "i8", "i4")))
-"""Types of actions that need no other look than the program's"""
+ACTION_TYPES = tuple(map(np.dtype, ("f8", "f4", "i8", "i4")))
+"""Types of action arrays that are copied without further conversion"""
 Function = TypeVar("Function", bound=Callable[..., Any])
-Rows = list[int] | None
-"""Row of each agent in the arrays; None where agents are all, in order"""
-Shared = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], bool]
-"""Observations, rewards, terminated and truncated, by agent; whether any agent's episode ended"""
+AgentRows = list[int] | None
+"""Row of each agent in the arrays; None if all agents are listed in order"""
+ResultsByAgent = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], bool]
+"""Observations, rewards, terminated, truncated, each by agent; and whether any episode ended"""
 
 
-def take_plainly(actions: Any, agents: list[str], rows: Rows, given: np.ndarray) -> bool:
+def take_plainly(actions: Any, agents: list[str], rows: AgentRows, given: np.ndarray) -> bool:
     """Copy the action of each agent to its row.
 
     Args:
-        actions: A dict with an array (A,) of numbers for each agent, and no others.
+        actions: A dict with an array (A,) for each agent, and no other keys.
         agents: Names of the agents.
-        rows: Their rows.
+        rows: Rows of the agents.
         given: (1, N, A) float64, written.
 
     Returns:
-        Whether it was done. False where actions are anything else; some may be copied then.
+        True if the actions were copied. False if they have another form; some may be copied then.
     """
     if type(actions) is not dict or len(actions) != len(agents):
         return False
@@ -39,7 +39,7 @@ def take_plainly(actions: Any, agents: list[str], rows: Rows, given: np.ndarray)
     for one in own:
         if type(one) is not np.ndarray or one.shape != given.shape[2:]:
             return False
-        if one.dtype not in USUAL_TYPES:
+        if one.dtype not in ACTION_TYPES:
             return False
     if own:
         given[0, slice(len(own)) if rows is None else rows] = own
@@ -54,31 +54,31 @@ def take_one_plainly(action: Any, given: np.ndarray) -> bool:
         given: (1, 1, A) float64, written.
 
     Returns:
-        Whether it was done. False where the action is anything else.
+        True if the action was copied, False if it has another form.
     """
     return take_plainly({"": action}, [""], None, given)
 
 
 def share_plainly(
     agents: list[str],
-    rows: Rows,
+    rows: AgentRows,
     observations: np.ndarray,
     rewards: np.ndarray,
     terminated: np.ndarray,
     truncated: np.ndarray,
-) -> Shared:
-    """Share results out to agents, in Python's own types.
+) -> ResultsByAgent:
+    """Split results into dictionaries by agent, with Python's own types.
 
     Args:
         agents: Names of the agents.
-        rows: Their rows.
+        rows: Rows of the agents.
         observations: (1, N, ...) of all drones.
         rewards: (1, N) float64.
         terminated: (1, N) bool.
         truncated: (1, N) bool.
 
     Returns:
-        Observations (views of the rows), rewards, terminated and truncated, by agent; and whether
+        Observations (views of the rows), rewards, terminated and truncated by agent; and whether
         any agent's episode ended.
     """
     chosen = list(range(len(agents)) if rows is None else rows)
@@ -89,7 +89,10 @@ def share_plainly(
 
 
 def in_c(plain: Function) -> Function:
-    """Return what does the same in C, or the function itself where that was not built."""
+    """Return the C implementation of a function, or the function itself if C was not built.
+
+    The C function has the same name without "_plainly".
+    """
     if os.environ.get(SWITCH) == "0":
         return plain
     try:

@@ -1,4 +1,4 @@
-"""An airspace: drones in Bullet that fly by a loop of one's own, without a task."""
+"""Airspace: drones without a task, flown by a loop of your own."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
@@ -18,27 +18,27 @@ from bulletuav.envs.airspace_inputs import (
     Drones,
     airspace_options,
     angles,
-    filled,
     hold,
     level_of,
+    numbers_of_shape,
     require_bodies,
     rows_of,
     setpoint_numbers,
+    setpoint_widths,
     state_numbers,
-    usual_widths,
 )
 from bulletuav.envs.airspace_simulation import AirspaceSimulation
 from bulletuav.envs.airspace_world import ALL, AirspaceWorld
-from bulletuav.envs.described import faces_of, parts_of
+from bulletuav.envs.descriptions import describe_parts, faces_of
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
 from bulletuav.envs.marks import drone_marks
 from bulletuav.envs.renderer import FIELD_OF_VIEW
 from bulletuav.envs.snapshot import (
-    Layout,
     Snapshot,
-    hashes_of,
+    SnapshotLayout,
+    hash_rows,
     own_snapshot,
-    pack,
+    pack_worlds,
     require_contacts,
     require_snapshot,
 )
@@ -53,14 +53,14 @@ from bulletuav.vehicle.wind import MOST_WIND
 
 UP, NORTH = np.array((0.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
 ONLY = np.zeros(1, dtype=int)
-"""Index (1,) of the only world"""
+"""Indices (1,) of the only world"""
 
 
 class Airspace(Environment):
-    """One world of N drones that hold setpoints, step by step: no goal, no reward, no end.
+    """A world of N drones that hold setpoints, step by step, without goals, rewards or episodes.
 
-    Each drone holds the setpoint that it was commanded last. Before the first one these are zeros
-    at the level that the dynamics consumes: motors off, or no motion.
+    Each drone holds its last commanded setpoint. Before the first command the setpoint is zero at
+    the level that the dynamics consumes: motors off, or no motion.
 
         airspace = Airspace([(0.0, 0.0, 1.0)], decision_hz=48)
         airspace.command(0, SetpointLevel.POSITION, (1.0, 0.0, 1.0))
@@ -68,19 +68,19 @@ class Airspace(Environment):
             airspace.step()
         print(airspace.swarm.position[0])
 
-    Its arrays stay the same for its life, and each step writes them again: copy what you keep. The
-    same calls with the same seed give the same bits.
+    The arrays are allocated once and overwritten in each step: copy what you keep. The same calls
+    with the same seed give the same bits.
 
     Attributes:
         airframes: Airframe of each drone.
         swarm: State of the drones, arrays (N, ...); read-only, see `place`.
-        hover_speed: (N, R) rotor speeds at which drones hover, rad/s.
+        hover_speed: (N, R) rotor speeds at which the drones hover, rad/s.
         period: Duration of a step, s.
-        consumes: Setpoint level that the dynamics consumes; commands are of it or above.
+        consumes: Setpoint level that the dynamics consumes; commands are of this level or above.
         levels: (N,) `SetpointLevel` that each drone holds; read-only.
         setpoint: (N, S) setpoint that each drone holds; read-only.
-        world: Parts and state.
-        simulation: The stages of a step.
+        world: Components and state of the world.
+        simulation: Stages of a step.
     """
 
     _parts: Mapping[str, str] | None = None
@@ -98,25 +98,25 @@ class Airspace(Environment):
         sensors: Sequence[Any] = (),
         **options: Any,
     ) -> None:
-        """Make an airspace, with drones at rest and level.
+        """Create an airspace with level drones at rest.
 
         Args:
-            position: (N, 3) where drones start, m. To stand on the ground takes a height of
+            position: (N, 3) start positions, m. A drone that stands on the ground has a height of
                 `Airframe.standing_height`.
             airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
-            physics_hz: Substeps a second.
-            decision_hz: Steps a second; must divide physics_hz.
-            rotor_speed: Speeds with which rotors start, rad/s; see `place`.
-            obstacles: What `place_obstacle` can put somewhere.
-            layout: Buildings that stand.
-            sensors: Names of sensors, or objects, that all drones carry.
+            physics_hz: Physics substeps per second.
+            decision_hz: Steps per second; must divide physics_hz.
+            rotor_speed: Initial rotor speeds, rad/s; see `place`.
+            obstacles: Obstacles that `place_obstacle` can move into the world.
+            layout: Static buildings.
+            sensors: Names of sensors, or sensor objects, that all drones carry.
             **options: dynamics, seed, effects, wind, wind_profile, turbulence, gravity, max_speed,
                 controller, contacts, friction, restitution, randomization, rays, camera_size,
                 camera_hz, num_beams, max_range, lidar_elevations, lidar_frame, render_mode,
                 render_size, debug; see `EnvOptions`.
 
         Raises:
-            ValueError: An option cannot be, or drones overlap each other or what stands.
+            ValueError: If an option is invalid, or drones overlap each other or the scene.
         """
         require_bodies(obstacles, layout)
         rates = {"physics_hz": physics_hz, "decision_hz": decision_hz}
@@ -133,7 +133,7 @@ class Airspace(Environment):
         self.swarm = Swarm(*map(_shown, state.swarm))
         self.levels, self.setpoint = _shown(state.levels), _shown(state.setpoint)
         self._held = (state.levels, state.setpoint, state.commanded)
-        self._widths = usual_widths(self.consumes, known, self.hover_speed.shape[1])
+        self._widths = setpoint_widths(self.consumes, known, self.hover_speed.shape[1])
         self._turns = False
         world.wind.reset(0, self.rng)
         world.uncertainty.reset(0, self.rng)
@@ -145,22 +145,22 @@ class Airspace(Environment):
 
     @property
     def time(self) -> float:
-        """Time since the airspace was made, s."""
+        """Simulated time since the airspace was created, s."""
         return float(self.world.state.time[0])
 
     @property
     def rng(self) -> np.random.Generator:
-        """The random generator."""
+        """Random generator of the world."""
         return self.world.rng[0]
 
     @property
     def readings(self) -> dict[str, np.ndarray]:
-        """What sensors measured last, arrays (N, ...) by name; new ones each step."""
+        """Last sensor readings, arrays (N, ...) by name; new arrays in each step."""
         return self.world.readings
 
     @property
     def contacts(self) -> Contacts:
-        """What touched what in the last step; the world of each row is 0."""
+        """Contacts of the last step; the world of each row is 0."""
         return self.world.dynamics.touched().of_worlds(ALL)
 
     @exclusive
@@ -173,22 +173,22 @@ class Airspace(Environment):
         rates: Any = STILL,
         rotor_speed: Any = 0.0,
     ) -> None:
-        """Put drones somewhere, as if nothing had been before.
+        """Set the state of drones and clear their history.
 
-        They hold their setpoints. Gusts, and biases of sensors, go on.
+        The drones keep their setpoints. Gusts and sensor biases continue.
 
         Args:
-            drones: Index of a drone, several, a mask (N,), or None for all.
+            drones: Index of a drone, several indices, a mask (N,), or None for all.
             position: (3,) m, or a row for each of the drones.
-            quaternion: (4,) body to world, or rows. Dynamics without tilt take its heading alone.
-            velocity: (3,) world axes, m/s, or rows.
-            rates: (3,) body axes, rad/s, or rows.
+            quaternion: (4,) body to world, or rows. Dynamics without tilt use the heading only.
+            velocity: (3,) in world axes, m/s, or rows.
+            rates: (3,) in body axes, rad/s, or rows.
             rotor_speed: (R,) or rows, or one number for all rotors, rad/s; or "hover". Dynamics
-                without motors always have that of hovering.
+                without motors always have the hover speed.
 
         Raises:
-            ValueError: There is no such drone, numbers cannot be, or drones would overlap each
-                other or what stands; nothing has changed.
+            ValueError: If there is no such drone, a number is invalid, or drones would overlap each
+                other or the scene; the state is unchanged.
         """
         self._require_open()
         rows, _ = rows_of(drones, len(self.airframes))
@@ -196,7 +196,7 @@ class Airspace(Environment):
             rotor_speed = find_choice("rotor_speed", rotor_speed, {"hover": self.hover_speed})[rows]
         most = self.world.max_rotor_speed(rows)
         state = state_numbers(most, position, quaternion, velocity, rates, rotor_speed)
-        self.simulation.look()
+        self.simulation.update_scene()
         self.world.place(rows, state)
 
     @exclusive
@@ -207,24 +207,25 @@ class Airspace(Environment):
         quaternion: Sequence[float] = UPRIGHT,
         velocity: Any = STILL,
     ) -> None:
-        """Put one of `obstacles` somewhere; it moves on from there without turning.
+        """Set the pose and velocity of an obstacle, which then moves without rotation.
 
         Args:
-            obstacle: Its index.
+            obstacle: Index of the obstacle.
             position: (3,) m.
             quaternion: (4,) body to world.
             velocity: (3,) m/s.
 
         Raises:
-            ValueError: There is no such obstacle, numbers cannot be, or it would overlap a drone.
+            ValueError: If there is no such obstacle, a number is invalid, or the obstacle would
+                overlap a drone.
         """
         self._require_open()
         count = self.world.state.obstacle.shape[1]
         if not count:
             raise ValueError("there are no obstacles: make the airspace with the option obstacles")
         k = as_int("obstacle", obstacle, 0, count - 1)
-        pose, moving = pose_of(position, quaternion), filled("velocity", velocity, (3,))
-        self.simulation.look()
+        pose, moving = pose_of(position, quaternion), numbers_of_shape("velocity", velocity, (3,))
+        self.simulation.update_scene()
         self.world.place_obstacle(k, *pose, moving)
 
     @exclusive
@@ -236,17 +237,17 @@ class Airspace(Environment):
         friction: float | None = None,
         restitution: float | None = None,
     ) -> int:
-        """Add a body that stands still, permanently; see `Aviary.add_body`.
+        """Add a static body permanently; see `Aviary.add_body`.
 
         Returns:
-            What `Contacts.other` calls it.
+            Identifier of the body in `Contacts.other`.
 
         Raises:
-            ValueError: The source or a number cannot be, or the body would overlap a drone.
-            FileNotFoundError: There is no such file.
+            ValueError: If the source or a number is invalid, or the body would overlap a drone.
+            FileNotFoundError: If there is no such file.
         """
         self._require_open()
-        self.simulation.look()
+        self.simulation.update_scene()
         world, pose, surface = self.world, (position, quaternion), (friction, restitution)
 
         def check(scenery: Scenery) -> None:
@@ -264,29 +265,30 @@ class Airspace(Environment):
         yaw: Angle | None = None,
         yaw_rate: Angle | None = None,
     ) -> None:
-        """Command setpoints to drones, which hold them from the next step on.
+        """Command setpoints, which the drones hold from the next step on.
 
         Args:
-            drones: Index of a drone, several, a mask (N,), or None for all.
-            level: Meaning of the setpoint, or its name; `consumes` or above it.
+            drones: Index of a drone, several indices, a mask (N,), or None for all.
+            level: Setpoint level or its name; `consumes` or a level above.
             setpoint: Numbers of the level, see `SetpointLevel`: (S,) for all, or a row for each of
-                the drones. With POSITION, VELOCITY and ACCELERATION the yaw may be left out. What a
-                drone cannot do is cut to what it can.
-            yaw: Yaw to hold, rad, or one for each of the drones. Left out, that which was held
-                before, or the present one.
-            yaw_rate: How fast the yaw to hold turns, rad/s, or one for each of the drones. It is
-                at most 1 rad ahead of the drone; with "lee" that turns a cf2x at 2 rad/s.
+                the drones. With POSITION, VELOCITY and ACCELERATION the yaw may be left out. Values
+                beyond a drone's limits are clipped.
+            yaw: Yaw to hold, rad, or one for each of the drones. If None, the drone keeps the yaw
+                that it held before, or its present yaw.
+            yaw_rate: Rate of the held yaw, rad/s, or one for each of the drones. The held yaw is at
+                most 1 rad ahead of the drone; with "lee" that turns a cf2x at 2 rad/s.
 
         Raises:
-            ValueError: There is no such drone or level, or numbers cannot be; nothing has changed.
+            ValueError: If there is no such drone or level, or a number is invalid; the state is
+                unchanged.
         """
         self._require_open()
-        # The usual call, checked and kept by compiled code
+        # Fast path: compiled code checks and stores the usual arguments
         if yaw is None and yaw_rate is None and not self._turns and type(level) is SetpointLevel:
             width = self._widths.get(level)
             if width and hold(*self._held, drones, level, width, setpoint):
                 return
-        # Everything is checked before anything is kept
+        # All arguments are checked before any is stored
         state = self.world.state
         rows, count = rows_of(drones, len(self.airframes))
         level = level_of(level, self.consumes, self._options)
@@ -299,37 +301,36 @@ class Airspace(Environment):
             state.setpoint[0, rows, YAW] = angles("yaw", yaw, count)
         elif level < SetpointLevel.ATTITUDE and numbers.shape[-1] == YAW:
             self.world.hold_heading(rows)
-        # Held until the next command
         state.setpoint[0, rows, : numbers.shape[-1]] = numbers
         state.levels[0, rows] = int(level)
         state.commanded[0, rows] = True
-        # Integrals of the PID would be stale after a flight without it
+        # Integrals of the PID would be stale after a flight without the controller
         if level == SetpointLevel.ROTOR and self._options.controller == "pid":
             self.world.cascade.memory[0, rows] = 0.0
-        # From the first yaw rate on, drones that are commanded none stop turning
+        # After the first yaw rate, commands without a yaw rate stop the turn
         if turning is not None or self._turns:
             self._turns = True
             state.yaw_rate[0, rows] = 0.0 if turning is None else turning
 
     def stop(self, drones: Drones = None) -> None:
-        """Switch motors off, until the next command.
+        """Switch motors off until the next command.
 
         Args:
-            drones: Index of a drone, several, a mask (N,), or None for all.
+            drones: Index of a drone, several indices, a mask (N,), or None for all.
 
         Raises:
-            ValueError: There is no such drone, or the dynamics has no motors.
+            ValueError: If there is no such drone, or the dynamics has no motors.
         """
         self.command(drones, SetpointLevel.ROTOR, np.zeros(self.hover_speed.shape[1]))
 
     def require_level(self, level: SetpointLevel | str) -> None:
-        """Check that drones can be commanded a setpoint level.
+        """Check that a setpoint level can be commanded.
 
         Args:
-            level: The level, or its name.
+            level: Setpoint level, or its name.
 
         Raises:
-            ValueError: There is no such level, or it cannot drive the dynamics.
+            ValueError: If there is no such level, or it cannot drive the dynamics.
         """
         level_of(level, self.consumes, self._options)
 
@@ -337,37 +338,41 @@ class Airspace(Environment):
     def apply(
         self, drones: Drones, force: Sequence[float] = STILL, torque: Sequence[float] = STILL
     ) -> None:
-        """Push drones during the next step, beside what pushes them already.
+        """Apply an external force and torque to drones during the next step.
 
         Args:
-            drones: Index of a drone, several, a mask (N,), or None for all.
-            force: (3,) at the centre of mass, world axes, N; or a row for each of the drones.
-            torque: The same in body axes, N m.
+            drones: Index of a drone, several indices, a mask (N,), or None for all.
+            force: (3,) at the centre of mass, in world axes, N; or a row for each of the drones.
+            torque: (3,) in body axes, N m; or a row for each of the drones.
 
         Raises:
-            ValueError: There is no such drone, numbers cannot be, or the dynamics does not feel it.
+            ValueError: If there is no such drone, a number is invalid, or the dynamics ignores
+                external forces or torques.
         """
         self._require_open()
         rows, count = rows_of(drones, len(self.airframes))
         shape = (*count, 3)
-        push, twist = filled("force", force, shape), filled("torque", torque, shape)
+        push, twist = (
+            numbers_of_shape("force", force, shape),
+            numbers_of_shape("torque", torque, shape),
+        )
         dynamics, name = self.world.dynamics, self._options.dynamics_name
         if push.any() and not dynamics.feels_force:
-            raise ValueError(f"dynamics {name!r} feels no forces: use 'rigid_body' or 'bullet'")
+            raise ValueError(f"dynamics {name!r} ignores forces: use 'rigid_body' or 'bullet'")
         if twist.any() and not dynamics.feels_torque:
-            raise ValueError(f"dynamics {name!r} feels no torques: use 'rigid_body' or 'bullet'")
+            raise ValueError(f"dynamics {name!r} ignores torques: use 'rigid_body' or 'bullet'")
         dynamics.force[0, rows] += push
         dynamics.torque[0, rows] += twist
 
     @exclusive
     def set_wind(self, wind: Sequence[float]) -> None:
-        """Change the steady wind, from the next step on; gusts and profiles go on.
+        """Set the steady wind from the next step on; gusts and wind profiles continue.
 
         Args:
-            wind: (3,) east, north and up, m/s. It adds to a wind that is a function.
+            wind: (3,) east, north and up, m/s. It is added to a wind that is a function.
 
         Raises:
-            ValueError: A number cannot be.
+            ValueError: If a number is invalid.
         """
         self._require_open()
         given = numbers_of("wind is", wind)
@@ -380,57 +385,57 @@ class Airspace(Environment):
 
     @exclusive
     def step(self) -> None:
-        """Fly for `period` seconds.
+        """Simulate `period` seconds.
 
         Raises:
-            RuntimeError: A flight diverged, or the airspace is closed.
+            RuntimeError: If a flight diverged, or the airspace is closed.
         """
         self._require_open()
         self.simulation.step()
 
     def warm_up(self) -> None:
-        """Fly a step, and compile what later ones may need, such as contacts.
+        """Simulate a step, and compile code that later steps may need, such as contacts.
 
-        Otherwise the first touch waits for its code, half a minute at the first time.
+        Otherwise the first contact waits for its compilation, about half a minute on the first run.
 
         Raises:
-            RuntimeError: As `step` does.
-            TypeError: Something cannot be compiled.
+            RuntimeError: See `step`.
+            TypeError: If a function cannot be compiled.
         """
         self.step()
         compile_deferred()
 
     @exclusive
     def save_state(self) -> Snapshot:
-        """Save all that makes the future but which bodies there are; see `Aviary.save_state`."""
+        """Save the complete state, except for which bodies exist; see `Aviary.save_state`."""
         self._require_open()
         require_contacts(self._options.contacts)
         layout, world = self._layout(), self.world
-        # Bullet rounds what is written: both flights are to go on from that.
+        # Bullet rounds the state that is written: both flights continue from the rounded one
         world.dynamics.restore(world.state.swarm, world.state.alive)
-        return own_snapshot(layout.pack(world.rng, ONLY), layout.form)
+        return own_snapshot(layout.pack_worlds(world.rng, ONLY), layout.form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot) -> None:
-        """Go on from a state that was saved here, or in an airspace made alike.
+        """Restore a state that was saved here, or in an airspace made from the same options.
 
-        Obstacles go back to where they were; bodies that were added have to be the same.
+        Obstacles return to their saved poses. Added bodies have to be the same.
 
         Args:
-            snapshot: What `save_state` gave.
+            snapshot: Result of `save_state`.
 
         Raises:
-            ValueError: It does not fit; all stays as it was.
-            RuntimeError: The airspace is closed.
+            ValueError: If the snapshot does not fit; the state is unchanged.
+            RuntimeError: If the airspace is closed.
         """
         self._require_open()
         require_snapshot(snapshot, Snapshot)
         self._layout().require(snapshot, ONLY)
-        self.simulation.look()
+        self.simulation.update_scene()
         world = self.world
-        # Arrays that were read from `readings` before do not change
+        # Arrays that the caller has read from `readings` do not change
         world.readings = {name: reading.copy() for name, reading in world.readings.items()}
-        self._layout().unpack(snapshot.data, world.rng, ONLY)
+        self._layout().unpack_worlds(snapshot.data, world.rng, ONLY)
         self._turns = bool(world.state.yaw_rate.any())
         world.uncertainty.restore(ONLY)
         world.set_obstacles()
@@ -438,19 +443,19 @@ class Airspace(Environment):
 
     @exclusive
     def state_hash(self) -> str:
-        """Hash the state; see `Aviary.state_hash`."""
+        """Compute a hash of the state; see `Aviary.state_hash`."""
         self._require_open()
-        (digest,) = hashes_of(pack(self.world.state_arrays(), self.world.rng, ONLY))
+        (digest,) = hash_rows(pack_worlds(self.world.state_arrays(), self.world.rng, ONLY))
         return digest
 
-    def _layout(self) -> Layout:
+    def _layout(self) -> SnapshotLayout:
         if self._parts is None:
-            self._parts = parts_of(self._options, **self._made)
+            self._parts = describe_parts(self._options, **self._made)
         return self.world.layout("airspace", self._parts)
 
     @exclusive
     def render(self) -> np.ndarray:
-        """Take a picture from afar: rings on drones, arrows of a second's flight, lidar beams.
+        """Render the world from outside, with rings on drones, velocity arrows and lidar beams.
 
         Returns:
             (height, width, 3) uint8.
@@ -471,14 +476,15 @@ class Airspace(Environment):
         size: Sequence[int] = (640, 480),
         field_of_view: float = FIELD_OF_VIEW,
     ) -> Picture:
-        """Take a picture with a camera that looks along its own x axis, z up.
+        """Render the view of a camera that looks along its own x axis, with z up.
 
         Args:
-            drone: Index of the drone that carries it; None for one that stands in the world.
-            position: (3,) of the camera in body axes of the drone, or in the world, m. Left out, at
-                the nose of the drone, or the world's origin.
-            quaternion: (4,) of the camera, to body axes or to the world.
-            target: (3,) point in the world to look at, m, in place of the quaternion.
+            drone: Index of the drone that carries the camera; None for a camera that stands in the
+                world.
+            position: (3,) position of the camera in body axes of the drone, or in the world, m. If
+                None, the nose of the drone, or the world's origin.
+            quaternion: (4,) attitude of the camera, relative to body axes or to the world.
+            target: (3,) point in the world to look at, m, instead of the quaternion.
             size: Width and height, pixels.
             field_of_view: Vertical angle, degrees.
 
@@ -486,17 +492,17 @@ class Airspace(Environment):
             Colours, depth and labels of the pixels.
 
         Raises:
-            ValueError: There is no such drone, or a number cannot be.
+            ValueError: If there is no such drone, or a number is invalid.
         """
         shot = self.shot(drone, position, quaternion, target, size, field_of_view)
         return self.draw(shot)
 
     @exclusive
     def draw(self, shot: Shot) -> Picture:
-        """Draw what a camera sees, as `picture` does.
+        """Render the view of a camera, as `picture` does.
 
         Args:
-            shot: What `shot` returned.
+            shot: Result of `shot`.
         """
         self._require_open()
         self.world.show(self.world.state.swarm, self.world.state.alive)
@@ -512,7 +518,7 @@ class Airspace(Environment):
         size: Sequence[int],
         field_of_view: float,
     ) -> Shot:
-        """Return what a camera sees from its present place, to be drawn now or elsewhere.
+        """Return the present view of a camera, to be rendered now or in another process.
 
         Arguments and errors are those of `picture`.
         """
@@ -543,27 +549,27 @@ class Airspace(Environment):
 
     @exclusive
     def scene_poses(self) -> ScenePoses:
-        """Return where everything is that pictures show now, as a copy; see `SceneCopy`."""
+        """Return a copy of the poses of everything that is rendered; see `SceneCopy`."""
         self._require_open()
         return self.world.engine.scene_poses(self.world.state.swarm)
 
     @property
     def scene_setup(self) -> tuple[Contents, bool]:
-        """The arguments with which a `SceneCopy` of this airspace is made."""
+        """Arguments from which a `SceneCopy` of this airspace is made."""
         return self.world.engine.contents, self.world.engine.asks_bodies
 
     def __repr__(self) -> str:
-        """Show what flies, how, and for how long."""
+        """Return the drones, the dynamics and the simulated time as text."""
         kinds = ", ".join(dict.fromkeys(one.name for one in self.airframes))
         flown = f"{self._options.dynamics_name}, {self.time:g} s"
         return f"<Airspace of {len(self.airframes)} {kinds}, {flown}>"
 
     def __enter__(self) -> Self:
-        """Return itself, which is closed at the end of the `with`."""
+        """Return the airspace, which is closed at the end of the `with` statement."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Close it."""
+        """Close the airspace."""
         self.close()
 
     def _require_open(self) -> None:
@@ -572,12 +578,12 @@ class Airspace(Environment):
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Free the engine. Further calls do nothing."""
         self.world.engine.close()
 
 
 def _shown(array: np.ndarray) -> np.ndarray:
-    """Show the only world of an array (1, ...), read-only."""
+    """Return a read-only view of the only world of an array (1, ...)."""
     view: np.ndarray = array[0]
     view.flags.writeable = False
     return view

@@ -1,4 +1,4 @@
-"""What an airspace is made of: one world of N drones without a task."""
+"""Components and state of an airspace: one world of N drones without a task."""
 
 from typing import Any
 
@@ -26,12 +26,12 @@ ALL = np.ones(1, dtype=bool)
 
 
 class AirspaceWorld(Parts):
-    """Parts and state of an airspace.
+    """Components and state of an airspace.
 
     Attributes:
         state: All arrays.
-        readings: What sensors measured last, arrays (N, ...) by name; new ones each step.
-        rng: The random generator, in a list as sensors take it.
+        readings: Last sensor readings, arrays (N, ...) by name; new arrays in each step.
+        rng: Random generator, in a list as sensors need it.
     """
 
     def __init__(
@@ -41,13 +41,13 @@ class AirspaceWorld(Parts):
         layouts: tuple[Solids, ...],
         sensors: dict[str, Sensor],
     ) -> None:
-        """Make all parts, and put up what stands; obstacles wait deep below.
+        """Create all components and the static scene; obstacles are parked below the ground.
 
         Args:
             options: Common options.
             obstacles: The K obstacles.
-            layouts: The city that stands, if any.
-            sensors: Those that all drones carry, by name.
+            layouts: The city, if any.
+            sensors: Sensors that all drones carry, by name.
         """
         wanted = frozenset(name for one in sensors.values() for name in one.gives)
         super().__init__(options, obstacles, layouts, sensors, sensor_setup(options, 1, wanted))
@@ -69,16 +69,16 @@ class AirspaceWorld(Parts):
         self.dynamics.look_around()
 
     def set_obstacles(self) -> None:
-        """Place the engine's obstacles where the state has them."""
+        """Copy the poses of obstacles from the state to the engine."""
         self.engine.set_obstacles(self.state.obstacle, self.state.obstacle_turn, ALL)
 
     def place_obstacle(
         self, k: int, position: np.ndarray, quaternion: np.ndarray, velocity: np.ndarray
     ) -> None:
-        """Put an obstacle somewhere.
+        """Set the pose and velocity of an obstacle.
 
         Raises:
-            ValueError: It would overlap a drone; nothing has changed.
+            ValueError: If the obstacle would overlap a drone; the state is unchanged.
         """
         state, scenery = self.state, self.engine.scenery
         trial = scenery._replace(place=scenery.place.copy(), quaternion=scenery.quaternion.copy())
@@ -87,24 +87,24 @@ class AirspaceWorld(Parts):
         state.obstacle_velocity[0, k] = velocity
         state.obstacle[0, k], state.obstacle_turn[0, k] = position, quaternion
         self.set_obstacles()
-        # Contacts look again at what is near
+        # Cached contact pairs are stale
         see(self.dynamics.contact, scenery)
 
     def max_rotor_speed(self, rows: Any) -> np.ndarray:
-        """Return the highest speeds (M, R) of the rotors of drones, rad/s; 0 of absent ones."""
+        """Return the maximum speeds (M, R) of rotors, rad/s; 0 for rotors that a drone lacks."""
         fastest = np.expand_dims(self.parameters["max_rotor_speed"][0, rows], -1)
         count = np.expand_dims(self.parameters["num_rotors"][0, rows], -1)
         return np.where(np.arange(self.hover_speed.shape[1]) < count, fastest, 0.0)
 
     def place(self, rows: Any, given: tuple[np.ndarray, ...]) -> None:
-        """Put drones somewhere.
+        """Set the state of drones.
 
         Args:
-            rows: Which, as an index of N.
-            given: Their states, in the order of `Swarm`.
+            rows: Drones, as an index into an axis of N.
+            given: States of the drones, in the order of `Swarm`.
 
         Raises:
-            ValueError: They would overlap each other or what stands; nothing has changed.
+            ValueError: If drones would overlap each other or the scene; the state is unchanged.
         """
         swarm, before, dynamics = self.state.swarm, self.state.before, self.dynamics
         after = swarm.copy()
@@ -120,7 +120,7 @@ class AirspaceWorld(Parts):
         self.cascade.memory[moved] = 0.0
         dynamics.force[moved] = dynamics.torque[moved] = 0.0
         dynamics.place(swarm, moved)
-        # Drones that the dynamics made level keep their headings
+        # Drones that the dynamics levelled keep their yaw
         level = np.argwhere(moved & (swarm.quaternion != after.quaternion).any(axis=-1))
         yaw = yaws(after.quaternion)
         for w, i in level.tolist():
@@ -129,7 +129,7 @@ class AirspaceWorld(Parts):
             array[moved] = numbers[moved]
 
     def require_free(self, after: Swarm, moved: np.ndarray, scenery: Scenery) -> None:
-        """Raise ValueError if drones of `moved` (1, N) would overlap something."""
+        """Raise ValueError if drones of `moved` (1, N) would overlap a body."""
         contact = self.dynamics.contact._replace(scenery=scenery)
         kept = [array.copy() for array in contact.touches]
         drones = DroneArrays(after, self.state.alive, self.parameters)
@@ -145,7 +145,7 @@ class AirspaceWorld(Parts):
             height = self.options.airframe[i].standing_height
             raise ValueError(
                 f"drone {i} at {after.position[0, i]} m would overlap {what} by "
-                f"{found.depth[row]:.3g} m: choose another place (on the ground it stands at "
+                f"{found.depth[row]:.3g} m: choose another position (on the ground it stands at "
                 f"standing_height = {height:.4g} m)"
             )
 
@@ -159,7 +159,7 @@ class AirspaceWorld(Parts):
             state.setpoint[0, drones, YAW] = yaws(state.swarm.quaternion)[0, drones]
 
     def measure(self) -> None:
-        """Measure with all sensors, and keep the state for the next rates of change."""
+        """Measure with all sensors, and store the state for the next finite differences."""
         if not self.sensors.sensors:
             return
         state = self.state
@@ -180,7 +180,7 @@ class AirspaceWorld(Parts):
         """Return the arrays of the state; see `Parts.state_arrays`."""
         return {
             **self.state.swarm._asdict(),
-            # What was drawn at the start belongs to the state: it is not drawn again
+            # Parameters drawn at the start belong to the state: they are not drawn again
             **with_prefix("drawn", self.uncertainty.drawn),
             **self.state.kept(STATE),
             "force": self.dynamics.force,
@@ -190,7 +190,7 @@ class AirspaceWorld(Parts):
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
-        """Return what else the future follows from; see `Parts.last_arrays`."""
+        """Return the other arrays that later steps depend on; see `Parts.last_arrays`."""
         parts = (self.wind, self.sensors, self.dynamics)
         return {
             **with_prefix("before", self.state.before._asdict()),
@@ -199,7 +199,7 @@ class AirspaceWorld(Parts):
         }
 
     def bounds(self) -> Bounds:
-        """Return the bounds of arrays that a snapshot may write, by name."""
+        """Return the bounds of the arrays that a snapshot may write, by name."""
         return {
             **state_bounds(self.state.swarm),
             **self.state.bounds(),
@@ -210,7 +210,7 @@ class AirspaceWorld(Parts):
 
 
 def yaws(quaternion: np.ndarray) -> np.ndarray:
-    """Return the yaws (W, N) of attitudes (W, N, 4), rad."""
+    """Compute the yaws (W, N) of attitudes (W, N, 4), rad."""
     yaw = np.zeros(quaternion.shape[:2])
     headings(quaternion, yaw)
     return yaw
@@ -218,7 +218,7 @@ def yaws(quaternion: np.ndarray) -> np.ndarray:
 
 @kernel
 def headings(quaternion: np.ndarray, yaw: np.ndarray) -> None:
-    """Write the yaws (W, N) of attitudes (W, N, 4), rad."""
+    """Compute the yaws (W, N) of attitudes (W, N, 4), rad."""
     for w in range(yaw.shape[0]):
         for i in range(yaw.shape[1]):
             yaw[w, i] = heading(quat4(quaternion, w, i))

@@ -1,4 +1,4 @@
-"""The batched core: W independent worlds of N drones through one decision at a time."""
+"""Batched core: W independent worlds of N drones, simulated one decision at a time."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,19 +8,19 @@ import numpy as np
 from bulletuav.compiled.program import Program
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.body_source import BodySource
-from bulletuav.envs.agents import USUAL_TYPES
-from bulletuav.envs.described import parts_of
-from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
+from bulletuav.envs.agents import ACTION_TYPES
+from bulletuav.envs.descriptions import describe_parts
+from bulletuav.envs.env_spec import MAX_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
-from bulletuav.envs.infos import Infos, Told, later
+from bulletuav.envs.infos import Infos, InfoTable, lazy_infos
 from bulletuav.envs.marks import marks_of
 from bulletuav.envs.simulation import Simulation
 from bulletuav.envs.snapshot import (
-    Layout,
     Snapshot,
-    hashes_of,
+    SnapshotLayout,
+    hash_rows,
     own_snapshot,
-    pack,
+    pack_worlds,
     require_contacts,
     require_parts,
     require_snapshot,
@@ -44,34 +44,34 @@ NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
 
 
 class Aviary(Environment):
-    """W worlds of N drones flying one task.
+    """W independent worlds of N drones that fly one task.
 
-    Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive`
-    until its world is reset. World k's random numbers come from seed + k alone, and nothing that
-    other worlds do changes world k.
+    The class never resets by itself: a drone whose episode ended leaves the airspace and is masked
+    by `alive` until its world is reset. The random numbers of world k follow from seed + k only,
+    and no world affects another.
 
-    Its arrays stay the same for its life, and each decision writes them anew: copy what you keep.
+    The arrays are allocated once and overwritten in each decision: copy what you keep.
 
     Attributes:
         options: Common options.
         task: The task.
-        action: What actions mean.
-        observer: Makes observations; has their labels, and splits them by name.
-        global_state: Has labels of the global state, and splits it by name.
+        action: Definition of actions.
+        observer: Computes observations; has their labels, and splits them by name.
+        global_state: Computes the global state; has its labels, and splits it by name.
         swarm: State of the drones, (W, N, ...).
         scene: Goals, obstacles and the task's memory.
-        alive: (W, N) bool, drones whose episode goes on.
+        alive: (W, N) bool, drones whose episode is running.
         steps: (W,) decisions since the reset.
-        commanded: (W, N, 3) velocities commanded last, m/s.
-        parameters: (W, N) rows of `PARAMETERS` with which the drones fly.
+        commanded: (W, N, 3) last commanded velocities, m/s.
+        parameters: (W, N) rows of `PARAMETERS` that the dynamics uses.
         rng: Random generator of each world.
-        worlds: Parts and state of all worlds.
-        simulation: The stages of a decision.
+        worlds: Components and state of all worlds.
+        simulation: Stages of a decision.
         given: (W, N, A) actions for `decide`.
         rewards: (W, N) rewards of the last decision.
-        terminated: (W, N) bool, drones whose episode the task ended in it.
-        truncated: (W, N) bool, drones whose episode the horizon ended in it.
-        viewer: Shows world 0 with `render_mode` "web" and "foxglove"; None otherwise.
+        terminated: (W, N) bool, drones whose episode the task ended in the last decision.
+        truncated: (W, N) bool, drones whose episode the horizon ended in the last decision.
+        viewer: Live view of world 0 with `render_mode` "web" and "foxglove"; None otherwise.
     """
 
     _parts: Mapping[str, str] | None = None
@@ -79,20 +79,20 @@ class Aviary(Environment):
     def __init__(
         self, task: TaskSource, num_worlds: int = 1, *, first_world: int = 0, **options: Any
     ) -> None:
-        """Build the worlds.
+        """Create the worlds.
 
         Args:
-            task: Name of a task, `module:Name`, or its class.
-            num_worlds: W.
-            first_world: Number of the first of these worlds among those of several processes.
-                World k is then the one that it would be in a single process.
+            task: Name of a task, `module:Name`, or a task class.
+            num_worlds: Number of worlds W.
+            first_world: Index of the first of these worlds among those of several processes. World
+                k then equals world k of a single process.
             **options: See `EnvOptions` and the task's config.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
         self._spec = spec = EnvSpec(task, num_worlds, options)
-        first_world = as_int("first_world", first_world, 0, MOST_WORLDS)
+        first_world = as_int("first_world", first_world, 0, MAX_WORLDS)
         self.worlds = worlds = Worlds(spec, first_world)
         seed = spec.options.seed
         self.simulation = Simulation(worlds, None if seed is None else seed + first_world)
@@ -112,13 +112,13 @@ class Aviary(Environment):
         if self.options.debug:
             methods = ("reset", "decide", "first_info", "load_state", "state", "profile")
             in_plain_python(self, methods)
-        # Last, as it opens a port
+        # Last, as the viewer opens a port
         is_served = self.options.render_mode in VIEWERS
         self.viewer: Viewer | None = make_viewer(self) if is_served else None
 
     @property
     def program(self) -> Program | None:
-        """What a decision does; None before the first one."""
+        """Program of a decision; None before the first one."""
         return self.simulation.program
 
     @exclusive
@@ -132,20 +132,19 @@ class Aviary(Environment):
         """Start new episodes.
 
         Args:
-            mask: (W,) bool, worlds to reset; all when left out.
-            seeds: An int s gives world k the seed s + k; a sequence gives each of the W worlds its
-                own; None goes on with each world's random numbers, which begin from the option
-                `seed`, or from entropy.
-            start: (N, 3) where drones start in these episodes, m; as the task's option `start`
-                says when left out.
-            goal: (N, 3) where they are to go, m; as `goal` says when left out.
+            mask: (W,) bool, worlds to reset; None for all.
+            seeds: An int s gives world k the seed s + k. A sequence gives each of the W worlds its
+                own seed. None continues the random numbers of each world, which start from the
+                option `seed`, or from entropy.
+            start: (N, 3) start positions in these episodes, m; None for the task's option `start`.
+            goal: (N, 3) goals in these episodes, m; None for the task's option `goal`.
 
         Returns:
             Observations of all worlds, (W, N, D) float32 or a dict.
 
         Raises:
-            ValueError: The task's start cannot be, or what is given; the worlds stay as they were.
-            RuntimeError: The environment is closed.
+            ValueError: If the task's start or an argument is invalid; the worlds are unchanged.
+            RuntimeError: If the environment is closed.
         """
         self._require_open()
         spec = self._spec
@@ -159,52 +158,52 @@ class Aviary(Environment):
             given = GivenPositions(
                 *(given[k] if one is None else one for k, one in enumerate(places))
             )
-        # All before anything of the worlds is written
+        # All checks are made before the worlds are written
         simulation.start.draw(generators, given)
-        simulation.begin(chosen, worlds, generators)
+        simulation.start_worlds(chosen, worlds, generators)
         self._is_started = True
         if self.viewer is not None and chosen[0]:
             self.viewer.begin()
         if simulation.program is None:
-            self.worlds.state.present[:] = False  # so that all are due at the first observation
+            self.worlds.state.present[:] = False  # then all worlds are observed first
             return self.observer.observe(self.worlds.frame, self.alive)
         simulation.observe_start()
         return self.observations()
 
     @exclusive
     def step(self, actions: np.ndarray) -> Step:
-        """Fly one decision.
+        """Simulate one decision.
 
         Args:
-            actions: (W, N, A); those beyond the bounds are clipped to them.
+            actions: (W, N, A), clipped to their bounds.
 
         Raises:
-            ValueError: A wrong shape, or a number that is not finite in a living drone's action.
-                The worlds stay as they were.
-            RuntimeError: Before the first reset or after `close`.
+            ValueError: If the actions have a wrong shape, or an action of a living drone is not
+                finite. The worlds are unchanged.
+            RuntimeError: If called before the first reset or after `close`.
         """
         self.require_started()
         given = self.given
         if (
             type(actions) is np.ndarray
             and actions.shape == given.shape
-            and actions.dtype in USUAL_TYPES
+            and actions.dtype in ACTION_TYPES
         ):
-            given[:] = actions  # the program looks at them
+            given[:] = actions  # the program checks them
         else:
             given[:] = self._spec.actions(actions, self.alive)
         self.decide()
         ends = (self.terminated.copy(), self.truncated.copy())
-        return Step(self.observations(), self.rewards.copy(), *ends, later(self.telling()))
+        return Step(self.observations(), self.rewards.copy(), *ends, lazy_infos(self.info_table()))
 
     def decide(self) -> None:
-        """Fly one decision of the actions that were written to `given`.
+        """Simulate one decision with the actions that were written to `given`.
 
-        For environment classes, which take the results from `rewards`, `terminated`, `truncated`,
-        `observations` and `telling`.
+        Environment classes call this method, and read the results from `rewards`, `terminated`,
+        `truncated`, `observations` and `info_table`.
 
         Raises:
-            ValueError: A number of a living drone's action cannot be. The worlds stay as they were.
+            ValueError: If an action of a living drone is invalid. The worlds are unchanged.
         """
         self.simulation.decide()
         if self.viewer is not None:
@@ -212,21 +211,21 @@ class Aviary(Environment):
 
     @exclusive
     def profile(self, decisions: int = 100, seed: int = 0) -> dict[str, float]:
-        """Fly random actions stage by stage, and measure the time that each stage takes.
+        """Simulate random actions stage by stage, and measure the time of each stage.
 
-        Worlds whose drones have all left start new episodes. What is flown counts as any other
-        flight: use an environment of its own.
+        Worlds are reset when all their drones have left. The decisions are part of the flight: use
+        a separate environment.
 
         Args:
-            decisions: How many are flown; the first of them is not measured.
-            seed: Of the actions.
+            decisions: Number of decisions; one more is simulated first and not measured.
+            seed: Seed of the actions.
 
         Returns:
             Mean time of each stage, microseconds, by the names of `simulation.stages`.
 
         Raises:
-            RuntimeError: Before the first reset, or after `close`.
-            ValueError: A number cannot be.
+            RuntimeError: If called before the first reset or after `close`.
+            ValueError: If a number is invalid.
         """
         self.require_started()
         as_int("decisions", decisions, 1)
@@ -244,91 +243,91 @@ class Aviary(Environment):
         return totals
 
     def observations(self) -> Observation:
-        """Copy the observations of the last decision."""
+        """Return a copy of the observations of the last decision."""
         vector = self.worlds.vector.copy()
         return vector if self.observer.is_plain else self.observer.shown(self.worlds.frame, vector)
 
-    def telling(self, world: Any = ...) -> Told:
-        """Keep what the last decision gave; calling the result makes infos of it.
+    def info_table(self, world: Any = ...) -> InfoTable:
+        """Copy the results of the last decision; calling the returned object makes infos.
 
         Args:
-            world: Index of the world of which they report, in arrays (N,); of all, (W, N), when
-                left out.
+            world: Index of the world of the infos, which are then arrays (N,); `...` for all, (W,
+                N).
         """
-        return self.worlds.results.told(self.simulation.more_infos(), world)
+        return self.worlds.results.info_table(self.simulation.further_infos(), world)
 
     def require_action(self, drone: int, numbers: np.ndarray) -> None:
-        """Raise ValueError for numbers (A,) of a drone's action that cannot be; no drone flies."""
+        """Raise ValueError for an invalid action (A,) of a drone; nothing is simulated."""
         given, chosen = np.zeros(self.given.shape), np.zeros(self.alive.shape, dtype=bool)
         given[:, drone], chosen[:, drone] = numbers, True
         self._spec.actions(given, chosen)
 
     @exclusive
     def first_info(self, worlds: np.ndarray | None = None) -> Infos:
-        """Return the infos right after a reset: the keys of every step's info, terms at zero.
+        """Return the infos after a reset: the keys of every step's info, with reward terms of zero.
 
         Args:
-            worlds: (W,) bool, worlds that were just reset, of which alone they are read; those of
-                others may then be of before the reset. All when left out.
+            worlds: (W,) bool, worlds that were just reset, if only their infos are read; those of
+                others may then be from before the reset. None for all.
         """
         if worlds is None:
             self.current_frame()
         self.simulation.report_start()
-        return later(self.telling())
+        return lazy_infos(self.info_table())
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
-        """Save all that makes the future of worlds, for `load_state`.
+        """Save the complete state of worlds, for `load_state`.
 
-        With dynamics "bullet" this rounds their attitudes by some 1e-17: a flight that was saved
-        goes on as from the snapshot, and differs in the last bits from one that was not.
+        With dynamics "bullet" this rounds attitudes by about 1e-17: the saved flight continues as
+        from the snapshot, and differs in the last bits from a flight that was not saved.
 
         Args:
-            worlds: Indices of them; all when left out.
+            worlds: Indices of the worlds; None for all.
 
         Raises:
-            RuntimeError: Before the first reset, or after `close`.
-            ValueError: There are no such worlds, or contacts are Bullet's own.
+            RuntimeError: If called before the first reset or after `close`.
+            ValueError: If there are no such worlds, or contacts are Bullet's own.
         """
         self.require_started()
-        self.simulation.start.complete()
+        self.simulation.start.complete_account()
         require_contacts(self.options.contacts)
         layout = self.worlds.layout(self._of, self._own_parts())
         chosen = self._spec.indices(worlds)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
-        # Bullet rounds what is written: both flights are to go on from that.
+        # Bullet rounds the state that is written: both flights continue from the rounded one
         self.worlds.dynamics.restore(self.swarm, mask[:, None] & self.alive)
-        return own_snapshot(layout.pack(self.rng, chosen), layout.form)
+        return own_snapshot(layout.pack_worlds(self.rng, chosen), layout.form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
-        """Go on from a state that was saved here, or in an environment made from the same options.
+        """Restore a state that was saved here, or in an environment made from the same options.
 
-        What follows is the same to the last bit; with dynamics "bullet" only in the world's own
-        place, as Bullet rounds by where it is.
+        The flight continues with the same bits. With dynamics "bullet" this holds only for a world
+        that is restored to its own index, as Bullet's rounding depends on the position of the
+        world.
 
         Args:
-            snapshot: As many worlds as are to be written.
-            worlds: Their indices here; all when left out.
+            snapshot: Snapshot with as many worlds as are to be written.
+            worlds: Indices of the worlds here; None for all.
 
         Returns:
-            Observations of all worlds, as `reset` gives them.
+            Observations of all worlds, as from `reset`.
 
         Raises:
-            ValueError: It does not fit; the worlds stay as they were, or as their first reset made
-                them.
-            RuntimeError: After `close`.
+            ValueError: If the snapshot does not fit; the worlds are unchanged, or as their first
+                reset made them.
+            RuntimeError: If called after `close`.
         """
-        # All is checked before anything is written
+        # All checks are made before the worlds are written
         chosen = self._spec.indices(worlds)
         require_snapshot(snapshot, Snapshot, len(chosen))
         layout = self._layout_for(snapshot, chosen)
-        # The state itself, and generators of random numbers
-        layout.unpack(snapshot.data, self.rng, chosen)
+        layout.unpack_worlds(snapshot.data, self.rng, chosen)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
-        # Bodies, and what was worked out of the state.
+        # Components with their own copies of the state
         drones, parts = mask[:, None] & self.alive, self.worlds
         parts.uncertainty.restore(chosen)
         parts.engine.set_layouts(self.scene.layout, mask)
@@ -337,43 +336,41 @@ class Aviary(Environment):
         gone = mask[:, None] & ~self.alive
         if gone.any():
             parts.engine.park(gone)
-        # What is worked out when asked for, and observations
-        self.simulation.reckon()
+        self.simulation.recompute()
         return self.observations()
 
     @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
-        """Hash the state of each world, with its random generator.
+        """Compute a hash of the state of each world, with its random generator.
 
-        Equal flights have equal hashes, whatever flew before. What sensors and contacts remember is
-        left out.
+        Equal flights have equal hashes, whatever flew before. The memory of sensors and contacts is
+        not included.
 
         Args:
-            worlds: Indices of them; all when left out.
+            worlds: Indices of the worlds; None for all.
         """
         self.require_started()
         chosen = self._spec.indices(worlds)
-        return hashes_of(pack(self.worlds.state_arrays(), self.rng, chosen))
+        return hash_rows(pack_worlds(self.worlds.state_arrays(), self.rng, chosen))
 
     @exclusive
     def require_loadable(self, snapshot: Snapshot) -> None:
-        """Check a snapshot as `load_state` does, whatever its number of worlds, and write nothing.
+        """Check a snapshot with any number of worlds as `load_state` does, without writing it.
 
         Raises:
-            ValueError: It does not fit.
-            RuntimeError: After `close`.
+            ValueError: If the snapshot does not fit.
+            RuntimeError: If called after `close`.
         """
         require_snapshot(snapshot, Snapshot, None)
         self._layout_for(snapshot, np.zeros(len(snapshot), dtype=int))
 
-    def _layout_for(self, snapshot: Snapshot, chosen: np.ndarray) -> Layout:
-        """Check a snapshot against worlds (S,), and return where it is to be written."""
-        # Worlds that were never reset begin first
+    def _layout_for(self, snapshot: Snapshot, chosen: np.ndarray) -> SnapshotLayout:
+        """Check a snapshot against worlds (S,), and return the layout of its arrays."""
         if not self._is_started:
             self._require_open()
             require_parts(snapshot.form, self._own_parts(), self._of)
             self.reset()
-        self.simulation.start.complete()
+        self.simulation.start.complete_account()
         layout = self.worlds.layout(self._of, self._own_parts())
         layout.require(snapshot, chosen)
         return layout
@@ -384,18 +381,20 @@ class Aviary(Environment):
 
     def _own_parts(self) -> Mapping[str, str]:
         if self._parts is None:
-            self._parts = parts_of(self.options, self.task)
+            self._parts = describe_parts(self.options, self.task)
         return self._parts
 
     def current_frame(self) -> Frame:
-        """Return the last decision; right after a reset one in which no time has passed.
+        """Return the frame of the last decision.
+
+        After a reset, the frame is one in which no time has passed.
 
         Raises:
-            RuntimeError: Before the first reset.
+            RuntimeError: If called before the first reset.
         """
         if not self._is_started:
             raise RuntimeError("the worlds have not been started: call reset() first")
-        self.simulation.start.complete()
+        self.simulation.start.complete_account()
         return self.worlds.frame
 
     @exclusive
@@ -403,28 +402,29 @@ class Aviary(Environment):
         """Return the global state.
 
         Returns:
-            (W, K) float32: the true position, attitude, velocity, rates, goal position and alive of
-            every drone, 17 numbers each; then what there is of charges, the city's parameters,
-            users, utilisations and queues. `global_state.labels` name them all.
+            (W, K) float32: the true position, attitude, velocity, rates, goal position and alive
+            flag of every drone, 17 numbers each; then, if present, charges, the city's parameters,
+            users, utilisations and queues. `global_state.labels` lists all numbers.
         """
         self._require_open()
-        return self.global_state.tell(self.current_frame(), self.alive)
+        return self.global_state.compute(self.current_frame(), self.alive)
 
     @exclusive
     def render(
         self, world: int = 0, *, collision: bool = False, marks: bool = True
     ) -> np.ndarray | None:
-        """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise.
+        """Render a world as (height, width, 3) uint8 with render_mode "rgb_array"; None otherwise.
 
-        Shows the drones that flew the last decision, so also those that it ended. Marks are rings
-        around drones, and arrows as far as they fly in a second; crosses on goals, and lines to
-        them; dots on targets, green where some drone sees them, else red, and blue lines to those
-        that a drone serves; orange lines along the range finder's beams, pale where they hit
-        nothing. A legend explains them in pictures of 240 pixels' height or more.
+        Shows the drones that flew the last decision, including those whose episode it ended. Marks
+        are rings around drones, and arrows of their motion in one second; crosses on goals, and
+        lines to them; dots on targets, green if any drone sees them, else red, and blue lines to
+        targets that a drone serves; orange lines along the range finder's beams, pale without a
+        hit. Pictures of 240 pixels' height or more have a legend.
 
         Args:
             world: Index of the world.
-            collision: Whether drones are drawn by the shapes that touch, not by their looks.
+            collision: Whether drones are drawn by their collision shapes instead of their visual
+                shapes.
             marks: Whether marks are drawn.
         """
         self._require_open()
@@ -435,7 +435,7 @@ class Aviary(Environment):
         self.worlds.show(self.swarm, self.alive)
         self.worlds.engine.set_poses(
             self.swarm, flown & ~self.alive
-        )  # those that just ended are still to be seen
+        )  # drones whose episode just ended are still shown
         seen = marks_of(
             self.task, self.current_frame(), world, self.worlds.sensors.sensors.values()
         )
@@ -453,27 +453,26 @@ class Aviary(Environment):
         friction: float | None = None,
         restitution: float | None = None,
     ) -> int:
-        """Add a body that stands still: drones hit it, sensors measure it, pictures show it.
+        """Add a static body, which drones collide with, sensors measure and pictures show.
 
-        It stays through resets. Tasks know nothing of it: their starts may lie within it.
+        The body stays through resets. Tasks do not know it: their starts may lie within it.
 
         Args:
-            source: Path of a URDF with one link, all of whose collision shapes count (box, sphere,
-                cylinder, or a mesh by its convex hull); path of a Wavefront OBJ, each object of
-                which is a convex hull; corners (V, 3) of a hull, m; or an `Obstacle`.
-            position: (3,) of its origin in the world's own frame, m.
+            source: Path of a URDF with one link, of which all collision shapes are used (box,
+                sphere, cylinder, or a mesh by its convex hull); path of a Wavefront OBJ, in which
+                each object is a convex hull; corners (V, 3) of a hull, m; or an `Obstacle`.
+            position: (3,) of the body's origin in the world's own frame, m.
             quaternion: (4,) body to world, (x, y, z, w).
-            world: Index of the world in which it stands; all when left out.
-            friction: Coefficient of friction; that of the obstacle, or 0.5, when left out.
-            restitution: Share of the speed that an impact gives back; that of the obstacle, or 0,
-                when left out.
+            world: Index of the world in which the body stands; None for all.
+            friction: Coefficient of friction; None for that of the obstacle, or 0.5.
+            restitution: Coefficient of restitution; None for that of the obstacle, or 0.
 
         Returns:
-            What `Contacts.other` calls it.
+            Identifier of the body in `Contacts.other`.
 
         Raises:
-            ValueError: The source or a number cannot be, or there is no such world.
-            FileNotFoundError: There is no such file.
+            ValueError: If the source or a number is invalid, or there is no such world.
+            FileNotFoundError: If there is no such file.
         """
         self._require_open()
         if world is not None:
@@ -486,18 +485,18 @@ class Aviary(Environment):
     def line_of_sight(
         self, start: np.ndarray, end: np.ndarray, world: np.ndarray | int = 0
     ) -> np.ndarray:
-        """Check for pairs of points whether nothing but drones is in between.
+        """Check for pairs of points whether the line between them is free; drones do not block it.
 
         Args:
             start: (M, 3) m, or one point.
             end: (M, 3) m, or one point.
-            world: Of each pair, (M,), or one for all.
+            world: World of each pair, (M,), or one for all.
 
         Returns:
             (M,) bool.
 
         Raises:
-            ValueError: Points are not finite, or there is no such world.
+            ValueError: If points are not finite, or there is no such world.
         """
         self.require_started()
         start, end = np.broadcast_arrays(points_of("start", start), points_of("end", end))
@@ -507,29 +506,29 @@ class Aviary(Environment):
 
     @property
     def sight(self) -> np.ndarray:
-        """(W, N, U) bool: which targets the drones saw that flew the last decision."""
+        """(W, N, U) bool: targets seen by the drones that flew the last decision."""
         return self.current_frame().seen
 
     @property
     def links(self) -> np.ndarray:
-        """(W, N, U) bool: which targets the drones serve that flew the last decision."""
+        """(W, N, U) bool: targets served by the drones that flew the last decision."""
         frame = self.current_frame()
         served: np.ndarray = self.task.links(frame) & frame.alive[..., None]
         return served
 
     @property
     def readings(self) -> Mapping[str, np.ndarray]:
-        """What sensors measured last, (W, N, ...) by name; see `Frame.readings`."""
+        """Last sensor readings, (W, N, ...) by name; see `Frame.readings`."""
         return self.current_frame().readings
 
     @property
     def reading_labels(self) -> dict[str, tuple[Label, ...]]:
-        """Labels of the numbers that sensors measure, by name of the reading."""
+        """Labels of the numbers of sensor readings, by name of the reading."""
         return self.worlds.sensors.numbers()
 
     @property
     def contacts(self) -> Contacts:
-        """What touched what in the last decision; of worlds that were just reset nothing."""
+        """Contacts of the last decision; none in worlds that were just reset."""
         return self.current_frame().contacts.of_worlds(np.ones(self.num_worlds, dtype=bool))
 
     def solids(self, world: int = 0) -> Solids:
@@ -559,7 +558,7 @@ class Aviary(Environment):
 
     @exclusive
     def close(self) -> None:
-        """Free the engine, and end the live view; a second call does nothing."""
+        """Free the engine, and close the live view. Further calls do nothing."""
         if self.viewer is not None:
             self.viewer.close()
         self.worlds.engine.close()

@@ -1,4 +1,4 @@
-"""Checks for authors of tasks, sensors and dynamics: fly them briefly and look for mistakes."""
+"""Checks for authors of tasks, sensors and dynamics: fly them briefly and find mistakes."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -20,19 +20,19 @@ SEED = 1
 
 
 def check_task(task: TaskSource, **options: Any) -> None:
-    """Look for mistakes of a task's author, in the manner of Gymnasium's `check_env`.
+    """Check a task for mistakes, in the manner of Gymnasium's `check_env`.
 
-    Flies random actions in three worlds and looks at shapes, types and numbers of what the task
-    gives. Builds every difficulty and preset. Sees whether the same seed gives the same flight,
-    whether evaluating a decision changes anything, whether a reset of one world disturbs another,
-    and whether a world flies alone as it does among others.
+    Flies random actions in three worlds and checks shapes, types and values of the task's results.
+    Builds every difficulty and preset. Checks that the same seed gives the same flight, that
+    evaluating a decision changes nothing, that a reset of one world does not affect others, and
+    that a world flies alone as it does among others.
 
     Args:
-        task: Its name, `module:Name`, or its class.
-        **options: Of the environment.
+        task: Name of the task, `module:Name`, or a task class.
+        **options: Options of the environment.
 
     Raises:
-        ValueError: A mistake was found; the message tells what and how to mend it.
+        ValueError: If a mistake was found; the message names it and the remedy.
     """
     kind = find_task(task)
     for option, choices in (("difficulty", kind.difficulties), ("preset", kind.presets)):
@@ -42,65 +42,65 @@ def check_task(task: TaskSource, **options: Any) -> None:
 
 
 def check_sensor(sensor: Any, **options: Any) -> None:
-    """Look for mistakes of a sensor's author: shapes, numbers, seeds, and worlds that mix.
+    """Check a sensor for mistakes: shapes, values, seeds, and independence of worlds.
 
     Args:
-        sensor: An object, a class, a name, or `module:Name`.
-        **options: Of the environment `hover` in which it is tried.
+        sensor: A sensor object, a class, a name, or `module:Name`.
+        **options: Options of the environment `hover` in which the sensor is tested.
 
     Raises:
-        ValueError: A mistake was found; the message tells what and how to mend it.
+        ValueError: If a mistake was found; the message names it and the remedy.
     """
     found = find_sensor(sensor)
-    # Some readings cannot be observed by their names, such as those that other blocks show
+    # Some readings have no labels, such as those that other blocks show
     shown = [name for name in found.gives if name in found.labels(SensorSetup())]
     usual = {"num_drones": 2, "sensors": (found,), "observation": ("velocity", *shown)}
     _check_worlds(f"sensor {found.name!r}", "hover", {**usual, **options})
 
 
 def check_dynamics(dynamics: Any, **options: Any) -> None:
-    """Look for mistakes of an author of dynamics: numbers, seeds, and worlds that mix.
+    """Check a dynamics for mistakes: values, seeds, and independence of worlds.
 
     Args:
         dynamics: A class derived from `Dynamics`, a name, or `module:Name`.
-        **options: Of the environment `hover` in which it is tried.
+        **options: Options of the environment `hover` in which the dynamics is tested.
 
     Raises:
-        ValueError: A mistake was found; the message tells what and how to mend it.
+        ValueError: If a mistake was found; the message names it and the remedy.
     """
     name = find_dynamics(dynamics).name
     usual = {"num_drones": 2, "dynamics": dynamics, "action": "velocity"}
     _check_worlds(f"dynamics {name!r}", "hover", {**usual, **options})
 
 
-def _check_worlds(who: str, task: TaskSource, options: dict[str, Any]) -> None:
-    """Fly a task twice in several worlds, and its last world alone: all must agree."""
-    both = [list(_flown(task, options)) for _ in range(2)]
-    alone = list(_flown(task, options, num_worlds=1, first_world=NUM_WORLDS - 1))
+def _check_worlds(subject: str, task: TaskSource, options: dict[str, Any]) -> None:
+    """Fly a task twice in several worlds, and its last world alone: all results must agree."""
+    both = [list(_fly(task, options)) for _ in range(2)]
+    alone = list(_fly(task, options, num_worlds=1, first_world=NUM_WORLDS - 1))
     for k, (one, other, single) in enumerate(zip(*both, alone, strict=True)):
         decision = (k + 1) // 2
         if not _equal(one, other):
             raise ValueError(
-                f"{who} differs at decision {decision} of two flights from the same seed: draw "
-                f"from the generators that it is given, and start anew at a reset"
+                f"{subject} differs at decision {decision} of two flights from the same seed: draw "
+                f"from the given generators only, and clear all state at a reset"
             )
         if not _equal([array[-1:] for array in one], single):
             raise ValueError(
-                f"{who} gives a world something else at decision {decision} when it flies alone: "
-                f"worlds must not feel each other"
+                f"{subject} gives a world other results when it flies alone, at decision {decision}: "
+                f"worlds must be independent of each other"
             )
 
 
-def _flown(
+def _fly(
     task: TaskSource, options: dict[str, Any], *, num_worlds: int = NUM_WORLDS, first_world: int = 0
 ) -> Iterator[list[np.ndarray]]:
-    """Yield what some decisions with random actions give, and what is observed after resets.
+    """Yield the results of some decisions with random actions, and observations after resets.
 
     Args:
-        task: What is flown.
-        options: Of the environment.
-        num_worlds: How many of the worlds are flown.
-        first_world: The first of these.
+        task: The task.
+        options: Options of the environment.
+        num_worlds: Number of worlds that are flown.
+        first_world: Index of the first of these.
     """
     given = {"seed": SEED, **options}
     aviary = Aviary(task, num_worlds, first_world=first_world, **given)
@@ -116,7 +116,7 @@ def _flown(
             _check_step(aviary, step)
             observed = _arrays(aviary, step.observations)
             yield [*observed, step.rewards, step.terminated]
-            # Worlds start anew when they are over, and one in turn in the middle of an episode
+            # Finished worlds are reset, and in turn one in the middle of an episode
             over = ~np.array(aviary.alive.any(axis=1))
             turn = k % NUM_WORLDS - first_world
             if k % 7 == 3 and 0 <= turn < num_worlds:
@@ -127,19 +127,19 @@ def _flown(
 
 
 def _check_step(aviary: Aviary, step: Step) -> None:
-    """Refuse numbers that are none, and a task that changes what it evaluates."""
-    # Infos of drones whose episode ended may be of nothing
+    """Raise ValueError for NaN infos, and for a task that modifies the state it evaluates."""
+    # Infos of drones whose episode ended may be undefined
     for name, array in step.info.items():
         if array.dtype.kind == "f" and np.isnan(array[~step.terminated]).any():
             raise ValueError(
                 f"info {name!r} of task {aviary.task.name!r} is NaN: a number is needed"
             )
-    # What tasks are shown, which they may only read
+    # Arrays that tasks may only read
     frame = aviary.current_frame()
     shown = (*frame.before, *frame.after, frame.action)
     before = [*_scene(aviary), *(array.copy() for array in shown)]
     shape = aviary.alive.shape
-    # Twice, as they may be asked again, which must change nothing
+    # Twice, as repeated calls must change nothing
     for _ in range(2):
         result = aviary.task.evaluate_step(frame)
         check_step_result(aviary.task, result, shape)
@@ -147,12 +147,12 @@ def _check_step(aviary: Aviary, step: Step) -> None:
     if not _equal(before, [*_scene(aviary), *shown]):
         raise ValueError(
             f"evaluate_step or info of task {aviary.task.name!r} changes the swarm, the scene or "
-            f"its memory: they may be asked twice; do it in update_memory"
+            f"its memory: they may be called twice; do it in update_memory"
         )
 
 
 def _reset(aviary: Aviary, worlds: np.ndarray) -> list[np.ndarray]:
-    """Reset some worlds, and see that the others stay as they were."""
+    """Reset some worlds, and check that the others did not change."""
     before = _scene(aviary)
     observations = aviary.reset(worlds)
     after = _scene(aviary)
@@ -171,7 +171,7 @@ def _scene(aviary: Aviary) -> list[np.ndarray]:
 
 
 def _arrays(aviary: Aviary, observations: Any) -> list[np.ndarray]:
-    """List the arrays of an observation. Raises ValueError for numbers that are none."""
+    """List the arrays of an observation. Raises ValueError for NaN and infinity."""
     parts = observations if isinstance(observations, dict) else {"vector": observations}
     for name, part in parts.items():
         if not np.isfinite(part).all():

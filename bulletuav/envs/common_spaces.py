@@ -1,4 +1,4 @@
-"""Spaces and labels that hold for all stages of a curriculum."""
+"""Observation spaces and labels that are valid for all stages of a curriculum."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,22 +11,22 @@ from bulletuav.sensors.base import Label
 
 
 def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
-    """Make the space that holds the observations of all stages.
+    """Return the observation space that contains those of all stages.
 
     Args:
-        specs: Options of each stage, and what follows from them.
+        specs: Specification of each stage.
 
     Returns:
-        A Box, or a Dict of them, with bounds that hold those of all.
+        A Box, or a Dict of them, with bounds that include those of all stages.
 
     Raises:
-        ValueError: Observations differ in more than their bounds, such as in their blocks, or
-            actions in their kind.
+        ValueError: If observations differ in more than their bounds, such as in their blocks, or
+            actions differ in kind.
     """
     spaces = [spec.observer.space() for spec in specs]
     if len(spaces) == 1:
         return spaces[0]
-    # A network has one size of input for all stages
+    # A network has one input size for all stages
     shapes = [_shapes(space) for space in spaces]
     if any(shape != shapes[0] for shape in shapes):
         raise ValueError(
@@ -35,7 +35,7 @@ def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
             f"and 'identity'"
         )
     _require_same_blocks(specs)
-    # And one kind of output
+    # One kind of output, too
     actions = [spec.action.name for spec in specs]
     if len(set(actions)) > 1:
         raise ValueError(f"the stages' actions are {actions}: one kind for all is needed")
@@ -43,32 +43,31 @@ def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
 
 
 def _require_same_blocks(specs: Sequence[EnvSpec]) -> None:
-    """Refuse stages whose vectors are equally long, but of other blocks or in another order."""
-    told = [_blocks(spec) for spec in specs]
-    for stage, blocks in enumerate(told):
-        if blocks != told[0]:
+    """Raise ValueError for vectors of the same size with other blocks, or in another order."""
+    block_lists = [_blocks(spec) for spec in specs]
+    for stage, blocks in enumerate(block_lists):
+        if blocks != block_lists[0]:
             raise ValueError(
-                f"stage 0 observes {told[0]}, and stage {stage} observes {blocks}: the same blocks "
-                f"of the same sizes, in the same order, are needed"
+                f"stage 0 observes {block_lists[0]}, and stage {stage} observes {blocks}: the same "
+                f"blocks of the same sizes, in the same order, are needed"
             )
 
 
 def _blocks(spec: EnvSpec) -> str:
-    """Tell the blocks of a stage's vector, each with how many numbers it has."""
+    """List the blocks of a stage's vector with their sizes, as text."""
     parts = spec.observer.slices.items()
     return ", ".join(f"{name} ({part.stop - part.start})" for name, part in parts)
 
 
 def _shapes(space: Space[Any]) -> Any:
-    """Return the shape of observations: of each entry by name where they are dicts."""
+    """Return the shape of observations; for dicts, the shape of each entry by name."""
     if isinstance(space, Dict):
         return {name: one.shape for name, one in space.spaces.items()}
     return space.shape
 
 
 def _union(spaces: Sequence[Space[Any]]) -> Space[Any]:
-    """Make the space that holds all spaces of the same shape."""
-    # All are dicts, or all are boxes, of the same shapes.
+    """Return the smallest space that contains all spaces of the same shape."""
     dicts = [space for space in spaces if isinstance(space, Dict)]
     if dicts:
         names = dicts[0].spaces
@@ -80,7 +79,7 @@ def _union(spaces: Sequence[Space[Any]]) -> Space[Any]:
 
 
 def common_labels(specs: Sequence[EnvSpec]) -> list[Label]:
-    """Make labels of observations with bounds that hold those of all stages."""
+    """Return observation labels with bounds that include those of all stages."""
     labels: list[Label] = []
     for same in zip(*(spec.observer.labels for spec in specs), strict=False):
         low = min(label.low for label in same)

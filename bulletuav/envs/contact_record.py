@@ -1,4 +1,4 @@
-"""What drones touched in the last decision, collected when it is asked for."""
+"""Contacts of the last decision, collected on demand."""
 
 import numpy as np
 
@@ -7,13 +7,13 @@ from bulletuav.vehicle.swarm import Contacts
 
 
 class ContactRecord:
-    """Contacts of the last decision; most decisions are never asked for them."""
+    """Contacts of the last decision, collected on demand as most decisions do not need them."""
 
     def __init__(self, dynamics: Dynamics) -> None:
-        """Start with no contacts.
+        """Create a record without contacts.
 
         Args:
-            dynamics: It reports what was touched.
+            dynamics: Dynamics that reports the contacts.
         """
         self._dynamics = dynamics
         self._contacts: Contacts | None = Contacts.none()
@@ -31,11 +31,11 @@ class ContactRecord:
         return self._contacts
 
     def start_decision(self) -> None:
-        """Forget the contacts before a decision."""
+        """Clear the contacts before a decision."""
         self._before, self._contacts = self._contacts, None
 
     def undo_decision(self) -> None:
-        """Return to the contacts of before, after a decision that was refused."""
+        """Restore the previous contacts after a decision with invalid actions."""
         self._contacts = self._before
 
     def add(self, contacts: Contacts) -> None:
@@ -43,7 +43,7 @@ class ContactRecord:
         self._contacts = self.collect().joined(contacts)
 
     def keep(self, worlds: np.ndarray | None) -> None:
-        """Keep what was collected of a mask (W,) of worlds; None forgets all of it."""
+        """Keep the collected contacts of a mask (W,) of worlds; None clears all."""
         if worlds is None:
             self._contacts = None
         elif self._contacts is not None:

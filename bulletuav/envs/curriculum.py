@@ -1,4 +1,4 @@
-"""Curriculum: difficulty follows the success rate, in an environment that any trainer can use."""
+"""Curriculum: the difficulty follows the success rate, in an environment for any trainer."""
 
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -13,45 +13,51 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.global_state import slices
 from bulletuav.envs.options import RENDER_MODES
-from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
+from bulletuav.envs.parallel import (
+    AgentResults,
+    ByAgent,
+    InfosByAgent,
+    ParallelAviary,
+    check_agents,
+)
 from bulletuav.envs.reset_options import reset_options
-from bulletuav.envs.snapshot import FaceSnapshot, require_face
+from bulletuav.envs.snapshot import EnvironmentSnapshot, require_environment_snapshot
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.envs.viewer import require_single
 from bulletuav.errors import as_int, as_sequence, find_choice, finite, shown
 from bulletuav.sensors.base import Label
 from bulletuav.tasks import TaskSource
 
-MOST_STAGES = 100
-MOST_WINDOW = 1_000_000  # episodes
-BESIDE = ("flown", "curriculum", "successes", "generator")
-"""What a snapshot keeps beside the world"""
+MAX_STAGES = 100
+MAX_WINDOW = 1_000_000  # episodes
+EXTRA_FIELDS = ("flown", "curriculum", "successes", "generator")
+"""Fields of a snapshot in addition to the world"""
 DIFFICULTIES = tuple({"difficulty": name} for name in ("easy", "medium", "hard", "extreme"))
 """Stages that every task has"""
 
 
 class Curriculum:
-    """The stage to fly, which follows the success of the last episodes.
+    """The current stage, which follows the success rate of the last episodes.
 
-    It goes one up when the success rate of the last `window` episodes is `up` or more, and one
-    down when it is below `down`. The window starts anew at each change.
+    The stage goes up by one if the success rate of the last `window` episodes is `up` or more, and
+    down by one if it is below `down`. The window is cleared at each change.
 
     Attributes:
-        count: How many stages there are.
-        stage: The one to fly, from 0.
+        count: Number of stages.
+        stage: Current stage, from 0.
         up: Success rate at which the stage goes up.
-        down: Success rate below which it goes down.
-        window: Episodes that count.
+        down: Success rate below which the stage goes down.
+        window: Number of episodes in the success rate.
     """
 
     def __init__(self, count: int, up: float = 0.8, down: float = 0.2, window: int = 20) -> None:
-        """Begin at the first stage.
+        """Start at the first stage.
 
         Raises:
-            ValueError: Numbers cannot be; 0 <= down < up <= 1 is needed.
+            ValueError: If numbers are invalid; 0 <= down < up <= 1 is needed.
         """
-        self.count = as_int("stages", count, 1, MOST_STAGES)
-        self.window = as_int("window", window, 1, MOST_WINDOW)
+        self.count = as_int("stages", count, 1, MAX_STAGES)
+        self.window = as_int("window", window, 1, MAX_WINDOW)
         self.up = finite("up", up)
         self.down = finite("down", down)
         if not 0 <= self.down < self.up <= 1:
@@ -67,21 +73,21 @@ class Curriculum:
         return float(np.mean(self._recent)) if self._recent else np.nan
 
     def __copy__(self) -> "Curriculum":
-        """Copy it with the episodes that count: none of either counts for the other."""
+        """Return an independent copy, with the episodes in the window."""
         again = Curriculum(self.count, self.up, self.down, self.window)
         again.restore(self.state())
         return again
 
     def record(self, success: float) -> None:
-        """Count an episode at this stage, and change the stage when it is time.
+        """Record an episode at the current stage, and change the stage if due.
 
         Args:
-            success: Its success, from 0 to 1.
+            success: Success of the episode, from 0 to 1.
         """
         self._recent.append(success)
         if len(self._recent) < self.window:
             return
-        # At most one of them holds, as down is below up.
+        # At most one of them is true, as down is below up
         rate = self.success_rate
         goes_up = rate >= self.up and self.stage + 1 < self.count
         goes_down = rate < self.down and self.stage > 0
@@ -90,29 +96,29 @@ class Curriculum:
             self._recent.clear()
 
     def state(self) -> dict[str, Any]:
-        """Return where the curriculum stands, for `restore`."""
+        """Return the state of the curriculum, for `restore`."""
         return {"stage": self.stage, "recent": list(self._recent)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state` returned."""
+        """Restore a state that `state` returned."""
         self.stage = state["stage"]
         self._recent = deque(state["recent"], maxlen=self.window)
 
 
 class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has no types
-    """`pettingzoo.ParallelEnv` whose episodes come from the stage that its curriculum says.
+    """`pettingzoo.ParallelEnv` whose episodes come from the current stage of a curriculum.
 
-    Infos tell the stage as "stage". Agents are those of the largest stage; in smaller ones the
-    last of them do not take part. Bounds of observations hold for all stages, and states are
-    padded with zeros. An episode's success is the share of its drones that succeeded.
+    Infos have the stage as "stage". The agents are those of the largest stage; in smaller ones the
+    last agents do not take part. Bounds of observations hold for all stages, and states are padded
+    with zeros. The success of an episode is the fraction of its drones that succeeded.
 
     Attributes:
-        curriculum: Where the stages stand.
+        curriculum: State of the curriculum.
         possible_agents: Names of the agents of the largest stage.
-        agents: Names of the agents whose episode goes on.
+        agents: Names of the agents whose episode is running.
         observation_spaces: Observation space of each agent.
         action_spaces: Action space of each agent.
-        metadata: What PettingZoo wants to know.
+        metadata: PettingZoo's metadata.
         render_mode: None, "rgb_array", "human", "web" or "foxglove".
     """
 
@@ -123,16 +129,16 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         curriculum: Curriculum,
         **options: Any,
     ) -> None:
-        """Check all stages; each is made when it is first flown.
+        """Check all stages; the environment of each is created when it is first flown.
 
         Args:
-            task: One of `list_tasks()`, `module:Name`, or a class of one's own.
-            stages: Options of each stage beside the common ones, easiest first.
-            curriculum: Decides between the stages.
+            task: A name from `list_tasks()`, `module:Name`, or a task class.
+            stages: Options of each stage in addition to the common ones, easiest first.
+            curriculum: Selects the stage.
             **options: Common options; see `parallel_env`.
 
         Raises:
-            ValueError: An option cannot be, or the spaces of the stages differ.
+            ValueError: If an option is invalid, or the spaces of the stages differ.
         """
         self._task = task
         self.curriculum = curriculum
@@ -141,7 +147,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         widest = max(specs, key=lambda spec: spec.options.num_drones)
         self._observer = widest.observer
         self._labels = common_labels(specs)
-        # Spaces: the same observation for all, actions of each drone of the largest stage.
+        # The same observation space for all, action spaces of the drones of the largest stage
         drones = widest.options.num_drones
         self.possible_agents = [f"drone_{i}" for i in range(drones)]
         self.agents: list[str] = []
@@ -150,7 +156,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             agent: drone_action_space(widest.action, i)
             for i, agent in enumerate(self.possible_agents)
         }
-        # Parts of the state are as wide as in the stage that has most of each
+        # Each part of the state is as wide as in the stage in which it is widest
         sizes: dict[str, int] = {}
         for spec in specs:
             for name, part in spec.state.parts.items():
@@ -162,7 +168,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         }
         self.render_mode = specs[0].options.render_mode
         require_single(self.render_mode, len(specs))
-        # The environment of each stage that was flown, and the success of each agent's episode.
+        # The environment of each stage that was flown, and the success of each agent's episode
         self._envs: dict[int, ParallelAviary] = {}
         self._current: ParallelAviary | None = None
         self._closed = False
@@ -175,10 +181,10 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
     @property
     def env(self) -> ParallelAviary:
-        """Environment of the episode that goes on.
+        """Environment of the running episode.
 
         Raises:
-            RuntimeError: Before the first reset, or after `close`.
+            RuntimeError: If called before the first reset or after `close`.
         """
         self._require_open()
         if self._current is None:
@@ -187,7 +193,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
     @property
     def observation_labels(self) -> list[Label]:
-        """Name, unit and bounds of each number that one drone observes, at whatever stage."""
+        """Name, unit and bounds of each number that one drone observes, for all stages."""
         return list(self._labels)
 
     def observation_space(self, agent: str) -> Space[Any]:
@@ -201,23 +207,23 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
     @exclusive
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[ByAgent, Infos]:
-        """Start a new episode, of another stage if the last ones ask for it.
+    ) -> tuple[ByAgent, InfosByAgent]:
+        """Start a new episode, at the stage that the curriculum selects.
 
         Args:
-            seed: With it, or the option of that name, all later episodes follow from it and from
-                the stage, which stays. None goes on with the random numbers.
-            options: As of `ParallelAviary.reset`, for the drones of the stage.
+            seed: With a seed, or the option of that name, all later episodes follow from the seed
+                and the current stage. None continues the random numbers.
+            options: See `ParallelAviary.reset`, for the drones of the stage.
 
         Returns:
             Observations and infos, by agent.
 
         Raises:
-            RuntimeError: After `close`.
+            RuntimeError: If called after `close`.
         """
         self._require_open()
-        reset_options(options)  # before the curriculum and the random numbers go on
-        # An episode that was left early tells nothing.
+        reset_options(options)  # before the curriculum and the random numbers change
+        # An episode that was abandoned does not count
         if self._successes and not self.agents:
             successes = list(self._successes.values())
             self.curriculum.record(float(np.mean(successes)))
@@ -226,12 +232,12 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             self._rng = np.random.default_rng(as_int("seed", seed, 0))
         env = self._env_of(self.curriculum.stage)
         observations, infos = env.reset(int(self._rng.integers(2**31)), options)
-        # Only now: where no start is found, the episode that was flown goes on.
+        # Last: if no start is found, the present episode continues
         self._current, self._successes, self.agents = env, {}, env.agents[:]
         return observations, self._with_stage(infos)
 
     def _env_of(self, stage: int) -> ParallelAviary:
-        """Find the environment of a stage, or make it."""
+        """Return the environment of a stage, created on first use."""
         if stage not in self._envs:
             self._envs[stage] = ParallelAviary(self._task, **self._options[stage])
         return self._envs[stage]
@@ -243,10 +249,10 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
-        """Fly one decision of all living agents; see `ParallelAviary.step`.
+        """Simulate one decision of all living agents; see `ParallelAviary.step`.
 
         Args:
-            actions: One for each of `agents`; those of agents that take no part are ignored.
+            actions: An action for each of `agents`; those of agents that take no part are ignored.
 
         Returns:
             Observations, rewards, terminated, truncated and infos, by agent.
@@ -260,17 +266,13 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         self.agents = env.agents[:]
         return observations, rewards, terminated, truncated, self._with_stage(infos)
 
-    def _with_stage(self, infos: Infos) -> Infos:
-        """Add the stage to the infos of each agent."""
+    def _with_stage(self, infos: InfosByAgent) -> InfosByAgent:
         stage = float(self.curriculum.stage)
         return {agent: {**info, "stage": stage} for agent, info in infos.items()}
 
     @exclusive
-    def save_state(self) -> FaceSnapshot:
-        """Save all that makes the future, with where the curriculum stands.
-
-        See `Aviary.save_state`.
-        """
+    def save_state(self) -> EnvironmentSnapshot:
+        """Save the complete state with the curriculum; see `Aviary.save_state`."""
         env = self.env
         (flown,) = (stage for stage, one in self._envs.items() if one is env)
         beside = {
@@ -279,22 +281,22 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             "successes": dict(self._successes),
             "generator": self._rng.bit_generator.state,
         }
-        return FaceSnapshot("curriculum_env", env.save_state(), beside)
+        return EnvironmentSnapshot("curriculum_env", env.save_state(), beside)
 
     @exclusive
-    def load_state(self, snapshot: FaceSnapshot) -> ByAgent:
-        """Go on from a state that was saved, at its stage; see `ParallelAviary.load_state`."""
+    def load_state(self, snapshot: EnvironmentSnapshot) -> ByAgent:
+        """Restore a saved state at its stage; see `ParallelAviary.load_state`."""
         self._require_open()
-        require_face(snapshot, "curriculum_env", BESIDE)
+        require_environment_snapshot(snapshot, "curriculum_env", EXTRA_FIELDS)
         beside = snapshot.beside
-        # A curriculum with fewer stages has no world for it
+        # A curriculum with fewer stages has no such world
         last = max(beside["flown"], beside["curriculum"]["stage"])
         if last >= self.curriculum.count:
             raise ValueError(
                 f"the snapshot is of stage {last}, and this curriculum has "
                 f"{self.curriculum.count} stages: load it where the stages are the same"
             )
-        # The worlds first: if they refuse, the curriculum stays as it was
+        # The worlds first: if they raise, the curriculum is unchanged
         env = self._env_of(beside["flown"])
         observations = env.load_state(snapshot.flight)
         self._current, self.agents = env, env.agents[:]
@@ -305,15 +307,16 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
     @exclusive
     def state_hash(self) -> str:
-        """Hash the state of the world that is flown; see `Aviary.state_hash`."""
+        """Compute a hash of the state of the current world; see `Aviary.state_hash`."""
         return self.env.state_hash()
 
     @exclusive
     def state(self) -> np.ndarray:
-        """Return the global state, with zeros for drones that the stage has not.
+        """Return the global state, with zeros for drones that the stage does not have.
 
         Returns:
-            (K,) float32, each part as wide as in the stage that has most of it; see `Aviary.state`.
+            (K,) float32, with each part as wide as in the stage in which it is widest; see
+            `Aviary.state`.
         """
         state = self.env.state()
         padded = np.zeros(self._state_size, dtype=np.float32)
@@ -324,12 +327,12 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
     @exclusive
     def render(self) -> np.ndarray | None:
-        """Take a picture of the episode that goes on; see `ParallelAviary.render`."""
+        """Render the running episode; see `ParallelAviary.render`."""
         return self.env.render()
 
     @exclusive
     def close(self) -> None:
-        """Free the engines; a second call does nothing."""
+        """Free the engines. Further calls do nothing."""
         self._closed = True
         for env in self._envs.values():
             env.close()
@@ -339,9 +342,9 @@ def check_stages(stages: Any) -> None:
     """Check that stages are a list of dicts of options.
 
     Raises:
-        ValueError: They are not.
+        ValueError: If they are not.
     """
-    listed = as_sequence("stages", stages, most=MOST_STAGES)
+    listed = as_sequence("stages", stages, most=MAX_STAGES)
     if not all(isinstance(stage, Mapping) for stage in listed):
         raise ValueError(f"stages is {shown(stages)}: a list of names with values is needed")
 
@@ -354,21 +357,21 @@ def curriculum_env(
     window: int = 20,
     **options: Any,
 ) -> CurriculumAviary:
-    """Make a `pettingzoo.ParallelEnv` of a task that grows harder with success.
+    """Create a `pettingzoo.ParallelEnv` of a task whose difficulty follows the success rate.
 
     Args:
-        task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+        task: A name from `list_tasks()`, `module:Name`, or a task class.
         stages: Options of each stage, easiest first; by default the difficulties.
-        up: Success rate at which the next stage is flown.
-        down: Success rate below which the stage before is flown.
-        window: Episodes that count; see `Curriculum`.
+        up: Success rate at which the stage goes up.
+        down: Success rate below which the stage goes down.
+        window: Number of episodes in the success rate; see `Curriculum`.
         **options: Options common to all stages; see `parallel_env`.
 
     Returns:
-        The environment; infos tell the stage.
+        The environment; infos contain the stage.
 
     Raises:
-        ValueError: An option cannot be, or the spaces of the stages differ.
+        ValueError: If an option is invalid, or the spaces of the stages differ.
     """
     check_stages(stages)
     curriculum = Curriculum(len(stages), up=up, down=down, window=window)

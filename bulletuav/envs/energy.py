@@ -1,4 +1,4 @@
-"""Energy of flight: the power that drones take, and the charge left in their batteries."""
+"""Energy of flight: power consumption of drones, and the charge of their batteries."""
 
 import math
 
@@ -22,15 +22,15 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 class Energy:
-    """Power of all drones, and the batteries that give it.
+    """Power of all drones, and their batteries.
 
     With the option `energy` "zeng" power follows from the rotary-wing formula, at the velocity
-    relative to the air. With "actuator", and always without gravity, it is that of the simulated
-    rotors. Both are electrical, with the losses of the airframe's motors.
+    relative to the air. With "actuator", and always without gravity, it is the power of the
+    simulated rotors. Both are electrical, with the losses of the airframe's motors.
 
     Attributes:
         power: (W, N) mean power over the last decision, W.
-        voltage: (W, N) voltage of the batteries, V; 0 where the airframe tells of none.
+        voltage: (W, N) voltage of the batteries, V; 0 if the airframe has no battery model.
     """
 
     def __init__(self, options: EnvOptions, parameters: np.ndarray, supply: np.ndarray) -> None:
@@ -38,8 +38,8 @@ class Energy:
 
         Args:
             options: Options of the environment.
-            parameters: (W, N) rows of `PARAMETERS` with which the dynamics flies.
-            supply: (W, N) share of the commanded rotor speed that motors reach; written with the
+            parameters: (W, N) rows of `PARAMETERS` that the dynamics uses.
+            supply: (W, N) fraction of the commanded rotor speed that motors reach; written with the
                 effect "voltage".
         """
         self.power, self.voltage = np.zeros((2, *parameters.shape))
@@ -53,21 +53,21 @@ class Energy:
         self._parameters = parameters
         self._period = 1 / options.decision_hz
         self._wings: np.ndarray | None = None
-        # The rotary-wing formula knows power by the weight that is carried, so it needs gravity.
+        # The rotary-wing formula computes power from the weight, so it needs gravity
         if options.energy == "zeng" and options.gravity > 0:
             wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe]
             self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING)
-            # They never change: laid out once, block by block
+            # Constant, so packed once, block by block
             self._packed = room(-(-parameters.size // WIDTH), len(RotaryWing._fields))
             pack_numbers(self._wings.view(float).reshape(*parameters.shape, -1), self._packed)
 
     def add_start(self, program: Program, worlds: np.ndarray) -> None:
-        """Add to a program that episodes of worlds (W,) bool begin with full batteries."""
+        """Add to a program that batteries are full in worlds (W,) bool that start an episode."""
         add_value(program, worlds, 1.0, self._battery.charge)
         add_value(program, worlds, 0.0, self.power)
 
     def add_voltage(self, program: Program) -> None:
-        """Add to a program that batteries have the voltage that follows from charge and power."""
+        """Add to a program that voltages are computed from charge and power."""
         if self._packs.any():
             given = (self._battery.charge, self.power, self._packs)
             program.call(_fill_voltage, *given, self.voltage, self._supply)
@@ -81,15 +81,15 @@ class Energy:
         payload: np.ndarray,
         flown: np.ndarray,
     ) -> None:
-        """Add to a program that batteries give what a decision takes.
+        """Add to a program that a decision drains the batteries.
 
         Args:
-            program: To be added to.
+            program: Program that is extended.
             before: State before the decision.
-            after: State after it.
-            wind: (W, N, 3) wind during it, m/s.
-            payload: (W, N) power that equipment takes beside flight, W.
-            flown: (W, N) bool, drones that flew it; only their batteries are drained.
+            after: State after the decision.
+            wind: (W, N, 3) wind during the decision, m/s.
+            payload: (W, N) power of equipment in addition to flight, W.
+            flown: (W, N) bool, drones that flew the decision; only their batteries are drained.
         """
         if self._wings is None:
             speeds = (before.rotor_speed, after.rotor_speed)
@@ -104,22 +104,22 @@ class Energy:
         self.add_voltage(program)
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Tell the arrays (W, N) by name that follow from the last decision."""
+        """Return the arrays (W, N) by name that follow from the last decision."""
         energy = {"full": self._battery.energy, "supply": self._supply}
         return {"power": self.power, "voltage": self.voltage, **energy}
 
     def readings(self) -> dict[str, np.ndarray]:
-        """Return what drones know of their energy.
+        """Return what drones measure of their energy.
 
         Returns:
-            "charge", share of the energy that is left, "power", W, and "voltage", V, 0 where the
-            airframe tells of no battery: (W, N) each, which are written anew in each decision.
+            "charge", the fraction of the energy that is left, "power", W, and "voltage", V, 0 if
+            the airframe has no battery model: (W, N) each, overwritten in each decision.
         """
         return {"charge": self._battery.charge, "power": self.power, "voltage": self.voltage}
 
 
 def _capacities(options: EnvOptions) -> np.ndarray:
-    """Compute the energy of full batteries, W h: (N,), or one number; infinite for no limit."""
+    """Return the energy of full batteries, W h: (N,), or one number; infinite for no limit."""
     if options.battery_capacity == "airframe":
         return np.array([one.pack.capacity for one in options.airframe if one.pack is not None])
     return np.array(
@@ -136,14 +136,14 @@ def _fill_propulsion(
     packed: np.ndarray,
     power: np.ndarray,
 ) -> None:
-    """Write the power (W, N) at the mean of two velocities (W, N, 3) through the air, W.
+    """Compute the power (W, N) at the mean of two velocities (W, N, 3) relative to the air, W.
 
     Args:
         before: Velocities before the decision, m/s.
-        after: Velocities after it.
+        after: Velocities after the decision.
         wind: Velocity of the air, m/s.
         wings: (W, N) rows of `ROTARY_WING`.
-        packed: (B, numbers, `WIDTH`) the same, block by block.
+        packed: (B, numbers, `WIDTH`) the same rows, block by block.
         power: Written.
     """
     for b in range(packed.shape[0]):
@@ -161,7 +161,7 @@ def _fill_propulsion(
 
 @kernel
 def _add_losses(parameters: np.ndarray, power: np.ndarray) -> None:
-    """Turn power at the shafts (W, N) into electrical power, W."""
+    """Convert shaft power (W, N) to electrical power, W."""
     for w in range(power.shape[0]):
         for i in range(power.shape[1]):
             row = parameters[w, i]
@@ -176,11 +176,11 @@ def _fill_voltage(
     voltage: np.ndarray,
     supply: np.ndarray,
 ) -> None:
-    """Write the voltage of all batteries, and the share of rotor speeds that they give.
+    """Compute the voltage of all batteries, and the fraction of rotor speeds that motors reach.
 
     Args:
-        charge: (W, N) share of the energy that is left.
-        power: (W, N) power that is taken, W.
+        charge: (W, N) fraction of the energy that is left.
+        power: (W, N) power drawn, W.
         packs: (N, 3) cells, resistance (ohm) and nominal voltage (V) of each drone's battery.
         voltage: (W, N) written, V.
         supply: (W, N) written.
@@ -188,9 +188,9 @@ def _fill_voltage(
     for w in range(voltage.shape[0]):
         for i in range(voltage.shape[1]):
             cells, resistance, nominal = packs[i]
-            # Without cells the voltage stays as it began
+            # Without a battery model the initial values stay
             if cells > 0.0:
-                # Voltage at rest, less what the current takes, as a share of speed
+                # Voltage at rest minus the drop of the current, as a fraction of speed
                 rest = cells * resting_voltage(charge[w, i])
                 voltage[w, i] = loaded_voltage(rest, power[w, i], resistance)
                 supply[w, i] = speed_share(voltage[w, i], nominal)
@@ -198,7 +198,7 @@ def _fill_voltage(
 
 @kernel
 def _add_payload(payload: np.ndarray, flown: np.ndarray, power: np.ndarray) -> None:
-    """Add the payload to the power (W, N) of who flew; that of others becomes 0."""
+    """Add the payload to the power (W, N) of drones that flew; set that of others to 0."""
     for w in range(power.shape[0]):
         for i in range(power.shape[1]):
             power[w, i] = power[w, i] + payload[w, i] if flown[w, i] else 0.0

@@ -1,4 +1,4 @@
-"""Validated options, task, action and observation of an environment, before there is an engine."""
+"""Validated options, task, action and observation of an environment, before an engine exists."""
 
 import dataclasses
 import math
@@ -12,7 +12,7 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.envs.global_state import GlobalState
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.envs.state import Sizes, State
 from bulletuav.errors import (
     as_int,
@@ -43,53 +43,54 @@ from bulletuav.tasks.observations.observer import (
 )
 from bulletuav.tasks.starts import read_given_positions
 
-MOST_WORLDS = 1_000_000
+MAX_WORLDS = 1_000_000
 BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
-"""Of a drone, an obstacle and a city in one world beside the state, most of it in the engine,
-measured"""
+"""Bytes of a drone, an obstacle and a city in one world, without the arrays of the state.
+
+Most of the memory is in the engine; measured.
+"""
 NUMBER_BYTES = 8
 ENERGY_READINGS = frozenset({"charge", "power", "voltage"})
-"""Readings that come from the battery, not from a sensor"""
+"""Readings of the battery, which no sensor provides"""
 
 
 class EnvSpec:
     """Validated options of an environment, and what follows from them.
 
     Attributes:
-        num_worlds: W.
+        num_worlds: Number of worlds W.
         options: Common options.
-        task: The task that is flown.
-        given: Where drones start and are to go, as options tell.
-        action: What the drones' actions mean.
-        observer: Makes the observations.
-        state: Makes the global state.
-        sensors: All sensors that there are, by name.
-        setup: What sensors know of their environment.
+        task: The task.
+        given: Start positions and goals from the options.
+        action: Definition of actions.
+        observer: Computes the observations.
+        state: Computes the global state.
+        sensors: All available sensors, by name.
+        setup: Description of the environment for sensors.
     """
 
     def __init__(self, task: TaskSource, num_worlds: int, options: dict[str, Any]) -> None:
-        """Check everything; see `Aviary`.
+        """Validate all options; see `Aviary`.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
-        # Options, then the task that they make, then what drones do in it
         kind = find_task(task)
-        self.num_worlds = as_int("num_worlds", num_worlds, 1, MOST_WORLDS)
-        self.options, config, self.sensors = resolve(kind, options)
+        self.num_worlds = as_int("num_worlds", num_worlds, 1, MAX_WORLDS)
+        self.options, config, self.sensors = resolve_options(kind, options)
         self._require_memory(BODY_BYTES * self.options.num_drones)
         self.task = _make_task(kind, config, self.options)
         places = (getattr(self.task.config, name, None) for name in PLACES)
         self.given = read_given_positions(self.task, *places)
         self.action = _make_action(self.options, self.task)
-        # What is observed decides which sensors are needed
+        # Observations determine which sensors are needed
         sources = kind.observation if self.options.observation is None else self.options.observation
         self._check_observation(sources)
         self.setup = self._make_setup(self._wanted(sources))
         readings = frozenset(name for one in self.sensors.values() for name in one.gives)
-        if not self.task.num_targets:  # of which there is nothing to see
+        if not self.task.num_targets:  # there is nothing to see
             readings -= {"sight"}
-        # Names in ingredients and blocks are looked up once, here
+        # Names in ingredients and blocks are resolved once, here
         binding = self.task.bind(readings | ENERGY_READINGS, self.options.reward)
         parts = (self.task, self.action, binding, self.sensors, self.setup)
         form: Any = self.options.observation_format
@@ -99,20 +100,18 @@ class EnvSpec:
         drones = ObservationBuilder(STATE, *parts)
         self.state = GlobalState(self.task, drones, self.options)
         self._names = {observation_name(source) for source in sources}
-        # Now the size of a world is known
         self._require_memory(self._world_bytes())
-        # Where it is no class attribute, the dynamics tells once it is made
+        # If it is no class attribute, `Worlds` checks it with the instance
         consumes: object = find_dynamics(self.options.dynamics).consumes
         if isinstance(consumes, SetpointLevel):
             self.options.check_setpoint_levels(self.action.level, consumes)
 
     def _check_observation(self, sources: tuple[Any, ...]) -> None:
-        """Refuse names of observations that there are not, or that are there twice."""
+        """Raise ValueError for unknown names of observations, and for repeated ones."""
         if not sources:
             raise ValueError(
                 "observation is empty: name at least one block, or leave it out for the task's own"
             )
-        # Names must be known, and must be there once
         known = known_observations(self.sensors)
         plain = tuple(one for one in sources if isinstance(one, str) and ":" not in one)
         check_names("observation", "observation block", plain, known)
@@ -122,7 +121,6 @@ class EnvSpec:
                 raise ValueError(
                     f"observation has {name!r} {names.count(name)} times: name it once"
                 )
-        # Objects must be blocks
         for one in sources:
             if not isinstance(one, str) and not callable(one) and not hasattr(one, "labels"):
                 raise ValueError(f"observation: {unknown('observation block', one, known)}")
@@ -151,20 +149,20 @@ class EnvSpec:
         )
 
     def _require_memory(self, each: float) -> None:
-        """Refuse worlds that do not fit into the machine, at `each` bytes."""
+        """Raise ValueError if worlds of `each` bytes do not fit into memory."""
         drones = self.options.num_drones
         what = (
-            f"{self.num_worlds} worlds of {drones} drones (num_worlds, num_drones) with what they "
-            f"observe"
+            f"{self.num_worlds} worlds of {drones} drones (num_worlds, num_drones) with their "
+            f"observations"
         )
-        remedy = "lower num_worlds, num_drones, or what is observed"
+        remedy = "reduce num_worlds, num_drones, or the observation"
         require_available_memory(what, self.num_worlds * each, remedy)
 
     def _world_bytes(self) -> float:
-        """Estimate what a world takes.
+        """Estimate the memory of a world.
 
-        That is bodies of drones, obstacles and cities, the arrays of the state, and what is kept
-        of each drone: what it observes, its pictures, the others, and targets.
+        The estimate includes bodies of drones, obstacles and cities, the arrays of the state, and
+        the data of each drone: its observation, pictures, the other drones, and targets.
         """
         drones, task = self.options.num_drones, self.task
         images = self._names.intersection(IMAGES)
@@ -175,9 +173,9 @@ class EnvSpec:
         return (BODY_BYTES + NUMBER_BYTES * observed) * drones + self.state_bytes() + things
 
     def state_bytes(self) -> int:
-        """Return the bytes that the arrays of the state take for a world.
+        """Return the bytes that the arrays of the state need for a world.
 
-        They follow from their declaration: the state of no worlds has all shapes, and no numbers.
+        They are computed from the shapes of a state of zero worlds.
         """
         rotors = max(len(one.rotors) for one in self.options.airframe)
         # Setpoints have three numbers and a yaw, or one for each rotor
@@ -186,10 +184,10 @@ class EnvSpec:
         return State.make(sizes, self.task.memory()).world_bytes()
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
-        """Take a mask (W,) of worlds to reset, all for None.
+        """Convert a mask (W,) of worlds to reset; None selects all.
 
         Raises:
-            ValueError: It has another shape or type.
+            ValueError: If the mask has another shape or type.
         """
         if mask is None:
             return np.ones(self.num_worlds, dtype=bool)
@@ -207,10 +205,10 @@ class EnvSpec:
         return mask
 
     def indices(self, worlds: Any) -> np.ndarray:
-        """Take the indices (S,) of worlds, all for None; one number will do for one.
+        """Convert the indices (S,) of worlds; None selects all, and one number one world.
 
         Raises:
-            ValueError: They are no whole numbers, one twice, or there is no such world.
+            ValueError: If indices are not whole numbers, are repeated, or there is no such world.
         """
         if worlds is None:
             return np.arange(self.num_worlds)
@@ -223,10 +221,10 @@ class EnvSpec:
         return np.array(chosen, dtype=int)
 
     def require_world(self, world: Any) -> None:
-        """Refuse the number of a world that there is not.
+        """Check the index of a world.
 
         Raises:
-            ValueError: There is none.
+            ValueError: If there is no such world.
         """
         if (
             not isinstance(world, int | np.integer)
@@ -236,10 +234,10 @@ class EnvSpec:
             raise self._no_world(world)
 
     def worlds(self, world: Any) -> np.ndarray:
-        """Take one or several numbers of worlds as an array.
+        """Convert one or several indices of worlds to an array.
 
         Raises:
-            ValueError: There is no such world.
+            ValueError: If there is no such world.
         """
         try:
             worlds = np.asarray(world)
@@ -255,7 +253,7 @@ class EnvSpec:
         )
 
     def seeds(self, seeds: Any) -> list[int] | None:
-        """Make a seed for each world.
+        """Return a seed for each world.
 
         Args:
             seeds: An int s for s, s + 1 and so on; a sequence; or None.
@@ -264,7 +262,7 @@ class EnvSpec:
             A seed for each world; None for None.
 
         Raises:
-            ValueError: It cannot be a seed.
+            ValueError: If a seed is invalid.
         """
         if seeds is None:
             return None
@@ -281,7 +279,7 @@ class EnvSpec:
         return [as_int("seed", seed, 0) for seed in seeds]
 
     def actions(self, actions: Any, alive: np.ndarray) -> np.ndarray:
-        """Take actions: clipped to their bounds, zeros for drones that are not alive.
+        """Clip actions to their bounds, and set those of drones that are not alive to zero.
 
         Args:
             actions: (W, N, A).
@@ -291,7 +289,8 @@ class EnvSpec:
             (W, N, A).
 
         Raises:
-            ValueError: A wrong shape, or a living drone's number that is not finite or no choice.
+            ValueError: If the shape is wrong, or an action of a living drone is not finite or no
+                valid choice.
         """
         actions = numbers_of("actions are", actions)
         shape = (*alive.shape, self.action.low.shape[-1])
@@ -300,7 +299,7 @@ class EnvSpec:
                 f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = "
                 f"{shape} is needed"
             )
-        # Drones that are not alive may be told anything
+        # Actions of drones that are not alive are ignored
         finite = np.isfinite(actions)
         if not finite.all() and (bad := ~finite.all(axis=-1) & alive).any():
             w, i = np.argwhere(bad)[0]
@@ -310,7 +309,7 @@ class EnvSpec:
         if not alive.all():
             actions = np.where(alive[..., None], actions, 0.0)
         clipped: np.ndarray = np.minimum(np.maximum(actions, self.action.low), self.action.high)
-        # Numbers in a range are clipped; choices must be one of them
+        # Continuous actions are clipped; discrete ones must be valid
         if self.action.choices is None:
             return clipped
         wrong = (clipped != actions) | (clipped % 1 != 0)
@@ -324,7 +323,7 @@ class EnvSpec:
 
 
 def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -> Task[Any]:
-    # Tasks keep the distance that the largest drone needs
+    # Distances follow from the largest drone
     radius = max(airframe.collision_radius for airframe in options.airframe)
     period = 1 / options.decision_hz
     task = kind(
@@ -341,7 +340,7 @@ def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -
             tuple(airframe.standing_height for airframe in options.airframe),
         ),
     )
-    # What the config makes is checked: sizes alone do not tell
+    # The resulting scene is checked, as valid sizes alone do not suffice
     check_arena(task, config, radius)
     check_bodies(task)
     if config.d_safe <= 2 * radius:
@@ -353,12 +352,12 @@ def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -
 
 
 def action_context(options: EnvOptions, task: Task[Any]) -> ActionContext:
-    """Tell makers of actions what they may know of an environment."""
+    """Return what definitions of actions may depend on."""
     climb = options.max_climb
     return ActionContext(
         options.airframe,
         options.max_speed,
-        # No climb limit is the limit of the speed
+        # Without a climb limit the speed limit applies
         options.max_speed if climb is None else min(climb, options.max_speed),
         task.arena_low,
         task.arena_high,
@@ -370,13 +369,12 @@ def action_context(options: EnvOptions, task: Task[Any]) -> ActionContext:
 def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
     climb = options.max_climb
     action = make_action(options.action, action_context(options, task))
-    # Other actions have no velocity that could be limited
+    # Other actions command no velocity
     if climb is not None and action.level != SetpointLevel.VELOCITY:
         raise ValueError(
-            f"max_climb is {climb:g} m/s: it limits actions that ask for velocities, and "
+            f"max_climb is {climb:g} m/s: it limits actions that command velocities, and "
             f"{options.action!r} does not; max_climb=None leaves it out"
         )
-    # The same for limits that a task sets for each drone
     limit = task.speed_limit
     if limit is not None and (np.shape(limit) != (options.num_drones,) or not (limit > 0).all()):
         raise ValueError(
@@ -385,7 +383,7 @@ def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
         )
     if limit is not None and action.level != SetpointLevel.VELOCITY:
         raise ValueError(
-            f"action {options.action!r} does not ask for velocities, and task {task.name!r} limits "
-            f"the speeds that drones ask for: choose action='velocity', or options without limits"
+            f"action {options.action!r} does not command velocities, and task {task.name!r} limits "
+            f"the commanded speeds: choose action='velocity', or options without limits"
         )
     return action

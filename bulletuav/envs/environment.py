@@ -1,4 +1,4 @@
-"""Behaviour that all environment classes share: copies, threads, and observations by name."""
+"""Base classes of all environments: copies, thread safety, and observations by name."""
 
 import copy
 import functools
@@ -15,26 +15,25 @@ from bulletuav.sensors.base import Label
 from bulletuav.tasks.observations.observer import Observation
 
 USER = "user"
-"""Where an environment notes the thread that is in one of its methods"""
+"""Key under which an environment stores the thread that is in one of its methods"""
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 class Environment:
-    """An environment that copies as a recipe: pickle and deepcopy keep its arguments only.
+    """Environment that is copied by its arguments: pickle and deepcopy store these only.
 
-    A copy is made anew from the same arguments, so it shares nothing with the original. It
-    travels to other processes, and begins with a reset. `copy.copy` would share the engine and is
-    refused.
+    A copy is created from the same arguments and shares nothing with the original. It can be sent
+    to other processes, and needs a reset. `copy.copy` would share the engine and raises TypeError.
 
     Attributes:
-        made_from: The arguments that it was made from: positional ones, and others by name.
+        made_from: Positional arguments and keyword arguments of the constructor.
     """
 
     made_from: tuple[tuple[Any, ...], dict[str, Any]]
     _busy: dict[str, tuple[int]]
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
-        """Note the arguments, each as it is now: the caller may change lists and dicts later."""
+        """Store copies of the arguments: the caller may modify lists and dicts later."""
         self = super().__new__(cls)
         self.made_from = (
             tuple(map(copy.copy, args)),
@@ -44,19 +43,19 @@ class Environment:
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Tell pickle and `copy.deepcopy` how a copy is made."""
-        return _make_again, (type(self), *self.made_from)
+        """Return the class and its arguments for pickle and `copy.deepcopy`."""
+        return _recreate, (type(self), *self.made_from)
 
     def __copy__(self) -> NoReturn:
         """Raise TypeError."""
         raise TypeError(
             f"copy.copy of a {type(self).__name__} would share its engine: use copy.deepcopy for "
-            f"one that is made anew from the same options"
+            f"one that is created from the same options"
         )
 
 
 class Observer(Protocol):
-    """What knows the labels of observations, such as an `ObservationBuilder`."""
+    """Object that knows the labels of observations, such as an `ObservationBuilder`."""
 
     @property
     def labels(self) -> Iterable[Label]:
@@ -66,11 +65,11 @@ class Observer(Protocol):
         """Split observations by the names of their blocks."""
 
     def space(self) -> Box | Dict:
-        """Make the space of observations."""
+        """Return the space of observations."""
 
 
 class LabelledEnvironment(Environment):
-    """An environment with labels of the numbers of its observations.
+    """Environment with labels of the numbers of its observations.
 
     Derived classes set `_observer` in their `__init__`.
     """
@@ -81,7 +80,7 @@ class LabelledEnvironment(Environment):
     def observation_labels(self) -> list[Label]:
         """Name, unit and bounds of each number that one drone observes; a new list each time.
 
-        Pictures have no labels. In the format "dict" these are the numbers of all entries, in the
+        Pictures have no labels. In the format "dict" the labels are those of all entries, in the
         order of the blocks.
         """
         return list(self._observer.labels)
@@ -90,22 +89,22 @@ class LabelledEnvironment(Environment):
         """Split observations by the names of their blocks.
 
         Args:
-            observation: What `reset` or `step` gave of one drone or of several: (..., D) numbers,
-                or a dict.
+            observation: Result of `reset` or `step` for one drone or several: (..., D) numbers, or
+                a dict.
 
         Returns:
-            Arrays (..., numbers of the block) by name, views of the given one. Pictures, and
-            observations in the format "dict", come back as they are. Where one agent commands N
-            drones, the arrays are (..., N, numbers of the block), but for parts of the world.
+            Arrays (..., numbers of the block) by name, views of the argument. Pictures, and
+            observations in the format "dict", are returned unchanged. If one agent commands N
+            drones, the arrays are (..., N, numbers of the block), except for parts of the world.
 
         Raises:
-            ValueError: The observation has another number of numbers than there are labels.
+            ValueError: If the size of the observation differs from the number of labels.
         """
         return self._observer.split(observation)
 
 
 def in_plain_python(environment: Environment, methods: Iterable[str]) -> None:
-    """Run compiled functions that methods of an environment call as plain Python."""
+    """Make methods of an environment run compiled functions as plain Python."""
 
     def plainly(method: Method) -> Method:
         @functools.wraps(method)
@@ -124,9 +123,9 @@ def exclusive_plainly(method: Method) -> Method:
 
     @functools.wraps(method)
     def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
-        # An interrupt may come right after any call, so also after one that takes a lock
+        # An interrupt may follow any call, such as one that acquires a lock
         busy, me = self._busy, (threading.get_ident(),)
-        # `setdefault` is atomic: of two threads one finds itself
+        # `setdefault` is atomic: only one of two threads finds its own mark
         try:
             if busy.setdefault(USER, me) != me:
                 raise RuntimeError(
@@ -135,7 +134,7 @@ def exclusive_plainly(method: Method) -> Method:
                 )
             return method(self, *args, **kwargs)
         finally:
-            # A call within a call leaves the mark to the outer one
+            # Nested calls leave the mark to the outermost one
             if USER in busy and busy[USER] is me:
                 del busy[USER]
 
@@ -145,6 +144,5 @@ def exclusive_plainly(method: Method) -> Method:
 exclusive = in_c(exclusive_plainly)
 
 
-def _make_again(kind: type, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-    """Make a copy from the arguments of the original."""
+def _recreate(kind: type, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     return kind(*args, **kwargs)

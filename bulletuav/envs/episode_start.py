@@ -1,13 +1,13 @@
-"""Starts of episodes: what a reset of some of the worlds reads and writes."""
+"""Start of episodes in some of the worlds."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bulletuav.compiled.program import ByWorld, Program, by_world
-from bulletuav.envs.rows import add_rows, add_value, renew, spread
+from bulletuav.envs.rows import add_rows, add_value, expand_mask, update_present
 from bulletuav.envs.snapshot import UNSTARTED
-from bulletuav.envs.stages.fly import add_tick
+from bulletuav.envs.stages.fly import add_decision_count
 from bulletuav.envs.stages.keep_before import keep_before
 from bulletuav.envs.stages.separate import Separate
 from bulletuav.envs.worlds import Worlds
@@ -17,48 +17,48 @@ from bulletuav.tasks.frame_measures import FrameMeasures
 from bulletuav.tasks.given import GivenPositions
 from bulletuav.tasks.spawns import MEMORY, SpawnBuffer
 
-STALE = frozenset(
+STALE_FIELDS = frozenset(
     {*(name for name in FIELDS if name.endswith("_before")), "conflicts", "separation", "nearness"}
 )
-"""Fields of the frame that change when worlds are brought up to date after a reset of others"""
+"""Fields of the frame that change when other worlds are brought up to date after a reset"""
 
 
-class _Stillness(NamedTuple):
-    """A program after which it is as if no time had passed, and the account that it fills."""
+class _AccountUpdate(NamedTuple):
+    """Program that fills the account as if no time had passed, and that account."""
 
     account: FrameMeasures
     program: Program
 
 
 class EpisodeStart:
-    """Starts new episodes in some of the worlds, while others stay as they are.
+    """Starts new episodes in some of the worlds, and leaves the others unchanged.
 
     Attributes:
-        starts: Rows of the starts that were drawn.
-        alone: Programs that update and observe some worlds alone; None where others would be
-            affected.
-        is_still: Whether the account of all worlds is up to date after a reset of some.
+        starts: Rows of the drawn starts.
+        by_world_programs: Programs that update and observe selected worlds only; None if that would
+            affect others.
+        is_account_complete: Whether the account of all worlds is up to date after a reset of some.
     """
 
     def __init__(self, worlds: Worlds, first_seed: int | None) -> None:
-        """Make the arrays that starts are written to.
+        """Allocate the arrays of starts.
 
         Args:
             worlds: Worlds that start.
-            first_seed: Seed of the first of them where a reset is given none.
+            first_seed: Seed of the first world if a reset has none.
         """
         self._worlds, self._first_seed = worlds, first_seed
         state, count = worlds.state, worlds.num_worlds
         sizes = (count, state.scene.obstacle.shape[1])
         self.starts = SpawnBuffer(worlds.task, worlds.options.airframe, *sizes, state.scene.memory)
-        # Worlds that start, their indices, and a mask of their drones
+        # Masks of worlds; indices and drones of the worlds that start
         self._fresh, self._no_worlds, self._due = np.zeros((3, count), dtype=bool)
         self._fresh_indices: list[int] = []
         self._fresh_drones = np.zeros(state.alive.shape, dtype=bool)
         self._start: Program | None = None
-        self._still: _Stillness | None = None
-        self.alone: tuple[ByWorld, ByWorld] | None = None
-        self.is_still = True
+        self._update: _AccountUpdate | None = None
+        self.by_world_programs: tuple[ByWorld, ByWorld] | None = None
+        self.is_account_complete = True
 
     def generators(self, worlds: list[int], seeds: list[int] | None) -> list[np.random.Generator]:
         """Return the random generator of each world that starts."""
@@ -73,10 +73,10 @@ class EpisodeStart:
         ]
 
     def draw(self, generators: list[np.random.Generator], given: GivenPositions) -> None:
-        """Draw starts, and check them; nothing of the worlds is written.
+        """Draw starts and check them, without changing the worlds.
 
         Raises:
-            ValueError: The task's starts cannot be.
+            ValueError: If the task's starts are invalid.
         """
         task = self._worlds.task
         spawns = list(task.spawn_many(generators))
@@ -85,7 +85,7 @@ class EpisodeStart:
                 f"spawn_many of task {task.name!r} gave {len(spawns)} starts: "
                 f"{len(generators)} are needed, one for each generator"
             )
-        # Most starts are whole as they are drawn
+        # Most starts are complete as drawn
         is_whole = task.has_goals and given.is_empty and not task.takes_off
         if not is_whole or task.overrides_method("finish"):
             spawns = [
@@ -97,7 +97,7 @@ class EpisodeStart:
     def write(
         self, fresh: np.ndarray, indices: list[int], generators: list[np.random.Generator]
     ) -> None:
-        """Start the worlds of `fresh` (W,) from what was drawn."""
+        """Start the worlds of `fresh` (W,) from the drawn starts."""
         worlds = self._worlds
         if self._start is None:
             self._start = self._make_start()
@@ -111,66 +111,72 @@ class EpisodeStart:
         worlds.forget_derived()
         self._start.run()
 
-    def account(self, can_be_alone: bool) -> None:
+    def account(self, can_skip_others: bool) -> None:
         """Fill the account as if no time had passed.
 
         Args:
-            can_be_alone: Whether the worlds that start may be seen to alone; the others are brought
-                up to date when they are read.
+            can_skip_others: Whether only the worlds that start may be updated; the others are
+                brought up to date when they are read.
         """
-        is_alone = can_be_alone and len(self._fresh_indices) < len(self._fresh)
-        alone = self.alone if is_alone else None
-        self.is_still = alone is None
-        if alone is None:
-            self._stillness().program.run()
+        skips_others = can_skip_others and len(self._fresh_indices) < len(self._fresh)
+        programs = self.by_world_programs if skips_others else None
+        self.is_account_complete = programs is None
+        if programs is None:
+            self._account_update().program.run()
         else:
-            alone[0].run(self._fresh)
+            programs[0].run(self._fresh)
         self._start_memory()
 
     def observe(self, observing: Program) -> None:
-        """Write what is observed after a reset."""
+        """Write the observations after a reset."""
         self._worlds.forget_derived()
-        if self.is_still or self.alone is None:
+        if self.is_account_complete or self.by_world_programs is None:
             observing.run()
         else:
-            self.alone[1].run(self._due)
+            self.by_world_programs[1].run(self._due)
 
-    def complete(self) -> None:
-        """Bring worlds up to date that were left out after a reset of others."""
-        if not self.is_still:
-            self.is_still = True
+    def complete_account(self) -> None:
+        """Bring worlds up to date that were skipped after a reset of others."""
+        if not self.is_account_complete:
+            self.is_account_complete = True
             self._worlds.forget_derived()
-            self._stillness().program.run()
+            self._account_update().program.run()
 
-    def make_alone(self, observing: Program) -> None:
-        """Make programs that see to some worlds alone, where others do not feel it."""
+    def make_by_world_programs(self, observing: Program) -> None:
+        """Make programs that update selected worlds only, if that does not affect others."""
         worlds = self._worlds
-        self.alone = None
+        self.by_world_programs = None
         observer = worlds.observer
-        if worlds.num_worlds > 1 and worlds.sensors.keep_others and observer.reads_none_of(STALE):
-            account, program = self._stillness()
+        if (
+            worlds.num_worlds > 1
+            and worlds.sensors.keep_others
+            and observer.reads_none_of(STALE_FIELDS)
+        ):
+            account, program = self._account_update()
             arrays = [*worlds.state_arrays().values(), *worlds.last_arrays().values()]
             arrays += [*account.conflict, *account[1:], worlds.vector, self._no_worlds]
-            still = by_world(program, arrays)
-            alone = by_world(observing, arrays)
-            self.alone = None if still is None or alone is None else (still, alone)
+            update = by_world(program, arrays)
+            observe = by_world(observing, arrays)
+            self.by_world_programs = (
+                None if update is None or observe is None else (update, observe)
+            )
 
-    def _stillness(self) -> _Stillness:
-        """Return the program after which it is as if no time had passed, for the account."""
+    def _account_update(self) -> _AccountUpdate:
+        """Return the program that fills the account as if no time had passed."""
         account = self._worlds.account
-        if self._still is None or self._still.account is not account:
-            self._still = _Stillness(account, self._make_still())
-        return self._still
+        if self._update is None or self._update.account is not account:
+            self._update = _AccountUpdate(account, self._make_account_update())
+        return self._update
 
     def _make_start(self) -> Program:
-        """Make the program that starts worlds from what was drawn."""
+        """Make the program that starts worlds from the drawn starts."""
         program, fresh, worlds, state = Program(), self._fresh, self._worlds, self._worlds.state
         self._add_rows(program)
-        program.call(spread, fresh, self._fresh_drones)
+        program.call(expand_mask, fresh, self._fresh_drones)
         worlds.dynamics.add_place(program, state.swarm, self._fresh_drones)
         add_value(program, fresh, 0, worlds.dynamics.contact.touches.number)
-        program.call(renew, state.alive, fresh, state.present, self._due)
-        # Python's turns together, as each takes the way out of compiled code and back
+        program.call(update_present, state.alive, fresh, state.present, self._due)
+        # Python callbacks together, as each leaves and enters compiled code
         if worlds.sensors.sensors:
             program.turn(self._reset_sensors)
         program.turn(self._place_scene)
@@ -178,19 +184,19 @@ class EpisodeStart:
         program.turn(lambda: worlds.measure(state.swarm, state.swarm, self._fresh_drones))
         return program
 
-    def _make_still(self) -> Program:
-        """Make the program after which it is as if no time had passed in the decision."""
+    def _make_account_update(self) -> Program:
+        """Make the program that fills the account as if no time had passed in the decision."""
         program, worlds, state = Program(), self._worlds, self._worlds.state
         worlds.energy.add_voltage(program)
         nothing = state.scene.obstacle[:, :0]
         before = (state.scene.goal, state.goal_before, nothing, nothing)
         program.call(keep_before, state.swarm, state.before, *before)
-        add_tick(program, worlds, self._no_worlds)
+        add_decision_count(program, worlds, self._no_worlds)
         Separate().add_to(program, worlds)
         return program
 
     def _add_rows(self, program: Program) -> None:
-        """Add that starts are written, and all that starts again with them."""
+        """Add that the drawn starts are written, and everything else is reset with them."""
         worlds, state = self._worlds, self._worlds.state
         swarm, scene, rows, fresh = state.swarm, state.scene, self.starts.rows, self._fresh
         written: list[tuple[Any, np.ndarray]] = [
@@ -220,21 +226,21 @@ class EpisodeStart:
             worlds.sensors.reset(k, worlds.state.swarm, worlds.rng[k])
 
     def _place_scene(self) -> None:
-        """Place the city and the obstacles of worlds where they start."""
+        """Place the city and the obstacles of worlds that start."""
         scene = self._worlds.state.scene
         self._worlds.engine.set_layouts(scene.layout, self._fresh)
         if scene.obstacle.size:
             self._worlds.place_obstacles(self._fresh)
 
     def _keep_contacts(self) -> None:
-        """Keep the contacts of worlds that fly on, where only Python knows them."""
+        """Keep contacts of the other worlds if only Python has collected them."""
         contacts = self._worlds.contacts
         if self._worlds.options.contacts == "bullet":
             contacts.collect()
         contacts.keep(~self._fresh if self._worlds.collects_contacts else None)
 
     def _start_memory(self) -> None:
-        """Let the task fill the memory of the worlds that were reset; others keep theirs."""
+        """Let the task initialise the memory of worlds that were reset; keep that of others."""
         task = self._worlds.task
         if type(task).start_memory is Task.start_memory:
             return

@@ -1,4 +1,4 @@
-"""The global state: what is true of all drones, then of the world that they fly in."""
+"""Global state: the true state of all drones, then of the world."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -15,19 +15,19 @@ from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.observations.observer import ObservationBuilder
 
 DRONES = "drones"
-"""Part of the state in which the numbers of all drones are, one drone after the other"""
+"""Part of the state with the numbers of all drones, one drone after the other"""
 
 
 class GlobalState:
-    """The numbers of a global state, and how they are computed.
+    """Computes the global state.
 
-    First come the blocks of every drone, then the charge of each, where batteries empty, then what
-    the task reports of the world by `Task.world_state`.
+    The blocks of every drone come first, then the charge of each drone if batteries are limited,
+    then the parts that the task adds by `Task.world_state`.
 
     Attributes:
-        drones: Makes the numbers of each drone.
-        labels: Name, unit and bounds of each number, K.
-        parts: Which numbers each part has, by name, in order.
+        drones: Computes the numbers of each drone.
+        labels: Name, unit and bounds of each of the K numbers.
+        parts: Slice of each part, by name, in order.
         low: (K,) lower bounds.
         high: (K,) upper bounds.
     """
@@ -37,22 +37,19 @@ class GlobalState:
 
         Args:
             task: The task.
-            drones: Makes the numbers of each drone.
-            options: Common options, of which `num_drones` and `battery_capacity` count.
+            drones: Computes the numbers of each drone.
+            options: Common options, of which `num_drones` and `battery_capacity` are used.
         """
         self.drones, self._count = drones, options.num_drones
-        # Of the world: charges, and what the task reports
         self._world: dict[str, Block] = {}
         if options.battery_capacity is not None:
             self._world["charge"] = _charges(self._count)
         self._world |= task.world_state()
-        # Of each drone, with its name
         of_drones = [
             label._replace(name=f"{label.name} of drone_{i}")
             for i in range(self._count)
             for label in drones.labels
         ]
-        # Where each part begins in the vector
         sizes = {DRONES: len(of_drones)}
         sizes |= {name: len(block.labels) for name, block in self._world.items()}
         self.parts = slices(sizes)
@@ -60,17 +57,17 @@ class GlobalState:
         self.low = np.array([label.low for label in self.labels], dtype=np.float32)
         self.high = np.array([label.high for label in self.labels], dtype=np.float32)
 
-    def tell(self, frame: Frame, alive: np.ndarray) -> np.ndarray:
-        """Compute the state.
+    def compute(self, frame: Frame, alive: np.ndarray) -> np.ndarray:
+        """Compute the global state.
 
         Args:
-            frame: The decision, or the first frame after a reset.
-            alive: (W, N) bool, drones whose episode goes on.
+            frame: Frame of the decision, or the first frame after a reset.
+            alive: (W, N) bool, drones whose episode is running.
 
         Returns:
             (W, K) float32, clipped to the bounds.
         """
-        # Without readings drones know where they are
+        # Without readings, observations have the true state
         rows = self.drones.observe(dataclasses.replace(frame, readings={}), alive)
         assert isinstance(rows, np.ndarray)  # no pictures among its blocks
         state = np.zeros((len(alive), len(self.labels)), dtype=np.float32)
@@ -87,10 +84,10 @@ class GlobalState:
 
         Returns:
             Arrays (..., N, numbers of the block) of the drones' blocks, and (..., numbers of the
-            part) of all other parts, views of the given one.
+            part) of all other parts, views of the argument.
 
         Raises:
-            ValueError: The state has another number of numbers.
+            ValueError: If the state has another size.
         """
         vector = np.asarray(state)
         if vector.ndim == 0 or vector.shape[-1] != len(self.labels):
@@ -104,13 +101,12 @@ class GlobalState:
 
 
 def _charges(drones: int) -> Block:
-    """Make the part with the charge of batteries."""
     labels = tuple(Label(f"charge of drone_{i}", "1", 0.0, 1.0) for i in range(drones))
     return Block(labels, lambda frame, present: frame.readings["charge"])
 
 
 def slices(sizes: Mapping[str, int]) -> dict[str, slice]:
-    """Lay parts of these sizes side by side, in order."""
+    """Return consecutive slices of these sizes."""
     ends = np.cumsum(list(sizes.values())).tolist()
     return {
         name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)

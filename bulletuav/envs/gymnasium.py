@@ -1,11 +1,11 @@
 """Gymnasium environments: one agent commands all drones of a world, alone or in batches.
 
-An action holds the drones' numbers one after the other, a reward is the mean over all drones. The
-episode ends when all drones are done, by truncation when time ended it for one of them.
+An action concatenates the numbers of all drones, and the reward is their mean reward. The episode
+ends when all drones are done, by truncation if time ended it for one of them.
 
 The agent observes the global state of all drones: a flat vector, or in the format "dict" an entry
-(N, numbers) for each of its blocks. With one drone the environment is that drone's own: its
-observation, its action, its reward.
+(N, numbers) for each of its blocks. With one drone the environment has that drone's own
+observation, action and reward.
 """
 
 from typing import Any
@@ -19,9 +19,9 @@ from gymnasium.vector.utils import batch_space
 from bulletuav.envs.agents import take_one
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.infos import later
+from bulletuav.envs.infos import lazy_infos
 from bulletuav.envs.options import RENDER_MODES
-from bulletuav.envs.reset_options import refuse_setting, reset_options
+from bulletuav.envs.reset_options import check_setting, reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.envs.vector import BatchAviary, BatchResults
@@ -38,15 +38,15 @@ def environment_id(task: str) -> str:
 
 
 class CentralObserver:
-    """Observations of the one agent that commands all drones of a world.
+    """Observations of the agent that commands all drones of a world.
 
     Attributes:
-        is_alone: Whether there is one drone, whose own observation that is.
+        is_alone: Whether there is one drone, of which the agent has the own observation.
         labels: Labels of the numbers of one drone.
     """
 
     def __init__(self, aviary: Aviary) -> None:
-        """Choose what the agent observes: one drone's own observation, or the global state."""
+        """Select the observation: that of the only drone, or the global state."""
         self.is_alone = aviary.num_drones == 1
         self._aviary = aviary
         self._drone = aviary.observer if self.is_alone else aviary.global_state.drones
@@ -54,25 +54,24 @@ class CentralObserver:
         self._gives_dict = aviary.options.observation_format == "dict"
 
     def space(self) -> Box | Dict:
-        """Make the space of what the agent of one world observes."""
+        """Return the observation space of the agent of one world."""
         if self.is_alone:
             return self._drone.space()
         low, high = self._aviary.global_state.low, self._aviary.global_state.high
         if not self._gives_dict:
             return Box(low, high, dtype=np.float32)
         lows, highs = self.split(low), self.split(high)
-        # An entry for each block, with a row for each drone.
         spaces: dict[str, Space[Any]] = {
             name: Box(lows[name], highs[name], dtype=np.float32) for name in lows
         }
         return Dict(spaces)
 
     def observe(self, observations: Observation, state: np.ndarray | None = None) -> Observation:
-        """Return what the agent of each world observes.
+        """Return the observation of the agent of each world.
 
         Args:
             observations: (W, N, ...) observations of the drones.
-            state: (W, K) global state; asked of the core when left out.
+            state: (W, K) global state; None for the present one.
 
         Returns:
             Arrays (W, ...).
@@ -86,7 +85,7 @@ class CentralObserver:
     def split(self, observation: Observation) -> dict[str, np.ndarray]:
         """Split observations by the names of their blocks; see `LabelledEnvironment.split`.
 
-        All drones have the same blocks. With one drone there is no axis for drones.
+        All drones have the same blocks. With one drone there is no axis of drones.
         """
         if self.is_alone or isinstance(observation, dict):
             return self._drone.split(observation)
@@ -98,15 +97,15 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
     Attributes:
         aviary: The batched core with W = 1.
-        observation_space: The drone's own with one drone, else that of the global state.
-        action_space: The drones' numbers one after the other, or one choice each.
+        observation_space: Space of the drone with one drone, else of the global state.
+        action_space: Concatenated numbers of all drones, or one choice of each.
     """
 
     metadata = METADATA
     _observer: CentralObserver
 
     def __init__(self, task: TaskSource, **options: Any) -> None:
-        """Make the environment; see `bulletuav.parallel_env`."""
+        """Create the environment; see `bulletuav.parallel_env`."""
         self.aviary = Aviary(task, 1, **options)
         self._observer = CentralObserver(self.aviary)
         self.metadata = {**METADATA, "render_fps": self.aviary.options.decision_hz}
@@ -114,19 +113,19 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         self.observation_space = self._observer.space()
         action = self.aviary.action
         self.action_space = joint_action_space(action)
-        # Whether actions can be taken over as they are
+        # Whether actions can be copied without conversion
         self._takes = self._observer.is_alone and action.choices is None
         self._config = self.aviary.task.config
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Set an attribute; raise AttributeError where that has no effect."""
+        """Set an attribute; raise AttributeError for one without effect."""
         if type(self) is CentralAviary and "_config" in vars(self):
-            refuse_setting(self, name, self._config)
+            check_setting(self, name, self._config)
         super().__setattr__(name, value)
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
-        """Set an attribute that a wrapper passes on; see `gymnasium.Env.set_wrapper_attr`."""
-        refuse_setting(self, name, self._config)
+        """Set an attribute for a wrapper; see `gymnasium.Env.set_wrapper_attr`."""
+        check_setting(self, name, self._config)
         return super().set_wrapper_attr(name, value, force=force)
 
     @exclusive
@@ -136,13 +135,13 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         """Start a new episode.
 
         Args:
-            seed: Seed of the random numbers; None goes on with them.
-            options: Any of "start" and "goal", (N, 3) m each, for places instead of drawn ones.
+            seed: Seed of the random numbers; None continues them.
+            options: Any of "start" and "goal", (N, 3) m each, for given instead of drawn positions.
 
         Returns:
             The observation, and infos (N,) by name.
         """
-        # Gymnasium seeds its own random numbers, which nothing here draws from.
+        # Gymnasium seeds its own generator, which nothing here uses
         if seed is not None:
             seed = as_int("seed", seed, 0)
         super().reset(seed=seed)
@@ -152,21 +151,21 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
     @exclusive
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Fly one decision of all drones.
+        """Simulate one decision of all drones.
 
         Args:
-            action: As in `action_space`.
+            action: An element of `action_space`.
 
         Returns:
             The observation, reward, terminated, truncated, and infos (N,) by name.
 
         Raises:
-            ValueError: The action cannot be; nobody has flown then.
-            RuntimeError: Before the first reset, or after `close`.
+            ValueError: If the action is invalid; nothing is simulated then.
+            RuntimeError: If called before the first reset or after `close`.
         """
         aviary = self.aviary
         aviary.require_started()
-        if not self._takes or not take_one(action, aviary.given):  # the program looks at it
+        if not self._takes or not take_one(action, aviary.given):  # checked by the program
             aviary.given[:] = joint_numbers(aviary.action, numbers_of("action is", action)[None], 1)
         aviary.decide()
         # An episode that time ended for one of the drones is truncated
@@ -178,27 +177,27 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
             mean = aviary.rewards.item()
         else:
             observation, mean = part(self._observer.observe(seen), 0), float(aviary.rewards.mean())
-        infos = later(aviary.telling(0))
+        infos = lazy_infos(aviary.info_table(0))
         return observation, mean, is_over and not truncated, truncated, infos
 
     @exclusive
     def save_state(self) -> Snapshot:
-        """Save all that makes the future; see `Aviary.save_state`."""
+        """Save the complete state; see `Aviary.save_state`."""
         return self.aviary.save_state()
 
     @exclusive
     def load_state(self, snapshot: Snapshot) -> Any:
-        """Go on from a state that was saved, and give the observation; see `Aviary.load_state`."""
+        """Restore a saved state, and return the observation; see `Aviary.load_state`."""
         return part(self._observer.observe(self.aviary.load_state(snapshot)), 0)
 
     @exclusive
     def state_hash(self) -> str:
-        """Hash the state; see `Aviary.state_hash`."""
+        """Compute a hash of the state; see `Aviary.state_hash`."""
         return self.aviary.state_hash()[0]
 
     @exclusive
     def render(self) -> np.ndarray | None:
-        """Take a picture.
+        """Render the world.
 
         Returns:
             (height, width, 3) uint8 with render_mode "rgb_array", else None.
@@ -207,13 +206,13 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Free the engine. Further calls do nothing."""
         self.aviary.close()
 
 
 def _of_world(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the infos of the only world."""
-    return later(lambda: {name: value[0] for name, value in info.items()})
+    return lazy_infos(lambda: {name: value[0] for name, value in info.items()})
 
 
 class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, Any, Any]):
@@ -221,11 +220,11 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
 
     Attributes:
         aviary: The batched core.
-        num_envs: W.
-        single_observation_space: That of one world, as in `CentralAviary`.
-        single_action_space: That of one world, as in `CentralAviary`.
-        observation_space: That of all worlds.
-        action_space: That of all worlds.
+        num_envs: Number of worlds W.
+        single_observation_space: Observation space of one world, as in `CentralAviary`.
+        single_action_space: Action space of one world, as in `CentralAviary`.
+        observation_space: Observation space of all worlds.
+        action_space: Action space of all worlds.
     """
 
     metadata = METADATA
@@ -238,18 +237,18 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         **options: Any,
     ) -> None:
-        """Make the environment.
+        """Create the environment.
 
         Args:
-            task: One of `list_tasks()`, `module:Name`, or a class of one's own.
-            num_envs: W.
-            autoreset_mode: What happens when an episode is over; see `BatchAviary`.
+            task: A name from `list_tasks()`, `module:Name`, or a task class.
+            num_envs: Number of worlds W.
+            autoreset_mode: When finished worlds are reset; see `BatchAviary`.
             **options: See `bulletuav.parallel_env`.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
-        # The batch flies and resets; here its drones become one agent.
+        # The batch simulates and resets; this class joins its drones to one agent
         self._batch = BatchAviary(task, num_envs, autoreset_mode, **options)
         self.aviary = self._batch.aviary
         self._observer = CentralObserver(self.aviary)
@@ -272,8 +271,8 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
         """Start new episodes in all worlds, or in those of options["reset_mask"] (W,).
 
         Args:
-            seed: As of `BatchAviary.reset`.
-            options: As of `BatchAviary.reset`.
+            seed: See `BatchAviary.reset`.
+            options: See `BatchAviary.reset`.
 
         Returns:
             Observations (W, ...), and infos (W, N) by name.
@@ -283,18 +282,18 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
 
     @exclusive
     def step(self, actions: Any) -> BatchResults:
-        """Fly one decision of all worlds.
+        """Simulate one decision of all worlds.
 
         Args:
-            actions: As in `action_space`.
+            actions: An element of `action_space`.
 
         Returns:
             Observations (W, ...), rewards (W,), terminated (W,), truncated (W,), and infos (W, N)
             by name.
 
         Raises:
-            ValueError: Actions cannot be; nobody has flown then.
-            RuntimeError: Before the first reset, or after `close`.
+            ValueError: If actions are invalid; nothing is simulated then.
+            RuntimeError: If called before the first reset or after `close`.
         """
         batch = joint_numbers(self.aviary.action, actions, self.num_envs)
         if self.aviary.action.choices is not None:
@@ -311,22 +310,22 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
-        """Save all that makes the future of worlds; see `Aviary.save_state`."""
+        """Save the complete state of worlds; see `Aviary.save_state`."""
         return self._batch.save_state(worlds)
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Any:
-        """Go on from a state that was saved, and give observations; see `Aviary.load_state`."""
+        """Restore a saved state, and return observations; see `Aviary.load_state`."""
         return self._observer.observe(self._batch.load_state(snapshot, worlds))
 
     @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
-        """Hash the state of each world; see `Aviary.state_hash`."""
+        """Compute a hash of the state of each world; see `Aviary.state_hash`."""
         return self.aviary.state_hash(worlds)
 
     @exclusive
     def render(self) -> tuple[np.ndarray | None, ...]:  # type: ignore[override]
-        """Take pictures of all worlds.
+        """Render all worlds.
 
         Returns:
             (height, width, 3) uint8 of each with render_mode "rgb_array", else None for each.
@@ -335,5 +334,5 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
 
     @exclusive
     def close(self, **kwargs: Any) -> None:
-        """Free the engine; a second call does nothing."""
+        """Free the engine. Further calls do nothing."""
         self.aviary.close()

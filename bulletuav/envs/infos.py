@@ -1,4 +1,4 @@
-"""Infos of a decision: arrays by name, made when they are read."""
+"""Infos of a decision: arrays by name, computed when they are first read."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 PENDING = {"": None}
-"""What stands in place of the values: code in C takes a dict without any for empty at once"""
+"""Placeholder of the values: C code would treat a dict without any entry as empty"""
 
 
 class Infos(dict[str, Any]):
-    """A dict whose values are made all at once when somebody asks for one.
+    """A dict whose values are computed when any of them is first read.
 
-    Most decisions of a training are never asked. `later` makes one.
+    Most training steps never read their infos. `lazy_infos` creates such a dict.
     """
 
     __slots__ = ("_make",)
@@ -21,13 +21,13 @@ class Infos(dict[str, Any]):
 
     def _fill(self) -> None:
         if self._make is not None:
-            # In this order: after an interrupt they are made by the next who asks
+            # In this order: after an interrupt the next access fills them
             super().update(self._make())
             super().pop("", None)
             self._make = None
 
     def __reduce__(self) -> Any:
-        """Travel as a plain dict."""
+        """Pickle as a plain dict."""
         return dict, (dict(self),)
 
     def copy(self) -> dict[str, Any]:
@@ -35,21 +35,21 @@ class Infos(dict[str, Any]):
         return dict(self)
 
 
-def later(make: Callable[[], Mapping[str, Any]]) -> Infos:
-    """Make infos whose values `make` makes when somebody asks for one."""
+def lazy_infos(make: Callable[[], Mapping[str, Any]]) -> Infos:
+    """Create infos whose values `make` returns when any of them is first read."""
     infos = Infos(PENDING)
     infos._make = make
     return infos
 
 
-def untold(infos: Mapping[str, Any]) -> "Told | None":
-    """Tell what a decision told where nobody has asked for its infos yet; None otherwise."""
+def unread_table(infos: Mapping[str, Any]) -> "InfoTable | None":
+    """Return the results of a decision if its infos have not been read yet, else None."""
     make = infos._make if type(infos) is Infos else None
-    return make if type(make) is Told else None
+    return make if type(make) is InfoTable else None
 
 
-def _filled_first(name: str) -> Any:
-    """Make a method of dict that makes the values first."""
+def _fill_first(name: str) -> Any:
+    """Wrap a method of dict so that the values are computed first."""
     plain = getattr(dict, name)
 
     def method(self: Infos, *args: Any, **kwargs: Any) -> Any:
@@ -65,20 +65,20 @@ METHODS = (
     *("__ne__", "__or__", "__repr__", "__reversed__", "__ror__", "__setitem__", "clear", "get"),
     *("items", "keys", "pop", "popitem", "setdefault", "update", "values"),
 )
-"""Methods of dict that look at the values"""
+"""Methods of dict that read the values"""
 for _name in METHODS:
-    setattr(Infos, _name, _filled_first(_name))
+    setattr(Infos, _name, _fill_first(_name))
 
 
 @dataclass(slots=True)
-class Told:
-    """What a decision told; calling it makes infos.
+class InfoTable:
+    """Results of a decision; calling the object makes infos.
 
     Attributes:
         table: (K, W, N) numbers.
-        rows: Name and type of each row of it; those without a name are left out.
-        more: Arrays (W, N) by name, told beside; those that stay as they are come as they are.
-        world: Index of the world of which infos tell; all when left out.
+        rows: Name and type of each row of the table; rows without a name are left out.
+        more: Further arrays (W, N) by name; immutable arrays are not copies.
+        world: Index of the world of the infos; `...` for all.
     """
 
     table: np.ndarray
@@ -87,25 +87,27 @@ class Told:
     world: Any = ...
 
     def __call__(self) -> dict[str, np.ndarray]:
-        """Make infos, whose arrays callers may write into."""
+        """Return infos, whose arrays callers may modify."""
         more = {
-            name: (value.copy() if stays(value) else value)[self.world]
+            name: (value.copy() if is_immutable(value) else value)[self.world]
             for name, value in self.more.items()
         }
-        return columns(self.table[:, self.world], self.rows) | more
+        return columns_of_table(self.table[:, self.world], self.rows) | more
 
 
-def stays(value: Any) -> bool:
-    """Tell whether nobody writes into an array: it is read-only, and no view of another."""
+def is_immutable(value: Any) -> bool:
+    """Return True if an array is immutable: read-only, and not a view of another array."""
     return type(value) is np.ndarray and value.base is None and not value.flags.writeable
 
 
-def columns(table: np.ndarray, names: Iterable[tuple[str | None, Any]]) -> dict[str, np.ndarray]:
-    """Make infos of a table's rows.
+def columns_of_table(
+    table: np.ndarray, names: Iterable[tuple[str | None, Any]]
+) -> dict[str, np.ndarray]:
+    """Return the rows of a table as infos.
 
     Args:
         table: (K, W, N) numbers.
-        names: Name and type of each row; those without a name are left out.
+        names: Name and type of each row; rows without a name are left out.
 
     Returns:
         Arrays (W, N) by name.

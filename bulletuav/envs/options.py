@@ -1,4 +1,4 @@
-"""Options of an environment: from keyword arguments to checked, frozen values."""
+"""Options of an environment: keyword arguments as validated, frozen values."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -11,8 +11,8 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.randomization import CERTAIN, Randomization
-from bulletuav.envs.rates import MOST_HZ, decision_rate, picture_rate
-from bulletuav.envs.viewer import USUAL_ADDRESS, VIEWERS, parse_address
+from bulletuav.envs.rates import MAX_HZ, decision_rate, picture_rate
+from bulletuav.envs.viewer import DEFAULT_ADDRESS, VIEWERS, parse_address
 from bulletuav.errors import as_int, as_sequence, find_choice, finite, shown, unknown
 from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
@@ -29,29 +29,29 @@ from bulletuav.vehicle.wind import (
 
 ENERGIES = ("zeng", "actuator")
 FORMATS = ("vector", "dict")
-SEVERAL = (
+LIST_OPTIONS = (
     *("observation", "sensors", "effects", "wind"),
     *("render_size", "camera_size", "lidar_elevations"),
 )
 RENDER_MODES = ("rgb_array", "human", *VIEWERS)
 ROTOR_ACTIONS = ("rotor", "rpm")
-MOST_DRONES = 10_000
-MOST_PIXELS = 4096  # along a side
-MOST_BEAMS = 8192  # of a drone's range finder in all
-MOST_RANGE = 10_000.0  # m
-MOST_CAPACITY = 1e6  # W h
-MOST_NAMES = 100  # in a list of them
-MOST_SIZE, MOST_COUNT = 1e9, 10**9  # of a number of a task's config whose field tells none
-MOST_WEIGHT = 1e6
-COUNTS = {
-    "num_drones": MOST_DRONES,
+MAX_DRONES = 10_000
+MAX_PIXELS = 4096  # per side
+MAX_BEAMS = 8192  # of a drone's range finder, in total
+MAX_LIDAR_RANGE = 10_000.0  # m
+MAX_CAPACITY = 1e6  # W h
+MAX_NAMES = 100  # in a list of names
+MAX_SIZE, MAX_COUNT = 1e9, 10**9  # of task config numbers without a bound of their own
+MAX_WEIGHT = 1e6
+MAX_COUNTS = {
+    "num_drones": MAX_DRONES,
     "num_neighbours": 1000,
     "horizon": 10**9,
-    "physics_hz": MOST_HZ,
-    "num_beams": MOST_BEAMS,
+    "physics_hz": MAX_HZ,
+    "num_beams": MAX_BEAMS,
 }
-"""Whole numbers above 0, and the most that each can be"""
-NAMED = ("observation", "sensors", "effects")
+"""Maximum of each option that is a whole number above 0"""
+NAME_LISTS = ("observation", "sensors", "effects")
 
 
 @dataclass(frozen=True)
@@ -59,71 +59,72 @@ class EnvOptions:
     """Options common to all tasks. Every ValueError names the value and the remedy.
 
     Attributes:
-        num_drones: Drones in a world.
+        num_drones: Number of drones in a world.
         airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
-        action: What the drones' actions mean: a name in `bulletuav.control.actions.ACTIONS`. Where
-            it is left out, the task's default; if the dynamics cannot take that, the action of the
-            highest setpoint level that the dynamics takes, such as "velocity" in "point_mass".
-        decision_hz: Decisions a second: a whole number that divides physics_hz, or down to 0.1,
-            decisions of 10 s, where they are of whole substeps.
-        horizon: Decisions until truncation.
-        max_speed: Scale of velocity actions, m/s; at most the airframe's.
-        max_climb: Limit of the vertical velocity that velocity actions ask for, up and down, m/s;
-            None for max_speed.
-        dynamics: "bullet" (the engine), "rigid_body" (the same forces by RK4), "point_mass",
-            "double_integrator" or "single_integrator"; `module:Name`, or a class derived from
-            `bulletuav.dynamics.base.Dynamics`.
-        observation: Names of observation blocks and of sensors' readings, or blocks, side by side;
-            None for the task's own.
+        action: Meaning of actions: a name in `bulletuav.control.actions.ACTIONS`. The default is
+            that of the task; if the dynamics does not support it, the action of the highest
+            setpoint level that the dynamics supports, such as "velocity" in "point_mass".
+        decision_hz: Decisions per second: a whole number that divides physics_hz; or from 0.1 to 1
+            (decisions of up to 10 s), if a decision has a whole number of substeps.
+        horizon: Number of decisions after which an episode is truncated.
+        max_speed: Scale of velocity actions, m/s; at most the airframe's maximum speed.
+        max_climb: Limit of the vertical velocity of velocity actions, up and down, m/s; None for
+            max_speed.
+        dynamics: "bullet" (Bullet's rigid bodies), "rigid_body" (the same forces, integrated by
+            RK4), "point_mass", "double_integrator" or "single_integrator"; `module:Name`, or a
+            class derived from `bulletuav.dynamics.base.Dynamics`.
+        observation: Names of observation blocks and of sensor readings, or block objects, which are
+            concatenated; None for the task's default.
         observation_format: "vector", or "dict" with an entry for each block.
-        sensors: Sensors of one's own, or others in place of the package's: objects or names.
-        reward: Reward terms beside the task's: (term, weight) by name.
-        num_neighbours: How many of the nearest drones, and obstacles, are observed.
+        sensors: Additional sensors, or replacements of built-in ones: objects or names.
+        reward: Additional reward terms: (term, weight) by name.
+        num_neighbours: Number of nearest drones, and of nearest obstacles, that are observed.
         normalise: Whether observations are scaled from their bounds to [-1, 1].
-        difficulty: "easy", "medium", "hard" or "extreme": values of other options, which you can
-            still override.
-        preset: A named set of values of other options, see the task; goes before the difficulty.
-        physics_hz: Substeps a second.
-        seed: Of the first reset when `reset` is given none.
-        render_mode: None, "rgb_array" (pictures, no screen needed), "human" (a live window),
-            "web" (a live page for browsers) or "foxglove" (topics for that viewer).
+        difficulty: "easy", "medium", "hard" or "extreme": sets other options, which can still be
+            overridden.
+        preset: Named set of values of other options, defined by the task; overrides the difficulty.
+        physics_hz: Physics substeps per second.
+        seed: Seed of the first reset, if `reset` has none.
+        render_mode: None, "rgb_array" (pictures, without a display), "human" (a live window), "web"
+            (a live page for browsers) or "foxglove" (a live server for Foxglove).
         render_size: Width and height of pictures, pixels.
-        render_address: Where "web" or "foxglove" is served, host:port.
+        render_address: Address of the "web" or "foxglove" server, host:port.
         controller: "lee" (geometric) or "pid" (the Crazyflie's own).
-        integral: Whether "lee" makes up for steady pushes that it does not know, such as wakes and
-            wind; see `bulletuav.control.observers`.
-        effects: Which of `EFFECTS` are simulated: "lag" of the rotors, "drag" of the rotors,
+        integral: Whether "lee" compensates steady unmodelled forces, such as wakes and wind; see
+            `bulletuav.control.observers`.
+        effects: Effects of `EFFECTS` that are simulated: "lag" of the rotors, "drag" of the rotors,
             "body_drag", "damping" of rates, "rotor_inertia", "ground_effect", "downwash", and
-            "voltage" of the battery. All but the last unless told otherwise.
+            "voltage" of the battery. The default is all except "voltage".
         wind: Steady wind (east, north, up), m/s, or a function of positions (W, N, 3) m and times
-            (W,) s that gives (W, N, 3) m/s.
-        wind_profile: How the steady wind grows with height, with the given speed at 20 feet: None
-            (not at all), "power", "log", or a pair: ("power", exponent) or ("log", roughness
-            length in m). See `bulletuav.vehicle.wind.PROFILES`.
+            (W,) s that returns (W, N, 3) m/s.
+        wind_profile: Growth of the steady wind with height, with `wind` at 20 feet: None (uniform),
+            "power", "log", or a pair: ("power", exponent) or ("log", roughness length in m). See
+            `bulletuav.vehicle.wind.PROFILES`.
         turbulence: Dryden gusts, one field in each world: None, "light", "moderate", "severe", or
-            the wind speed at 20 feet that sets them, m/s.
-        randomization: What is uncertain, such as {"gps_noise": 1.0}; see
+            the wind speed at 20 feet that scales them, m/s.
+        randomization: Randomized parameters, such as {"gps_noise": 1.0}; see
             `bulletuav.envs.randomization.Randomization`.
         camera_size: Width and height of the drones' cameras, pixels (observations "rgb", "depth",
             "segmentation", "ray_depth").
-        camera_hz: Their pictures a second; must divide decision_hz; None for one a decision.
-        gravity: m/s^2; 0 switches weight off.
-        num_beams: Of the range finder (observation "lidar"), evenly around at each elevation.
-        max_range: How far range finder and clearance reach, m.
-        lidar_elevations: Degrees above the horizon.
+        camera_hz: Camera pictures per second; must divide decision_hz; None for one per decision.
+        gravity: Gravitational acceleration, m/s^2; 0 for none.
+        num_beams: Beams of the range finder (observation "lidar") at each elevation, evenly spaced
+            in azimuth.
+        max_range: Maximum range of the range finder and of the clearance, m.
+        lidar_elevations: Elevations of the beams above the horizon, degrees.
         lidar_frame: "yaw" (the first beam along the drone's heading) or "world" (to the east).
-        battery_capacity: W h, or "airframe" for the airframe's own battery; a drone's episode ends
-            with its charge. None for batteries that never empty.
-        energy: What takes charge: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors;
-            also without gravity).
-        rays: What answers the rays of sensors: "compiled" code, exact and fast, or "bullet" (the
-            engine, for which what is no box is up to 1e-4 of its size, and 1 mm, larger).
-        contacts: What happens at a touch: "impulse" (drones are pushed, slide and rest), "stop" (a
-            drone stays there until the decision ends), or "bullet" (the engine's own contacts, for
-            comparison). None for the first that the dynamics can do.
+        battery_capacity: Energy of a full battery, W h, or "airframe" for the airframe's own
+            battery; a drone's episode ends with an empty battery. None for unlimited energy.
+        energy: Power model: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors; also
+            without gravity).
+        rays: Ray casting of sensors: "compiled" (exact and fast), or "bullet" (Bullet's, in which
+            shapes other than boxes are larger by up to 1e-4 of their size, and 1 mm).
+        contacts: Contact model: "impulse" (drones are pushed, slide and rest), "stop" (a drone
+            stays at the contact until the decision ends), or "bullet" (Bullet's own contacts, for
+            comparison). None for the first one that the dynamics supports.
         friction: Coefficient of friction of the ground and of buildings.
-        restitution: Share of the speed that an impact with them gives back. Of two surfaces the
-            geometric mean of their coefficients counts.
+        restitution: Coefficient of restitution of the ground and of buildings. For two surfaces the
+            geometric mean of their coefficients applies.
         debug: Whether compiled functions run as plain Python, with the same results, some hundred
             times slower: for breakpoints, prints and coverage.
     """
@@ -148,7 +149,7 @@ class EnvOptions:
     seed: int | None = None
     render_mode: str | None = None
     render_size: tuple[int, int] = (640, 480)
-    render_address: str = USUAL_ADDRESS
+    render_address: str = DEFAULT_ADDRESS
     controller: str = "lee"
     integral: bool = False
     effects: tuple[str, ...] = USUAL_EFFECTS
@@ -172,7 +173,7 @@ class EnvOptions:
     debug: bool = False
 
     def __post_init__(self) -> None:
-        for name, most in COUNTS.items():
+        for name, most in MAX_COUNTS.items():
             self._keep(name, as_int(name, getattr(self, name), 1, most))
         self._keep("decision_hz", decision_rate(self.decision_hz, self.physics_hz))
         if self.camera_hz is not None:
@@ -186,7 +187,7 @@ class EnvOptions:
             self._keep(
                 name,
                 tuple(
-                    as_int(name, side, 8, MOST_PIXELS)
+                    as_int(name, side, 8, MAX_PIXELS)
                     for side in as_sequence(name, getattr(self, name), 2)
                 ),
             )
@@ -220,17 +221,17 @@ class EnvOptions:
                     f"reward has {shown(name)}: {shown(value)}; (term, weight) is needed, such as "
                     f"(my_term, -0.1)"
                 )
-            finite(f"reward: weight of {name!r}", value[1], -MOST_WEIGHT, MOST_WEIGHT)
+            finite(f"reward: weight of {name!r}", value[1], -MAX_WEIGHT, MAX_WEIGHT)
 
     def _keep(self, name: str, value: Any) -> None:
-        """Store the value as its check gave it, so that kernels see one type of it."""
+        """Store a validated value, so that kernels are compiled for one type."""
         object.__setattr__(self, name, value)
 
     def _check_sensors(self) -> None:
-        self._keep("max_range", finite("max_range", self.max_range, most=MOST_RANGE))
+        self._keep("max_range", finite("max_range", self.max_range, most=MAX_LIDAR_RANGE))
         if self.max_range <= 0:
             raise ValueError(f"max_range is {self.max_range:g} m: it must be above 0")
-        elevations = as_sequence("lidar_elevations", self.lidar_elevations, most=MOST_BEAMS)
+        elevations = as_sequence("lidar_elevations", self.lidar_elevations, most=MAX_BEAMS)
         self._keep(
             "lidar_elevations",
             tuple(finite("lidar_elevations", elevation) for elevation in elevations),
@@ -243,11 +244,11 @@ class EnvOptions:
                 )
         if not self.lidar_elevations:
             raise ValueError("lidar_elevations is empty: give at least one angle")
-        if self.num_beams * len(self.lidar_elevations) > MOST_BEAMS:
+        if self.num_beams * len(self.lidar_elevations) > MAX_BEAMS:
             raise ValueError(
                 f"num_beams is {self.num_beams} at each of {len(self.lidar_elevations)} "
                 f"lidar_elevations: at most "
-                f"{MOST_BEAMS} beams in all are possible"
+                f"{MAX_BEAMS} beams in total are possible"
             )
         if isinstance(self.battery_capacity, str):
             if self.battery_capacity != "airframe":
@@ -259,7 +260,7 @@ class EnvOptions:
                         f"<battery> tag: give watt-hours"
                     )
         elif self.battery_capacity is not None:
-            capacity = finite("battery_capacity", self.battery_capacity, most=MOST_CAPACITY)
+            capacity = finite("battery_capacity", self.battery_capacity, most=MAX_CAPACITY)
             self._keep("battery_capacity", capacity)
             if capacity <= 0:
                 raise ValueError(
@@ -287,14 +288,14 @@ class EnvOptions:
         self._check_air()
         if self.gravity == 0 and self.action not in ROTOR_ACTIONS:
             raise ValueError(
-                f"action {self.action!r} needs gravity: use 'rotor' or 'rpm', all others steer "
+                f"action {self.action!r} needs gravity: use 'rotor' or 'rpm', all others balance "
                 f"thrust against weight"
             )
         if self.integral and self.controller == "pid":
             raise ValueError("integral is for controller 'lee': leave it out, 'pid' has its own")
         if self.controller == "pid" and "lag" in self.effects:
             warnings.warn(
-                "controller 'pid' is made for motors without lag and may turn a drone over: leave "
+                "controller 'pid' is designed for motors without lag and may flip a drone: leave "
                 "'lag' out of effects",
                 stacklevel=2,
             )
@@ -325,7 +326,7 @@ class EnvOptions:
         if callable(self.wind) and self.wind_profile is not None:
             raise ValueError(
                 "wind_profile changes a steady wind with height: leave it out where wind is a "
-                "function, which tells the wind at each height"
+                "function, which returns the wind at each height"
             )
         if isinstance(self.turbulence, str):
             find_choice("turbulence", self.turbulence, TURBULENCE)
@@ -335,16 +336,16 @@ class EnvOptions:
                 raise ValueError(f"turbulence is {self.turbulence:g} m/s: it must not be negative")
         self._keep("gravity", finite("gravity", self.gravity))
         if self.gravity < 0:
-            raise ValueError(f"gravity is {self.gravity:g} m/s^2: it pulls down with 0 or more")
+            raise ValueError(f"gravity is {self.gravity:g} m/s^2: it must not be negative")
 
     @property
     def substeps(self) -> int:
-        """Substeps of a decision."""
+        """Number of physics substeps of a decision."""
         return round(self.physics_hz / self.decision_hz)
 
     @property
     def wind20(self) -> float:
-        """Wind speed at 20 feet that sets the turbulence, m/s; 0 for none."""
+        """Wind speed at 20 feet that scales the turbulence, m/s; 0 for none."""
         return (
             TURBULENCE[self.turbulence]
             if isinstance(self.turbulence, str)
@@ -353,18 +354,18 @@ class EnvOptions:
 
     @property
     def dynamics_name(self) -> str:
-        """Name of the dynamics, also where its class is given."""
+        """Name of the dynamics, given by name or class."""
         return self.dynamics if isinstance(self.dynamics, str) else self.dynamics.name
 
     def check_setpoint_levels(self, action: SetpointLevel, dynamics: SetpointLevel) -> None:
-        """Refuse an action whose setpoint level cannot drive the dynamics.
+        """Check that the setpoint level of an action can drive the dynamics.
 
         Raises:
-            ValueError: Neither by itself nor through the controller.
+            ValueError: If it can neither directly nor through the controller.
         """
         if action > dynamics:
             raise ValueError(
-                f"action {self.action!r} gives {action.name.lower()} setpoints, but dynamics "
+                f"action {self.action!r} outputs {action.name.lower()} setpoints, but dynamics "
                 f"{self.dynamics_name!r} is driven by "
                 f"{dynamics.name.lower()}: use an action of that level or above, or dynamics "
                 f"'rigid_body' or 'bullet'"
@@ -382,15 +383,15 @@ class EnvOptions:
         self.check_controller(action)
 
     def check_controller(self, level: SetpointLevel) -> None:
-        """Raise ValueError for setpoints of a level that the controller does not take."""
+        """Raise ValueError for a setpoint level that the controller does not support."""
         if self.controller == "pid" and level not in PID_LEVELS:
             raise ValueError(
-                f"controller 'pid' takes no {level.name.lower()} setpoints: use controller 'lee'"
+                f"controller 'pid' supports no {level.name.lower()} setpoints: use controller 'lee'"
             )
 
 
 def check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None:
-    """Raise ValueError for a name that is not known, or is there twice."""
+    """Raise ValueError for a name that is unknown or repeated."""
     for one in given or ():
         if not isinstance(one, str) or one not in known:
             raise ValueError(f"{name}: {unknown(what, one, known)}")

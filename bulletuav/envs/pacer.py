@@ -1,21 +1,21 @@
-"""Real time: a pacer that keeps a loop to the clock."""
+"""Real time: a pacer that keeps a loop in step with the clock."""
 
 import time
 from collections.abc import Callable
 
 from bulletuav.errors import finite
 
-LONGEST_DELAY = 1.0
-"""Lateness after which a pacer starts anew, s, unless a turn is longer."""
+MAX_DELAY = 1.0
+"""Delay after which a pacer restarts its deadlines, s, unless the period is longer"""
 
 
 class Pacer:
     """Keeps a loop in real time, by deadlines that do not drift.
 
-    Deadlines lie one turn apart, from the time the pacer was made or `restart` was called. One
-    that is missed does not shift later ones: a loop that was late for once catches up. After a
-    pause, such as a reset, it does not: when `wait` comes later than 1 s and a turn after its
-    deadline, deadlines start anew from there.
+    Deadlines are one period apart, from the time the pacer was created or `restart` was called. A
+    missed deadline does not shift later ones: a loop that was late once catches up. After a pause,
+    such as a reset, it does not: if `wait` is called later than 1 s and later than one period after
+    its deadline, the deadlines restart from there.
 
         pacer = Pacer(period=0.1)
         while flying:
@@ -23,10 +23,10 @@ class Pacer:
             pacer.wait()
 
     Attributes:
-        period: Simulated time of a turn, s.
-        speed: Simulated seconds in one of the clock; 2 is twice as fast as real time.
-        late: How many turns were late.
-        latest: Greatest lateness so far, s.
+        period: Simulated time between calls, s.
+        speed: Simulated seconds per second of the clock; 2 is twice as fast as real time.
+        late: Number of missed deadlines.
+        latest: Largest delay so far, s.
     """
 
     def __init__(
@@ -37,14 +37,14 @@ class Pacer:
         _clock: Callable[[], float] = time.perf_counter,
         _sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Start the first turn.
+        """Start the first period.
 
         Args:
-            period: Simulated time of a turn, s, such as the period of decisions.
-            speed: Simulated seconds in one of the clock.
+            period: Simulated time between calls, s, such as the period of decisions.
+            speed: Simulated seconds per second of the clock.
 
         Raises:
-            ValueError: One is not positive and finite.
+            ValueError: If a number is not positive and finite.
         """
         self.period = _positive("period", period, "s")
         self.speed = _positive("speed", speed, "times real time")
@@ -56,14 +56,14 @@ class Pacer:
         self.restart()
 
     def restart(self) -> None:
-        """Start a turn now, such as after a reset; counts of late turns stay."""
+        """Start a period now, such as after a reset; the counts of delays stay."""
         self._deadline = self._clock() + self._turn
 
     def wait(self) -> float:
-        """Sleep until the turn's deadline, and start the next turn.
+        """Sleep until the deadline, and start the next period.
 
         Returns:
-            How long after the deadline it was called, s; 0 when it was on time.
+            Delay of the call after the deadline, s; 0 if it was on time.
         """
         delay = self._clock() - self._deadline
         if delay <= 0:
@@ -72,7 +72,7 @@ class Pacer:
             return 0.0
         self.late += 1
         self.latest = max(self.latest, delay)
-        if delay > max(LONGEST_DELAY, self._turn):
+        if delay > max(MAX_DELAY, self._turn):
             self.restart()
         else:
             self._deadline += self._turn
@@ -80,7 +80,6 @@ class Pacer:
 
 
 def _positive(name: str, value: float, unit: str) -> float:
-    """Check that a number is positive and finite, and return it as a float."""
     number = finite(name, value)
     if number <= 0:
         raise ValueError(f"{name} is {number:g} {unit}: a number above 0 is needed")

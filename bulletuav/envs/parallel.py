@@ -13,10 +13,10 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from bulletuav.envs.agents import share, take
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.infos import later
+from bulletuav.envs.infos import lazy_infos
 from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.reset_options import reset_options
-from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_face
+from bulletuav.envs.snapshot import EnvironmentSnapshot, Snapshot, require_environment_snapshot
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.envs.teams import team_rows
 from bulletuav.errors import find_choice, shown, unknown
@@ -25,9 +25,9 @@ from bulletuav.tasks.observations.observer import Observation, part
 
 ByAgent = dict[str, Any]
 """One value for each agent, by its name"""
-Infos = dict[str, dict[str, float]]
+InfosByAgent = dict[str, dict[str, float]]
 """Infos of each agent, by its name"""
-AgentResults = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], Infos]
+AgentResults = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], InfosByAgent]
 """Observations, rewards, terminated, truncated and infos of a step, each by agent"""
 
 
@@ -37,21 +37,20 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
     Attributes:
         aviary: The batched core with W = 1.
         possible_agents: Names of all agents.
-        agents: Names of the agents whose episode goes on.
+        agents: Names of the agents whose episode is running.
         observation_spaces: Observation space of each agent.
         action_spaces: Action space of each agent.
         state_space: Space of the global state.
-        group_map: Agents of each team, by its name, as TorchRL takes them.
-        metadata: What PettingZoo wants to know, and "group_map".
+        group_map: Agents of each team, by its name, in TorchRL's format.
+        metadata: PettingZoo's metadata, and "group_map".
         render_mode: None, "rgb_array", "human", "web" or "foxglove".
     """
 
     def __init__(self, task: TaskSource, **options: Any) -> None:
-        """Make the environment; see `parallel_env`."""
+        """Create the environment; see `parallel_env`."""
         self.aviary = Aviary(task, 1, **options)
         self._observer = self.aviary.observer
         common = self.aviary.options
-        # What PettingZoo asks of an environment
         self.metadata = {
             "name": f"bulletuav_{self.aviary.task.name}_v{self.aviary.task.version}",
             "render_modes": list(RENDER_MODES),
@@ -59,7 +58,6 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
             "is_parallelizable": True,
         }
         self.render_mode = common.render_mode
-        # Drones are agents by number, and teams are groups of agents
         self.possible_agents = [f"drone_{i}" for i in range(common.num_drones)]
         self.agents: list[str] = []
         self.group_map = {
@@ -69,7 +67,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.metadata["group_map"] = self.group_map
         self._rows = {agent: i for i, agent in enumerate(self.possible_agents)}
         action = self.aviary.action
-        # Actions of drones that are alike can be taken over together
+        # Actions of the same size can be copied together
         alike = {action.size(i) for i in range(common.num_drones)} == {action.low.shape[1]}
         self._together = alike and action.choices is None
         self.observation_spaces = {agent: self._observer.space() for agent in self.possible_agents}
@@ -90,12 +88,13 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     @property
     def np_random(self) -> np.random.Generator:
-        """Random generator of the episode, for wrappers that draw, such as SuperSuit's frame skip.
+        """Random generator of the episode, for wrappers such as SuperSuit's frame skip.
 
-        What they draw follows from the seed, too, and is part of the state that is saved.
+        The numbers that they draw also follow from the seed, and the generator is part of the saved
+        state.
 
         Raises:
-            RuntimeError: Before the first reset, or after `close`.
+            RuntimeError: If called before the first reset or after `close`.
         """
         self.aviary.require_started()
         return self.aviary.rng[0]
@@ -103,12 +102,12 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
     @exclusive
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[ByAgent, Infos]:
+    ) -> tuple[ByAgent, InfosByAgent]:
         """Start a new episode.
 
         Args:
-            seed: Seed of the random numbers; None goes on with them.
-            options: Any of "start" and "goal", (N, 3) m each, for places instead of drawn ones.
+            seed: Seed of the random numbers; None continues them.
+            options: Any of "start" and "goal", (N, 3) m each, for given instead of drawn positions.
 
         Returns:
             Observations and infos, by agent.
@@ -122,19 +121,19 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
-        """Fly one decision of all living agents.
+        """Simulate one decision of all living agents.
 
         Args:
-            actions: One for each of `agents`; those of agents that have left are ignored.
+            actions: An action for each of `agents`; those of agents that have left are ignored.
 
         Returns:
-            Observations, rewards, terminated, truncated and infos, by agent, of those that flew.
-            Where all have left, five empty dicts.
+            Observations, rewards, terminated, truncated and infos, by agent, of those that flew. If
+            all have left, five empty dicts.
 
         Raises:
-            ValueError: An action is missing, cannot be, or is for an agent that there never was.
-                Nobody has flown then.
-            RuntimeError: Before the first reset, or after `close`.
+            ValueError: If an action is missing, invalid, or for an unknown agent. Nothing is
+                simulated then.
+            RuntimeError: If called before the first reset or after `close`.
         """
         aviary, agents = self.aviary, self.agents
         aviary.require_started()
@@ -150,7 +149,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         seen, rewards, terminated, truncated, any_ended = results
         if isinstance(observations, dict):
             seen = self._by_agent(observations, rows)
-        infos = self._infos(aviary.telling(), rows)
+        infos = self._infos(aviary.info_table(), rows)
         # Agents leave after the step that ended their episode
         if any_ended:
             self.agents = [one for one in agents if not terminated[one] and not truncated[one]]
@@ -163,10 +162,10 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         return [self._rows[agent] for agent in self.agents]
 
     def _take(self, actions: Any) -> None:
-        """Take actions over one by one, with clear errors.
+        """Check and copy actions one by one.
 
         Raises:
-            ValueError: They cannot be.
+            ValueError: If actions are invalid.
         """
         given, agents = self.aviary.given, self.agents
         check_agents(actions, agents, self._rows)
@@ -175,39 +174,41 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
             given[0, row] = drone_numbers(self.aviary.action, row, actions[agent])
 
     def require_action(self, agent: str, action: Any) -> None:
-        """Raise ValueError for an action of an agent that cannot be."""
+        """Raise ValueError for an invalid action of an agent."""
         row = self._rows[agent]
         self.aviary.require_action(row, drone_numbers(self.aviary.action, row, action))
 
     def _by_agent(self, observations: Observation, rows: list[int] | None) -> ByAgent:
-        """Share out (1, N, ...) to the living agents."""
+        """Split observations (1, N, ...) by living agent."""
         if isinstance(observations, dict):
             return {agent: part(observations, (0, self._rows[agent])) for agent in self.agents}
-        return dict(zip(self.agents, _of(observations, rows), strict=True))
+        return dict(zip(self.agents, _rows_of(observations, rows), strict=True))
 
-    def _infos(self, telling: Callable[[], dict[str, np.ndarray]], rows: list[int] | None) -> Infos:
-        """Share out infos (1, N) to the living agents."""
+    def _infos(
+        self, make_infos: Callable[[], dict[str, np.ndarray]], rows: list[int] | None
+    ) -> InfosByAgent:
+        """Split infos (1, N) by living agent."""
         agents = self.agents
 
-        def make() -> Infos:
-            info = telling()
-            living = [_of(array, rows) for array in info.values()]
+        def make() -> InfosByAgent:
+            info = make_infos()
+            living = [_rows_of(array, rows) for array in info.values()]
             table = np.array(living, dtype=float).T.tolist()
             return {
                 agent: dict(zip(info, row, strict=True))
                 for agent, row in zip(agents, table, strict=True)
             }
 
-        return later(make)
+        return lazy_infos(make)
 
     @exclusive
     def save_state(self) -> Snapshot:
-        """Save all that makes the future; see `Aviary.save_state`."""
+        """Save the complete state; see `Aviary.save_state`."""
         return self.aviary.save_state()
 
     @exclusive
     def load_state(self, snapshot: Snapshot) -> ByAgent:
-        """Go on from a state that was saved; see `Aviary.load_state`.
+        """Restore a saved state; see `Aviary.load_state`.
 
         Returns:
             Observations by agent, of those that fly.
@@ -219,7 +220,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     @exclusive
     def state_hash(self) -> str:
-        """Hash the state; see `Aviary.state_hash`."""
+        """Compute a hash of the state; see `Aviary.state_hash`."""
         return self.aviary.state_hash()[0]
 
     @exclusive
@@ -234,7 +235,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     @exclusive
     def render(self) -> np.ndarray | None:
-        """Take a picture.
+        """Render the world.
 
         Returns:
             (height, width, 3) uint8 with render_mode "rgb_array", else None.
@@ -243,26 +244,26 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Free the engine. Further calls do nothing."""
         self.aviary.close()
 
 
-def _of(array: np.ndarray, rows: list[int] | None) -> np.ndarray:
-    """Take rows of the only world of an array (1, N, ...)."""
+def _rows_of(array: np.ndarray, rows: list[int] | None) -> np.ndarray:
+    """Return rows of the only world of an array (1, N, ...)."""
     one: np.ndarray = array[0] if rows is None else array[0, rows]
     return one
 
 
 def check_agents(actions: Any, agents: Sequence[str], possible: Collection[str]) -> None:
-    """Check whose actions were given.
+    """Check that each agent has an action.
 
     Args:
-        actions: What was given.
+        actions: Value of the argument.
         agents: Agents that need an action.
         possible: Agents that may have one.
 
     Raises:
-        ValueError: It is no dict, lacks an agent, or has one that is not possible.
+        ValueError: If actions are not a dict, an agent is missing, or an agent is unknown.
     """
     if not isinstance(actions, Mapping):
         raise ValueError(
@@ -279,10 +280,10 @@ def check_agents(actions: Any, agents: Sequence[str], possible: Collection[str])
 
 
 def parallel_env(task: TaskSource, **options: Any) -> ParallelAviary:
-    """Make a `pettingzoo.ParallelEnv` of a task, with agents `drone_0` ... `drone_{N-1}`.
+    """Create a `pettingzoo.ParallelEnv` of a task, with agents `drone_0` ... `drone_{N-1}`.
 
     Args:
-        task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+        task: A name from `list_tasks()`, `module:Name`, or a task class.
         **options: Options common to all tasks (`bulletuav.envs.options.EnvOptions`) and those of
             the task (its `Config`).
 
@@ -290,24 +291,24 @@ def parallel_env(task: TaskSource, **options: Any) -> ParallelAviary:
         The environment.
 
     Raises:
-        ValueError: An option cannot be; the value and the remedy are named.
+        ValueError: If an option is invalid; the message names the value and the remedy.
     """
     return ParallelAviary(task, **options)
 
 
-TURN = (
+TURN_FIELDS = (
     *("agents", "_live_agents", "_actions", "_agent_selector", "agent_selection", "new_agents"),
     *("new_values", "_observations", "rewards", "_cumulative_rewards", "terminations"),
     *("truncations", "infos", "_skip_agent_selection"),
 )
-"""Where PettingZoo's conversion keeps what happened since the last decision"""
+"""Attributes in which PettingZoo's conversion stores the turns since the last decision"""
 
 
 class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[misc]  # has no types
     """`pettingzoo.AECEnv` of one task, whose agents take turns; by PettingZoo's own conversion."""
 
     def __init__(self, task: TaskSource, **options: Any) -> None:
-        """Make the environment; see `parallel_env`."""
+        """Create the environment; see `parallel_env`."""
         parallel = ParallelAviary(task, **options)
         super().__init__(parallel_to_aec_wrapper(parallel))
         self._parallel, self._observer = parallel, parallel.aviary.observer
@@ -319,16 +320,16 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
 
     @exclusive
     def step(self, action: Any) -> None:
-        """Take the action of the agent whose turn it is; all fly when each has had its turn.
+        """Store the action of the selected agent; the last agent's action starts the simulation.
 
         Raises:
-            ValueError: The action cannot be; it is still the agent's turn.
-            RuntimeError: Before the first reset, or after `close`.
+            ValueError: If the action is invalid; the agent remains selected.
+            RuntimeError: If called before the first reset or after `close`.
         """
         self._parallel.aviary.require_started()
         agent = self.agent_selection
         if agent in self.agents and not (self.terminations[agent] or self.truncations[agent]):
-            # Once all have had their turns nobody could take it back
+            # PettingZoo cannot undo it once all agents had their turns
             self._parallel.require_action(agent, action)
         super().step(action)
 
@@ -344,24 +345,24 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
 
     @exclusive
     def render(self) -> np.ndarray | None:
-        """Take a picture; see `ParallelAviary.render`."""
+        """Render the world; see `ParallelAviary.render`."""
         return self._parallel.render()
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Free the engine. Further calls do nothing."""
         super().close()
 
     @exclusive
-    def save_state(self) -> FaceSnapshot:
-        """Save all that makes the future, with whose turn it is; see `Aviary.save_state`."""
-        turn = {name: getattr(self.env, name, None) for name in TURN}
-        return FaceSnapshot("aec_env", self._parallel.save_state(), copy.deepcopy(turn))
+    def save_state(self) -> EnvironmentSnapshot:
+        """Save the complete state with the turns of agents; see `Aviary.save_state`."""
+        turn = {name: getattr(self.env, name, None) for name in TURN_FIELDS}
+        return EnvironmentSnapshot("aec_env", self._parallel.save_state(), copy.deepcopy(turn))
 
     @exclusive
-    def load_state(self, snapshot: FaceSnapshot) -> None:
-        """Go on from a state that was saved; see `Aviary.load_state`."""
-        require_face(snapshot, "aec_env", TURN)
+    def load_state(self, snapshot: EnvironmentSnapshot) -> None:
+        """Restore a saved state; see `Aviary.load_state`."""
+        require_environment_snapshot(snapshot, "aec_env", TURN_FIELDS)
         self._parallel.load_state(snapshot.flight)
         for name, value in copy.deepcopy(dict(snapshot.beside)).items():
             setattr(self.env, name, value)
@@ -369,10 +370,10 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
 
     @exclusive
     def state_hash(self) -> str:
-        """Hash the state of the world; see `Aviary.state_hash`."""
+        """Compute a hash of the state of the world; see `Aviary.state_hash`."""
         return self._parallel.state_hash()
 
 
 def aec_env(task: TaskSource, **options: Any) -> TurnAviary:
-    """Make a `pettingzoo.AECEnv` of a task; see `parallel_env`."""
+    """Create a `pettingzoo.AECEnv` of a task; see `parallel_env`."""
     return TurnAviary(task, **options)

@@ -1,4 +1,4 @@
-"""Parts that worlds are made of, with a task or without: engine, dynamics, sensors."""
+"""Components of worlds, with a task or without: engine, dynamics, controllers, sensors."""
 
 import operator
 from abc import ABC, abstractmethod
@@ -16,7 +16,7 @@ from bulletuav.engine.engine import Engine
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
-from bulletuav.envs.snapshot import BODIES, Bounds, Layout
+from bulletuav.envs.snapshot import BODIES, Bounds, SnapshotLayout
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor, SensorSetup
@@ -28,24 +28,24 @@ from bulletuav.vehicle.wind import Wind
 
 
 class Parts(ABC):
-    """Parts of W worlds of N drones.
+    """Components of W worlds of N drones.
 
     Attributes:
         options: Common options.
         engine: Bodies, obstacles, cities, rays and pictures.
-        dynamics: Moves drones.
-        parameters: (W, N) rows of `PARAMETERS` with which the drones fly.
+        dynamics: Dynamics of the drones.
+        parameters: (W, N) rows of `PARAMETERS` that the dynamics uses.
         cascade: Controllers.
-        hover_speed: (N, R) rotor speeds at which drones hover, rad/s.
+        hover_speed: (N, R) rotor speeds at which the drones hover, rad/s.
         wind: Steady wind and gusts.
-        uncertainty: What is drawn for each episode.
+        uncertainty: Randomized parameters of the episodes.
         sensors: All sensors.
         renderer: Pictures and the live window.
-        readings: What sensors measured last, by name.
+        readings: Last sensor readings, by name.
     """
 
     readings: dict[str, np.ndarray]
-    _layout: Layout | None = None
+    _layout: SnapshotLayout | None = None
     _varying: Sequence[object] = ()
 
     def __init__(
@@ -57,7 +57,7 @@ class Parts(ABC):
         setup: SensorSetup,
         first_world: int = 0,
     ) -> None:
-        """Make all parts; see `make_engine` and `SensorSuite`."""
+        """Create all components; see `make_engine` and `SensorSuite`."""
         num_worlds, _ = setup.shape
         self.options = options
         self.engine = make_engine(options, num_worlds, obstacles, layouts, first_world)
@@ -73,18 +73,18 @@ class Parts(ABC):
         self.renderer = Renderer(self.engine, options.render_size)
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Place the engine's bodies where drones of `mask` (W, N) and obstacles are."""
+        """Update the poses of drones of `mask` (W, N) and of obstacles in the engine."""
         self.dynamics.show(swarm, mask)
         self.engine.show_obstacles()
 
-    def layout(self, of: str, parts: Mapping[str, str]) -> Layout:
-        """Return where arrays are in snapshots.
+    def layout(self, of: str, parts: Mapping[str, str]) -> SnapshotLayout:
+        """Return the layout of arrays in snapshots.
 
         Args:
             of: See `snapshot.Form`, like the parts.
-            parts: What the simulation is made from.
+            parts: Descriptions of the simulation's components.
         """
-        # Sensors may keep other arrays later, readings make some, bodies change the bounds
+        # Sensors may replace arrays, readings add some, and bodies change the bounds
         varying: list[object] = [*self.sensors.kept().values(), *self.dynamics.kept().values()]
         varying += [*self.readings.values(), self.engine.scenery]
         known = self._varying
@@ -92,7 +92,7 @@ class Parts(ABC):
         if self._layout is None or not is_known:
             bodies = {BODIES: self.engine.bodies}
             arrays = {**bodies, **self.state_arrays(), **self.last_arrays()}
-            self._layout = Layout(of, parts, self.bounds(), arrays)
+            self._layout = SnapshotLayout(of, parts, self.bounds(), arrays)
             self._varying = varying
         return self._layout
 
@@ -102,11 +102,11 @@ class Parts(ABC):
 
     @abstractmethod
     def last_arrays(self) -> dict[str, np.ndarray]:
-        """Return what else the future follows from; it may hold what flew before a reset."""
+        """Return the other arrays that the future depends on; they may be from before a reset."""
 
     @abstractmethod
     def bounds(self) -> Bounds:
-        """Return the bounds of arrays that a snapshot may write, by name."""
+        """Return the bounds of the arrays that a snapshot may write, by name."""
 
 
 def make_engine(
@@ -116,14 +116,14 @@ def make_engine(
     layouts: Sequence[Solids],
     first_world: int = 0,
 ) -> Engine:
-    """Make the engine, with all bodies in it.
+    """Create the engine with all its bodies.
 
     Args:
         options: Common options.
-        num_worlds: W.
+        num_worlds: Number of worlds W.
         obstacles: The K obstacles of each world.
-        layouts: What can stand in a world, one at a time.
-        first_world: Number of the first world among those of several processes.
+        layouts: Cities, one of which can be in a world at a time.
+        first_world: Index of the first world among those of several processes.
     """
     return Engine(
         options.airframe,
@@ -139,8 +139,8 @@ def make_engine(
 
 
 def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
-    """Make the dynamics of all drones, with their controllers; see `Dynamics.flight`."""
-    # Controllers keep a copy: they believe in the airframe, whatever is drawn
+    """Create the dynamics of all drones with their controllers; see `Dynamics.flight`."""
+    # Controllers have a copy with the nominal airframe, whatever is randomized
     worlds = (engine.shape[0], 1)
     parameters = np.tile(parameter_rows(options.airframe, options.effects), worlds)
     gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
@@ -159,7 +159,7 @@ def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
 
 
 def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> None:
-    """Add to a program that obstacles stand where (W, K, 3) tells after a flight, m."""
+    """Add to a program that obstacles are moved to (W, K, 3) after a flight, m."""
     if obstacle.shape[1]:
         program.call(copy_vectors, obstacle, engine.scenery.place)
         if engine.asks_bodies:
@@ -167,7 +167,7 @@ def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> Non
 
 
 def hover_speeds(options: EnvOptions) -> np.ndarray:
-    """Compute the rotor speeds (N, R) at which drones hover, rad/s; 0 of rotors that one lacks."""
+    """Return the rotor speeds (N, R) at which drones hover, rad/s; 0 for missing rotors."""
     speeds = np.zeros((options.num_drones, max(len(one.rotors) for one in options.airframe)))
     for row, airframe in zip(speeds, options.airframe, strict=True):
         row[: len(airframe.rotors)] = airframe.hover_speed(options.gravity)
@@ -175,12 +175,12 @@ def hover_speeds(options: EnvOptions) -> np.ndarray:
 
 
 def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -> SensorSetup:
-    """Tell sensors what they know of where they fly, but for a task's targets and arena.
+    """Describe the environment for sensors, except for a task's targets and arena.
 
     Args:
         options: Common options.
-        num_worlds: W.
-        wanted: Readings that are wanted.
+        num_worlds: Number of worlds W.
+        wanted: Readings that are needed.
     """
     randomization = options.randomization
     delays = "radio_delay" in randomization.known

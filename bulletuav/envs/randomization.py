@@ -1,4 +1,4 @@
-"""What is uncertain: drawn anew for every episode, for drones, wind and sensors."""
+"""Domain randomization: parameters of drones, wind and sensors, drawn for every episode."""
 
 import numbers
 from collections.abc import Mapping
@@ -14,8 +14,8 @@ from bulletuav.vehicle.wind import Wind
 
 Range = float | tuple[float, float]
 
-LEAST_THRUST = 0.5
-"""Share of the thrust that is left when the battery is low"""
+MIN_THRUST_FRACTION = 0.5
+"""Fraction of the thrust that is left with a low battery"""
 DRONES = {
     "mass": Uncertain(0.1, 10.0, usual=1.0),
     "thrust": Uncertain(0.1, 10.0, usual=1.0),
@@ -23,7 +23,7 @@ DRONES = {
     "motor_lag": Uncertain(0.0, 100.0, usual=1.0),
     "battery": Uncertain(0.0, 1.0),
 }
-"""Of each drone: factors on mass and inertia, thrust, drag and lag; thrust lost a minute"""
+"""Of each drone: factors on mass and inertia, thrust, drag and lag; thrust lost per minute"""
 WIND = {"wind": Uncertain(-100.0, 100.0, per="world")}
 """Each axis of a steady wind, m/s"""
 FACTORS = {
@@ -32,16 +32,16 @@ FACTORS = {
     "drag": ("drag_xy", "drag_z", "body_drag_xy", "body_drag_z", "damping"),
     "motor_lag": ("lag_up", "lag_down"),
 }
-"""Which parameters of a drone each factor changes"""
+"""Drone parameters that each factor scales"""
 FIRST, LAST = ("gps", "lidar", "imu"), ("radio",)
-"""Sensors whose parameters are drawn before the wind, and first after it"""
+"""Sensors whose parameters are drawn before the wind, and first after the wind"""
 
 
 def known_uncertainties(sensors: Mapping[str, Sensor]) -> dict[str, Uncertain]:
-    """List what can be uncertain by name, in the order in which it is drawn.
+    """Return everything that can be randomized by name, in the order of drawing.
 
     Args:
-        sensors: All sensors that there are, by name.
+        sensors: All available sensors, by name.
     """
 
     def of(names: tuple[str, ...]) -> dict[str, Uncertain]:
@@ -52,45 +52,48 @@ def known_uncertainties(sensors: Mapping[str, Sensor]) -> dict[str, Uncertain]:
 
 
 class Randomization:
-    """What is uncertain: a number for all, or (low, high) to draw from, uniformly, at a reset.
+    """Randomized parameters: a fixed number, or (low, high) of a uniform draw at each reset.
 
     For each drone:
 
     - mass, thrust, drag, motor_lag: factors on the airframe's mass and inertia, thrust, drag and
-      damping, and lag. Controllers know the airframe's own values only.
-    - battery: share of the thrust lost a minute, down to half.
-    - gps_noise: standard deviation of known positions, m; of known velocities a tenth of it, m/s.
-    - gps_walk: random walk of known positions, m after one second, growing with the root of time.
-    - gps_dropout: probability that a reading fails at a decision; the last one stays.
+      damping, and lag. Controllers use the airframe's nominal values.
+    - battery: fraction of the thrust lost per minute, down to half.
+    - gps_noise: standard deviation of measured positions, m; of measured velocities a tenth of it,
+      m/s.
+    - gps_walk: random walk of measured positions, m after one second, growing with the square root
+      of time.
+    - gps_dropout: probability that a reading fails at a decision; the last reading stays.
     - lidar_noise: standard deviation of ranges, m.
-    - lidar_dropout: probability that a beam does not come back.
+    - lidar_dropout: probability that a beam has no return.
     - accelerometer_noise, gyroscope_noise: standard deviation of each axis, m/s^2, rad/s.
     - accelerometer_walk, gyroscope_walk: random walk of their biases after one second.
 
     For each world:
 
-    - wind: each axis of a steady wind, m/s, beside the options `wind` and `turbulence`.
-    - radio_delay: of the messages by which drones know of each other, s.
-    - radio_loss: probability that one is lost.
-    - radio_range: how far one reaches, m.
+    - wind: each axis of a steady wind, m/s, in addition to the options `wind` and `turbulence`.
+    - radio_delay: delay of messages between drones, s.
+    - radio_loss: probability that a message is lost.
+    - radio_range: range of messages, m.
 
-    Beside these the parameters of other sensors, such as "uwb_noise". Points have no rotors:
-    `point_mass` feels mass, drag and wind, the integrators none of the first five nor wind.
+    Parameters of other sensors, such as "uwb_noise", can be randomized, too. Point dynamics have no
+    rotors: `point_mass` depends on mass, drag and wind, the integrators neither on the first five
+    nor on wind.
 
     Attributes:
-        active: Names of what differs from the usual, in the order in which it is drawn.
-        known: All that can be uncertain, by name.
+        active: Names of parameters that differ from their defaults, in the order of drawing.
+        known: Everything that can be randomized, by name.
     """
 
     def __init__(self, given: Any, known: Mapping[str, Uncertain]) -> None:
-        """Check what was given.
+        """Check the ranges.
 
         Args:
             given: A dict by name, or None for nothing.
-            known: All that can be uncertain, by name, in the order in which it is drawn.
+            known: Everything that can be randomized, by name, in the order of drawing.
 
         Raises:
-            ValueError: There is no such name, or a value cannot be.
+            ValueError: If a name is unknown, or a value is invalid.
         """
         if isinstance(given, Randomization):
             given = given.ranges
@@ -99,13 +102,12 @@ class Randomization:
                 f"randomization is {shown(given)}: a dict of names and numbers, or (low, high), is "
                 f"needed"
             )
-        # Unknown names first: their bounds cannot be told
+        # Unknown names first, as they have no bounds
         self.known = dict(known)
         self.ranges: dict[str, Any] = dict(given or {})
         for name in self.ranges:
             if name not in known:
                 raise unknown("randomization", name, known)
-        # Ranges within what physics allows
         for name, value in self.ranges.items():
             low, high = self.bounds(name)
             least, most = known[name].least, known[name].most
@@ -115,15 +117,15 @@ class Randomization:
                     f"and "
                     f"{most:g} is needed"
                 )
-        # What cannot vary from the usual value draws no numbers
+        # Parameters that stay at their defaults draw no random numbers
         usual = {name: (one.usual, one.usual) for name, one in known.items()}
         self.active = tuple(name for name in known if self.bounds(name) != usual[name])
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Tell the lowest and the highest value.
+        """Return the lowest and the highest value of a parameter.
 
         Raises:
-            ValueError: What was given is neither a number nor two.
+            ValueError: If the given value is neither a number nor two numbers.
         """
         value = self.ranges.get(name, self.known[name].usual)
         label = f"randomization {name}"
@@ -135,36 +137,36 @@ class Randomization:
         return finite(label, low), finite(label, high)
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether the same is uncertain."""
+        """Return True if the same ranges were given."""
         return isinstance(other, Randomization) and self.ranges == other.ranges
 
     def __hash__(self) -> int:
-        """Hash the names, in whatever order they were given."""
+        """Return a hash of the names, independent of their order."""
         return hash(frozenset(self.ranges))
 
     def __repr__(self) -> str:
-        """Show what was given."""
+        """Return the given ranges as text."""
         return f"Randomization({self.ranges})"
 
 
 class Uncertainty:
-    """A `Randomization` at work in W worlds of N drones.
+    """Applies a `Randomization` to W worlds of N drones.
 
     Attributes:
-        drawn: What was drawn by name, (W, N); of worlds (W, 1), the wind's axes (W, 3).
-            Sensors read these arrays where they stand.
+        drawn: Drawn values by name, (W, N); (W, 1) if per world, (W, 3) for the axes of the wind.
+            Sensors read these arrays in place.
     """
 
     def __init__(
         self, spec: Randomization, engine: Engine, parameters: np.ndarray, wind: Wind
     ) -> None:
-        """Make room for what is drawn.
+        """Allocate the drawn values.
 
         Args:
-            spec: What is uncertain.
-            engine: The engine, which carries the drones' masses.
-            parameters: (W, N) rows with which the dynamics flies; changed in place.
-            wind: The wind, whose steady part is changed.
+            spec: Randomized parameters.
+            engine: The engine, which has the drones' masses.
+            parameters: (W, N) rows that the dynamics uses; modified in place.
+            wind: The wind, whose steady part is modified.
         """
         self._engine, self._wind = engine, wind
         self._parameters, self._nominal = parameters, parameters.copy()
@@ -173,11 +175,11 @@ class Uncertainty:
         widths |= {"wind": 3} if "wind" in widths else {}
         self.drawn = {name: np.zeros((worlds, width)) for name, width in widths.items()}
         self._bounds = {name: spec.bounds(name) for name in self.drawn}
-        self._told: dict[str, np.ndarray] | None = None
+        self._info: dict[str, np.ndarray] | None = None
 
     def reset(self, world: int, rng: np.random.Generator) -> None:
-        """Draw what a world is like in its new episode, and change drones and wind."""
-        self._told = None
+        """Draw the parameters of a world for a new episode, and update drones and wind."""
+        self._info = None
         for name, values in self.drawn.items():
             values[world] = rng.uniform(*self._bounds[name], values.shape[1])
             for parameter in FACTORS.get(name, ()):
@@ -190,8 +192,8 @@ class Uncertainty:
             self._wind.steady[world] = self._wind.given + self.drawn["wind"][world]
 
     def restore(self, worlds: np.ndarray) -> None:
-        """Take over what was written to `drawn` and the drones' parameters in worlds (S,)."""
-        self._told = None
+        """Update the engine after `drawn` and parameters were written in worlds (S,)."""
+        self._info = None
         if "mass" in self.drawn:
             for w in worlds.tolist():
                 row = self._parameters[w]
@@ -199,24 +201,24 @@ class Uncertainty:
 
     @property
     def drains(self) -> bool:
-        """Whether rotors weaken with time."""
+        """Whether thrust decreases with time."""
         return "battery" in self.drawn
 
     def drain(self, time: np.ndarray) -> None:
-        """Weaken the rotors by what the batteries lost after `time` (W,) s of flight."""
+        """Reduce the thrust by what the batteries lost after `time` (W,) s of flight."""
         lost = self.drawn["battery"] * time[:, None] / 60
-        left = np.maximum(1 - lost, LEAST_THRUST) * self.drawn.get("thrust", 1.0)
+        left = np.maximum(1 - lost, MIN_THRUST_FRACTION) * self.drawn.get("thrust", 1.0)
         for parameter in FACTORS["thrust"]:
             self._parameters[parameter][:] = left * self._nominal[parameter]
 
     def info(self) -> dict[str, np.ndarray]:
-        """Tell what was drawn, (W, N) by name; the same read-only arrays for a whole episode."""
-        if self._told is None:
-            self._told = self._tell()
-        return self._told
+        """Return the drawn values, (W, N) by name; read-only, the same arrays during an episode."""
+        if self._info is None:
+            self._info = self._make_info()
+        return self._info
 
-    def _tell(self) -> dict[str, np.ndarray]:
-        told: dict[str, np.ndarray] = {}
+    def _make_info(self) -> dict[str, np.ndarray]:
+        infos: dict[str, np.ndarray] = {}
         for name, values in self.drawn.items():
             columns = {name: values}
             if name == "wind":
@@ -225,9 +227,9 @@ class Uncertainty:
                 array = np.empty(self._parameters.shape)
                 array[:] = column
                 array.flags.writeable = False
-                told[f"random/{key}"] = array
-        return told
+                infos[f"random/{key}"] = array
+        return infos
 
 
 CERTAIN = Randomization(None, {**DRONES, **WIND})
-"""Nothing uncertain"""
+"""No randomization"""

@@ -1,4 +1,4 @@
-"""Registration of all tasks with Gymnasium and PettingZoo, which make them by their ids."""
+"""Registration of all tasks with Gymnasium and PettingZoo."""
 
 import gymnasium
 import pettingzoo
@@ -9,7 +9,7 @@ from bulletuav.tasks import list_tasks
 
 
 def register_environments() -> None:
-    """Make every task known to `gymnasium.make`, `gymnasium.make_vec` and `pettingzoo.make`."""
+    """Register every task for `gymnasium.make`, `gymnasium.make_vec` and `pettingzoo.make`."""
     for task in list_tasks():
         name, options = central.environment_id(task), {"task": task}
         gymnasium.register(
@@ -18,7 +18,7 @@ def register_environments() -> None:
             vector_entry_point=f"{central.__name__}:CentralVectorAviary",
             kwargs=options,
         )
-        # PettingZoo before 1.27 has no such list.
+        # PettingZoo before 1.27 has no registry
         if hasattr(pettingzoo, "register"):
             pettingzoo.register(
                 "parallel", name, f"{parallel.__name__}:parallel_env", kwargs=options

@@ -1,4 +1,4 @@
-"""Pictures and live view of a world: a camera that keeps drones, goals and targets in sight."""
+"""Pictures and live view of a world: a camera that keeps drones, goals and targets in view."""
 
 from typing import TYPE_CHECKING
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 GRID: Colour = (176, 182, 174)
 """Colour of grid lines on the ground"""
 SHADOW: Colour = (120, 124, 120)
-"""Colour of the lines from drones down to the ground"""
+"""Colour of the vertical lines from drones to the ground"""
 DIRECTION = np.array([-0.55, -0.75, 0.5])
-"""Where the camera stands as seen from what it looks at, in distances to it"""
-NEAREST = 0.8
-"""Distance from which a single drone is looked at, as `DIRECTION` measures, m"""
+"""Direction from the target to the camera, in units of the distance"""
+MIN_DISTANCE = 0.8
+"""Minimum distance of the camera, in units of `DIRECTION`, m"""
 MARGIN = 1.12
-"""How much farther away the camera stands than where all is just in the picture"""
+"""Factor on the smallest distance at which everything is in the picture"""
 GRID_LINES = 25
 """Grid lines to each side of the middle"""
 FIELD_OF_VIEW = 60.0
@@ -33,10 +33,10 @@ class Renderer:
     """A camera that looks at one world from the south-west and above."""
 
     def __init__(self, engine: Engine, size: tuple[int, int]) -> None:
-        """Make the camera.
+        """Create the camera.
 
         Args:
-            engine: Engine in which the worlds are.
+            engine: Engine of the worlds.
             size: Width and height of pictures, pixels.
         """
         self._engine = engine
@@ -52,27 +52,27 @@ class Renderer:
         collision: bool = False,
         marked: bool = True,
     ) -> np.ndarray:
-        """Take a picture of the living drones, with marks of what is too small to be seen.
+        """Render the living drones, with marks of objects that are too small to be seen.
 
         Thin lines drop from drones to the ground.
 
         Args:
             world: Index of the world.
             swarm: State of all worlds.
-            marks: What there is in this world beside bodies.
-            alive: (W, N) bool, drones that are to be seen.
+            marks: Marks of the world.
+            alive: (W, N) bool, drones that are shown.
             collision: Whether drones are drawn by their collision shapes.
             marked: Whether marks are drawn.
 
         Returns:
             (height, width, 3) uint8, red, green, blue.
         """
-        from PIL import ImageDraw  # which takes long to import
+        from PIL import ImageDraw  # slow to import
 
-        # Point the camera at all of them, or at where drones were last.
+        # Without anything to show, the camera looks at the last positions of drones
         shown = np.concatenate([marks.drone, marks.goal, marks.target])
         points = shown if len(shown) else swarm.position[world]
-        target, distance = fit(points, DIRECTION, self._size)
+        target, distance = fit_camera(points, DIRECTION, self._size)
         drones = (swarm, alive) if collision else None
         image, lens, _ = self.shot(world, target, distance * DIRECTION, marks.drone, drones)
         if marked:
@@ -87,25 +87,25 @@ class Renderer:
         flying: np.ndarray,
         drones: tuple[Swarm, np.ndarray] | None = None,
     ) -> tuple["Image.Image", Lens, np.ndarray]:
-        """Take a picture without marks: bodies, sky, a grid on the ground, lines below drones.
+        """Render a picture without marks: bodies, sky, a grid on the ground, lines below drones.
 
         Args:
             world: Index of the world.
-            target: (3,) what the camera looks at, m.
-            away: (3,) from there to the camera, m.
-            flying: (M, 3) where lines to the ground begin, m.
-            drones: Those that are drawn by collision shapes; see `Engine.picture`.
+            target: (3,) point that the camera looks at, m.
+            away: (3,) from the target to the camera, m.
+            flying: (M, 3) starts of the lines to the ground, m.
+            drones: Drones that are drawn by collision shapes; see `Engine.picture`.
 
         Returns:
-            The picture; where places of the world are in it; and (height, width) how far along the
-            view axis what it shows is, m.
+            The picture; the projection from the world to the picture; and (height, width) depth
+            along the view axis, m.
         """
         from PIL import Image
 
         width, height = self._size
         distance = float(np.linalg.norm(away)) / float(np.linalg.norm(DIRECTION))
         view = view_matrix(target + away, target)
-        # What is spread over kilometres is seen from farther away than drones see.
+        # Scenes of kilometres need a far plane beyond that of drones' cameras
         far = max(FAR, 2 * distance)
         projection = projection_matrix(width / height, FIELD_OF_VIEW, far)
         lens = Lens(projection @ view, self._size)
@@ -123,7 +123,7 @@ class Renderer:
         flying: np.ndarray,
         lens: Lens,
     ) -> None:
-        """Draw the grid, and lines below drones, into the pixels that show bare ground."""
+        """Draw the grid, and lines below drones, into the pixels of bare ground."""
         from PIL import Image, ImageDraw
 
         lines = Image.fromarray(pixels.copy())
@@ -135,13 +135,13 @@ class Renderer:
         pixels[ground] = np.asarray(lines)[ground]
 
     def show(self, swarm: Swarm, alive: np.ndarray, period: float) -> None:
-        """Keep the live view of world 0 in real time.
+        """Pace the live view of world 0 in real time.
 
-        The first call points it at the drones. Each waits until its time has come.
+        The first call points the camera at the drones. Each call waits for its deadline.
 
         Args:
             swarm: State of all worlds.
-            alive: (W, N) bool, drones that are to be seen.
+            alive: (W, N) bool, drones that are shown.
             period: Time between calls, s.
         """
         if self._pacer is None:
@@ -153,22 +153,22 @@ class Renderer:
 
     @staticmethod
     def _framing(points: np.ndarray) -> tuple[np.ndarray, float]:
-        """Find the middle of points (M, 3), and a distance from which all are in sight, m."""
+        """Return the middle of points (M, 3), and a distance from which all are in view, m."""
         low = points.min(axis=0)
         high = points.max(axis=0)
         middle = (low + high) / 2
         diagonal = float(np.linalg.norm(high - low))
-        return middle, NEAREST + 1.1 * diagonal
+        return middle, MIN_DISTANCE + 1.1 * diagonal
 
     @staticmethod
     def _grid(target: np.ndarray, distance: float) -> np.ndarray:
-        """Make pieces (L, 2, 3) of grid lines on the ground, m.
+        """Return pieces (L, 2, 3) of grid lines on the ground, m.
 
-        They are 1, 10, 100 ... m apart, to suit the distance.
+        Their spacing is 1, 10, 100 ... m, depending on the distance.
         """
         pitch = 10.0 ** round(np.log10(distance / 2.5))
         line = (np.arange(-GRID_LINES, GRID_LINES + 1)) * pitch
-        # Pieces along y from each crossing to the next, and the same along x.
+        # Pieces along y between crossings, and the same along x
         across, along = np.meshgrid(line, line[:-1], indexing="ij")
         zero = np.zeros(across.size)
         ends = [
@@ -177,18 +177,18 @@ class Renderer:
         northward = np.stack(ends, axis=1)
         eastward = northward[:, :, [1, 0, 2]]
         pieces = np.concatenate([northward, eastward])
-        # Lines stay where they are while the camera moves.
+        # Lines do not move with the camera
         centre = np.round(target / pitch) * pitch * [1, 1, 0]
         grid: np.ndarray = pieces + centre
         return grid
 
 
-def fit(
+def fit_camera(
     points: np.ndarray, direction: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, float]:
-    """Find the middle of points (M, 3), and the distance from which a picture shows just all.
+    """Return the middle of points (M, 3), and the distance at which all just fit into a picture.
 
-    A point is in the picture where, from its axis, it is no farther than its depth times the
+    A point is in the picture if its offset from the view axis is at most its depth times the
     tangent of half the angle of view.
 
     Args:
@@ -197,17 +197,17 @@ def fit(
         size: Width and height of the picture, pixels.
 
     Returns:
-        The middle, and how many times `direction` the camera is away from it.
+        The middle, and the distance of the camera in units of `direction`.
     """
     aspect = size[0] / size[1]
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    # The camera's axes from one that stands in the same direction; rows right, up, back.
+    # Axes of the camera; rows right, up, back
     right, up, back = view_matrix(direction, np.zeros(3))[:3, :3] @ (points - middle).T
     tangent = np.tan(np.radians(FIELD_OF_VIEW) / 2)
     needed = np.maximum(np.abs(right) / aspect, np.abs(up)) / tangent + back
-    return middle, NEAREST + MARGIN * float(needed.max()) / float(np.linalg.norm(direction))
+    return middle, MIN_DISTANCE + MARGIN * float(needed.max()) / float(np.linalg.norm(direction))
 
 
 def pixel_size(distance: float, height: int) -> float:
-    """Return the size of a pixel that is so far away, m, in a picture `height` pixels high."""
+    """Return the size of a pixel at a distance, m, in a picture `height` pixels high."""
     return 2 * distance * float(np.tan(np.radians(FIELD_OF_VIEW) / 2)) / height

@@ -1,4 +1,4 @@
-"""What `reset(options=...)` may say, in every environment class."""
+"""Validation of `reset(options=...)` for every environment class."""
 
 import dataclasses
 import difflib
@@ -10,18 +10,20 @@ from bulletuav.errors import shown
 from bulletuav.tasks.given import PLACES
 
 MASK = "reset_mask"
-"""Option that tells which worlds are reset, where there are several"""
-OF_WRAPPERS = ("minari_autoseed", "options")
-"""Options of others: Minari's wrapper passes the first on, PettingZoo's `parallel_api_test` gives
-the second to every environment"""
+"""Option that selects the worlds to reset, in batches"""
+WRAPPER_OPTIONS = ("minari_autoseed", "options")
+"""Options that wrappers pass, which are ignored.
+
+The first is from Minari's wrapper, the second from PettingZoo's `parallel_api_test`.
+"""
 ENV_OPTIONS = frozenset(field.name for field in dataclasses.fields(EnvOptions))
-"""Options that an environment keeps from when it is made"""
-_START = "where drones start is 'start'"
-_GOAL = "where drones are to go is 'goal'"
+"""Options that are fixed when an environment is created"""
+_START = "start positions are 'start'"
+_GOAL = "goals of drones are 'goal'"
 _SPEED = "speeds and attitudes at the start follow from the task's own options, such as start_speed"
-_SCENE = "obstacles follow from the task's own options, given when the environment is made"
+_SCENE = "obstacles follow from the task's own options, set when the environment is created"
 _WORLDS = "worlds of a batch are chosen by 'reset_mask' of batch_env and Gymnasium's vector classes"
-ELSEWHERE: Mapping[str, str] = {
+REPLACEMENTS: Mapping[str, str] = {
     **dict.fromkeys(("position", "positions", "pos", "initial_positions", "init_pos"), _START),
     **dict.fromkeys(("initial_xyzs", "start_pos", "start_positions", "spawn", "state"), _START),
     **dict.fromkeys(("goals", "goal_position", "destination", "waypoints"), _GOAL),
@@ -31,12 +33,12 @@ ELSEWHERE: Mapping[str, str] = {
     **dict.fromkeys(("obstacle", "obstacles", "num_obstacles", "world_scale"), _SCENE),
     **dict.fromkeys(("env_index", "env_ids", "env_idx", "indices", MASK), _WORLDS),
     **dict.fromkeys(
-        ("flight_mode", "act", "action_type"), "what actions mean is the option action"
+        ("flight_mode", "act", "action_type"), "the meaning of actions is the option action"
     ),
     "seed": "the seed is an argument of its own: reset(seed=...)",
     "return_info": "infos are always returned",
 }
-"""What to use here for names of other simulators, such as gym-pybullet-drones, PyFlyt and VMAS"""
+"""Replacements for names of other simulators, such as gym-pybullet-drones, PyFlyt and VMAS"""
 
 
 def reset_options(options: Any, *also: str) -> dict[str, Any]:
@@ -44,13 +46,13 @@ def reset_options(options: Any, *also: str) -> dict[str, Any]:
 
     Args:
         options: A dict with "start" or "goal", (N, 3) m each, or None for nothing.
-        also: Further names that it may have.
+        also: Further valid names.
 
     Returns:
-        Those that are given, without what wrappers pass on.
+        The given options, without those of wrappers.
 
     Raises:
-        ValueError: Options are neither a dict nor None, or one has no effect.
+        ValueError: If options are neither a dict nor None, or an option has no effect.
     """
     if options is not None and not isinstance(options, Mapping):
         raise ValueError(
@@ -60,13 +62,13 @@ def reset_options(options: Any, *also: str) -> dict[str, Any]:
     given = dict(options or {})
     known = (*PLACES, *also)
     for name in given:
-        if name not in known and name not in OF_WRAPPERS:
+        if name not in known and name not in WRAPPER_OPTIONS:
             raise ValueError(f"options: {_without_effect(name, known)}")
     return {name: given[name] for name in known if given.get(name) is not None}
 
 
 def _without_effect(name: Any, known: tuple[str, ...]) -> str:
-    """Describe an option that a reset does not have, and what to use instead."""
+    """Return a message about an unknown reset option, with the remedy."""
     text = str(name)
 
     def likeness(one: str) -> float:
@@ -75,29 +77,29 @@ def _without_effect(name: Any, known: tuple[str, ...]) -> str:
     near = difflib.get_close_matches(text, known, n=1)
     if near:
         remedy = f"did you mean {near[0]!r}?"
-    elif text in ELSEWHERE:
-        remedy = f"{ELSEWHERE[text]};"
+    elif text in REPLACEMENTS:
+        remedy = f"{REPLACEMENTS[text]};"
     elif text in ENV_OPTIONS:
-        remedy = f"{text} is given when the environment is made, and stays;"
+        remedy = f"{text} is fixed when the environment is created;"
     else:
-        remedy = "all other options are given when the environment is made;"
+        remedy = "all other options are set when the environment is created;"
     valid = ", ".join(sorted(known, key=likeness, reverse=True))
     return f"unknown option of a reset {shown(name)}: {remedy} a reset takes {valid}"
 
 
-def refuse_setting(env: Any, name: str, config: Any) -> None:
-    """Raise AttributeError where an attribute would be set that changes nothing.
+def check_setting(env: Any, name: str, config: Any) -> None:
+    """Raise AttributeError if setting an attribute would have no effect.
 
     Wrappers and vector classes set attributes by name, such as `set_attr` of stable-baselines3.
 
     Args:
         env: The environment.
         name: Name of the attribute.
-        config: Config of its task.
+        config: Config of the task.
 
     Raises:
-        AttributeError: It is an option of environments, or nearly one, and no attribute of this
-            environment that may be set.
+        AttributeError: If the name is an option of environments, or close to one, and no attribute
+            of this environment that can be set.
     """
     if name.startswith("_") or name == "render_mode":
         return
@@ -105,11 +107,11 @@ def refuse_setting(env: Any, name: str, config: Any) -> None:
     if name in known:
         raise AttributeError(
             f"setting {name} of a {type(env).__name__} has no effect: it is an option that is "
-            f"given when the environment is made; {', '.join(PLACES)} are also options of a reset"
+            f"set when the environment is created; {', '.join(PLACES)} are also options of a reset"
         )
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
     if near and not hasattr(env, name):
         raise AttributeError(
             f"setting {name} of a {type(env).__name__} has no effect: did you mean {near[0]!r}? "
-            f"It is an option that is given when the environment is made"
+            f"It is an option that is set when the environment is created"
         )

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bulletuav.envs.infos import Told, stays
+from bulletuav.envs.infos import InfoTable, is_immutable
 
 INFOS = {
     "success": bool,
@@ -17,9 +17,9 @@ INFOS = {
     "power": float,
     "charge": float,
 }
-"""Names and types of what infos report beside reward terms, in the order of `report.fill_infos`.
+"""Names and types of infos in addition to reward terms, in the order of `report.fill_infos`.
 
-Those of tasks without goals have no "goal_distance".
+Tasks without goals have no "goal_distance".
 """
 
 
@@ -29,17 +29,17 @@ class Results:
     Attributes:
         names: Names of the T reward terms.
         unweighted: (T, W, N) reward terms.
-        weighted: (T, W, N) the same times their weights; the first rows of the table.
+        weighted: (T, W, N) weighted reward terms; the first rows of the table.
         infos: (9, W, N) `INFOS`; the other rows of the table.
     """
 
     def __init__(self, terms: list[str], shape: tuple[int, int], has_goals: bool) -> None:
-        """Make the arrays.
+        """Allocate the arrays.
 
         Args:
-            terms: Names of the reward terms that the task gives.
+            terms: Names of the task's reward terms.
             shape: (W, N).
-            has_goals: Whether infos report the distance to the goal.
+            has_goals: Whether infos have the distance to the goal.
         """
         self.names = terms
         self.unweighted = np.zeros((len(terms), *shape))
@@ -60,13 +60,13 @@ class Results:
         """Weighted reward terms (W, N) by name."""
         return dict(zip(self.names, self.weighted, strict=True))
 
-    def told(self, more: Mapping[str, np.ndarray], world: object) -> Told:
-        """Copy what the last decision gave; calling the result makes infos of it.
+    def info_table(self, more: Mapping[str, np.ndarray], world: object) -> InfoTable:
+        """Copy the results of the last decision; calling the returned object makes infos.
 
         Args:
-            more: Arrays (W, N) by name that infos have beside the table.
-            world: Index of the world that they report of; all with `...`.
+            more: Further arrays (W, N) of infos, by name.
+            world: Index of the world of the infos; `...` for all.
         """
-        # Arrays that are never written are copied only when they are read
-        copies = {name: one if stays(one) else np.array(one) for name, one in more.items()}
-        return Told(self._table.copy(), self._rows, copies, world)
+        # Immutable arrays are copied only when infos are read
+        copies = {name: one if is_immutable(one) else np.array(one) for name, one in more.items()}
+        return InfoTable(self._table.copy(), self._rows, copies, world)

@@ -1,4 +1,4 @@
-"""Worlds as rows of bytes: what is written to some of them, whatever is in their arrays."""
+"""Copies of selected worlds between arrays and rows of bytes."""
 
 import ctypes
 from collections.abc import Sequence
@@ -16,45 +16,45 @@ from bulletuav.compiled.program import Program
 
 
 def add_rows(program: Program, mask: np.ndarray, rows: np.ndarray, array: np.ndarray) -> None:
-    """Add to a program that the first rows are written to worlds of a mask, in their order.
+    """Add to a program that the first rows are copied to the selected worlds, in their order.
 
     Args:
-        program: To be added to.
+        program: Program that is extended.
         mask: (W,) bool, worlds that are written.
-        rows: (W, ...) one row for each of them, and others that do not count.
-        array: (W, ...) of the same form.
+        rows: (W, ...) one row for each selected world; further rows are ignored.
+        array: (W, ...) of the same shape and type.
     """
     assert (rows.dtype, rows.shape) == (array.dtype, array.shape), (rows.shape, array.shape)
     if array.size:
-        program.call(_put, mask, as_bytes(rows), 0, as_bytes(array))
+        program.call(_scatter_rows, mask, as_bytes(rows), 0, as_bytes(array))
 
 
 class Rows:
-    """Room for the bytes of several arrays of W worlds side by side, a row for each world.
+    """Buffer with the bytes of several arrays of W worlds side by side, a row for each world.
 
     Attributes:
         mask: (W,) bool, worlds that are copied, in their order, to and from the first rows.
         data: (W, B) uint8.
-        collect: Copies worlds of all arrays to rows.
-        spread: Copies rows to worlds of all arrays.
+        gather: Program that copies the worlds of all arrays to rows.
+        scatter: Program that copies rows to the worlds of all arrays.
     """
 
     def __init__(self, arrays: Sequence[np.ndarray]) -> None:
-        """Make room for C-contiguous arrays (W, ...)."""
+        """Allocate the buffer for C-contiguous arrays (W, ...)."""
         every = [as_bytes(array) for array in arrays]
         worlds = len(every[0])
         self.mask = np.zeros(worlds, dtype=bool)
         self.data = np.empty((worlds, sum(one.shape[1] for one in every)), dtype=np.uint8)
-        self.collect, self.spread = Program(), Program()
+        self.gather, self.scatter = Program(), Program()
         begin = 0
         for one in every:
-            self.collect.call(_take, self.mask, one, self.data, begin)
-            self.spread.call(_put, self.mask, self.data, begin, one)
+            self.gather.call(_gather_rows, self.mask, one, self.data, begin)
+            self.scatter.call(_scatter_rows, self.mask, self.data, begin, one)
             begin += one.shape[1]
 
 
 def add_value(program: Program, mask: np.ndarray, value: object, array: np.ndarray) -> None:
-    """Add to a program that all worlds of a mask (W,) get one value, one for all or for each."""
+    """Add to a program that the worlds of a mask (W,) are set to a value, which is broadcast."""
     if array.size:
         row = np.empty((1, *array.shape[1:]), dtype=array.dtype)
         row[:] = value
@@ -62,7 +62,7 @@ def add_value(program: Program, mask: np.ndarray, value: object, array: np.ndarr
 
 
 def as_bytes(array: np.ndarray) -> np.ndarray:
-    """Show an array (W, ...) as bytes (W, B), where it is."""
+    """Return an array (W, ...) as a view of bytes (W, B)."""
     assert array.flags.c_contiguous
     return array.reshape(len(array), -1).view(np.uint8)
 
@@ -82,8 +82,8 @@ def _copy(_: Any, target: Any, source: Any, count: Any) -> Any:
 
 
 @kernel
-def _put(mask: np.ndarray, rows: np.ndarray, begin: int, array: np.ndarray) -> None:
-    """Write bytes of the first rows, from `begin` on, to worlds of a mask (W,) of an array."""
+def _scatter_rows(mask: np.ndarray, rows: np.ndarray, begin: int, array: np.ndarray) -> None:
+    """Copy the first rows, from byte `begin` on, to the worlds of a mask (W,) of an array."""
     s = 0
     for w in range(mask.shape[0]):
         if mask[w]:
@@ -93,8 +93,8 @@ def _put(mask: np.ndarray, rows: np.ndarray, begin: int, array: np.ndarray) -> N
 
 
 @kernel
-def _take(mask: np.ndarray, array: np.ndarray, rows: np.ndarray, begin: int) -> None:
-    """Do the reverse of `_put`."""
+def _gather_rows(mask: np.ndarray, array: np.ndarray, rows: np.ndarray, begin: int) -> None:
+    """Copy the worlds of a mask (W,) of an array to the first rows, from byte `begin` on."""
     s = 0
     for w in range(mask.shape[0]):
         if mask[w]:
@@ -105,7 +105,7 @@ def _take(mask: np.ndarray, array: np.ndarray, rows: np.ndarray, begin: int) -> 
 
 @kernel
 def _fill(mask: np.ndarray, row: np.ndarray, array: np.ndarray) -> None:
-    """Write one row (1, B) to all rows of an array (W, B) that are of a mask (W,)."""
+    """Copy one row (1, B) to the rows of a mask (W,) of an array (W, B)."""
     for w in range(mask.shape[0]):
         if mask[w]:
             target = array.ctypes.data + w * array.strides[0]
@@ -113,22 +113,25 @@ def _fill(mask: np.ndarray, row: np.ndarray, array: np.ndarray) -> None:
 
 
 @kernel
-def spread(mask: np.ndarray, each: np.ndarray) -> None:
-    """Write a mask (W,) of worlds to one of their drones (W, N)."""
+def expand_mask(mask: np.ndarray, each: np.ndarray) -> None:
+    """Expand a mask (W,) of worlds to their drones (W, N)."""
     for w in range(each.shape[0]):
         for i in range(each.shape[1]):
             each[w, i] = mask[w]
 
 
 @kernel
-def renew(alive: np.ndarray, fresh: np.ndarray, present: np.ndarray, due: np.ndarray) -> None:
-    """Write who can be met after a reset, and what worlds are to be observed anew.
+def update_present(
+    alive: np.ndarray, fresh: np.ndarray, present: np.ndarray, due: np.ndarray
+) -> None:
+    """Update which drones are present after a reset, and which worlds are observed again.
 
     Args:
         alive: (W, N) bool.
         fresh: (W,) bool, worlds that were reset.
-        present: (W, N) bool, drones that can be met; written.
-        due: (W,) bool, written: worlds of `fresh`, and those in which somebody is met no more.
+        present: (W, N) bool, drones that others observe; written.
+        due: (W,) bool, written: worlds of `fresh`, and worlds in which a drone is not present any
+            more.
     """
     for w in range(alive.shape[0]):
         due[w] = fresh[w]

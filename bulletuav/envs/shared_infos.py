@@ -1,31 +1,34 @@
-"""Infos of steps in memory that processes share, so that none of them is sent."""
+"""Infos of steps in shared memory, so that none of them is sent between processes."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from bulletuav.envs.infos import Infos, later, untold
+from bulletuav.envs.infos import Infos, lazy_infos, unread_table
 from bulletuav.envs.results import INFOS
 
-MORE = 16
-"""How many infos of tasks, sensors and what is uncertain have room beside the usual ones"""
-TYPES = tuple(map(np.dtype, ("f8", "i8", "?")))
-"""Types of infos that have room"""
-EXACT = 2**53
-"""Greatest whole number up to which a float64 holds all"""
+MAX_MORE_INFOS = 16
+"""Number of rows for infos of tasks, sensors and randomization, in addition to `INFOS`"""
+INFO_TYPES = tuple(map(np.dtype, ("f8", "i8", "?")))
+"""Types of infos that can be shared"""
+MAX_EXACT_INTEGER = 2**53
+"""Largest whole number up to which float64 is exact"""
 
 
-def room_for(terms: int) -> int:
-    """Tell for how many infos there has to be room, with so many reward terms."""
-    return terms + len(INFOS) + MORE
+def num_info_rows(terms: int) -> int:
+    """Return the number of info rows to allocate for a number of reward terms."""
+    return terms + len(INFOS) + MAX_MORE_INFOS
 
 
 class SharedInfos:
-    """Infos of some worlds in a shared array; both sides know from the last reset what is where."""
+    """Infos of some worlds in a shared array.
+
+    Both sides know the names and types of the rows from the last reset.
+    """
 
     def __init__(self, array: np.ndarray) -> None:
-        """Take the array.
+        """Use a shared array.
 
         Args:
             array: (W, K, N) float64.
@@ -33,77 +36,80 @@ class SharedInfos:
         self._array = array
         self._types: dict[str, np.dtype[Any]] = {}
 
-    def learn(self, infos: Mapping[str, Any]) -> None:
-        """Note names and types of infos right after a reset, which each step has, too."""
+    def set_types(self, infos: Mapping[str, Any]) -> None:
+        """Store names and types of infos after a reset, which each step has, too."""
         worlds, room, drones = self._array.shape
         fit = len(infos) <= room and all(
-            isinstance(one, np.ndarray) and one.shape == (worlds, drones) and one.dtype in TYPES
+            isinstance(one, np.ndarray)
+            and one.shape == (worlds, drones)
+            and one.dtype in INFO_TYPES
             for one in infos.values()
         )
         self._types = {name: one.dtype for name, one in infos.items()} if fit else {}
 
-    def put(self, infos: Mapping[str, Any]) -> bool:
-        """Write infos of a step.
+    def write(self, infos: Mapping[str, Any]) -> bool:
+        """Write the infos of a step.
 
         Returns:
-            Whether all are as those of the reset, and were written.
+            True if names and types are those of the reset, and the infos were written.
         """
         if not self._types:
             return False
-        told, begin = untold(infos), 0
-        # Numbers of a decision lie in a table, from which infos need not be made first
-        if told is not None:
-            rows = [k for k, (name, _) in enumerate(told.rows) if name is not None]
-            names, begin = [told.rows[k][0] for k in rows], len(rows)
-            if [*names, *told.more] != list(self._types):
+        info_table, begin = unread_table(infos), 0
+        # If infos were not read, their table is copied as a whole
+        if info_table is not None:
+            rows = [k for k, (name, _) in enumerate(info_table.rows) if name is not None]
+            names, begin = [info_table.rows[k][0] for k in rows], len(rows)
+            if [*names, *info_table.more] != list(self._types):
                 return False
-            table = told.table if begin == len(told.table) else told.table[rows]
+            table = info_table.table if begin == len(info_table.table) else info_table.table[rows]
             self._array[:, :begin] = table.swapaxes(0, 1)
-            infos = told.more
+            infos = info_table.more
         elif list(infos) != list(self._types):
             return False
         others = zip(infos.values(), list(self._types.values())[begin:], strict=True)
         for k, (one, kind) in enumerate(others, begin):
-            if one.dtype != kind or (kind.kind == "i" and np.abs(one).max(initial=0) > EXACT):
+            if one.dtype != kind or (
+                kind.kind == "i" and np.abs(one).max(initial=0) > MAX_EXACT_INTEGER
+            ):
                 return False
             self._array[:, k] = one
         return True
 
-    def take(self, told: list[Any], parts: list[slice]) -> dict[str, Any]:
-        """Copy the infos of a step; where all were put here, they are made when they are read.
+    def read(self, answers: list[Any], parts: list[slice]) -> dict[str, Any]:
+        """Copy the infos of a step. Infos that were shared are computed when they are read.
 
         Args:
-            told: What each process answered: None where it put its infos here, else the infos.
+            answers: Answer of each process: None if it shared its infos, else the infos.
             parts: Worlds of each process.
         """
         infos = self._copy()
-        if all(one is None for one in told):
+        if all(one is None for one in answers):
             return infos
-        each = zip(told, parts, strict=True)
+        each = zip(answers, parts, strict=True)
         full = [one or {name: every[part] for name, every in infos.items()} for one, part in each]
-        return merged(parts, full, len(self._array))
+        return merge_infos(parts, full, len(self._array))
 
     def _copy(self) -> Infos:
         array, types = self._array[:, : len(self._types)].copy(), self._types
-        return later(
+        return lazy_infos(
             lambda: {name: array[:, k].astype(kind) for k, (name, kind) in enumerate(types.items())}
         )
 
 
-def merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
-    """Merge infos of several processes.
+def merge_infos(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
+    """Merge the infos of several processes.
 
     Args:
         parts: Worlds of each process.
         infos: Infos of each process.
-        num_envs: How many worlds there are in all.
+        num_envs: Total number of worlds.
 
     Returns:
-        Infos of all worlds. Where a process lacks an entry (final ones) its worlds have zeros.
+        Infos of all worlds. Worlds of a process without an entry (final ones) have zeros.
     """
     whole: dict[str, Any] = {}
     for name in dict.fromkeys(name for info in infos for name in info):
-        # Those that have the entry, and what it is in them.
         given = [
             (part, info[name]) for part, info in zip(parts, infos, strict=True) if name in info
         ]
@@ -111,7 +117,7 @@ def merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> di
         if isinstance(first, dict):
             own_parts = [part for part, _ in given]
             own_infos = [value for _, value in given]
-            whole[name] = merged(own_parts, own_infos, num_envs)
+            whole[name] = merge_infos(own_parts, own_infos, num_envs)
             continue
         shape = (num_envs, *first.shape[1:])
         whole[name] = np.zeros(shape, dtype=first.dtype)

@@ -1,4 +1,4 @@
-"""A simulation: parts and state of all worlds, and the stages of a decision in their order."""
+"""Simulation of a task: state of all worlds, and the stages of a decision in their order."""
 
 import time
 
@@ -8,9 +8,9 @@ from bulletuav.compiled.program import Program
 from bulletuav.envs.episode_start import EpisodeStart
 from bulletuav.envs.results import Results
 from bulletuav.envs.stages import Stage, decision_stages
-from bulletuav.envs.stages.base import inserted, programs_of, table
+from bulletuav.envs.stages.base import format_stages, insert_stage, stage_programs_of
 from bulletuav.envs.stages.observe import Observe
-from bulletuav.envs.stages.report import Report
+from bulletuav.envs.stages.report import WriteInfos
 from bulletuav.envs.stages.separate import Separate
 from bulletuav.envs.worlds import Worlds
 from bulletuav.tasks.check import check_info, check_step_result
@@ -18,24 +18,24 @@ from bulletuav.tasks.stages import add_outcome, clear
 
 
 class Simulation:
-    """W worlds of N drones that fly one task, decision by decision.
+    """Simulates W worlds of N drones that fly one task, decision by decision.
 
-    A decision is a program: the compiled calls of all stages, one after the other, which run
-    without Python in between. `print` shows the stages.
+    A decision is a program: the compiled calls of all stages, one after the other, without Python
+    in between. `print` lists the stages.
 
     Attributes:
-        worlds: Parts and state.
+        worlds: Components and state of the worlds.
         stages: Stages of a decision, in their order; see `insert`.
         start: Starts new episodes.
         program: Calls of a decision; None before the first one.
     """
 
     def __init__(self, worlds: Worlds, first_seed: int | None) -> None:
-        """Make a simulation of worlds.
+        """Create a simulation of worlds.
 
         Args:
-            worlds: Their parts and state.
-            first_seed: Seed of the first of them where a reset is given none.
+            worlds: Components and state of the worlds.
+            first_seed: Seed of the first world if a reset has none.
         """
         self.worlds = worlds
         self.stages: tuple[Stage, ...] = decision_stages()
@@ -45,14 +45,14 @@ class Simulation:
         self._has_account = self._checked = False
 
     def __repr__(self) -> str:
-        """Show the stages, with what each reads and writes."""
+        """Return a table of the stages, with the arrays that each reads and writes."""
         worlds, drones = self.worlds.state.alive.shape
         dynamics = self.worlds.options.dynamics_name
         title = f"{self.worlds.task.name} in {dynamics}: {worlds} worlds of {drones} drones"
-        return f"{title}\n{table(self.stages)}"
+        return f"{title}\n{format_stages(self.stages)}"
 
     def insert(self, stage: Stage, after: str | None = None, *, before: str | None = None) -> None:
-        """Insert a stage of one's own; decisions from now on have it.
+        """Insert a custom stage into all later decisions.
 
         Args:
             stage: The stage.
@@ -60,34 +60,34 @@ class Simulation:
             before: name of the stage that it precedes.
 
         Raises:
-            ValueError: None or both of these are given, there is no such stage, or the new stage
-                has a name that is taken.
+            ValueError: If none or both of these are given, there is no such stage, or the name of
+                the new stage is in use.
         """
-        self.stages, self.program = inserted(self.stages, stage, after, before), None
+        self.stages, self.program = insert_stage(self.stages, stage, after, before), None
 
     def decide(self) -> None:
-        """Fly one decision of the actions in `state.given`.
+        """Simulate one decision with the actions in `state.given`.
 
         Raises:
-            ValueError: A number of a living drone's action cannot be. The worlds stay as they were.
+            ValueError: If an action of a living drone is invalid. The worlds are unchanged.
         """
-        self.look()
-        self.start.is_still = True
+        self.update_scene()
+        self.start.is_account_complete = True
         program = self.program or self.make_program()
         self.worlds.contacts.start_decision()
         self.worlds.forget_derived()
         program.run()
 
     def decide_by_stages(self) -> dict[str, float]:
-        """Fly one decision as `decide` does, stage by stage, with the same bits.
+        """Simulate one decision as `decide` does, stage by stage, with the same bits.
 
         Returns:
-            The time that each stage took, by name, s. Each is some 1e-6 s longer than within
-            `decide`, as Python calls it.
+            Time of each stage, by name, s. Each is about 1e-6 s longer than within `decide`, as
+            Python calls it.
         """
-        self.look()
-        self.start.is_still = True
-        # Made in any case: results after a reset need it
+        self.update_scene()
+        self.start.is_account_complete = True
+        # Always made, as results after a reset need it
         program = self.program or self.make_program()
         if self._staged is None or self._staged[0] is not program:
             self._staged = program, self.stage_programs()
@@ -103,22 +103,22 @@ class Simulation:
     def stage_programs(self) -> dict[str, Program]:
         """Make a program of each stage alone, by its name."""
         self._derive()
-        return programs_of(self.stages, self.worlds)
+        return stage_programs_of(self.stages, self.worlds)
 
     def _derive(self) -> None:
-        """Have the task derive what its terms read, so that programs find it."""
+        """Let the task compute its derived values, so that programs find them."""
         self.worlds.forget_derived()
         self.worlds.task.evaluate_step(self.worlds.frame)
 
-    def look(self) -> None:
-        """Take over what stands now; programs know only what stood when they were made."""
+    def update_scene(self) -> None:
+        """Update programs if bodies changed since they were made."""
         if self.worlds.dynamics.look_around():
             self._has_account = False
         if not self._has_account:
             self.worlds.make_frame_measures()
-            self._reckoning = Program()
-            Separate().add_to(self._reckoning, self.worlds)
-            # Last, so that an interrupt before it leaves nothing that is half made
+            self._recomputing = Program()
+            Separate().add_to(self._recomputing, self.worlds)
+            # Last, so that an interrupt leaves no incomplete program
             self.program, self._has_account = None, True
 
     def make_program(self) -> Program:
@@ -127,36 +127,36 @@ class Simulation:
         self._derive()
         for stage in self.stages:
             stage.add_to(program, worlds)
-        program.compile()  # now, so that the first decision takes no longer than others
+        program.compile()  # now, so that the first decision is as fast as later ones
         self._observing, self._reporting = Program(), Program()
         Observe().add_observation(self._observing, worlds)
-        # Terms are zero right after a reset, whatever they would be
+        # Reward terms are zero after a reset
         add_outcome(self._reporting, worlds.task, worlds.frame, worlds.judgement)
         self._reporting.call(clear, worlds.results.weighted)
-        Report().add_to(self._reporting, worlds)
-        self.start.make_alone(self._observing)
-        self.program = program  # last: an interrupt before it leaves nothing that is half made
+        WriteInfos().add_to(self._reporting, worlds)
+        self.start.make_by_world_programs(self._observing)
+        self.program = program  # last, so that an interrupt leaves no incomplete program
         return program
 
-    def begin(
+    def start_worlds(
         self, fresh: np.ndarray, indices: list[int], generators: list[np.random.Generator]
     ) -> None:
-        """Start worlds from what was drawn.
+        """Start worlds from the drawn starts.
 
         Args:
             fresh: (W,) bool, worlds that start.
-            indices: Their indices.
-            generators: Their random generators.
+            indices: Indices of these worlds.
+            generators: Random generators of these worlds.
         """
         self.start.write(fresh, indices, generators)
-        # First readings make arrays that the next program knows
-        self.look()
+        # First readings allocate arrays that programs use
+        self.update_scene()
         self.start.account(self.program is not None)
         if not self._checked:
             self._check()
 
     def _check(self) -> None:
-        """Check what the task gives, once: later results are of the same form."""
+        """Check the results of the task once; later results have the same form."""
         task, frame = self.worlds.task, self.worlds.frame
         shape = self.worlds.state.alive.shape
         result = task.evaluate_step(frame)
@@ -166,14 +166,14 @@ class Simulation:
         self.worlds.results = Results(terms, shape, task.has_goals)
         own = task.overrides_method("info")
         worlds = self.worlds
-        self._reports_more = own or bool(
+        self._has_further_infos = own or bool(
             task.lands or worlds.uncertainty.drawn or worlds.sensors.sensors
         )
         self._checked = True
 
-    def more_infos(self) -> dict[str, np.ndarray]:
-        """Return arrays (W, N) that infos have beside reward terms and `results.INFOS`."""
-        if not self._reports_more:
+    def further_infos(self) -> dict[str, np.ndarray]:
+        """Return the infos (W, N) in addition to reward terms and `results.INFOS`."""
+        if not self._has_further_infos:
             return {}
         worlds = self.worlds
         landed = {"landed": worlds.frame.landed} if worlds.task.lands else {}
@@ -181,22 +181,22 @@ class Simulation:
         return {**landed, **own, **worlds.uncertainty.info(), **worlds.sensors.info()}
 
     def observe_start(self) -> None:
-        """Write what is observed after a reset; a program is there."""
+        """Write the observations after a reset; needs the program."""
         self.start.observe(self._observing)
 
     def report_start(self) -> None:
-        """Write the infos right after a reset."""
+        """Write the infos after a reset."""
         if self.program is None:
             self.make_program()
         self.worlds.forget_derived()
         self._reporting.run()
 
-    def reckon(self) -> None:
-        """Work out what follows from a state that was written from outside."""
+    def recompute(self) -> None:
+        """Recompute everything that follows from a state that was written directly."""
         self.worlds.contacts.keep(None)
         self.worlds.forget_derived()
-        self.look()
-        self._reckoning.run()
+        self.update_scene()
+        self._recomputing.run()
         if self.program is None:
             self.make_program()
         self.worlds.forget_derived()

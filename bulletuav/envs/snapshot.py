@@ -1,4 +1,4 @@
-"""Snapshots: all that makes the future of worlds, as bytes that can be kept, sent and put back."""
+"""Snapshots: the complete state of worlds as bytes, which can be stored, sent and restored."""
 
 import hashlib
 import math
@@ -12,50 +12,50 @@ import numpy as np
 from bulletuav.contact.memory import ROWS
 from bulletuav.contact.touches import MOST_TOUCHES
 from bulletuav.dynamics.divergence import FASTEST, FASTEST_SPIN
-from bulletuav.envs.described import text_of
+from bulletuav.envs.descriptions import canonical_text
 from bulletuav.envs.rows import Rows
 from bulletuav.errors import shown
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 
-BODIES, BODIES_BYTES = "bodies", 8
-"""Array (W,) uint64 that differs where other bodies were added; the first one of a snapshot"""
-GENERATOR = 37
-"""Bytes of the state of a random generator"""
-CHECKSUM = 16
-"""Bytes of a checksum"""
+BODIES, BODIES_SIZE = "bodies", 8
+"""Array (W,) uint64 that identifies the added bodies; the first array of a snapshot"""
+GENERATOR_SIZE = 37
+"""Size of the state of a random generator, bytes"""
+CHECKSUM_SIZE = 16
+"""Size of a checksum, bytes"""
 UNSTARTED = np.random.default_rng(0)
-"""Generator of worlds before their first reset; nothing draws from it"""
+"""Generator of worlds before their first reset; it is never used"""
 Fields = Mapping[str, np.ndarray]
 """Arrays (W, ...) by name"""
 
 
 Bounds = Mapping[str, tuple[Any, Any]]
-"""Lowest and highest value of arrays by name; "name.field" where rows have fields"""
-UNIT = 1e-6
-"""Rounding of the components of a quaternion"""
+"""Lowest and highest value of arrays by name; "name.field" if rows have fields"""
+QUATERNION_TOLERANCE = 1e-6
+"""Tolerance of the components of a quaternion"""
 MAX_ROTOR_SPEED = 1e6
-"""Speed of a rotor, rad/s"""
+"""Maximum rotor speed, rad/s"""
 MAX_COORDINATE = 1e7
-"""Distance of a drone from its world's origin, m; flights that diverge end before"""
-FIRST_FIELDS = ("data", "form", "checksum")
-"""What a pickled snapshot consists of"""
+"""Maximum distance of a drone from its world's origin, m; diverging flights end before"""
+SNAPSHOT_FIELDS = ("data", "form", "checksum")
+"""Fields of a pickled snapshot"""
 FORM_FIELDS = ("of", "parts", "arrays")
-"""The same of its form"""
-FACE_FIELDS = ("of", "flight", "beside", "checksum")
-"""The same of one of an environment class"""
+"""Fields of a pickled form"""
+ENVIRONMENT_FIELDS = ("of", "flight", "beside", "checksum")
+"""Fields of a pickled snapshot of an environment class"""
 ANOTHER_VERSION = "the snapshot is of another version of bulletuav: save it again with this one"
-MOST_NAMED = 8
-"""Differences that a message lists"""
+MAX_LISTED = 8
+"""Maximum number of differences that a message lists"""
 
 
 @dataclass(frozen=True)
 class Form:
-    """What a snapshot was saved from.
+    """Description of the simulation that a snapshot was saved from.
 
     Attributes:
-        of: What kind of thing, such as "environment of 'crossing'".
-        parts: A text for everything that it is made from, by name; see `described.parts_of`.
+        of: Kind of simulation, such as "environment of 'crossing'".
+        parts: Descriptions of the simulation's components, by name; see `descriptions.describe_parts`.
         arrays: Name, type and shape of each array of a world.
     """
 
@@ -65,16 +65,16 @@ class Form:
 
     @cached_property
     def digest(self) -> bytes:
-        """Hash of all of it."""
+        """Hash of all attributes."""
         text = repr((self.of, sorted(self.parts.items()), self.arrays))
-        return hashlib.blake2b(text.encode(), digest_size=CHECKSUM).digest()
+        return hashlib.blake2b(text.encode(), digest_size=CHECKSUM_SIZE).digest()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes alone: the hash is computed again from what arrives."""
+        """Return the attributes without the cached hash, which is computed again."""
         return {"of": self.of, "parts": dict(self.parts), "arrays": self.arrays}
 
     def require(self, other: "Form") -> None:
-        """Raise ValueError with the names of the differences unless the other is the same."""
+        """Raise ValueError with the names of the differences unless the other form is equal."""
         if self is other or self.digest == other.digest:
             return
         require_parts(other, self.parts, self.of)
@@ -87,31 +87,31 @@ class Form:
 
 
 def require_parts(form: Form, parts: Mapping[str, str], of: str) -> None:
-    """Refuse what was saved from other parts than there are here.
+    """Check that a snapshot was saved from the same components.
 
     Args:
-        form: What the snapshot was saved from.
-        parts: What there is here, see `described.parts_of`.
-        of: What kind of thing this is.
+        form: Form of the snapshot.
+        parts: Descriptions of the components here, see `descriptions.describe_parts`.
+        of: Kind of simulation here.
 
     Raises:
-        ValueError: They differ; the names and both values are listed.
+        ValueError: If components differ; the message lists the names and both values.
     """
     every = dict.fromkeys((*parts, *form.parts))
     names = [name for name in every if parts.get(name) != form.parts.get(name)]
-    # With another task or airframe most of the rest differs, too
+    # With another task or airframe most other components differ, too
     names = [name for name in names if name.partition(".")[0] not in {*names} - {name}]
     names = ["task"] if "task" in names else names
     if not names:
         return
-    missing = "not there"
+    missing = "missing"
     differ = [
         f"{name} is {form.parts.get(name, missing)} in the snapshot and "
         f"{parts.get(name, missing)} here"
-        for name in names[:MOST_NAMED]
+        for name in names[:MAX_LISTED]
     ]
-    if len(names) > MOST_NAMED:
-        differ.append(f"others are {', '.join(names[MOST_NAMED:])}")
+    if len(names) > MAX_LISTED:
+        differ.append(f"others are {', '.join(names[MAX_LISTED:])}")
     raise ValueError(
         f"the snapshot is of another simulation than this {of}: {'; '.join(differ)}; load it "
         f"where these are the same"
@@ -120,14 +120,14 @@ def require_parts(form: Form, parts: Mapping[str, str], of: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The state of S worlds, as `save_state` gives it. It can be pickled, and sent to others.
+    """State of S worlds, from `save_state`; it can be pickled.
 
-    The bytes are read-only. A snapshot of this process is known to be whole and is loaded without a
-    second look. One that was pickled carries a checksum, and is checked when it is loaded.
+    The bytes are read-only. A snapshot of this process is loaded without further checks. A pickled
+    one has a checksum, and is checked when it is loaded.
 
     Attributes:
         data: (S, B) uint8, read-only.
-        form: What it was saved from.
+        form: Description of the simulation.
         checksum: Hash of both; None for a snapshot of this process.
     """
 
@@ -136,19 +136,19 @@ class Snapshot:
     checksum: bytes | None = None
 
     def __post_init__(self) -> None:
-        """Copy the bytes, so that what is checked stays as it is."""
-        # Arrays of objects have no bytes; `require_whole` refuses them
+        """Copy the bytes, so that they cannot change after they were checked."""
+        # `require_whole` raises for arrays of objects, which have no bytes
         if isinstance(self.data, np.ndarray) and not self.data.dtype.hasobject:
             copied = np.frombuffer(self.data.tobytes(), self.data.dtype)
             object.__setattr__(self, "data", copied.reshape(self.data.shape))
 
     def __len__(self) -> int:
-        """Count its worlds."""
+        """Return the number of worlds."""
         self._require_kinds()
         return len(self.data)
 
     def __getitem__(self, worlds: int | slice | list[int] | np.ndarray) -> "Snapshot":
-        """Take some of its worlds, in the order of their indices, also several times."""
+        """Select worlds, in the order of their indices; an index may be repeated."""
         self.require_whole()
         chosen = [worlds] if isinstance(worlds, int | np.integer) else worlds
         data = self.data[chosen]
@@ -162,14 +162,14 @@ class Snapshot:
         return Snapshot(data, self.form, checksum_of(data, self.form))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled, with a checksum."""
+        """Return the pickled fields, with a checksum."""
         self._require_kinds()
         checksum = checksum_of(self.data, self.form) if self.is_own else self.checksum
-        return dict(zip(FIRST_FIELDS, (self.data, self.form, checksum), strict=True))
+        return dict(zip(SNAPSHOT_FIELDS, (self.data, self.form, checksum), strict=True))
 
     def __setstate__(self, state: Any) -> None:
-        """Take what was pickled; it is checked when it is loaded."""
-        if not isinstance(state, dict) or tuple(state) != FIRST_FIELDS:
+        """Set the pickled fields, which are checked when the snapshot is loaded."""
+        if not isinstance(state, dict) or tuple(state) != SNAPSHOT_FIELDS:
             raise ValueError(ANOTHER_VERSION)
         for name, value in state.items():
             object.__setattr__(self, name, value)
@@ -177,27 +177,27 @@ class Snapshot:
 
     @property
     def is_own(self) -> bool:
-        """Whether it was saved in this process, and its bytes cannot have changed."""
+        """Whether it was saved in this process, so that its bytes cannot have changed."""
         return "_own" in vars(self)
 
     def require_whole(self) -> None:
-        """Raise ValueError for a snapshot that is damaged, or that was put together by hand."""
+        """Raise ValueError for a snapshot that is damaged or was constructed by hand."""
         if "_own" in vars(self) or "_whole" in vars(self):
             return
         self._require_kinds()
         if self.checksum != checksum_of(self.data, self.form):
             raise ValueError(
-                "the snapshot is damaged: its checksum is not that of its bytes; take another "
+                "the snapshot is damaged: its checksum is not that of its bytes; use another "
                 "copy, or save it again"
             )
         object.__setattr__(self, "_whole", True)
 
     def _require_kinds(self) -> None:
-        """Raise ValueError where an attribute is missing, or is of another type."""
+        """Raise ValueError if an attribute is missing or has another type."""
         if self.is_own:
             return
-        # Objects that were put together by hand may have no attributes at all
-        data, form, checksum = map(vars(self).get, FIRST_FIELDS)
+        # Objects that were constructed by hand may have no attributes
+        data, form, checksum = map(vars(self).get, SNAPSHOT_FIELDS)
         if not isinstance(data, np.ndarray) or data.dtype != np.uint8 or data.ndim != 2:
             found = shown(data)
             if isinstance(data, np.ndarray):
@@ -210,13 +210,13 @@ class Snapshot:
         else:
             return
         raise ValueError(
-            f"the snapshot has {wrong}: one as save_state of this version gives is needed; "
+            f"the snapshot has {wrong}: a result of save_state of this version is needed; "
             f"save it again"
         )
 
 
 def _is_form(form: Any) -> bool:
-    """Return True for a `Form` whose attributes have the types that they need."""
+    """Return True for a `Form` whose attributes have valid types."""
     if not isinstance(form, Form):
         return False
     of, parts, arrays = map(vars(form).get, FORM_FIELDS)
@@ -230,7 +230,7 @@ def _is_form(form: Any) -> bool:
 
 
 def _is_array_form(array: Any) -> bool:
-    """Return True for name, type and shape of an array."""
+    """Return True for the name, type and shape of an array."""
     return (
         isinstance(array, tuple)
         and tuple(map(type, array)) == (str, str, tuple)
@@ -239,7 +239,7 @@ def _is_array_form(array: Any) -> bool:
 
 
 def own_snapshot(data: np.ndarray, form: Form) -> Snapshot:
-    """Make a snapshot of bytes (S, B) that this process just wrote, without a copy or checksum."""
+    """Create a snapshot of bytes (S, B) of this process, without a copy or checksum."""
     snapshot = object.__new__(Snapshot)
     # A view of read-only memory cannot be made writeable again
     fields = {
@@ -254,21 +254,21 @@ def own_snapshot(data: np.ndarray, form: Form) -> Snapshot:
 
 
 def checksum_of(data: np.ndarray, form: Form) -> bytes:
-    """Hash the bytes (S, B) of a snapshot, with what it was saved from."""
+    """Return the hash of the bytes (S, B) of a snapshot and its form."""
     text = repr((form.digest, data.shape)).encode()
-    digest = hashlib.blake2b(text, digest_size=CHECKSUM)
+    digest = hashlib.blake2b(text, digest_size=CHECKSUM_SIZE)
     digest.update(cast(Any, np.ascontiguousarray(data)))
     return digest.digest()
 
 
 @dataclass(frozen=True, eq=False)
-class FaceSnapshot:
-    """The state of an environment class that keeps something beside its world.
+class EnvironmentSnapshot:
+    """State of an environment class that has state in addition to its world.
 
     Attributes:
-        of: What makes environments of the class, such as "aec_env".
-        flight: The state of the world.
-        beside: What else the class goes on from, such as whose turn it is.
+        of: Function that creates environments of the class, such as "aec_env".
+        flight: State of the world.
+        beside: Further state of the class, such as the agents' turns.
     """
 
     of: str
@@ -276,76 +276,78 @@ class FaceSnapshot:
     beside: Mapping[str, Any]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled, with a checksum."""
+        """Return the pickled fields, with a checksum."""
         self.require_kinds()
         own = {"of": self.of, "flight": self.flight, "beside": dict(self.beside)}
         return {**own, "checksum": self._checksum(own["beside"])}
 
     def __setstate__(self, state: Any) -> None:
-        """Take what was pickled.
+        """Set the pickled fields.
 
         Raises:
-            ValueError: It is damaged, or of another version.
+            ValueError: If the snapshot is damaged, or of another version.
         """
-        if not isinstance(state, dict) or tuple(state) != FACE_FIELDS:
+        if not isinstance(state, dict) or tuple(state) != ENVIRONMENT_FIELDS:
             raise ValueError(ANOTHER_VERSION)
         if self._checksum(state["beside"]) != state["checksum"]:
             raise ValueError(
                 f"the snapshot of {shown(state['of'])} is damaged: its checksum is not that of "
-                f"what it holds; take another copy, or save it again"
+                f"its contents; use another copy, or save it again"
             )
-        for name in FACE_FIELDS[:-1]:
+        for name in ENVIRONMENT_FIELDS[:-1]:
             object.__setattr__(self, name, state[name])
 
     def require_kinds(self) -> None:
-        """Raise ValueError where an attribute is missing, or is of another type."""
-        kinds = dict(zip(FACE_FIELDS, (str, Snapshot, Mapping), strict=False))
+        """Raise ValueError if an attribute is missing or has another type."""
+        kinds = dict(zip(ENVIRONMENT_FIELDS, (str, Snapshot, Mapping), strict=False))
         for name, kind in kinds.items():
             if not isinstance(value := vars(self).get(name), kind):
                 raise ValueError(
-                    f"the snapshot has {name} {shown(value)} instead of a {kind.__name__}: one as "
-                    f"save_state of this version gives is needed; save it again"
+                    f"the snapshot has {name} {shown(value)} instead of a {kind.__name__}: a "
+                    f"result of save_state of this version is needed; save it again"
                 )
 
     @staticmethod
     def _checksum(beside: Any) -> bytes:
-        return hashlib.blake2b(text_of(beside).encode(), digest_size=CHECKSUM).digest()
+        return hashlib.blake2b(canonical_text(beside).encode(), digest_size=CHECKSUM_SIZE).digest()
 
 
 def require_snapshot(snapshot: Any, kind: type, worlds: int | None = 1) -> None:
-    """Refuse what is no snapshot of a kind, a damaged one, or one of another number of worlds.
+    """Check that an object is an undamaged snapshot with the right number of worlds.
 
     Args:
-        snapshot: What was given.
-        kind: `Snapshot` or `FaceSnapshot`.
-        worlds: How many worlds are to be written; None for any number.
+        snapshot: Value of the argument.
+        kind: `Snapshot` or `EnvironmentSnapshot`.
+        worlds: Number of worlds that are written; None for any number.
 
     Raises:
-        ValueError: It is something else, is damaged, or holds more or fewer of them.
+        ValueError: If the object is something else, is damaged, or has another number of worlds.
     """
     if not isinstance(snapshot, kind):
-        raise ValueError(f"snapshot is {shown(snapshot)}: what save_state gave is needed")
+        raise ValueError(f"snapshot is {shown(snapshot)}: a result of save_state is needed")
     if isinstance(snapshot, Snapshot):
         snapshot.require_whole()
         if worlds is not None and len(snapshot) != worlds:
             raise ValueError(
-                f"the snapshot holds {len(snapshot)} worlds, and {worlds} are to be written: "
-                f"take some of them, snapshot[0], or name the worlds"
+                f"the snapshot has {len(snapshot)} worlds, and {worlds} are to be written: "
+                f"select some of them, snapshot[0], or list the worlds"
             )
 
 
-def require_face(snapshot: Any, of: str, names: Collection[str] | None = None) -> None:
-    """Refuse what is no snapshot of a class of environments.
+def require_environment_snapshot(
+    snapshot: Any, of: str, names: Collection[str] | None = None
+) -> None:
+    """Check that an object is a snapshot of a class of environments.
 
     Args:
-        snapshot: What was given.
-        of: What makes environments of the class.
-        names: What `beside` consists of; anything when left out.
+        snapshot: Value of the argument.
+        of: Function that creates environments of the class.
+        names: Names in `beside`; None for any.
 
     Raises:
-        ValueError: It is something else, is damaged, or is of another class.
+        ValueError: If the object is something else, is damaged, or is of another class.
     """
-    require_snapshot(snapshot, FaceSnapshot)
+    require_snapshot(snapshot, EnvironmentSnapshot)
     snapshot.require_kinds()
     if snapshot.of != of:
         raise ValueError(
@@ -354,16 +356,16 @@ def require_face(snapshot: Any, of: str, names: Collection[str] | None = None) -
     differ: set[str] = set() if names is None else set(names) ^ set(snapshot.beside)
     if differ:
         raise ValueError(
-            f"the snapshot of {of} lacks {shown(sorted(differ, key=repr))}, or has them in excess: "
+            f"the snapshot of {of} lacks {shown(sorted(differ, key=repr))}, or must not have them: "
             f"save it again with this version"
         )
 
 
 def state_bounds(swarm: Swarm) -> dict[str, tuple[float, float]]:
-    """Return the bounds of the state of drones, and of the parameters that index rotors."""
+    """Return the bounds of the state of drones, and of parameters that index rotors."""
     return {
         "position": (-MAX_COORDINATE, MAX_COORDINATE),
-        "quaternion": (-1.0 - UNIT, 1.0 + UNIT),
+        "quaternion": (-1.0 - QUATERNION_TOLERANCE, 1.0 + QUATERNION_TOLERANCE),
         "velocity": (-FASTEST, FASTEST),
         "rates": (-FASTEST_SPIN, FASTEST_SPIN),
         "rotor_speed": (0.0, MAX_ROTOR_SPEED),
@@ -372,7 +374,7 @@ def state_bounds(swarm: Swarm) -> dict[str, tuple[float, float]]:
 
 
 def contact_bounds(scenery: Scenery) -> dict[str, tuple[float, float]]:
-    """Return the bounds of counts, and of numbers of shapes, that contacts remember."""
+    """Return the bounds of counts and of shape indices in the contact cache."""
     shapes = (0, scenery.ground)
     return {
         **dict.fromkeys(("slept number", "touches number"), (0, MOST_TOUCHES)),
@@ -383,32 +385,32 @@ def contact_bounds(scenery: Scenery) -> dict[str, tuple[float, float]]:
 
 
 def require_contacts(contacts: str | None) -> None:
-    """Refuse contacts of which nothing can be saved. Raises ValueError."""
+    """Raise ValueError for contacts whose state cannot be saved."""
     if contacts == "bullet":
         raise ValueError(
-            "contacts='bullet' has no snapshots, as Bullet keeps its contacts to itself: "
+            "contacts='bullet' has no snapshots, as Bullet does not expose its contact cache: "
             "choose contacts='impulse'"
         )
 
 
 def arrays_of(fields: Fields) -> tuple[tuple[str, str, tuple[int, ...]], ...]:
-    """List name, type and shape of the arrays of a world."""
+    """Return name, type and shape of the arrays of a world."""
     return tuple((name, str(one.dtype), one.shape[1:]) for name, one in fields.items())
 
 
-def pack(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
+def pack_worlds(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
     """Copy worlds (S,) of all arrays, and their random generators, into bytes (S, B)."""
     rows = _rows(worlds)
     parts = [_bytes_of(array[rows]) for array in fields.values() if array.size]
     states = b"".join(_generator_bytes(rngs[w]) for w in worlds.tolist())
-    parts.append(np.frombuffer(states, np.uint8).reshape(len(worlds), GENERATOR))
+    parts.append(np.frombuffer(states, np.uint8).reshape(len(worlds), GENERATOR_SIZE))
     return np.concatenate(parts, axis=1)
 
 
-def unpack(
+def unpack_worlds(
     data: np.ndarray, fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray
 ) -> None:
-    """Write bytes (S, B) back into worlds (S,) of all arrays, and of the random generators."""
+    """Write bytes (S, B) to worlds (S,) of all arrays, and to their random generators."""
     at, rows = 0, _rows(worlds)
     for array in fields.values():
         if array.size:
@@ -420,23 +422,23 @@ def unpack(
         _restore(rngs, w, row.tobytes())
 
 
-class Layout:
-    """Where arrays are in the bytes of a snapshot.
+class SnapshotLayout:
+    """Layout of arrays in the bytes of a snapshot.
 
-    To look at 80 arrays takes longer than to copy them. So it is done once, and again where one of
-    them was replaced; see `Parts.layout`.
+    Inspecting 80 arrays takes longer than copying them. So it is done once, and again if an array
+    was replaced; see `Parts.layout`.
 
     Attributes:
-        form: What snapshots have to fit.
+        form: Form that snapshots must have.
     """
 
     def __init__(self, of: str, parts: Mapping[str, str], bounds: Bounds, fields: Fields) -> None:
-        """Look at arrays.
+        """Inspect the arrays.
 
         Args:
             of: See `Form`, like the parts.
-            parts: What the simulation is made from.
-            bounds: Of arrays that are indices, counts or the like.
+            parts: Descriptions of the simulation's components.
+            bounds: Bounds of arrays, such as indices and counts.
             fields: The arrays (W, ...) by name.
         """
         self._fields, self._bounds = dict(fields), dict(bounds)
@@ -445,31 +447,33 @@ class Layout:
         self._is_known = False
 
     def require(self, snapshot: Snapshot, worlds: np.ndarray) -> None:
-        """Check everything that is to be written to worlds (S,), before any of it is.
+        """Check everything that would be written to worlds (S,), without writing it.
 
         Raises:
-            ValueError: The snapshot does not fit.
+            ValueError: If the snapshot does not fit.
         """
         self.form.require(snapshot.form)
         # The first array of every layout
-        here = self._fields[BODIES][worlds].view(np.uint8).reshape(len(worlds), BODIES_BYTES)
-        if not np.array_equal(snapshot.data[:, :BODIES_BYTES], here):
+        here = self._fields[BODIES][worlds].view(np.uint8).reshape(len(worlds), BODIES_SIZE)
+        if not np.array_equal(snapshot.data[:, :BODIES_SIZE], here):
             raise ValueError(
-                "the snapshot is of worlds in which other bodies stand: add the same bodies, in "
-                "the same order, before it is loaded"
+                "the snapshot is of worlds with other bodies: add the same bodies, in the same "
+                "order, before it is loaded"
             )
-        # Looked at once: its bytes cannot change
+        # Checked once, as its bytes cannot change
         known = vars(snapshot)
         if not snapshot.is_own and known.get("_within") is not self._bounds:
             self._check(snapshot.data)
             object.__setattr__(snapshot, "_within", self._bounds)
 
     def _check(self, data: np.ndarray) -> None:
-        """Check the bytes (S, B) of a snapshot that comes from elsewhere against all bounds."""
-        size = sum(array[0].nbytes for array in self._fields.values() if array.size) + GENERATOR
+        """Check the bytes (S, B) of a foreign snapshot against all bounds."""
+        size = (
+            sum(array[0].nbytes for array in self._fields.values() if array.size) + GENERATOR_SIZE
+        )
         if data.shape[1] != size:
             raise ValueError(
-                f"the snapshot has {data.shape[1]} bytes a world: {size} are needed; it is cut off"
+                f"the snapshot has {data.shape[1]} bytes per world, not {size}: it is truncated"
             )
         for name, values in _columns(data, self._fields):
             bounds = self._bounds.get(name)
@@ -477,7 +481,7 @@ class Layout:
                 values, bounds = values.view(np.uint8), (0, 1)
             if bounds is None:
                 continue
-            # NaN is within no bounds
+            # Written so that NaN is out of bounds
             low, high = bounds
             wrong = ~((values >= low) & (values <= high))
             if wrong.any():
@@ -486,41 +490,43 @@ class Layout:
                     f"the snapshot has {name} {values[wrong][0]:g}: from {low:g} to {high:g} is "
                     f"needed; it is damaged"
                 )
-        if (data[:, 32 - GENERATOR] > 1).any() or not (data[:, 16 - GENERATOR] % 2).all():
-            raise ValueError("the snapshot has no state of a random generator: it is damaged")
+        if (data[:, 32 - GENERATOR_SIZE] > 1).any() or not (data[:, 16 - GENERATOR_SIZE] % 2).all():
+            raise ValueError("the snapshot has no valid state of a random generator: it is damaged")
 
-    def pack(self, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
-        """Copy worlds (S,) of all arrays, and their random generators; see `pack`."""
+    def pack_worlds(self, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
+        """Copy worlds (S,) of all arrays, and their random generators; see the function."""
         rows = self._chosen(worlds)
         if rows is None:
-            return pack(self._fields, rngs, worlds)
-        rows.collect.run()
+            return pack_worlds(self._fields, rngs, worlds)
+        rows.gather.run()
         size = rows.data.shape[1]
-        data = np.empty((len(worlds), size + GENERATOR), dtype=np.uint8)
+        data = np.empty((len(worlds), size + GENERATOR_SIZE), dtype=np.uint8)
         data[np.argsort(worlds), :size] = rows.data[: len(worlds)]
         for row, w in zip(data, worlds.tolist(), strict=True):
             row[size:].data[:] = _generator_bytes(rngs[w])
         return data
 
-    def unpack(self, data: np.ndarray, rngs: list[np.random.Generator], worlds: np.ndarray) -> None:
-        """Write bytes (S, B) back into worlds (S,) of all; see `unpack`."""
+    def unpack_worlds(
+        self, data: np.ndarray, rngs: list[np.random.Generator], worlds: np.ndarray
+    ) -> None:
+        """Write bytes (S, B) to worlds (S,) of all arrays; see the function."""
         rows = self._chosen(worlds)
         if rows is None:
-            unpack(data, self._fields, rngs, worlds)
+            unpack_worlds(data, self._fields, rngs, worlds)
             return
         size = rows.data.shape[1]
         rows.data[: len(worlds)] = data[np.argsort(worlds), :size]
-        rows.spread.run()
+        rows.scatter.run()
         for row, w in zip(data, worlds.tolist(), strict=True):
             _restore(rngs, w, row[size:].tobytes())
 
     def _chosen(self, worlds: np.ndarray) -> Rows | None:
-        """Choose worlds (S,) of rows; None where all arrays are looked at one by one."""
+        """Select worlds (S,) of the row buffer; None if arrays are copied one by one."""
         if self._rows is None and self._is_known:
             filled = [array for array in self._fields.values() if array.size]
             if all(array.flags.c_contiguous for array in filled):
                 self._rows = Rows(filled)
-        # Only what is used again is worth a program
+        # A program is compiled only for a layout that is used again
         self._is_known = True
         if self._rows is not None:
             self._rows.mask[:] = False
@@ -529,7 +535,7 @@ class Layout:
 
 
 def _columns(data: np.ndarray, fields: Fields) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the values of each array in bytes (S, B), each field of rows by itself."""
+    """Yield the values of each array in bytes (S, B), with each field of rows separately."""
     at = 0
     for name, array in fields.items():
         if not array.size:
@@ -544,13 +550,13 @@ def _columns(data: np.ndarray, fields: Fields) -> Iterator[tuple[str, np.ndarray
             yield f"{name}.{field}", np.ascontiguousarray(values[field])
 
 
-def hashes_of(data: np.ndarray) -> tuple[str, ...]:
-    """Hash each row of bytes (S, B)."""
+def hash_rows(data: np.ndarray) -> tuple[str, ...]:
+    """Return the hash of each row of bytes (S, B)."""
     return tuple(hashlib.blake2b(row.tobytes(), digest_size=16).hexdigest() for row in data)
 
 
 def _rows(worlds: np.ndarray) -> slice | np.ndarray:
-    """Index worlds (S,), by a slice where they stand side by side: several times as fast."""
+    """Index worlds (S,), by a slice if they are consecutive, which is several times as fast."""
     first = int(worlds[0]) if len(worlds) else 0
     side_by_side = np.array_equal(worlds, np.arange(first, first + len(worlds)))
     return slice(first, first + len(worlds)) if side_by_side else worlds
@@ -562,7 +568,7 @@ def _bytes_of(rows: np.ndarray) -> np.ndarray:
 
 
 def _generator_bytes(rng: np.random.Generator) -> bytes:
-    """Write the state of a generator of `default_rng`. Raises ValueError for another one."""
+    """Return the state of a generator of `default_rng`. Raises ValueError for others."""
     state = rng.bit_generator.state
     if state["bit_generator"] != "PCG64":
         raise ValueError(
@@ -577,7 +583,7 @@ def _generator_bytes(rng: np.random.Generator) -> bytes:
 
 
 def _restore(rngs: list[np.random.Generator], world: int, data: bytes) -> None:
-    """Bring a world's generator to the state that `_generator_bytes` wrote, or make one of it."""
+    """Set the state of a world's generator from the bytes of `_generator_bytes`."""
     bits = rngs[world].bit_generator
     if rngs[world] is UNSTARTED or not isinstance(bits, np.random.PCG64):
         bits = np.random.PCG64()

@@ -1,4 +1,4 @@
-"""Action spaces of one drone and of all drones together, and the arrays made of actions."""
+"""Action spaces of one drone and of all drones, and conversions of actions to arrays."""
 
 from typing import Any
 
@@ -10,10 +10,10 @@ from bulletuav.errors import numbers_of
 
 
 def drone_action_space(action: Action, drone: int) -> Space[Any]:
-    """Make the action space of one drone.
+    """Return the action space of one drone.
 
     Args:
-        action: What actions mean.
+        action: Definition of actions.
         drone: Index of the drone.
 
     Returns:
@@ -25,7 +25,7 @@ def drone_action_space(action: Action, drone: int) -> Space[Any]:
 
 
 def _drone_box(action: Action, drone: int) -> Box:
-    """Make the Box of one drone's own numbers."""
+    """Return the Box of one drone's own numbers."""
     size = action.size(drone)
     low = action.low[drone, :size].astype(np.float32)
     high = action.high[drone, :size].astype(np.float32)
@@ -33,20 +33,20 @@ def _drone_box(action: Action, drone: int) -> Box:
 
 
 def widest_action_space(action: Action) -> Space[Any]:
-    """Make the space of one row of a batch: that of the drone with the most numbers."""
+    """Return the action space of the drone with the most numbers."""
     drones = range(len(action.labels))
     widest = max(drones, key=action.size)
     return drone_action_space(action, widest)
 
 
 def joint_action_space(action: Action) -> Space[Any]:
-    """Make the action space of all drones together.
+    """Return the action space of all drones together.
 
     Args:
-        action: What actions mean.
+        action: Definition of actions.
 
     Returns:
-        Their numbers one after the other, or one choice each; for one drone its own space.
+        Concatenated numbers of all drones, or one choice of each; for one drone its own space.
     """
     drones = len(action.labels)
     if drones == 1:
@@ -60,18 +60,18 @@ def joint_action_space(action: Action) -> Space[Any]:
 
 
 def drone_numbers(action: Action, drone: int, given: object) -> np.ndarray:
-    """Make the row of a batch that holds one drone's action.
+    """Convert one drone's action to a row of a batch.
 
     Args:
-        action: What actions mean.
+        action: Definition of actions.
         drone: Index of the drone.
-        given: Its action, of the shape of its space.
+        given: Action of the drone, of the shape of its space.
 
     Returns:
-        (A,) numbers, padded with zeros where other drones have more.
+        (A,) numbers, padded with zeros if other drones have more.
 
     Raises:
-        ValueError: The action has another shape, or is no numbers.
+        ValueError: If the action has another shape, or is not numeric.
     """
     numbers = numbers_of(f"parts of the action of drone_{drone} are", given)
     expected = (action.size(drone),) if action.choices is None else ()
@@ -83,20 +83,19 @@ def drone_numbers(action: Action, drone: int, given: object) -> np.ndarray:
 
 
 def joint_numbers(action: Action, given: object, num_worlds: int) -> np.ndarray:
-    """Make a batch of joint actions.
+    """Convert joint actions to a batch.
 
     Args:
-        action: What actions mean.
+        action: Definition of actions.
         given: (W, ...) a joint action of all drones for each world, of the shape of its space.
-        num_worlds: W.
+        num_worlds: Number of worlds W.
 
     Returns:
-        (W, N, A) numbers of each drone, padded with zeros where others have more.
+        (W, N, A) numbers of each drone, padded with zeros if others have more.
 
     Raises:
-        ValueError: The actions have another shape, or are no numbers.
+        ValueError: If the actions have another shape, or are not numeric.
     """
-    # The shape that the joint space has.
     drones, width = action.low.shape
     sizes = [action.size(drone) for drone in range(drones)]
     numbers = numbers_of("actions are", given)
@@ -104,7 +103,7 @@ def joint_numbers(action: Action, given: object, num_worlds: int) -> np.ndarray:
     expected = (num_worlds,) if is_one_choice else (num_worlds, sum(sizes))
     if numbers.shape != expected:
         raise ValueError(f"actions have shape {numbers.shape}: {expected} is needed")
-    # Numbers fill the places that the drones have, in order; the rest stays zero.
+    # The numbers fill the used columns of each drone, in order
     batch = np.zeros((num_worlds, drones, width))
     size_of_drone = np.array(sizes)[:, None]
     used = np.arange(width) < size_of_drone

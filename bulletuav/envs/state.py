@@ -1,7 +1,7 @@
-"""The state of a simulation: its arrays by name, with their shapes, types and meanings.
+"""State of a simulation: its arrays by name, with their shapes, types and meanings.
 
-This is the only declaration. Their allocation, what snapshots and hashes hold of them, their
-bounds there, the memory that they take, and the tables of the documentation follow from it.
+This is the only declaration. Allocation, contents of snapshots and hashes, bounds, memory
+estimates, and the tables in the documentation follow from it.
 """
 
 import functools
@@ -16,22 +16,25 @@ from bulletuav.tasks.frame import Scene
 from bulletuav.vehicle.swarm import Swarm
 
 STATE, LAST, DERIVED = "state", "last decision", "derived"
-"""What an array belongs to: the state and its hash; what the last decision gave, which snapshots
-hold, too; and what each decision makes again"""
+"""Kinds of arrays.
+
+The state and its hash; results of the last decision, which are also in snapshots; and arrays that
+each decision computes again.
+"""
 MAX_STEPS = 2**53
-"""Decisions of a world: as many as a float64 counts"""
+"""Maximum number of decisions of a world; float64 is exact up to here"""
 
 
 class Array(NamedTuple):
     """Declaration of an array.
 
     Attributes:
-        axes: Its axes, see `Sizes`; a number is a length.
-        dtype: Its type.
+        axes: Names of its axes, see `Sizes`; a number is a length.
+        dtype: Type of its numbers.
         meaning: One line with the unit.
         kept: `STATE`, `LAST` or `DERIVED`.
-        saved_as: Its name in snapshots, where that is another.
-        max: Highest value in a snapshot, of an array that has no negative ones.
+        saved_as: Name in snapshots, if different.
+        max: Highest value in a snapshot, for an array without negative numbers.
     """
 
     axes: str
@@ -42,7 +45,7 @@ class Array(NamedTuple):
     max: int | None = None
 
     def shape(self, sizes: "Sizes") -> tuple[int, ...]:
-        """Return its shape in a simulation of these sizes."""
+        """Return the shape of the array in a simulation of these sizes."""
         return tuple(
             int(axis) if axis.isdigit() else getattr(sizes, axis) for axis in self.axes.split()
         )
@@ -52,12 +55,12 @@ class Sizes(NamedTuple):
     """Lengths of axes.
 
     Attributes:
-        W: Worlds.
-        N: Drones in a world.
-        A: Numbers of an action.
-        S: Numbers of a setpoint.
-        K: Obstacles in a world.
-        R: Rotors of the drone with the most.
+        W: Number of worlds.
+        N: Number of drones in a world.
+        A: Size of an action.
+        S: Size of a setpoint.
+        K: Number of obstacles in a world.
+        R: Maximum number of rotors of a drone.
     """
 
     W: int
@@ -71,7 +74,7 @@ class Sizes(NamedTuple):
 class Arrays:
     """Arrays that a derived dataclass declares as its annotated fields.
 
-    They are written in place and never replaced.
+    The arrays are written in place and never replaced.
 
     Attributes:
         swarm: State of the drones.
@@ -93,11 +96,11 @@ class Arrays:
 
     @classmethod
     def zeros(cls, sizes: Sizes) -> dict[str, Any]:
-        """Make the declared arrays."""
+        """Allocate the declared arrays."""
         return {name: np.zeros(one.shape(sizes), one.dtype) for name, one in cls.declared().items()}
 
     def kept(self, kind: str) -> dict[str, np.ndarray]:
-        """Return the declared arrays of `STATE` or `LAST` by the names that snapshots give them."""
+        """Return the declared arrays of `STATE` or `LAST` by their names in snapshots."""
         return {
             one.saved_as or name: getattr(self, name)
             for name, one in self.declared().items()
@@ -105,7 +108,7 @@ class Arrays:
         }
 
     def bounds(self) -> dict[str, tuple[int, int]]:
-        """Return the declared bounds of arrays in snapshots, by the names that they have there."""
+        """Return the declared bounds of arrays by their names in snapshots."""
         return {
             one.saved_as or name: (0, one.max)
             for name, one in self.declared().items()
@@ -113,7 +116,7 @@ class Arrays:
         }
 
     def world_bytes(self) -> int:
-        """Return the bytes that all arrays have for a world; there need not be any worlds."""
+        """Return the bytes of all arrays per world; the number of worlds may be zero."""
         return sum(math.prod(array.shape[1:]) * array.itemsize for array in self.named().values())
 
     def named(self) -> dict[str, np.ndarray]:
@@ -138,11 +141,11 @@ class State(Arrays):
     swarm: Swarm
     before: Swarm
     scene: Scene
-    given: Annotated[np.ndarray, Array("W N A", float, "actions, as they were given")]
-    setpoint: Annotated[np.ndarray, Array("W N S", float, "setpoints that the actions make")]
+    given: Annotated[np.ndarray, Array("W N A", float, "actions of the caller")]
+    setpoint: Annotated[np.ndarray, Array("W N S", float, "setpoints of the actions")]
     levels: Annotated[np.ndarray, Array("W N", int, "`SetpointLevel` of each setpoint")]
-    commanded: Annotated[np.ndarray, Array("W N 3", float, "velocities commanded last, m/s", STATE)]
-    alive: Annotated[np.ndarray, Array("W N", bool, "drones whose episode goes on", STATE)]
+    commanded: Annotated[np.ndarray, Array("W N 3", float, "last commanded velocities, m/s", STATE)]
+    alive: Annotated[np.ndarray, Array("W N", bool, "drones whose episode is running", STATE)]
     steps: Annotated[
         np.ndarray, Array("W", np.int64, "decisions since the reset", STATE, max=MAX_STEPS)
     ]
@@ -154,7 +157,7 @@ class State(Arrays):
     ]
     time: Annotated[np.ndarray, Array("W", float, "time since the reset, s", LAST, "frame time")]
     last: Annotated[
-        np.ndarray, Array("W", bool, "where the horizon is reached", LAST, "frame last")
+        np.ndarray, Array("W", bool, "worlds that reached the horizon", LAST, "frame last")
     ]
     goal_before: Annotated[
         np.ndarray, Array("W N 3", float, "goals before the decision, m", LAST, "frame goal_before")
@@ -165,19 +168,19 @@ class State(Arrays):
     truncated: Annotated[
         np.ndarray, Array("W N", bool, "drones whose episode the horizon ended", LAST)
     ]
-    present: Annotated[np.ndarray, Array("W N", bool, "drones that others still meet", LAST)]
+    present: Annotated[np.ndarray, Array("W N", bool, "drones that others observe", LAST)]
     rewards: Annotated[np.ndarray, Array("W N", float, "rewards", LAST)]
     flying: Annotated[np.ndarray, Array("W", bool, "worlds in which any drone flies")]
     wind: Annotated[np.ndarray, Array("W N 3", float, "velocity of the air at each drone, m/s")]
-    payload: Annotated[np.ndarray, Array("W N", float, "power that equipment takes, W")]
+    payload: Annotated[np.ndarray, Array("W N", float, "power of equipment, W")]
     moved: Annotated[np.ndarray, Array("W N", bool, "drones that rebound at the arena's bounds")]
-    ended: Annotated[np.ndarray, Array("W N", bool, "drones that the task's ends are true of")]
-    success: Annotated[np.ndarray, Array("W N", bool, "drones that are where the task wants them")]
+    ended: Annotated[np.ndarray, Array("W N", bool, "drones for which an end of the task is true")]
+    success: Annotated[np.ndarray, Array("W N", bool, "drones that fulfil the task")]
     left: Annotated[np.ndarray, Array("W N", bool, "drones that leave with the decision")]
 
     @classmethod
     def make(cls, sizes: Sizes, memory: Mapping[str, tuple[int, ...]]) -> "State":
-        """Make all arrays.
+        """Allocate all arrays.
 
         Args:
             sizes: Lengths of their axes.
@@ -195,20 +198,14 @@ class AirspaceState(Arrays):
     swarm: Swarm
     before: Swarm
     levels: Annotated[np.ndarray, Array("W N", int, "`SetpointLevel` of each setpoint", STATE)]
-    setpoint: Annotated[
-        np.ndarray, Array("W N S", float, "setpoints that drones were commanded", STATE)
-    ]
+    setpoint: Annotated[np.ndarray, Array("W N S", float, "commanded setpoints", STATE)]
     commanded: Annotated[
-        np.ndarray, Array("W N", bool, "drones that were commanded any", STATE, "told")
+        np.ndarray, Array("W N", bool, "drones with a commanded setpoint", STATE, "told")
     ]
-    yaw_rate: Annotated[
-        np.ndarray, Array("W N", float, "rates at which yaws of setpoints turn, rad/s", STATE)
-    ]
-    steps: Annotated[
-        np.ndarray, Array("W", np.int64, "steps that were flown", STATE, max=MAX_STEPS)
-    ]
+    yaw_rate: Annotated[np.ndarray, Array("W N", float, "rates of yaw setpoints, rad/s", STATE)]
+    steps: Annotated[np.ndarray, Array("W", np.int64, "simulated steps", STATE, max=MAX_STEPS)]
     time: Annotated[np.ndarray, Array("W", float, "time since the first step, s", STATE)]
-    obstacle: Annotated[np.ndarray, Array("W K 3", float, "places of obstacles, m", STATE)]
+    obstacle: Annotated[np.ndarray, Array("W K 3", float, "positions of obstacles, m", STATE)]
     obstacle_velocity: Annotated[
         np.ndarray, Array("W K 3", float, "velocities of obstacles, m/s", STATE)
     ]
@@ -220,11 +217,11 @@ class AirspaceState(Arrays):
 
     @classmethod
     def make(cls, sizes: Sizes) -> "AirspaceState":
-        """Make all arrays, of sizes with W = 1."""
+        """Allocate all arrays, of sizes with W = 1."""
         swarm = Swarm.zeros(sizes.W, sizes.N, sizes.R)
         return cls(swarm, swarm.copy(), **cls.zeros(sizes))
 
 
 def with_prefix(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return arrays with a prefix before their names, as snapshots name them."""
+    """Return arrays with a prefix to their names, as in snapshots."""
     return {f"{prefix} {name}": array for name, array in arrays.items()}

@@ -1,4 +1,4 @@
-"""Outcome of one decision."""
+"""Result of one decision."""
 
 from typing import NamedTuple
 
@@ -8,11 +8,11 @@ from bulletuav.tasks.observations.observer import Observation
 
 
 class Step(NamedTuple):
-    """Outcome of one decision of all worlds.
+    """Result of one decision of all worlds.
 
     Attributes:
-        observations: (W, N, D) float32; a dict of arrays (W, N, ...) with pictures among them, or
-            in the format "dict".
+        observations: (W, N, D) float32; a dict of arrays (W, N, ...) with pictures, or in the
+            format "dict".
         rewards: (W, N) rewards; 0 for drones that did not fly.
         terminated: (W, N) bool, drones whose episode the task ended.
         truncated: (W, N) bool, drones whose episode the horizon ended.

@@ -5,18 +5,18 @@ from typing import Any
 from bulletuav.tasks.base import Task
 
 ALL = "drones"
-"""Name of the team of a task that has but one, and gives it no name"""
+"""Name of the only, unnamed team of a task"""
 
 
 def team_names(task: Task[Any]) -> tuple[str, ...]:
-    """Tell the names of a task's teams, in the order of their numbers.
+    """Return the names of a task's teams, in the order of their numbers.
 
     Args:
         task: The task.
 
     Returns:
-        Its own names, also of teams without drones; "team_2" and so on for numbers that have none.
-        One team without a name is "drones".
+        The task's own names, including teams without drones; "team_2" and so on for numbers without
+        a name. A single team without a name is "drones".
     """
     count = int(task.team.max()) + 1
     own = task.team_names or ((ALL,) if count == 1 else ())
@@ -24,13 +24,13 @@ def team_names(task: Task[Any]) -> tuple[str, ...]:
 
 
 def team_rows(task: Task[Any]) -> dict[str, list[int]]:
-    """List the numbers of each team's drones, by its name.
+    """Return the indices of each team's drones, by its name.
 
     Args:
         task: The task.
 
     Returns:
-        Teams without drones are left out, as trainers refuse groups of nobody.
+        Indices by name. Teams without drones are left out, as trainers do not accept empty groups.
     """
     teams = task.team.tolist()
     listed = {

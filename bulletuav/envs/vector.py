@@ -1,4 +1,4 @@
-"""Batches of worlds that reset themselves: arrays in, arrays out."""
+"""Batches of worlds with automatic resets: arrays in, arrays out."""
 
 from typing import Any
 
@@ -7,9 +7,9 @@ from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.env_spec import MOST_WORLDS
+from bulletuav.envs.env_spec import MAX_WORLDS
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.infos import later
+from bulletuav.envs.infos import lazy_infos
 from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import widest_action_space
@@ -21,14 +21,14 @@ BatchResults = tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, 
 """Observations, rewards, terminated, truncated and infos of a step"""
 
 
-def autoreset(mode: Any) -> AutoresetMode:
-    """Find an `AutoresetMode`.
+def as_autoreset_mode(mode: Any) -> AutoresetMode:
+    """Convert a value to an `AutoresetMode`.
 
     Args:
         mode: The mode itself, its name or its value.
 
     Raises:
-        ValueError: There is none; the choices are told.
+        ValueError: If there is no such mode; the message lists the choices.
     """
     if isinstance(mode, AutoresetMode):
         return mode
@@ -42,24 +42,25 @@ def autoreset(mode: Any) -> AutoresetMode:
 class BatchAviary(LabelledEnvironment):
     """W worlds of N drones: arrays in, arrays out.
 
-    A world's episode is over when all its drones are done. What happens then follows Gymnasium's
+    A world's episode is over when all its drones are done. The world is then reset by Gymnasium's
     `AutoresetMode`:
 
-    - NEXT_STEP: the step after the last one ignores the world's actions. It returns the first
-      observations of a new episode, with zero rewards.
+    - NEXT_STEP: the next step ignores the world's actions. It returns the first observations of a
+      new episode, with zero rewards.
     - SAME_STEP: the last step itself returns the first observations of a new episode.
-      info["final_obs"] (W, N, D), info["final_state"] and info["final_info"] hold the end. The
-      masks (W,) "_final_obs" and "_final_info" tell for which worlds.
+      info["final_obs"] (W, N, D), info["final_state"] and info["final_info"] have the results of
+      the old one. The masks (W,) "_final_obs" and "_final_info" select the worlds for which they
+      are defined.
     - DISABLED: the caller resets by `reset(options={"reset_mask": mask})`.
 
     Attributes:
         aviary: The batched core.
-        num_envs: W.
-        num_drones: N.
-        autoreset_mode: What happens when an episode is over.
-        observation_space: That of one drone.
-        action_space: That of one drone. In a mixed swarm drones with fewer rotors ignore the last
-            numbers.
+        num_envs: Number of worlds W.
+        num_drones: Number of drones N of a world.
+        autoreset_mode: When finished worlds are reset.
+        observation_space: Observation space of one drone.
+        action_space: Action space of one drone. In a mixed swarm drones with fewer rotors ignore
+            the last numbers.
     """
 
     def __init__(
@@ -71,20 +72,20 @@ class BatchAviary(LabelledEnvironment):
         first_world: int = 0,
         **options: Any,
     ) -> None:
-        """Make the environment.
+        """Create the environment.
 
         Args:
-            task: One of `list_tasks()`, `module:Name`, or a class of one's own.
-            num_envs: W.
-            autoreset_mode: What happens when an episode is over.
-            first_world: Number of the first world among those of several processes.
+            task: A name from `list_tasks()`, `module:Name`, or a task class.
+            num_envs: Number of worlds W.
+            autoreset_mode: When finished worlds are reset.
+            first_world: Index of the first world among those of several processes.
             **options: See `parallel_env`.
 
         Raises:
-            ValueError: An option cannot be.
+            ValueError: If an option is invalid.
         """
-        self.autoreset_mode = autoreset(autoreset_mode)
-        as_int("num_envs", num_envs, 1, MOST_WORLDS)
+        self.autoreset_mode = as_autoreset_mode(autoreset_mode)
+        as_int("num_envs", num_envs, 1, MAX_WORLDS)
         self.aviary = Aviary(task, num_envs, first_world=first_world, **options)
         self._observer = self.aviary.observer
         self.num_envs = self.aviary.num_worlds
@@ -95,7 +96,7 @@ class BatchAviary(LabelledEnvironment):
 
     @property
     def alive(self) -> np.ndarray:
-        """Drones whose episode goes on, (W, N) bool."""
+        """Drones whose episode is running, (W, N) bool."""
         return self.aviary.alive.copy()
 
     @property
@@ -110,16 +111,16 @@ class BatchAviary(LabelledEnvironment):
         """Start new episodes.
 
         Args:
-            seed: An int s gives world k the seed s + k; a sequence gives one to each. None goes on
-                with each world's own random numbers.
+            seed: An int s gives world k the seed s + k. A sequence gives each world its own seed.
+                None continues the random numbers of each world.
             options: Any of "reset_mask", (W,) bool, for some of the worlds only; "start" and
-                "goal", (N, 3) m each, for places instead of drawn ones.
+                "goal", (N, 3) m each, for given instead of drawn positions.
 
         Returns:
             Observations of all worlds, (W, N, D) or a dict, and infos (W, N) by name.
 
         Raises:
-            ValueError: Seed or options cannot be, or the task's start.
+            ValueError: If seed or options are invalid, or the task's start is.
         """
         given = reset_options(options, MASK)
         mask = given.pop(MASK, None)
@@ -130,7 +131,7 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def step(self, actions: np.ndarray) -> BatchResults:
-        """Fly one decision of all worlds.
+        """Simulate one decision of all worlds.
 
         Args:
             actions: (W, N, A), or (W, N) choices of a discrete action.
@@ -140,20 +141,19 @@ class BatchAviary(LabelledEnvironment):
             and infos (W, N) by name.
 
         Raises:
-            ValueError: Actions cannot be; nobody has flown then.
-            RuntimeError: Before the first reset, or after `close`.
+            ValueError: If actions are invalid; nothing is simulated then.
+            RuntimeError: If called before the first reset or after `close`.
         """
         actions = numbers_of("actions are", actions)
         if self.aviary.action.choices is not None:
             actions = actions[..., None]
-        # Worlds that this step flies, and those that it resets instead.
+        # Worlds with living drones, and finished ones that are reset instead
         flying = self.aviary.alive.any(axis=1)
         fresh = self._ended & ~flying & (self.autoreset_mode != AutoresetMode.DISABLED)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)
         infos: dict[str, Any] = info
-        # What follows depends on the worlds in which nobody flies any more.
         ended = flying & ~np.any(self.aviary.alive, axis=1)
-        # A start may find no room: the next step tries again.
+        # If a reset raises, as no start is found, the next step tries again
         self._ended = fresh | ended
         if fresh.any():
             observations = self.aviary.reset(fresh)
@@ -172,20 +172,20 @@ class BatchAviary(LabelledEnvironment):
         return observations, rewards, terminated, truncated, infos
 
     def _with_fresh(self, info: dict[str, np.ndarray], worlds: np.ndarray) -> dict[str, Any]:
-        """Return infos in which those of `worlds` (W,) are of their new episodes."""
+        """Return infos with those of the new episodes in `worlds` (W,)."""
         first = self.aviary.first_info(worlds)
-        return later(
+        return lazy_infos(
             lambda: {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
         )
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
-        """Save all that makes the future of worlds; see `Aviary.save_state`."""
+        """Save the complete state of worlds; see `Aviary.save_state`."""
         return self.aviary.save_state(worlds)
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
-        """Go on from a state that was saved; see `Aviary.load_state`."""
+        """Restore a saved state; see `Aviary.load_state`."""
         observations = self.aviary.load_state(snapshot, worlds)
         chosen = slice(None) if worlds is None else worlds
         self._ended[chosen] = ~np.any(self.aviary.alive, axis=1)[chosen]
@@ -193,7 +193,7 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
-        """Hash the state of each world; see `Aviary.state_hash`."""
+        """Compute a hash of the state of each world; see `Aviary.state_hash`."""
         return self.aviary.state_hash(worlds)
 
     @exclusive
@@ -207,20 +207,20 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
-        """Take a picture of one world.
+        """Render one world.
 
         Args:
-            world: Its index.
+            world: Index of the world.
 
         Returns:
             (height, width, 3) uint8 with render_mode "rgb_array", else None.
 
         Raises:
-            ValueError: There is no such world.
+            ValueError: If there is no such world.
         """
         return self.aviary.render(world)
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Free the engine. Further calls do nothing."""
         self.aviary.close()

@@ -1,6 +1,6 @@
-"""What shows worlds in other programs while they fly, and where these find it.
+"""Live viewers in other programs, and their addresses.
 
-Viewers are in a room above this one, which needs them for two kinds of `render_mode` alone.
+The viewers are in a package above this one, and are imported only for their `render_mode`.
 """
 
 import importlib
@@ -11,30 +11,30 @@ from bulletuav.errors import as_int, shown
 MODULE = "bulletuav.report.live"
 """Module of the viewers"""
 VIEWERS = {"web": "PageView", "foxglove": "FoxgloveView"}
-"""Class of the viewer of each kind of `render_mode`"""
-USUAL_ADDRESS = "127.0.0.1:8765"
-"""Where it is served: to this machine alone"""
+"""Class of the viewer of each live `render_mode`"""
+DEFAULT_ADDRESS = "127.0.0.1:8765"
+"""Default address of the server, which only this machine can reach"""
 
 
 class Viewer(Protocol):
-    """What shows world 0 of an environment."""
+    """Live view of world 0 of an environment."""
 
     def begin(self) -> None:
-        """Take in that the world was reset."""
+        """Update the view after a reset of the world."""
 
     def show(self) -> None:
-        """Show the decision that was flown, and wait until its time has come."""
+        """Show the last decision, and wait for its deadline."""
 
     def close(self) -> None:
-        """End the view."""
+        """Close the view."""
 
 
 def make_viewer(aviary: Any) -> Viewer:
-    """Make the viewer of an aviary, and begin to serve it.
+    """Create the viewer of an aviary, and start its server.
 
     Raises:
-        ImportError: It needs an extra that is missing.
-        OSError: The port is in use, or there is no such address.
+        ImportError: If an extra is not installed.
+        OSError: If the port is in use, or there is no such address.
     """
     kind = VIEWERS[aviary.options.render_mode]
     viewer: Viewer = getattr(importlib.import_module(MODULE), kind)(aviary)
@@ -45,26 +45,26 @@ def parse_address(address: Any) -> tuple[str, int]:
     """Split an address into host and port.
 
     Args:
-        address: host:port; port 0 takes a free one. Colons of the host are part of it.
+        address: host:port; port 0 selects a free one. The host may contain colons.
 
     Raises:
-        ValueError: It is none.
+        ValueError: If the address is invalid.
     """
     host, colon, port = address.rpartition(":") if isinstance(address, str) else ("", "", "")
     if not (host and colon and port.isdecimal()):
         raise ValueError(
-            f"render_address is {shown(address)}: host:port is needed, such as {USUAL_ADDRESS!r}"
+            f"render_address is {shown(address)}: host:port is needed, such as {DEFAULT_ADDRESS!r}"
         )
     return host.strip("[]"), as_int("port of render_address", int(port), 0, 65535)
 
 
 def join_address(host: str, port: int) -> str:
-    """Write host and port as `parse_address` reads them."""
+    """Return host and port as text that `parse_address` accepts."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def require_single(render_mode: str | None, stages: int) -> None:
-    """Raise ValueError for a live view of several stages, each of which has worlds of its own."""
+    """Raise ValueError for a live view of several stages, each of which has its own worlds."""
     if render_mode in VIEWERS and stages > 1:
         raise ValueError(
             f"render_mode is {render_mode!r}, and there are {stages} stages: "

@@ -1,4 +1,4 @@
-"""Parts of a batch: each process flies some of the worlds, through shared arrays."""
+"""Worker processes of a batch: each simulates some of the worlds, through shared arrays."""
 
 import contextlib
 import ctypes
@@ -19,25 +19,27 @@ from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.vector import BatchAviary
 from bulletuav.tasks import TaskSource
 
-GLANCE = 2.0
-"""Seconds after which a process that is asked nothing looks whether the one that asks is there"""
-PATIENCE = 5.0
-"""Time that all workers have to end, s"""
-SPIN = 2e-4
-"""Time for which a process looks for what comes next before it sleeps, s: waking up takes as long
-as several such looks, and many decisions are shorter"""
-Layout = dict[str, tuple[tuple[int, ...], Any]]
+PARENT_CHECK_PERIOD = 2.0
+"""Period at which an idle process checks that its parent is alive, s"""
+JOIN_TIMEOUT = 5.0
+"""Time in which all workers have to end, s"""
+POLL_TIME = 2e-4
+"""Time for which a process polls shared memory before it sleeps, s.
+
+Waking up takes as long as several polls, and many decisions are shorter.
+"""
+SharedLayout = dict[str, tuple[tuple[int, ...], Any]]
 """Shape and NumPy type of each shared array, by name; the first axis is that of worlds"""
 
 
 class SharedArrays:
-    """Arrays in memory that processes share, by name."""
+    """Arrays in shared memory, by name."""
 
-    def __init__(self, context: Any, layout: Layout) -> None:
-        """Take the memory.
+    def __init__(self, context: Any, layout: SharedLayout) -> None:
+        """Allocate the memory.
 
         Args:
-            context: What `multiprocessing.get_context` gave.
+            context: Result of `multiprocessing.get_context`.
             layout: Shape and type of each array.
         """
         self._layout = layout
@@ -47,14 +49,14 @@ class SharedArrays:
             self._memory[name] = context.RawArray(ctypes.c_byte, max(1, size))
 
     def views(self, first: int, last: int) -> dict[str, np.ndarray]:
-        """Make views of the arrays.
+        """Return views of the arrays.
 
         Args:
-            first: First world that they show.
-            last: World after the last one that they show.
+            first: First world of the views.
+            last: World after the last one of the views.
 
         Returns:
-            The views by name; the arrays need not be kept for them.
+            The views by name; they keep the memory alive.
         """
         arrays: dict[str, np.ndarray] = {}
         for name, (shape, dtype) in self._layout.items():
@@ -64,9 +66,9 @@ class SharedArrays:
         return arrays
 
 
-def work(
+def run_worker(
     pipe: Connection,
-    spin: float,
+    poll_time: float,
     shared: SharedArrays,
     first: int,
     last: int,
@@ -74,46 +76,45 @@ def work(
     autoreset_mode: AutoresetMode,
     options: dict[str, Any],
 ) -> None:
-    """Fly some of the worlds until told to end; the main function of a worker process.
+    """Simulate some of the worlds until the parent ends; main function of a worker process.
 
-    Questions are (method of `BatchAviary`, keyword arguments), or None to end. Answers are what
-    the method gave, or an error. Actions, and results of steps, go through the shared arrays; None
-    stands for infos of a step that do so, too.
+    Requests are (method of `BatchAviary`, keyword arguments), or None to end. Answers are the
+    method's result, or an exception. Actions, and results of steps, are in the shared arrays; None
+    stands for infos of a step that are there, too.
 
     Args:
-        pipe: Brings questions, takes answers; the first answer tells that the worlds are made.
-        spin: Time for which it looks for a question before it sleeps, s.
+        pipe: Receives requests and sends answers; the first answer says that the worlds are ready.
+        poll_time: Time for which the process polls for a request before it sleeps, s.
         shared: Arrays of all worlds.
         first: First world of this process.
         last: World after the last one of this process.
-        task: As of `BatchAviary`.
-        autoreset_mode: As of `BatchAviary`.
-        options: As of `BatchAviary`.
+        task: See `BatchAviary`.
+        autoreset_mode: See `BatchAviary`.
+        options: See `BatchAviary`.
     """
-    # An interrupt is for the process that asks.
+    # The parent handles interrupts
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        part = Part(shared, first, last, task, autoreset_mode, options)
+        part = BatchShard(shared, first, last, task, autoreset_mode, options)
     except Exception as error:
-        pipe.send(portable(error))
+        pipe.send(picklable(error))
         return
     views = shared.views(first, last)
-    questions, answers = views["questions"], views["answers"]
+    requests, answers = views["requests"], views["answers"]
     pipe.send(None)
-    answers[0] += 1  # after it has been sent: who sees it need not wait for the pipe
-    # Answer one question after the other.
-    while (question := _next(pipe, questions, int(answers[0]), spin)) is not None:
-        pipe.send(part.answer(*question))
+    answers[0] += 1  # after sending, so that the parent need not wait for the pipe
+    while (request := _next_request(pipe, requests, int(answers[0]), poll_time)) is not None:
+        pipe.send(part.answer(*request))
         answers[0] += 1
     part.close()
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
-    # Taking down an interpreter with its compiled kernels would take more than a second.
+    # A normal exit with compiled kernels would take more than a second
     os._exit(0)
 
 
-class Part:
-    """Some of the worlds, flown by one process; results of steps go into shared arrays."""
+class BatchShard:
+    """Some of the worlds of a batch, simulated by one process with results in shared arrays."""
 
     def __init__(
         self,
@@ -124,25 +125,25 @@ class Part:
         autoreset_mode: AutoresetMode,
         options: dict[str, Any],
     ) -> None:
-        """Make the worlds; see `work`."""
+        """Create the worlds; see `run_worker`."""
         self._arrays = shared.views(first, last)
         self._infos = SharedInfos(self._arrays["info"])
         self._batch = BatchAviary(task, last - first, autoreset_mode, first_world=first, **options)
 
     def answer(self, method: str, keywords: dict[str, Any]) -> Any:
-        """Call a method of `BatchAviary`, and tell what it gave, or its error; see `work`."""
+        """Call a method of `BatchAviary`, and return its result or exception; see `run_worker`."""
         try:
             answer = self._call(method, keywords)
             if method == "reset":
-                self._infos.learn(answer)
-            elif method == "step" and self._infos.put(answer):
+                self._infos.set_types(answer)
+            elif method == "step" and self._infos.write(answer):
                 return None
         except Exception as error:
-            return portable(error)
+            return picklable(error)
         return answer
 
     def _call(self, method: str, keywords: dict[str, Any]) -> Any:
-        """Call a method; results of `reset` and `step` but the infos go into the arrays."""
+        """Call a method; results of `reset` and `step` except infos are written to the arrays."""
         arrays, batch = self._arrays, self._batch
         if method == "step":
             actions = arrays["action"]
@@ -150,7 +151,7 @@ class Part:
         answer = getattr(batch, method)(**keywords)
         if method not in ("step", "reset", "load_state"):
             return answer
-        # A reset has no results between observations and infos, a snapshot no infos.
+        # `reset` returns observations and infos, `load_state` only observations
         observations, *results, infos = (answer, None) if method == "load_state" else answer
         arrays["alive"][:] = batch.aviary.alive
         arrays["ended"][:] = batch.ended
@@ -170,67 +171,70 @@ class Part:
 
 
 def raise_first(answers: list[Any]) -> list[Any]:
-    """Raise the first error among the answers, or return them."""
+    """Raise the first exception among the answers, or return them."""
     for answer in answers:
         if isinstance(answer, Exception):
             raise answer
     return answers
 
 
-def portable(error: Exception) -> Exception:
-    """Return the error, or one that says the same and can be sent to another process.
+def picklable(error: Exception) -> Exception:
+    """Return an exception that can be pickled, with the same message.
 
-    Within this process that one tells its cause, which does not go along to another.
+    Within this process the new exception has the original as its cause, which is not pickled.
     """
     if type(error) in (ValueError, RuntimeError, ImportError):
         return error
-    told = RuntimeError(f"{type(error).__name__}: {error}")
-    told.__cause__ = error
-    return told
+    copy = RuntimeError(f"{type(error).__name__}: {error}")
+    copy.__cause__ = error
+    return copy
 
 
 def end_processes(owner: int, pipes: list[Connection], processes: list[Any]) -> None:
     """Ask the processes to end, and kill those that do not."""
-    # A copy of the owner, made by a fork, has no say.
+    # A forked copy of the owner must not end its processes
     if os.getpid() != owner:
         return
     for pipe in pipes:
-        # The process may have ended already.
+        # The process may have ended already
         with contextlib.suppress(OSError):
             pipe.send(None)
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + JOIN_TIMEOUT
     for process in processes:
         process.join(max(0.0, end - time.monotonic()))
-        process.kill()  # ends one that is stopped, too; a record of it is kept until it is joined
-        process.join(PATIENCE)
+        process.kill()  # also ends stopped processes, which stay zombies until joined
+        process.join(JOIN_TIMEOUT)
 
 
-def came(numbers: np.ndarray, number: int, spin: float) -> bool:
-    """Look for a number until it is there, or for a time.
+def poll_number(numbers: np.ndarray, number: int, poll_time: float) -> bool:
+    """Poll a number until it has a value, or for a time.
 
     Args:
-        numbers: Shared array, whose first number is waited for.
-        number: What it will be.
-        spin: Longest time, s.
+        numbers: Shared array, whose first number is polled.
+        number: Value to wait for.
+        poll_time: Maximum time, s.
+
+    Returns:
+        Whether the number has the value.
     """
-    end = time.perf_counter() + spin
+    end = time.perf_counter() + poll_time
     while numbers[0] != number:
         if time.perf_counter() > end:
             return False
     return True
 
 
-def _next(pipe: Connection, questions: np.ndarray, answered: int, spin: float) -> Any:
-    """Wait for the next question; None when the asking process has ended.
+def _next_request(pipe: Connection, requests: np.ndarray, answered: int, poll_time: float) -> Any:
+    """Wait for the next request; return None when the parent process has ended.
 
-    Its end of the pipe may still be open then, in a fork. So it is looked after now and then:
-    waiting for both at once would take three times as long in each step.
+    If the parent was forked, its end of the pipe may still be open then. So the process checks the
+    parent from time to time: waiting for both would take three times as long in each step.
     """
     parent = multiprocessing.parent_process()
     assert parent is not None
     try:
-        there = came(questions, answered, spin)
-        while not there and not pipe.poll(GLANCE):
+        there = poll_number(requests, answered, poll_time)
+        while not there and not pipe.poll(PARENT_CHECK_PERIOD):
             if not parent.is_alive():
                 return None
         return pipe.recv()
@@ -239,6 +243,6 @@ def _next(pipe: Connection, questions: np.ndarray, answered: int, spin: float) -
 
 
 def by_shared_name(observations: Any) -> dict[str, Any]:
-    """Return the parts of observations, or of their spaces, by names of shared arrays."""
+    """Return the parts of observations, or of their spaces, by the names of shared arrays."""
     parts = observations if isinstance(observations, dict) else {"": observations}
     return {f"observation/{name}": one for name, one in parts.items()}

@@ -1,4 +1,4 @@
-"""Batches of worlds over several processes: each flies some of them, arrays are shared."""
+"""Batches of worlds over several processes with shared arrays."""
 
 import contextlib
 import itertools
@@ -15,49 +15,49 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
-from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
+from bulletuav.envs.env_spec import MAX_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.reset_options import MASK, reset_options
-from bulletuav.envs.shared_infos import SharedInfos, merged, room_for
+from bulletuav.envs.shared_infos import SharedInfos, merge_infos, num_info_rows
 from bulletuav.envs.snapshot import Snapshot, own_snapshot, require_snapshot
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
+from bulletuav.envs.vector import BatchAviary, BatchResults, as_autoreset_mode
 from bulletuav.envs.worker import (
-    SPIN,
-    Layout,
-    Part,
+    POLL_TIME,
+    BatchShard,
     SharedArrays,
+    SharedLayout,
     by_shared_name,
-    came,
     end_processes,
+    poll_number,
     raise_first,
-    work,
+    run_worker,
 )
 from bulletuav.errors import as_int, find_choice, finite, numbers_of
 from bulletuav.interrupts import block_interrupts
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import VECTOR, Observation
 
-MOST_WORKERS = 256
+MAX_WORKERS = 256
 TIMEOUT = 600.0
-"""Time that an answer may take, s: longer than any decision, and than compiling for a first one"""
+"""Maximum time of an answer, s: longer than any decision, and than the first compilation"""
 
 
 class WorkerAviary(LabelledEnvironment):
-    """A `BatchAviary` flown by several processes: same arrays in, same bits out.
+    """A `BatchAviary` over several processes, with the same results to the bit.
 
-    This process is one of them: it flies the first worlds itself while the others fly theirs.
-    Their number changes nothing in the results. Without a main guard
-    (`if __name__ == "__main__"`) scripts need the start method "fork". Functions among the options
-    (wind) see the worlds of one process at a time. In SAME_STEP the rows of worlds outside the
+    This process is one of them: it simulates the first worlds itself while the others simulate
+    theirs. The number of processes does not change the results. Scripts without a main guard (`if
+    __name__ == "__main__"`) need the start method "fork". Functions among the options (wind) are
+    called with the worlds of one process at a time. In SAME_STEP the rows of worlds outside the
     masks of final entries are undefined.
 
     Attributes:
-        num_envs: W.
-        num_drones: N.
-        autoreset_mode: What happens when an episode is over.
-        observation_space: That of one drone.
-        action_space: That of one drone; see `BatchAviary`.
+        num_envs: Number of worlds W.
+        num_drones: Number of drones N of a world.
+        autoreset_mode: When finished worlds are reset.
+        observation_space: Observation space of one drone.
+        action_space: Action space of one drone; see `BatchAviary`.
     """
 
     def __init__(
@@ -74,20 +74,20 @@ class WorkerAviary(LabelledEnvironment):
         """Start the processes.
 
         Args:
-            task: As of `BatchAviary`, like `num_envs`, `autoreset_mode` and the options.
-            num_envs: W.
-            autoreset_mode: What happens when an episode is over.
-            workers: How many processes there are, this one included.
-            start_method: As in `multiprocessing`, by default Python's own.
+            task: See `BatchAviary`, like `num_envs`, `autoreset_mode` and the options.
+            num_envs: Number of worlds W.
+            autoreset_mode: When finished worlds are reset.
+            workers: Number of processes, including this one.
+            start_method: As in `multiprocessing`; None for Python's default.
             timeout: Seconds after which a process without an answer counts as lost.
             **options: Options of the environment.
 
         Raises:
-            ValueError: Options cannot be.
-            RuntimeError: A process ends, or does not answer in time.
+            ValueError: If an option is invalid.
+            RuntimeError: If a process ends, or does not answer in time.
         """
-        self.autoreset_mode = autoreset(autoreset_mode)
-        as_int("num_envs", num_envs, 1, MOST_WORLDS)
+        self.autoreset_mode = as_autoreset_mode(autoreset_mode)
+        as_int("num_envs", num_envs, 1, MAX_WORLDS)
         self._spec = EnvSpec(task, num_envs, options)
         self._observer = self._spec.observer
         self.num_envs = self._spec.num_worlds
@@ -103,15 +103,15 @@ class WorkerAviary(LabelledEnvironment):
         if self._spec.options.debug:
             raise ValueError("debug is True: debuggers see one process, so it needs workers=1")
         self._timeout = float(timeout)
-        # Who looks for answers takes a core
-        self._spin = SPIN if _cores() >= workers else 0.0
+        # Polling for answers occupies a core
+        self._poll_time = POLL_TIME if _count_cores() >= workers else 0.0
         self.observation_space: Box | Dict = self._observer.space()
         self.action_space: Space[Any] = widest_action_space(self._spec.action)
         # The worlds of each process
         bounds = [self.num_envs * k // workers for k in range(workers + 1)]
-        self._parts = [slice(*pair) for pair in itertools.pairwise(bounds)]
-        # The first part, flown here; the others' processes, and what ends them
-        self._here: Part | None = None
+        self._slices = [slice(*pair) for pair in itertools.pairwise(bounds)]
+        # The worlds of this process; the other processes, and the finalizer that ends them
+        self._shard: BatchShard | None = None
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
         self._owner = os.getpid()
@@ -124,27 +124,27 @@ class WorkerAviary(LabelledEnvironment):
             raise_first(self._answers(range(1, workers)))
 
     def _start_workers(self, start_method: str | None, recipe: tuple[Any, ...]) -> None:
-        """Take the memory that all processes share, start them, and make the worlds of this one."""
+        """Allocate shared memory, start the processes, and create the worlds of this one."""
         context: Any = multiprocessing.get_context(start_method)
         shared = SharedArrays(context, self._layout())
         self._arrays = shared.views(0, self.num_envs)
         self._infos = SharedInfos(self._arrays["info"])
-        for part in self._parts[1:]:
-            self._start_worker(context, (self._spin, shared, part.start, part.stop, *recipe))
-        self._here = Part(shared, 0, self._parts[0].stop, *recipe)
+        for part in self._slices[1:]:
+            self._start_worker(context, (self._poll_time, shared, part.start, part.stop, *recipe))
+        self._shard = BatchShard(shared, 0, self._slices[0].stop, *recipe)
 
     def _start_worker(self, context: Any, arguments: tuple[Any, ...]) -> None:
         """Start a process with a pipe to it."""
         mine, theirs = context.Pipe()
-        process = context.Process(target=work, args=(theirs, *arguments), daemon=True)
+        process = context.Process(target=run_worker, args=(theirs, *arguments), daemon=True)
         try:
             with block_interrupts():
                 process.start()
         except (AssertionError, AttributeError, TypeError, pickle.PicklingError) as error:
             raise ValueError(
-                f"a worker process cannot start: {error}; processes that are workers themselves "
-                f"have none, and with start methods other than 'fork' options must be what pickle "
-                f"can take (no lambda)"
+                f"a worker process cannot start: {error}; worker processes cannot have workers of "
+                f"their own, and with start methods other than 'fork' options must be picklable "
+                f"(no lambda)"
             ) from None
         theirs.close()
         self._pipes.append(mine)
@@ -152,9 +152,9 @@ class WorkerAviary(LabelledEnvironment):
 
     @contextlib.contextmanager
     def _closed_by_errors(self) -> Iterator[None]:
-        """End the processes on any error, and on an interrupt.
+        """End the processes on any exception, including an interrupt.
 
-        Answers would be left unread otherwise, and taken for those to later questions.
+        Otherwise unread answers would be taken for those to later requests.
         """
         try:
             yield
@@ -162,8 +162,8 @@ class WorkerAviary(LabelledEnvironment):
             self.close()
             raise
 
-    def _layout(self) -> Layout:
-        """Tell shape and type of the arrays that go between the processes."""
+    def _layout(self) -> SharedLayout:
+        """Return shape and type of the arrays that the processes share."""
         drones = (self.num_envs, self.num_drones)
         space = self.observation_space
         parts = by_shared_name(space.spaces if isinstance(space, Dict) else space)
@@ -176,49 +176,52 @@ class WorkerAviary(LabelledEnvironment):
             "truncated": (drones, bool),
             "alive": (drones, bool),
             "ended": ((self.num_envs,), bool),
-            # How many each part was asked and has answered, at its first world
-            "questions": ((self.num_envs,), np.int64),
+            # Numbers of requests and answers of each process, at its first world
+            "requests": ((self.num_envs,), np.int64),
             "answers": ((self.num_envs,), np.int64),
-            "info": ((drones[0], room_for(len(self._spec.task.weights)), drones[1]), np.float64),
+            "info": (
+                (drones[0], num_info_rows(len(self._spec.task.weights)), drones[1]),
+                np.float64,
+            ),
         }
 
-    def _ask(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
-        """Call a method for some of the parts, with its arguments for each; tells their answers."""
-        here = self._require_flown_here()
+    def _request(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
+        """Call a method in some of the processes, with arguments for each; return the answers."""
+        shard = self._require_shard()
         with self._closed_by_errors():
             others = [k for k in keywords if k]
             for k in others:
-                # A dead worker takes no question; that it gives no answer either tells why.
+                # A dead worker is detected by its missing answer
                 with contextlib.suppress(OSError):
                     self._pipes[k - 1].send((method, keywords[k]))
-                self._arrays["questions"][self._parts[k].start] += 1
-            # The first part is flown here meanwhile
-            own = [here.answer(method, keywords[0])] if 0 in keywords else []
+                self._arrays["questions"][self._slices[k].start] += 1
+            # This process simulates its own worlds meanwhile
+            own = [shard.answer(method, keywords[0])] if 0 in keywords else []
             answers = [*own, *self._answers(others)]
         return raise_first(answers)
 
-    def _require_flown_here(self) -> Part:
-        """Return the part of this process. Raises RuntimeError where there is none."""
-        if self._here is None or not self._finalizer.alive or os.getpid() != self._owner:
+    def _require_shard(self) -> BatchShard:
+        """Return the worlds of this process. Raises RuntimeError if there are none."""
+        if self._shard is None or not self._finalizer.alive or os.getpid() != self._owner:
             raise RuntimeError("this environment is closed, or of another process: make a new one")
-        return self._here
+        return self._shard
 
     def _for_all(self, **keywords: Any) -> dict[int, dict[str, Any]]:
-        """Give all workers the same arguments."""
-        return dict.fromkeys(range(len(self._parts)), keywords)
+        """Return the same arguments for all processes."""
+        return dict.fromkeys(range(len(self._slices)), keywords)
 
     def _answers(self, workers: Sequence[int]) -> list[Any]:
-        """Wait for an answer of each worker; errors are among them."""
+        """Wait for an answer of each worker, which may be an exception."""
         end = time.monotonic() + self._timeout
         answers: list[Any] = []
         try:
             for k in workers:
                 left = max(0.0, end - time.monotonic())
-                asked, given = (self._arrays[it][self._parts[k]] for it in ("questions", "answers"))
-                # One more than questions: the first tells that the worlds are made
-                is_there = came(given, int(asked[0]) + 1, min(self._spin, left))
+                asked, given = (self._arrays[it][self._slices[k]] for it in ("requests", "answers"))
+                # One more than requests: the first answer says that the worlds are ready
+                is_there = poll_number(given, int(asked[0]) + 1, min(self._poll_time, left))
                 if not is_there and not self._pipes[k - 1].poll(left):
-                    # It would not hear a request to end.
+                    # The process would not receive a request to end
                     self._processes[k - 1].kill()
                     raise RuntimeError(
                         f"worker process {k} has not answered for {self._timeout:g} s: it is "
@@ -235,10 +238,10 @@ class WorkerAviary(LabelledEnvironment):
         return answers
 
     def _observations(self) -> Observation:
-        """Copy the observations out of the shared arrays."""
+        """Return a copy of the observations in the shared arrays."""
         if not isinstance(self.observation_space, Dict):
             return self._arrays["observation/"].copy()
-        # The space sorts its entries; observations have them in the order of the blocks.
+        # Spaces sort their entries; observations have the order of the blocks
         observer = self._spec.observer
         order = (VECTOR, *observer.slices, *observer.images)
         names = filter(self.observation_space.spaces.__contains__, order)
@@ -246,7 +249,7 @@ class WorkerAviary(LabelledEnvironment):
 
     @property
     def alive(self) -> np.ndarray:
-        """Drones whose episode goes on, (W, N) bool."""
+        """Drones whose episode is running, (W, N) bool."""
         return self._arrays["alive"].copy()
 
     @property
@@ -263,37 +266,37 @@ class WorkerAviary(LabelledEnvironment):
         mask = self._spec.mask(given.pop(MASK, None))
         seeds = self._spec.seeds(seed)
         keywords: dict[int, dict[str, Any]] = {}
-        for k, part in enumerate(self._parts):
+        for k, part in enumerate(self._slices):
             own = None if seeds is None else seeds[part]
             keywords[k] = {"seed": own, "options": {MASK: mask[part], **given}}
-        infos = merged(self._parts, self._ask("reset", keywords), self.num_envs)
-        self._infos.learn(infos)
+        infos = merge_infos(self._slices, self._request("reset", keywords), self.num_envs)
+        self._infos.set_types(infos)
         self._started = True
         return self._observations(), infos
 
     @exclusive
     def step(self, actions: np.ndarray) -> BatchResults:
-        """Fly one decision of all worlds; see `BatchAviary.step`."""
+        """Simulate one decision of all worlds; see `BatchAviary.step`."""
         if not self._started:
             raise RuntimeError("the worlds have not been started: call reset() first")
         choices = self._spec.action.choices is not None
         actions = numbers_of("actions are", actions)
         if choices:
             actions = actions[..., None]
-        # All parts read their actions from the shared array, and clip them.
+        # All processes read their actions from the shared array, and clip them
         given = self._arrays["action"]
         if choices or actions.shape != given.shape or not np.isfinite(actions).all():
             actions = self._spec.actions(actions, self._arrays["alive"])
         given[:] = actions
-        told = self._ask("step", self._for_all(choices=choices))
-        infos = self._infos.take(told, self._parts)
+        answers = self._request("step", self._for_all(choices=choices))
+        infos = self._infos.read(answers, self._slices)
         rewards, *ends = (self._arrays[k].copy() for k in ("reward", "terminated", "truncated"))
         return self._observations(), rewards, *ends, infos  # type: ignore[return-value]
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
-        """Save all that makes the future of worlds; see `Aviary.save_state`."""
-        rows, saved = self._ask_owners("save_state", self._spec.indices(worlds))
+        """Save the complete state of worlds; see `Aviary.save_state`."""
+        rows, saved = self._request_of_owners("save_state", self._spec.indices(worlds))
         for one in saved:
             one.require_whole()
         data = np.concatenate([one.data for one in saved])
@@ -301,71 +304,70 @@ class WorkerAviary(LabelledEnvironment):
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
-        """Go on from a state that was saved; see `Aviary.load_state`."""
+        """Restore a saved state; see `Aviary.load_state`."""
         chosen = self._spec.indices(worlds)
         require_snapshot(snapshot, Snapshot, len(chosen))
-        # All is checked here before the first part writes
-        self._require_flown_here().require_loadable(snapshot)
-        self._ask_owners("load_state", chosen, snapshot)
+        # Checked here before any process writes
+        self._require_shard().require_loadable(snapshot)
+        self._request_of_owners("load_state", chosen, snapshot)
         self._started = True
         return self._observations()
 
     @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
-        """Hash the state of each world; see `Aviary.state_hash`."""
-        rows, told = self._ask_owners("state_hash", self._spec.indices(worlds))
-        hashes = [one for ones in told for one in ones]
+        """Compute a hash of the state of each world; see `Aviary.state_hash`."""
+        rows, answers = self._request_of_owners("state_hash", self._spec.indices(worlds))
+        hashes = [one for ones in answers for one in ones]
         return tuple(hashes[k] for k in np.argsort(rows))
 
-    def _ask_owners(
+    def _request_of_owners(
         self, method: str, worlds: np.ndarray, snapshot: Snapshot | None = None
     ) -> tuple[np.ndarray, list[Any]]:
-        """Call a method of snapshots in all workers, each with those of worlds (S,) that it has.
+        """Call a snapshot method in all processes, each with those of worlds (S,) that it has.
 
         Returns:
-            (S,) places of worlds in the order of the answers, and what each worker answered.
+            (S,) indices into `worlds` in the order of the answers, and the answer of each process.
         """
         keywords, order = {}, []
-        for k, part in enumerate(self._parts):
+        for k, part in enumerate(self._slices):
             rows = np.flatnonzero((worlds >= part.start) & (worlds < part.stop))
             keywords[k] = {"worlds": (worlds[rows] - part.start).tolist()}
             if snapshot is not None:
                 keywords[k]["snapshot"] = snapshot[rows]
             order.append(rows)
-        return np.concatenate(order), self._ask(method, keywords)
+        return np.concatenate(order), self._request(method, keywords)
 
     @exclusive
     def state(self) -> np.ndarray:
         """Return the global state; see `BatchAviary.state`."""
-        return np.concatenate(self._ask("state", self._for_all()))
+        return np.concatenate(self._request("state", self._for_all()))
 
     @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
-        """Take a picture of one world; see `BatchAviary.render`."""
+        """Render one world; see `BatchAviary.render`."""
         self._spec.require_world(world)
-        # Ask the process that has the world, by its number there.
-        k = next(k for k, part in enumerate(self._parts) if world < part.stop)
-        (picture,) = self._ask("render", {k: {"world": world - self._parts[k].start}})
+        k = next(k for k, part in enumerate(self._slices) if world < part.stop)
+        (picture,) = self._request("render", {k: {"world": world - self._slices[k].start}})
         return cast(np.ndarray | None, picture)
 
     @exclusive
     def close(self) -> None:
-        """End the processes; a second call does nothing."""
+        """End the processes. Further calls do nothing."""
         self._finalizer()
-        if self._here is not None:
-            self._here.close()
+        if self._shard is not None:
+            self._shard.close()
 
 
-def _cores() -> int:
-    """Count the cores that this process may use; quotas of containers are not seen."""
+def _count_cores() -> int:
+    """Return the number of cores that this process may use, without quotas of containers."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:
-    """Raise ValueError for processes that cannot be."""
-    as_int("workers", workers, 1, MOST_WORKERS)
+    """Raise ValueError for invalid arguments of processes."""
+    as_int("workers", workers, 1, MAX_WORKERS)
     if start_method is not None:
         find_choice(
             "start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods())
@@ -382,22 +384,23 @@ def batch_env(
     timeout: float = TIMEOUT,
     **options: Any,
 ) -> BatchAviary | WorkerAviary:
-    """Make many worlds of a task that reset themselves: arrays in, arrays out.
+    """Create a batch of worlds of a task with automatic resets: arrays in, arrays out.
 
     Args:
-        task: One of `list_tasks()`, `module:Name`, or a class of one's own.
-        num_envs: How many worlds there are.
-        workers: Processes over which they are spread, for as many cores; see `WorkerAviary`.
-        start_method: How processes start, as in `multiprocessing`.
-        timeout: Seconds after which a process without an answer is given up.
+        task: A name from `list_tasks()`, `module:Name`, or a task class.
+        num_envs: Number of worlds.
+        workers: Number of processes that share the worlds, to use as many cores; see
+            `WorkerAviary`.
+        start_method: Start method of processes, as in `multiprocessing`.
+        timeout: Seconds after which a process without an answer counts as lost.
         **options: `autoreset_mode` of `BatchAviary`, and options of `parallel_env`.
 
     Returns:
         A `BatchAviary`, or with several workers a `WorkerAviary`, which behaves the same.
 
     Raises:
-        ValueError: An option cannot be; the value and the remedy are named.
-        RuntimeError: A process has ended, or not answered in time.
+        ValueError: If an option is invalid; the message names the value and the remedy.
+        RuntimeError: If a process ended, or did not answer in time.
     """
     _check_processes(workers, start_method, timeout)
     if workers == 1:

@@ -1,4 +1,4 @@
-"""What W worlds of N drones that fly a task are made of; the stages of a decision work on it."""
+"""Components and state of W worlds of N drones that fly a task; stages operate on it."""
 
 import numpy as np
 
@@ -19,20 +19,20 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 class Worlds(Parts):
-    """Parts and state of W worlds of N drones that fly a task.
+    """Components and state of W worlds of N drones that fly a task.
 
     Attributes:
-        spec: Checks of what callers give.
+        spec: Validates arguments of callers.
         task: The task.
-        action: What actions mean.
-        observer: Makes observations.
-        energy: Batteries and what takes power.
+        action: Definition of actions.
+        observer: Computes observations.
+        energy: Batteries and power consumption.
         state: All arrays.
-        frame: The state as tasks, sensors and observations read it.
-        account: Separations, distances and collisions of the decision, as the frame shows them.
-        contacts: What was touched.
-        readings: What sensors measured last, by name; `frame` shows them.
-        results: Reward terms and infos; made at the first reset.
+        frame: View of the state for tasks, sensors and observations.
+        account: Separations, distances and collisions of the decision, which are also in the frame.
+        contacts: Contacts of the decision.
+        readings: Last sensor readings, by name, which are also in the frame.
+        results: Reward terms and infos; created at the first reset.
         vector: (W, N, D) observations of the last decision.
         rng: Random generator of each world.
     """
@@ -41,11 +41,11 @@ class Worlds(Parts):
     results: Results
 
     def __init__(self, spec: EnvSpec, first_world: int) -> None:
-        """Make all parts.
+        """Create all components.
 
         Args:
-            spec: Checked options and the task.
-            first_world: Number of the first of these worlds among those of several processes.
+            spec: Validated options and the task.
+            first_world: Index of the first of these worlds among those of several processes.
         """
         options, task, obstacles = spec.options, spec.task, spec.task.obstacles()
         sensors = (spec.sensors, spec.setup)
@@ -59,7 +59,7 @@ class Worlds(Parts):
         self._make_state(len(obstacles))
 
     def _make_state(self, num_obstacles: int) -> None:
-        """Make all arrays, and the frame that shows them."""
+        """Allocate all arrays, and create the frame."""
         task, action, shape = self.task, self.action, (self.num_worlds, self.options.num_drones)
         size = action.low.shape[-1]
         setpoint = action.decode(np.zeros((*shape, size)), np.zeros((*shape, 3)))
@@ -88,25 +88,25 @@ class Worlds(Parts):
 
     @property
     def collects_contacts(self) -> bool:
-        """Whether there are contacts that compiled code knows nothing of."""
+        """Whether Python adds contacts that compiled code does not know."""
         return self.task.rebound is not None or self.options.contacts == "bullet"
 
     @property
     def judgement(self) -> Evaluation:
-        """Arrays for what the task makes of the decision."""
+        """Arrays for the task's evaluation of the decision."""
         return Evaluation(self.state.ended, self.state.success, self.results.named_terms)
 
     def make_frame_measures(self) -> None:
-        """Make the arrays of the account, which the frame shows."""
+        """Allocate the arrays of the account, which are also in the frame."""
         self.account = make_frame_measures(self.frame)
 
     def forget_derived(self) -> None:
-        """Forget what the task derived from the frame as it was before."""
+        """Clear the values that the task derived from the previous frame."""
         self.frame.derived.clear()
         self.frame.derived[PRESENT] = self.state.present
 
     def place_obstacles(self, worlds: np.ndarray) -> None:
-        """Place the engine's obstacles where the scene of `worlds` (W,) bool has them."""
+        """Copy the poses of obstacles of `worlds` (W,) bool from the scene to the engine."""
         scene = self.state.scene
         obstacles = (scene.obstacle, scene.obstacle_quaternion, worlds)
         if self.engine.asks_bodies:
@@ -115,7 +115,7 @@ class Worlds(Parts):
             self.engine.note_obstacles(*obstacles)
 
     def measure(self, before: Swarm, after: Swarm, mask: np.ndarray) -> None:
-        """Measure with all sensors from the drones of `mask` (W, N), and keep the readings."""
+        """Measure with all sensors from the drones of `mask` (W, N), and store the readings."""
         if not self.sensors.sensors:
             return
         targets = self.task.targets(self.state.scene)
@@ -143,7 +143,7 @@ class Worlds(Parts):
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
-        """Return what else the future follows from; see `Parts.last_arrays`."""
+        """Return the other arrays that the future depends on; see `Parts.last_arrays`."""
         parts = (self.wind, self.energy, self.sensors, self.dynamics)
         return {
             **{name: array for part in parts for name, array in part.kept().items()},
@@ -153,7 +153,7 @@ class Worlds(Parts):
         }
 
     def bounds(self) -> Bounds:
-        """Return the bounds of arrays that a snapshot may write, by name."""
+        """Return the bounds of the arrays that a snapshot may write, by name."""
         return {
             **state_bounds(self.state.swarm),
             **self.state.bounds(),

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.resolve import action_for, resolve
+from bulletuav.envs.resolve_options import action_for, resolve_options
 from bulletuav.errors import find_choice, shown, unknown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.mismatch import naming_task
@@ -87,7 +87,7 @@ class PolicySpec(NamedTuple):
         """
         whole = {**self.options, **options}
         # This also validates the options before any flight.
-        common = resolve(find_task(task), whole).options
+        common = resolve_options(find_task(task), whole).options
         # An empty list of actions means that all are supported.
         if not self.actions or "action" in options:
             return whole

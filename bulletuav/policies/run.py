@@ -14,9 +14,9 @@ import numpy as np
 import yaml
 
 from bulletuav.envs.curriculum import Curriculum, check_stages
-from bulletuav.envs.env_spec import MOST_WORLDS
+from bulletuav.envs.env_spec import MAX_WORLDS
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.errors import as_int, find_choice, shown, unknown
 from bulletuav.parsing import read_yaml
 from bulletuav.tasks import find_task
@@ -56,7 +56,7 @@ SCENE = ("num_drones", "airframe", "difficulty", "preset")
 LIMITS = {
     "seed": (0, None),
     "steps": (1, 10**12),
-    "worlds": (1, MOST_WORLDS),
+    "worlds": (1, MAX_WORLDS),
     "evaluations": (1, 10**6),
     "episodes": (1, 10**6),
     "constants": (1, None),
@@ -152,8 +152,8 @@ class RunConfig:
             find_choice("setting of curriculum:", name, dict.fromkeys(("up", "down", "window")))
         Curriculum(len(self.stages), **self.curriculum)
         for stage in self.stages:
-            resolve(task, {**self.options, **stage})
-        resolve(task, self.evaluated)
+            resolve_options(task, {**self.options, **stage})
+        resolve_options(task, self.evaluated)
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "RunConfig":
@@ -232,7 +232,7 @@ class RunConfig:
         """
         given = self._given
         own = self._resolved
-        usual = resolve(find_task(self.task), {}).options
+        usual = resolve_options(find_task(self.task), {}).options
         values = {name: getattr(own, name) for name in INTERFACE}
         return {
             name: value
@@ -259,7 +259,7 @@ class RunConfig:
     @property
     def _resolved(self) -> EnvOptions:
         """All options of the last stage, with defaults."""
-        return resolve(find_task(self.task), self._given).options
+        return resolve_options(find_task(self.task), self._given).options
 
 
 def read_settings(path: Path, what: str, trust: bool = False) -> dict[str, Any]:

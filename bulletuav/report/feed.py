@@ -22,11 +22,11 @@ from http import HTTPStatus
 from ipaddress import ip_address
 
 from bulletuav.envs.viewer import join_address
-from bulletuav.serving.connections import Clock, Connections, FullError, Limits
+from bulletuav.serving.connections import Clock, ConnectionLimits, Connections, FullError
 from bulletuav.serving.refusals import Refusals
-from bulletuav.serving.streams import Stream, StreamServer
+from bulletuav.serving.streams import StreamConnection, StreamServer
 
-LIMITS = Limits(
+LIMITS = ConnectionLimits(
     max_clients=64, max_pending=32, grace=10.0, max_unread=2**23, max_stall=10.0, linger=1.0
 )
 """Limits of connections, whose clients are viewers; the last event is lost after `linger` s"""
@@ -69,7 +69,7 @@ class _Viewer:
         has_begun: Whether it has received the start of the flight.
     """
 
-    def __init__(self, stream: Stream) -> None:
+    def __init__(self, stream: StreamConnection) -> None:
         self.stream = stream
         self.has_begun = False
 
@@ -86,7 +86,7 @@ class Feed:
         host: str,
         port: int,
         make_page: Callable[[], str],
-        limits: Limits = LIMITS,
+        limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
         """Open the port and start the thread.
@@ -129,7 +129,7 @@ class Feed:
         return bool(self._viewers)
 
     @property
-    def connections(self) -> Connections[Stream]:
+    def connections(self) -> Connections[StreamConnection]:
         """The open connections."""
         return self._streams.connections
 
@@ -195,7 +195,7 @@ class Feed:
             viewer.stream.send(event("over").encode())
         await self._streams.stop()
 
-    async def _talk(self, stream: Stream) -> None:
+    async def _talk(self, stream: StreamConnection) -> None:
         """Answer one request of a browser."""
         try:
             path = self._check(stream, await self._read_request(stream))
@@ -209,7 +209,7 @@ class Feed:
             stream.send(_head(error.status, "text/plain", len(text)) + text)
 
     @staticmethod
-    async def _read_request(stream: Stream) -> tuple[str, Message]:
+    async def _read_request(stream: StreamConnection) -> tuple[str, Message]:
         """Read the head of a request.
 
         Returns:
@@ -235,7 +235,7 @@ class Feed:
             raise RequestError(HTTPStatus.METHOD_NOT_ALLOWED, "only GET is supported")
         return path, headers
 
-    def _check(self, stream: Stream, request: tuple[str, Message]) -> str:
+    def _check(self, stream: StreamConnection, request: tuple[str, Message]) -> str:
         """Return the path of a request, if the request is allowed.
 
         Raises:
@@ -268,7 +268,7 @@ class Feed:
         name = _name_in(host)
         return name in self._names or (not self._is_on_loopback and _is_address(name))
 
-    async def _send_events(self, stream: Stream) -> None:
+    async def _send_events(self, stream: StreamConnection) -> None:
         """Send events until the viewer leaves, or is dropped.
 
         Raises:

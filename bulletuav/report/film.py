@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from bulletuav.analysis.recorded import Recording
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.marks import Lens, Marks, draw
-from bulletuav.envs.renderer import Renderer, fit, pixel_size
+from bulletuav.envs.renderer import Renderer, fit_camera, pixel_size
 from bulletuav.errors import as_int, find_choice
 from bulletuav.files import whole_file
 from bulletuav.geometry.obstacle import Obstacle
@@ -139,7 +139,7 @@ class Film:
         points = np.concatenate([part.reshape(-1, 3) for part in parts])
         around = SOUTH_WEST + np.linspace(0, 2 * np.pi, 16, endpoint=False)
         sides = around if self._camera == "orbit" else [SOUTH_WEST]
-        fits = [fit(points, self._direction(side), self._size) for side in sides]
+        fits = [fit_camera(points, self._direction(side), self._size) for side in sides]
         return fits[0][0], max(distance for _, distance in fits)
 
     def _direction(self, azimuth: float) -> np.ndarray:
@@ -272,8 +272,8 @@ class Film:
         marks = Marks(drone, motion)
         if recording.goal.shape[1]:
             goal = between(recording.goal)
-            course = np.stack([position, goal], axis=1)[flies]
-            marks = marks._replace(goal=goal, course=course)
+            to_goal = np.stack([position, goal], axis=1)[flies]
+            marks = marks._replace(goal=goal, to_goal=to_goal)
         target = between(recording.target)
         links = recording.scene["link"]
         _, drone_index, target_index = links[links[:, 0] == row].T

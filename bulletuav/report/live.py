@@ -12,7 +12,7 @@ from typing import Protocol
 from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recorder import Recorder
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.infos import later
+from bulletuav.envs.infos import lazy_infos
 from bulletuav.envs.pacer import Pacer
 from bulletuav.envs.viewer import parse_address
 from bulletuav.report.feed import Feed, event
@@ -94,7 +94,7 @@ class LiveView(ABC):
     def _decision(self, recorder: Recorder) -> Recording:
         """Record the last decision."""
         aviary = self._aviary
-        recorder.record(aviary.given.copy(), aviary.rewards.copy(), later(aviary.telling()))
+        recorder.record(aviary.given.copy(), aviary.rewards.copy(), lazy_infos(aviary.info_table()))
         recording = recorder.recording()
         recorder.discard_history()
         self._rows += 1

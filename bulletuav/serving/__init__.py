@@ -1,1 +1,1 @@
-"""Servers: the policy of their connections, and the log of what they refuse."""
+"""Servers: limits of their connections, and the log of rejected calls and clients."""

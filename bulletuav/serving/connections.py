@@ -1,17 +1,18 @@
-"""One policy for the connections of all servers: limits and eviction.
+"""Policy for the connections of all servers: limits and eviction.
 
-A connection is pending until its first valid request, then it belongs to a client. Both have
-places of their own, so that peers which send nothing cannot take a client's place:
+A connection is pending until its first valid request, then it belongs to a client. Pending
+connections and clients have separate limits, so that peers which send nothing cannot block clients:
 
-- A new connection evicts the pending one that has been idle longest if all pending places are
-  taken. A pending connection without a valid request is closed after `handshake` seconds.
-- A first valid request needs a client's place. If all are taken, the client that has been idle
-  longest is evicted, if that is longer than `grace` seconds. Clients that wait for an answer are
-  evicted after all others, and have `max_wait` seconds instead. If no client may be evicted, the
-  new one is refused.
+- If the number of pending connections is at its limit, a new connection evicts the pending one that
+  has been idle longest. A pending connection without a valid request is closed after `handshake`
+  seconds.
+- The first valid request needs a client's place. If all are taken, the client that has been idle
+  longest is evicted, if it was idle for more than `grace` seconds. Clients that wait for an answer
+  are evicted after all others, and only after `max_wait` seconds. If no client may be evicted, the
+  new one is rejected.
 
-`Connections` keeps the books and has no sockets; `streams.py` applies it to asyncio's. What is
-refused, dropped or evicted is logged by `refusals.py`.
+`Connections` keeps the records and has no sockets; `streams.py` applies it to asyncio.
+`refusals.py` logs rejected, dropped and evicted connections.
 """
 
 import errno
@@ -25,42 +26,44 @@ Key = TypeVar("Key", bound=Hashable)
 Clock = Callable[[], float]
 
 
-EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
-"""Errors of a system that has no room for one more connection"""
+EXHAUSTED_ERRORS = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+"""Errors of a system without resources for another connection"""
 ACCEPT_RETRY = 1.0
-"""Time for which a server then accepts none, s: or it would try again and again"""
+"""Time for which a server then accepts no connections, instead of retrying continuously, s"""
 
 
-SPARED = "evicted: it sent nothing, and there was no room for one more connection"
-"""Event of a pending connection that was closed for that"""
+EVICTED_FOR_RESOURCES = (
+    "evicted: it sent nothing, and the system has no resources for more connections"
+)
+"""Event of a pending connection that was closed for lack of resources"""
 
 
 def cannot_accept(error: OSError) -> str:
-    """Describe why no more connections are accepted for now, with the remedy."""
+    """Return a message that no connections are accepted for now, with the remedy."""
     return (
-        f"no connection can be accepted ({error.strerror}): it tries again in {ACCEPT_RETRY:g} s; "
+        f"no connection can be accepted ({error.strerror}): retrying in {ACCEPT_RETRY:g} s; "
         f"close other connections, or raise the limit of open files (ulimit -n)"
     )
 
 
 class FullError(ConnectionError):
-    """All places are taken by connections that are in use."""
+    """All places are taken by connections in use."""
 
 
 @dataclass(frozen=True)
-class Limits:
+class ConnectionLimits:
     """Limits of a server's connections.
 
     Attributes:
-        max_clients: Clients at the same time.
-        max_pending: Connections without a valid request at the same time.
+        max_clients: Maximum number of clients.
+        max_pending: Maximum number of connections without a valid request.
         handshake: Time until the first valid request, s.
-        grace: Time after its last request in which a client is not evicted for another, s.
+        grace: Time after its last request in which a client is not evicted, s.
         max_wait: The same for a client that waits for an answer, s.
         pending_grace: The same for pending connections, s.
         max_idle: Time after its last request after which a client is dropped, s.
-        max_unread: Bytes that a client may leave unread.
-        max_stall: Time in which a client with unread bytes has to read some, s.
+        max_unread: Maximum number of bytes that a client may leave unread.
+        max_stall: Maximum time for which a client may read none of its unread bytes, s.
         linger: The same for a connection that the server has closed, s.
     """
 
@@ -78,12 +81,12 @@ class Limits:
 
 @dataclass
 class _Entry:
-    """What is known of a connection.
+    """Record of a connection.
 
     Attributes:
-        active: Time of its last valid request, or of its start, s.
-        is_client: Whether it has sent a valid request.
-        busy: Requests that it waits for.
+        active: Time of the last valid request, or of the start, s.
+        is_client: Whether the connection has sent a valid request.
+        busy: Number of requests that wait for an answer.
     """
 
     active: float
@@ -95,14 +98,14 @@ class Connections(Generic[Key]):
     """Pending connections and clients of a server.
 
     Attributes:
-        limits: Their limits.
+        limits: Limits of the connections.
     """
 
-    def __init__(self, limits: Limits, clock: Clock = time.monotonic) -> None:
+    def __init__(self, limits: ConnectionLimits, clock: Clock = time.monotonic) -> None:
         """Start without connections.
 
         Args:
-            limits: Their limits.
+            limits: Limits of the connections.
             clock: Function that returns the time, s.
         """
         self.limits, self._clock = limits, clock
@@ -134,13 +137,13 @@ class Connections(Generic[Key]):
             key: The connection.
 
         Returns:
-            A pending connection that is evicted for it: the server closes it.
+            A pending connection that is evicted, which the server has to close; or None.
 
         Raises:
-            FullError: All pending places are taken, and none of them may be evicted yet.
+            FullError: If all pending places are taken, and none of them may be evicted yet.
         """
         limits = self.limits
-        evicted = self._make_room(False, limits.max_pending, limits.pending_grace)
+        evicted = self._evict_idle(False, limits.max_pending, limits.pending_grace)
         self._entries[key] = _Entry(self._clock())
         return evicted
 
@@ -148,23 +151,23 @@ class Connections(Generic[Key]):
         """Record a valid request; a pending connection becomes a client's.
 
         Args:
-            key: The connection; one that is new needs no pending place.
+            key: The connection; a new one needs no pending place.
 
         Returns:
-            A client that is evicted for it: the server closes its connection.
+            A client that is evicted, whose connection the server has to close; or None.
 
         Raises:
-            FullError: All clients' places are taken, and none of them may be evicted yet.
+            FullError: If all clients' places are taken, and none of them may be evicted yet.
         """
         evicted = None
         if not self.is_client(key):
-            evicted = self._make_room(True, self.limits.max_clients, self.limits.grace)
+            evicted = self._evict_idle(True, self.limits.max_clients, self.limits.grace)
             self._entries[key] = _Entry(0.0, is_client=True)
         self._entries[key].active = self._clock()
         return evicted
 
     def touch(self, key: Key) -> None:
-        """Record that a connection is in use, without a request: it reads what it is sent."""
+        """Record that a connection is in use without a request, as it reads data."""
         if key in self._entries:
             self._entries[key].active = self._clock()
 
@@ -179,7 +182,7 @@ class Connections(Generic[Key]):
         return self._clock() - self._entries[key].active
 
     def overdue(self) -> list[Key]:
-        """Return connections that have been idle for too long: the server closes them."""
+        """Return connections that have been idle for too long, which the server has to close."""
         now, limits = self._clock(), self.limits
         return [
             key
@@ -188,14 +191,14 @@ class Connections(Generic[Key]):
         ]
 
     def _patience(self, entry: _Entry, client: float, pending: float) -> float:
-        """Return the time that a client or a pending connection has; one that waits has more, s."""
+        """Return the idle time that a connection may have; more if it waits for an answer, s."""
         patience = client if entry.is_client else pending
         return max(patience, self.limits.max_wait) if entry.busy else patience
 
     def spare(self) -> list[Key]:
-        """Remove and return pending connections to close where the system has no room for more.
+        """Remove and return pending connections to close when the system lacks resources.
 
-        Those are the ones that have been idle for `ACCEPT_RETRY`.
+        These are the ones that have been idle for `ACCEPT_RETRY`.
         """
         spared = [
             key
@@ -207,14 +210,14 @@ class Connections(Generic[Key]):
         return spared
 
     def remove(self, key: Key) -> None:
-        """Remove a connection, if it is there."""
+        """Remove a connection, if it exists."""
         self._entries.pop(key, None)
 
-    def _make_room(self, is_client: bool, most: int, grace: float) -> Key | None:
-        """Remove and return the connection of a kind that has been idle longest, if needed.
+    def _evict_idle(self, is_client: bool, most: int, grace: float) -> Key | None:
+        """Remove and return the longest idle connection of a kind, if the limit is reached.
 
         Raises:
-            FullError: None has been idle for longer than the grace time.
+            FullError: If none has been idle for longer than the grace time.
         """
         kept = [key for key, entry in self._entries.items() if entry.is_client == is_client]
         if len(kept) < most:

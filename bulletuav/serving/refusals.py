@@ -1,4 +1,4 @@
-"""The log of what servers refuse, which clients often do not show: calls, and connections."""
+"""Log of rejected calls and connections, which clients often do not show."""
 
 import logging
 import math
@@ -8,85 +8,85 @@ from collections import Counter
 from collections.abc import Callable
 
 MAX_CLIENTS = 1024
-"""Clients whose refusals are remembered; beyond them those heard longest ago are forgotten"""
+"""Maximum number of clients whose log entries are remembered, by last activity"""
 MAX_KINDS = 32
-"""Kinds of refusals that are logged for each client"""
+"""Maximum number of different entries for each client"""
 MAX_TEXT = 300
-"""Characters of a name, or of a reason, that a line shows"""
+"""Maximum length of a name, or of a reason, in a line"""
 MAX_LINES = 100
-"""Lines in `PERIOD` of calls, and as many of connections: floods do not fill the disk"""
+"""Maximum number of lines per `PERIOD`, for calls and for connections, so that logs stay small"""
 PERIOD = 60.0
 NUMBER = re.compile(r"(?<!\w)\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 
 class Refusals:
-    """Logs each kind of refusal once for each client, and not many in a short time.
+    """Logs each kind of rejection once for each client, with a limited rate.
 
-    Refused calls of one kind differ in numbers alone, but for those within names such as Drone1.
-    Connections have lines of their own: addresses can be made up, and a flood from many of them
-    hides no refused call of a client that is connected.
+    Rejected calls of one kind differ in numbers only, except for numbers within names such as
+    Drone1. Connections have a separate rate limit: addresses can be forged, and a flood of them
+    must not hide rejected calls of a connected client.
     """
 
     def __init__(self, logger: logging.Logger, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin with no clients.
+        """Start without clients.
 
         Args:
-            logger: Where refusals are logged, at level WARNING.
+            logger: Logger of the entries, at level WARNING.
             clock: Function that returns the time, s.
         """
         self._logger, self._clock = logger, clock
-        # Hashes, as texts of clients could be long
+        # Hashes, as texts of clients may be long
         self._kinds: dict[str, set[int]] = {}
         self._start, self._lines = -math.inf, Counter[str]()
 
     def log(self, client: str, call: str, reason: str) -> bool:
-        """Log that a call was refused, unless one of its kind was logged for this client before.
+        """Log a rejected call, unless a call of its kind was logged for this client before.
 
         Args:
-            client: Its address.
-            call: Name of the call or message; it may hold any characters.
-            reason: Why it was refused, with the remedy; it may hold any characters.
+            client: Address of the client.
+            call: Name of the call or message; it may contain any characters.
+            reason: Reason, with the remedy; it may contain any characters.
 
         Returns:
             Whether it was logged.
         """
-        line = f"{printable(call)} refused: {printable(reason)}"
+        line = f"{escape_line(call)} refused: {escape_line(reason)}"
         return self._log(client, "calls", NUMBER.sub("#", line), line)
 
     def log_connection(self, client: str, event: str) -> bool:
-        """Log that a client's connection was refused or ended, unless the same was logged before.
+        """Log a rejected or ended connection, unless the same was logged for this client before.
 
         Args:
-            client: Its address.
-            event: What happened, and why, such as "dropped: it sent no request in time".
+            client: Address of the client.
+            event: Event and reason, such as "dropped: it sent no request in time".
 
         Returns:
             Whether it was logged.
         """
-        line = f"connection {printable(event)}"
+        line = f"connection {escape_line(event)}"
         return self._log(client, "connections", line, line)
 
     def log_server(self, event: str) -> None:
-        """Log what keeps the server from accepting clients, at most once in a period.
+        """Log an event that keeps the server from accepting clients, at most once in a period.
 
         Args:
-            event: What happened, with the remedy.
+            event: The event, with the remedy.
         """
-        if self._has_room("server", 1):
+        if self._may_log("server", 1):
             self._lines["server"] += 1
-            self._logger.warning("server: %s", printable(event))
+            self._logger.warning("server: %s", escape_line(event))
 
     def forget(self, client: str) -> None:
-        """Forget a client that has gone."""
+        """Remove a client that has disconnected."""
         self._kinds.pop(client, None)
 
     def _log(self, client: str, topic: str, kind: str, line: str) -> bool:
-        """Log a line of a kind, unless it was logged before; return whether it was logged."""
+        """Log a line unless its kind was logged before; return whether it was logged."""
         kinds, number = self._kinds.pop(client, set()), hash(kind)
-        # The client that was heard last is the last one
+        # The dict is ordered by the last activity of clients
         if kinds:
             self._kinds[client] = kinds
-        if number in kinds or len(kinds) > MAX_KINDS or not self._has_room(topic):
+        if number in kinds or len(kinds) > MAX_KINDS or not self._may_log(topic):
             return False
         kinds.add(number)
         if len(kinds) > MAX_KINDS:
@@ -100,9 +100,8 @@ class Refusals:
         self._logger.warning("client %s: %s", client, line)
         return True
 
-    def _has_room(self, topic: str, most: int = MAX_LINES) -> bool:
-        """Return True if one more line may be logged in this period."""
-        # In a new period lines are counted from zero
+    def _may_log(self, topic: str, most: int = MAX_LINES) -> bool:
+        """Return True if another line may be logged in this period."""
         if self._clock() - self._start > PERIOD:
             self._start = self._clock()
             self._lines.clear()
@@ -110,10 +109,10 @@ class Refusals:
 
 
 class LineLimit(logging.Filter):
-    """Limits the lines that a library logs about what clients send, as `Refusals` limits ours."""
+    """Limits the lines that a library logs about client data, as `Refusals` does for ours."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin without lines.
+        """Start without lines.
 
         Args:
             clock: Function that returns the time, s.
@@ -122,18 +121,18 @@ class LineLimit(logging.Filter):
         self._clock, self._start, self._count = clock, -math.inf, 0
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Escape a record's characters; return False for one too many in this period."""
+        """Escape the characters of a record; return False if the rate limit is exceeded."""
         if self._clock() - self._start > PERIOD:
             self._start, self._count = self._clock(), 0
         self._count += 1
-        record.msg, record.args = printable(record.getMessage()), ()
+        record.msg, record.args = escape_line(record.getMessage()), ()
         if self._count == MAX_LINES:
             record.msg += f"; more lines are not logged for {PERIOD:.0f} s"
         return self._count <= MAX_LINES
 
 
-def printable(text: str) -> str:
-    """Escape characters that would break a line of the log, and cut long texts."""
+def escape_line(text: str) -> str:
+    """Escape characters that would break a line of the log, and truncate long texts."""
     cut = text if len(text) <= MAX_TEXT else text[:MAX_TEXT] + "..."
     return "".join(
         one if one.isprintable() else one.encode("unicode_escape").decode() for one in cut

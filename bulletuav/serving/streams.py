@@ -9,44 +9,41 @@ from typing import Any
 
 from bulletuav.envs.viewer import join_address
 from bulletuav.serving.connections import (
-    EXHAUSTED,
-    SPARED,
+    EVICTED_FOR_RESOURCES,
+    EXHAUSTED_ERRORS,
     Clock,
+    ConnectionLimits,
     Connections,
     FullError,
-    Limits,
     cannot_accept,
 )
 from bulletuav.serving.refusals import Refusals
 
 SWEEP_PERIOD = 0.25
-"""Time between two looks for connections that are overdue or stalled, s"""
+"""Period of checks for overdue and stalled connections, s"""
 
 
-class Stream:
-    """One connection, with a bounded queue of bytes to send.
+class StreamConnection:
+    """One connection, with a bounded send queue.
 
     Attributes:
-        reader: Reads what the peer sends.
+        reader: Reader of the peer's data.
         peer: Address of the peer.
     """
 
     def __init__(
-        self,
-        server: "StreamServer",
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
+        self, server: "StreamServer", reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        """Take over a connection that was accepted."""
+        """Wrap an accepted connection."""
         self.reader, self._writer, self._server = reader, writer, server
         self._transport = writer.transport
-        # A peer that has reset the connection already has no name
+        # The peer may have reset the connection already
         name = writer.get_extra_info("peername") or ("unknown", 0)
         self.peer = join_address(*name[:2])
         self._sent = self._delivered = 0
-        self._moved = server.clock()
+        self._progress_time = server.clock()
         one = writer.get_extra_info("socket")
-        # Finds peers that vanished without a word, such as a machine that was switched off
+        # Detects peers that vanished, such as a machine that was switched off
         with contextlib.suppress(OSError):
             one.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
 
@@ -57,13 +54,13 @@ class Stream:
 
     @property
     def unread(self) -> int:
-        """Number of bytes that wait to be sent."""
+        """Number of bytes in the send queue."""
         return self._transport.get_write_buffer_size()
 
     def send(self, data: bytes) -> None:
-        """Queue bytes; the connection is dropped if the peer leaves too many unread.
+        """Queue bytes; drop the connection if the peer leaves too many unread.
 
-        One message may be longer than the limit, if no other is queued.
+        A single message may exceed the limit if the queue is empty.
         """
         if not self.is_open:
             return
@@ -71,15 +68,15 @@ class Stream:
             self.drop(f"dropped: it left {self.unread} bytes unread")
             return
         if not self.unread:
-            self._moved = self._server.clock()
+            self._progress_time = self._server.clock()
         self._sent += len(data)
         self._writer.write(data)
 
     async def drain(self) -> None:
-        """Wait until the peer has read most of what was sent.
+        """Wait until the peer has read most of the queue.
 
         Raises:
-            ConnectionError: The connection was lost.
+            ConnectionError: If the connection was lost.
         """
         await self._writer.drain()
 
@@ -87,7 +84,7 @@ class Stream:
         """Record a valid request.
 
         Raises:
-            FullError: The server has no place for one more client.
+            FullError: If the server has no place for another client.
         """
         try:
             evicted = self._server.connections.request(self)
@@ -95,31 +92,31 @@ class Stream:
             self._server.log.log_connection(self.peer, f"refused: {error}")
             raise
         if evicted is not None:
-            evicted.drop("evicted: it was idle longest, and another client needed room")
+            evicted.drop("evicted: it was idle longest, and another client needed its place")
 
-    def look(self) -> None:
-        """Look whether the peer has read something since the last look."""
+    def check_progress(self) -> None:
+        """Check whether the peer has read data since the last check."""
         delivered = self._sent - self.unread
         if delivered > self._delivered or not self.unread:
-            self._moved = self._server.clock()
+            self._progress_time = self._server.clock()
         if delivered > self._delivered:
             self._server.connections.touch(self)
         self._delivered = delivered
 
     @property
     def stalled(self) -> float:
-        """Time for which the peer has had unread bytes without reading any, s."""
-        return self._server.clock() - self._moved if self.unread else 0.0
+        """Time for which the peer has read none of its unread bytes, s."""
+        return self._server.clock() - self._progress_time if self.unread else 0.0
 
     def close(self) -> None:
-        """Close the connection once the peer has read what was sent."""
+        """Close the connection after the queue was sent."""
         self._writer.close()
 
     def drop(self, event: str) -> None:
-        """Close the connection immediately, and log why.
+        """Close the connection immediately, and log the reason.
 
         Args:
-            event: What happened, and why, such as "dropped: it sent no request in time".
+            event: Event and reason, such as "dropped: it sent no request in time".
         """
         if self.is_open:
             self._server.log.log_connection(self.peer, event)
@@ -130,7 +127,7 @@ class Stream:
         self._transport.abort()
 
     async def end(self) -> None:
-        """Close the connection; a peer that stops reading what was sent loses it."""
+        """Close the connection; the rest of the queue is discarded if the peer stops reading."""
         self.close()
         moved, unread = self._server.clock(), self.unread
         try:
@@ -147,51 +144,51 @@ class Stream:
 
 
 class StreamServer:
-    """Accepts connections, and talks to each in a task of its own.
+    """Accepts connections, and serves each in its own task.
 
     Attributes:
         limits: Limits of connections.
-        connections: The connections that there are.
+        connections: Present connections.
         clock: Function that returns the time, s.
-        log: Log of peers that were refused or dropped.
+        log: Log of peers that were rejected or dropped.
     """
 
     def __init__(
         self,
-        talk: Callable[[Stream], Awaitable[None]],
-        limits: Limits,
+        talk: Callable[[StreamConnection], Awaitable[None]],
+        limits: ConnectionLimits,
         log: Refusals,
         clock: Clock = time.monotonic,
     ) -> None:
-        """Make a server that listens nowhere yet.
+        """Create a server that does not listen yet.
 
         Args:
-            talk: Coroutine function that serves a connection; it is closed afterwards.
+            talk: Coroutine function that serves a connection, which is closed afterwards.
             limits: Limits of connections.
-            log: Log of peers that were refused or dropped.
+            log: Log of peers that were rejected or dropped.
             clock: Function that returns the time, s.
         """
         self._talk, self.limits, self.log, self.clock = talk, limits, log, clock
-        self.connections: Connections[Stream] = Connections(limits, clock)
-        self._talks: dict[asyncio.Task[None], Stream] = {}
+        self.connections: Connections[StreamConnection] = Connections(limits, clock)
+        self._talks: dict[asyncio.Task[None], StreamConnection] = {}
         self._server: asyncio.Server | None = None
         self._sweeper: asyncio.Task[None] | None = None
 
     async def start(self, listening: socket.socket, max_line: int = 2**16) -> None:
-        """Accept connections of a socket that listens.
+        """Accept connections of a listening socket.
 
         Args:
             listening: The socket.
-            max_line: Longest line that a stream's reader reads, bytes.
+            max_line: Maximum length of a line that a stream's reader reads, bytes.
         """
         self._handle_errors_of(listening)
-        self._server = await asyncio.start_server(self._meet, sock=listening, limit=max_line)
-        self._sweeper = asyncio.create_task(self._sweep_often())
+        self._server = await asyncio.start_server(self._accept, sock=listening, limit=max_line)
+        self._sweeper = asyncio.create_task(self._sweep_periodically())
 
     def _handle_errors_of(self, listening: socket.socket) -> None:
-        """Log connections that the system has no room for as one line, without a traceback.
+        """Log exhausted resources as one line, without a traceback.
 
-        asyncio itself tries again after a second. Other errors go where they went before.
+        asyncio itself tries again after a second. Other errors go to the previous handler.
         """
         loop = asyncio.get_running_loop()
         before = loop.get_exception_handler()
@@ -199,10 +196,10 @@ class StreamServer:
         def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
             error, of = context.get("exception"), context.get("socket")
             is_ours = of is not None and of.fileno() == listening.fileno()
-            if is_ours and isinstance(error, OSError) and error.errno in EXHAUSTED:
+            if is_ours and isinstance(error, OSError) and error.errno in EXHAUSTED_ERRORS:
                 self.log.log_server(cannot_accept(error))
                 for stream in self.connections.spare():
-                    stream.drop(SPARED)
+                    stream.drop(EVICTED_FOR_RESOURCES)
             elif before is not None:
                 before(loop, context)
             else:
@@ -211,10 +208,10 @@ class StreamServer:
         loop.set_exception_handler(handle)
 
     async def stop(self) -> None:
-        """Close the port and all connections; returns when all have ended."""
+        """Close the port and all connections, and wait until they have ended."""
         if self._server is not None:
-            # asyncio leaks a connection if its server is closed while it accepts one: no more are
-            # accepted, and those that were just before are taken over in the loop's next rounds
+            # asyncio leaks a connection if its server is closed while accepting: stop accepting,
+            # and let the event loop start the tasks of connections that were just accepted
             with contextlib.suppress(NotImplementedError):
                 for one in self._server.sockets:
                     asyncio.get_running_loop().remove_reader(one.fileno())
@@ -228,43 +225,43 @@ class StreamServer:
             stream.close()
         if talks:
             await asyncio.wait(talks, timeout=self.limits.linger)
-        # Peers that still have not read what was sent lose it
+        # Data that peers have not read by now is discarded
         for task, stream in talks.items():
             stream.abort()
             task.cancel()
         await asyncio.gather(*talks, return_exceptions=True)
 
-    def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Take over a connection; `stop` closes it, even if its task has not begun yet."""
-        stream = Stream(self, reader, writer)
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Start to serve a connection; `stop` closes it, even if its task has not started yet."""
+        stream = StreamConnection(self, reader, writer)
         task = asyncio.get_running_loop().create_task(self._serve(stream))
         self._talks[task] = stream
         task.add_done_callback(self._talks.pop)
 
-    async def _serve(self, stream: Stream) -> None:
+    async def _serve(self, stream: StreamConnection) -> None:
         """Serve a connection until it ends."""
         try:
             with contextlib.suppress(ConnectionError):
                 evicted = self.connections.add(stream)
                 if evicted is not None:
-                    evicted.drop("evicted: it sent no request, and others needed room")
+                    evicted.drop("evicted: it sent no request, and another peer needed its place")
                 await self._talk(stream)
         finally:
-            # A connection keeps its place until it has ended: it still holds memory
+            # A connection keeps its place until it has ended, as it still uses memory
             await stream.end()
             self.connections.remove(stream)
             self.log.forget(stream.peer)
 
-    async def _sweep_often(self) -> None:
-        """Look for connections to drop, again and again."""
+    async def _sweep_periodically(self) -> None:
+        """Run `sweep` periodically."""
         while True:
             await asyncio.sleep(SWEEP_PERIOD)
             self.sweep()
 
     def sweep(self) -> None:
-        """Drop connections that are overdue, or read nothing of what they were sent."""
+        """Drop connections that are overdue, or read none of their unread bytes."""
         for stream in self.connections.all():
-            stream.look()
+            stream.check_progress()
             if stream.stalled > self.limits.max_stall:
                 stream.drop(f"dropped: it read nothing for {self.limits.max_stall:g} s")
         for stream in self.connections.overdue():

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bulletuav.analysis.conditions import Conditions
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.errors import read_file, reason_of, shown
 from bulletuav.files import replace_file, whole_file
 from bulletuav.parsing import read_json
@@ -206,7 +206,7 @@ def evaluation_conditions(config: RunConfig) -> Conditions:
         config: Settings of the run.
     """
     task = find_task(config.task)
-    options = resolve(task, config.evaluated).options
+    options = resolve_options(task, config.evaluated).options
     return Conditions(
         task=task.name,
         difficulty=options.difficulty,
@@ -223,7 +223,7 @@ def training_conditions(config: RunConfig) -> str:
         config: Settings of the run, whose stages may have several difficulties or dynamics.
     """
     task = find_task(config.task)
-    stages = [resolve(task, {**config.options, **stage}).options for stage in config.stages]
+    stages = [resolve_options(task, {**config.options, **stage}).options for stage in config.stages]
     difficulty = ", then ".join(dict.fromkeys(stage.difficulty for stage in stages))
     dynamics = ", then ".join(dict.fromkeys(stage.dynamics_name for stage in stages))
     return (

@@ -22,7 +22,7 @@ from bulletuav.bridges import airsim, airsim_drawing, airsim_pictures
 from bulletuav.bridges.airsim import AirsimServer, TurnScheduler
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.cli import main
-from bulletuav.serving.connections import Limits
+from bulletuav.serving.connections import ConnectionLimits
 from bulletuav.serving.streams import SWEEP_PERIOD
 
 FREE = (0, {"is_rate": True, "yaw_or_rate": 0.0})
@@ -73,7 +73,7 @@ def serve():
     def serve(drones=1, speed=20.0, **options):
         world = AirsimWorld(drones, seed=0)
         # On a busy machine a client of a test may take long to send its first request
-        options.setdefault("limits", Limits(handshake=PATIENCE))
+        options.setdefault("limits", ConnectionLimits(handshake=PATIENCE))
         server = AirsimServer(world, port=0, speed=speed, **options)
         thread = threading.Thread(target=server.run)
         server.is_running = thread.is_alive
@@ -425,7 +425,7 @@ def test_a_start_that_hangs_is_an_error(serve, connect, monkeypatch):
 def test_clients_that_wait_hold_their_places_for_a_time_alone(serve, connect):
     """Each flies the world for long; one of them makes room, and its flight ends with it."""
     now = [0.0]
-    server = serve(limits=Limits(max_clients=3, max_wait=600.0), clock=lambda: now[0])
+    server = serve(limits=ConnectionLimits(max_clients=3, max_wait=600.0), clock=lambda: now[0])
     waiting = [connect(server) for _ in range(3)]
     for client in waiting:
         client.send("simContinueForFrames", 60_000)
@@ -525,7 +525,7 @@ def test_more_than_a_client_may_leave_unread_is_sent_to_one_that_reads(
     serve, connect, large_pictures, caplog
 ):
     """32 pictures of a million bytes, to a client that is busy but reads: it is not dropped."""
-    server = serve(limits=Limits(max_unread=2 * 10**6))
+    server = serve(limits=ConnectionLimits(max_unread=2 * 10**6))
     client = connect(server)
     for _ in range(2):
         assert client.get("simGetImages", [ONE] * 32, "") == [bytes(10**6)] * 32
@@ -542,7 +542,7 @@ def test_a_client_that_waits_for_pictures_is_not_idle(serve, connect, monkeypatc
             return msgpack.packb(b"drawn")
 
     monkeypatch.setattr(airsim_pictures, "DrawingProcess", Slow)
-    limits = Limits(max_clients=2, grace=60.0, max_idle=1000.0)
+    limits = ConnectionLimits(max_clients=2, grace=60.0, max_idle=1000.0)
     server = serve(limits=limits, clock=lambda: now[0])
     client, idle = connect(server), connect(server)
     assert client.get("ping") is True
@@ -725,7 +725,7 @@ def test_time_that_is_continued_is_flown_in_turns(monkeypatch):
 
 def test_silent_connections_lock_nobody_out(serve, connect):
     """Many more than there are places; the client that flies is not disconnected for them."""
-    server = serve(limits=Limits(max_clients=2, max_pending=8))
+    server = serve(limits=ConnectionLimits(max_clients=2, max_pending=8))
     client = connect(server)
     ready(client)
     silent = [connect(server) for _ in range(30)]
@@ -738,7 +738,7 @@ def test_silent_connections_lock_nobody_out(serve, connect):
 
 def test_connections_without_a_request_are_closed_in_time(serve, connect):
     now = [0.0]
-    server = serve(limits=Limits(handshake=10.0), clock=lambda: now[0])
+    server = serve(limits=ConnectionLimits(handshake=10.0), clock=lambda: now[0])
     client, silent, partial = connect(server), connect(server), connect(server)
     assert client.get("ping") is True
     partial.socket.sendall(b"\x94\x00")
@@ -758,7 +758,7 @@ def test_connections_without_a_request_are_closed_in_time(serve, connect):
 
 def test_a_client_too_many_is_told_so(serve, connect, caplog):
     now = [0.0]
-    server = serve(limits=Limits(max_clients=2, grace=60.0), clock=lambda: now[0])
+    server = serve(limits=ConnectionLimits(max_clients=2, grace=60.0), clock=lambda: now[0])
     first, second = connect(server), connect(server)
     assert [one.get("ping") for one in (first, second)] == [True, True]
     third = connect(server)
@@ -786,7 +786,7 @@ def test_a_client_too_many_is_told_so(serve, connect, caplog):
 
 
 def test_a_client_that_reads_nothing_is_dropped(serve, connect, caplog):
-    server = serve(limits=Limits(max_unread=1000))
+    server = serve(limits=ConnectionLimits(max_unread=1000))
     client = connect(server)
 
     states = msgpack.packb([0, 1, "getMultirotorState", [""]]) * 100
@@ -803,7 +803,7 @@ def test_a_client_that_reads_nothing_is_dropped(serve, connect, caplog):
 
 def test_a_client_that_stops_reading_is_dropped_in_time(serve, connect, large_pictures, caplog):
     now = [0.0]
-    server = serve(limits=Limits(max_stall=30.0), clock=lambda: now[0])
+    server = serve(limits=ConnectionLimits(max_stall=30.0), clock=lambda: now[0])
     client = connect(server)
     client.send("simGetImages", [ONE] * 32, "")
     until(lambda: [one.unread > 0 for one in server.connections.all()] == [True])
@@ -822,7 +822,7 @@ def test_a_client_that_reads_nothing_holds_up_neither_the_end_nor_memory(
     goes, serve, connect, large_pictures
 ):
     """It may have closed its own side, too."""
-    server = serve(limits=Limits(linger=0.1, max_stall=1.0 if goes else 1e6))
+    server = serve(limits=ConnectionLimits(linger=0.1, max_stall=1.0 if goes else 1e6))
     client = connect(server)
     client.send("simGetImages", [ONE] * 32, "")
     until(lambda: [one.unread > 0 for one in server.connections.all()] == [True])

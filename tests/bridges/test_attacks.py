@@ -42,7 +42,7 @@ from bulletuav.cli import main
 from bulletuav.commands import serve as command
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.report.feed import Feed
-from bulletuav.serving.connections import ACCEPT_RETRY, SPARED
+from bulletuav.serving.connections import ACCEPT_RETRY, EVICTED_FOR_RESOURCES
 
 ODD = (0.0, -1.0, 1.0, 1e-45, 3e38, -3e38, math.inf, -math.inf, math.nan)
 """Numbers that no program means"""
@@ -109,7 +109,7 @@ def test_the_commands_serve_this_machine_alone_unless_they_are_told():
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
     assert {parser.parse_args([kind]).host for kind in command.KINDS} == {"127.0.0.1"}
-    assert bulletuav.envs.viewer.USUAL_ADDRESS.startswith("127.0.0.1:")
+    assert bulletuav.envs.viewer.DEFAULT_ADDRESS.startswith("127.0.0.1:")
     with pytest.raises(SystemExit):
         main(["serve", "airsim", "--port", "0", "--host", "203.0.113.1", "--seconds", "0.1"])
 
@@ -274,7 +274,7 @@ def test_silent_connections_make_room_where_the_system_has_none(exhausted, world
         with socket.create_connection(("127.0.0.1", speak.port), timeout=PATIENCE):
             assert silent.recv(1) == b""
         exhausted.clear()
-    assert SPARED in caplog.text
+    assert EVICTED_FOR_RESOURCES in caplog.text
 
 
 def test_bodies_wait_for_room_for_connections(exhausted, caplog):
@@ -291,7 +291,7 @@ def test_bodies_wait_for_room_for_connections(exhausted, caplog):
             server._accept_again()
             until(lambda: server._listen(0.01) or len(exhausted.asked) == count)  # noqa: B023
         assert len(server._connections[0]) == 0
-        assert SPARED not in caplog.text
+        assert EVICTED_FOR_RESOURCES not in caplog.text
         exhausted.clear()
         now[0] += 2 * ACCEPT_RETRY
         until(lambda: server._step_lockstep() or len(server._connections[0]) == 1)
@@ -300,7 +300,7 @@ def test_bodies_wait_for_room_for_connections(exhausted, caplog):
         now[0] += 2 * ACCEPT_RETRY
         with socket.create_connection(("127.0.0.1", server.ports[0]), timeout=PATIENCE):
             until(lambda: server._listen(0.01) or len(server._connections[0]) == 0)
-    assert SPARED in caplog.messages[1]
+    assert EVICTED_FOR_RESOURCES in caplog.messages[1]
     assert "no connection can be accepted (Too many open files)" in caplog.messages[0]
     server.close()
     bodies.close()

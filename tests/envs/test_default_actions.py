@@ -9,7 +9,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.policies import find_policy
 from bulletuav.policies.run import RunConfig
 from bulletuav.tasks import find_task
@@ -56,7 +56,9 @@ def test_every_task_can_be_made_in_every_dynamics(task):
 )
 def test_the_action_of_hover_is_the_highest_that_the_dynamics_takes(dynamics, action):
     for options in ({}, {"preset": "hover_aviary"}):
-        found = resolve(find_task("hover"), {"dynamics": dynamics, **options}).options.action
+        found = resolve_options(
+            find_task("hover"), {"dynamics": dynamics, **options}
+        ).options.action
         kept = options and action == "rotor"
         assert found == ("hover_rpm" if kept else action)
 

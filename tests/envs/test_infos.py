@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.envs.infos import METHODS, later
+from bulletuav.envs.infos import METHODS, lazy_infos
 
 READS = {
     "item": lambda infos: infos["a"],
@@ -46,7 +46,7 @@ def test_they_read_as_a_dict(read):
         made.append(1)
         return {"a": 1, "b": 2}
 
-    infos = later(make)
+    infos = lazy_infos(make)
     assert not made
     assert READS[read](infos) == READS[read]({"a": 1, "b": 2})
     assert READS[read](infos) == READS[read]({"a": 1, "b": 2})
@@ -67,7 +67,7 @@ WRITES = {
 
 @pytest.mark.parametrize("write", WRITES)
 def test_they_are_written_as_a_dict(write):
-    infos, plain = later(lambda: {"a": 1, "b": 2}), {"a": 1, "b": 2}
+    infos, plain = lazy_infos(lambda: {"a": 1, "b": 2}), {"a": 1, "b": 2}
     WRITES[write](infos)
     WRITES[write](plain)
     assert dict(infos) == plain
@@ -95,7 +95,7 @@ def test_an_interrupt_loses_nothing():
             raise value
         return value
 
-    infos = later(make)
+    infos = lazy_infos(make)
     with pytest.raises(KeyboardInterrupt):
         len(infos)
     assert list(infos.items()) == [("a", 1), ("b", 2)]

@@ -16,7 +16,7 @@ from bulletuav.envs.marks import (
     Lens,
     marks_of,
 )
-from bulletuav.envs.renderer import DIRECTION, fit
+from bulletuav.envs.renderer import DIRECTION, fit_camera
 from bulletuav.geometry.view import projection_matrix, view_matrix
 
 SMALL = {"area": 200.0, "num_layouts": 1, "render_mode": "rgb_array"}
@@ -58,7 +58,7 @@ def test_points_are_projected_as_by_hand():
 def test_a_picture_shows_all_points_and_little_more():
     points = np.random.default_rng(0).uniform((-90, -40, 0), (90, 60, 50), (60, 3))
     for width, height in ((640, 480), (300, 400)):
-        target, distance = fit(points, DIRECTION, (width, height))
+        target, distance = fit_camera(points, DIRECTION, (width, height))
         eye = target + distance * np.array([-0.55, -0.75, 0.5])
         matrix = projection_matrix(width / height, 60.0) @ view_matrix(eye, target)
         places, before = Lens(matrix, (width, height)).project(points)
@@ -72,8 +72,8 @@ def test_goals_and_ways_are_marked_where_there_are_goals():
     found = marks(aviary, 1)
     place = aviary.swarm.position[1]
     np.testing.assert_array_equal(found.goal, aviary.scene.goal[1])
-    np.testing.assert_array_equal(found.course, np.stack([place, aviary.scene.goal[1]], axis=1))
-    np.testing.assert_allclose(found.way[:, 1] - place, aviary.swarm.velocity[1], atol=1e-12)
+    np.testing.assert_array_equal(found.to_goal, np.stack([place, aviary.scene.goal[1]], axis=1))
+    np.testing.assert_allclose(found.motion[:, 1] - place, aviary.swarm.velocity[1], atol=1e-12)
     assert not len(found.target)
     assert not len(found.beam)
     aviary.close()
@@ -87,7 +87,7 @@ def test_users_are_marked_with_links_to_who_serves_them(task):
     np.testing.assert_array_equal(found.target, users)
     np.testing.assert_array_equal(found.seen, aviary.sight[0].any(axis=0))
     assert not len(found.goal)
-    assert not len(found.course)
+    assert not len(found.to_goal)
     told = {tuple(np.concatenate(line)) for line in found.link}
     pairs = {(i, j) for i in range(3) for j in range(15) if (*place[i], *users[j]) in told}
     assert len(pairs) == len(found.link) > 0
@@ -155,7 +155,7 @@ def test_a_user_is_drawn_where_it_is():
     colour = SEEN if found.seen[0] else UNSEEN
     rows, columns = np.nonzero((picture == colour).all(axis=-1))
     points = np.concatenate([found.drone, found.target])
-    target, distance = fit(points, DIRECTION, (640, 200))
+    target, distance = fit_camera(points, DIRECTION, (640, 200))
     view = view_matrix(target + distance * np.array([-0.55, -0.75, 0.5]), target)
     lens = Lens(projection_matrix(3.2, 60.0) @ view, (640, 200))
     ((x, y),) = lens.project(found.target)[0]

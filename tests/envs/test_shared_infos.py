@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bulletuav.envs.infos import Told, later
+from bulletuav.envs.infos import InfoTable, lazy_infos
 from bulletuav.envs.shared_infos import SharedInfos
 
 PARTS = [slice(0, 2), slice(2, 3)]
@@ -18,9 +18,9 @@ def sides(first=FIRST, room=5):
     """The asking side, and those of two processes, after a reset."""
     array = np.zeros((3, room, 4))
     asking, *working = (SharedInfos(array), *(SharedInfos(array[part]) for part in PARTS))
-    asking.learn(first)
+    asking.set_types(first)
     for one, part in zip(working, PARTS, strict=True):
-        one.learn({name: value[part] for name, value in first.items()})
+        one.set_types({name: value[part] for name, value in first.items()})
     return asking, working
 
 
@@ -32,9 +32,9 @@ def infos_of(rng):
     }
 
 
-def put(working, infos):
+def write(working, infos):
     return [
-        one.put({name: value[part] for name, value in infos.items()})
+        one.write({name: value[part] for name, value in infos.items()})
         for one, part in zip(working, PARTS, strict=True)
     ]
 
@@ -45,8 +45,8 @@ def test_they_come_out_as_they_went_in_and_stay():
     steps = [infos_of(rng) for _ in range(2)]
     taken = []
     for infos in steps:
-        assert put(working, infos) == [True, True]
-        taken.append(asking.take([None, None], PARTS))
+        assert write(working, infos) == [True, True]
+        taken.append(asking.read([None, None], PARTS))
     for infos, out in zip(steps, taken, strict=True):
         assert list(out) == list(infos)
         for name, value in infos.items():
@@ -57,10 +57,10 @@ def test_they_come_out_as_they_went_in_and_stay():
 def test_a_process_with_more_to_tell_sends_all_of_it():
     asking, working = sides()
     infos = infos_of(np.random.default_rng(1))
-    put(working, infos)
+    write(working, infos)
     sent = {name: value[PARTS[1]] for name, value in infos.items()} | {"final": np.ones((1, 4))}
-    assert not working[1].put(sent)
-    out = asking.take([None, sent], PARTS)
+    assert not working[1].write(sent)
+    out = asking.read([None, sent], PARTS)
     for name, value in infos.items():
         np.testing.assert_array_equal(out[name], value)
     np.testing.assert_array_equal(out["final"], [[0] * 4, [0] * 4, [1] * 4])
@@ -77,7 +77,7 @@ def test_a_process_with_more_to_tell_sends_all_of_it():
 )
 def test_a_step_unlike_the_reset_is_not_put(changed):
     _, working = sides()
-    assert put(working, FIRST | changed) == [False, False]
+    assert write(working, FIRST | changed) == [False, False]
 
 
 @pytest.mark.parametrize(
@@ -91,11 +91,11 @@ def test_a_step_unlike_the_reset_is_not_put(changed):
 )
 def test_nothing_is_put_where_not_all_have_room(first):
     _, working = sides(first)
-    assert put(working, first) == [False, False]
+    assert write(working, first) == [False, False]
 
 
 def test_nothing_is_put_before_a_reset():
-    assert not SharedInfos(np.zeros((3, 5, 4))).put(FIRST)
+    assert not SharedInfos(np.zeros((3, 5, 4))).write(FIRST)
 
 
 def told(rng, rows):
@@ -103,19 +103,19 @@ def told(rng, rows):
     table = rng.integers(0, 2, (len(rows), 3, 4)).astype(float)
     more = {"dwell_time": rng.normal(size=(3, 4))}
     more["dwell_time"].flags.writeable = False
-    return Told(table, rows, more)
+    return InfoTable(table, rows, more)
 
 
 @pytest.mark.parametrize("name", [None, "goal_distance"])
 def test_a_table_of_a_decision_goes_as_the_infos_that_are_made_of_it(name):
     rows = [("reward/goal", float), (name, float), ("success", bool), ("conflicts", np.int64)]
     decision = told(np.random.default_rng(3), rows)
-    infos = later(decision)
+    infos = lazy_infos(decision)
     shared = SharedInfos(np.zeros((3, 5, 4)))
-    shared.learn(decision())
-    assert shared.put(infos)
+    shared.set_types(decision())
+    assert shared.write(infos)
     assert infos._make is decision  # nobody had to make them
-    out = shared.take([None], [slice(0, 3)])
+    out = shared.read([None], [slice(0, 3)])
     assert list(out) == list(infos)
     for key, value in infos.items():
         np.testing.assert_array_equal(out[key], value)
@@ -123,4 +123,4 @@ def test_a_table_of_a_decision_goes_as_the_infos_that_are_made_of_it(name):
     # What infos tell can be written into, though the decision's own array cannot
     infos["dwell_time"][:] = 0.0
     assert decision.more["dwell_time"].any()
-    assert not shared.put(later(told(np.random.default_rng(4), rows[::-1])))
+    assert not shared.write(lazy_infos(told(np.random.default_rng(4), rows[::-1])))

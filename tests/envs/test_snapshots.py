@@ -11,11 +11,11 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import bulletuav
-from bulletuav.envs.described import WITHOUT_EFFECT, parts_of, text_of
+from bulletuav.envs.descriptions import WITHOUT_EFFECT, canonical_text, describe_parts
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.gymnasium import CentralAviary, CentralVectorAviary
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.snapshot import FaceSnapshot, Form, Snapshot, checksum_of
+from bulletuav.envs.snapshot import EnvironmentSnapshot, Form, Snapshot, checksum_of
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
@@ -645,11 +645,17 @@ def test_snapshots_of_classes_that_were_put_together_by_hand_are_refused():
     env.reset(seed=0)
     saved = env.save_state()
     for forged, told in (
-        (FaceSnapshot.__new__(FaceSnapshot), "has of None instead of a str"),
-        (FaceSnapshot("aec_env", None, saved.beside), "has flight None instead of a Snapshot"),
-        (FaceSnapshot("aec_env", saved.flight, [1]), "has beside .* instead of a Mapping"),
-        (FaceSnapshot("aec_env", saved.flight, {}), "lacks .*'agents'"),
-        (FaceSnapshot("aec_env", saved.flight, {**saved.beside, "step": 1}), "'step'., or has"),
+        (EnvironmentSnapshot.__new__(EnvironmentSnapshot), "has of None instead of a str"),
+        (
+            EnvironmentSnapshot("aec_env", None, saved.beside),
+            "has flight None instead of a Snapshot",
+        ),
+        (EnvironmentSnapshot("aec_env", saved.flight, [1]), "has beside .* instead of a Mapping"),
+        (EnvironmentSnapshot("aec_env", saved.flight, {}), "lacks .*'agents'"),
+        (
+            EnvironmentSnapshot("aec_env", saved.flight, {**saved.beside, "step": 1}),
+            "'step'., or has",
+        ),
     ):
         with pytest.raises(ValueError, match=told):
             env.load_state(forged)
@@ -660,11 +666,11 @@ def test_snapshots_of_former_versions_are_refused():
     saved = aviary.save_state()
     for kind, state in (
         (Snapshot, {"data": saved.data, "form": "0123456789abcdef"}),
-        (FaceSnapshot, {"of": "aec_env", "flight": saved, "beside": {}}),
+        (EnvironmentSnapshot, {"of": "aec_env", "flight": saved, "beside": {}}),
     ):
         with pytest.raises(ValueError, match="of another version of bulletuav: save it again"):
             kind.__new__(kind).__setstate__(state)
-    face = FaceSnapshot("aec_env", saved, {"agents": ["drone_0"]})
+    face = EnvironmentSnapshot("aec_env", saved, {"agents": ["drone_0"]})
     state = face.__getstate__()
     for key, value in (("beside", {"agents": ["drone_1"]}), ("checksum", b"other")):
         with pytest.raises(ValueError, match="'aec_env' is damaged"):
@@ -729,12 +735,12 @@ def test_every_option_is_among_the_parts_of_a_snapshot_or_without_effect(task):
             },
         )
     )
-    parts = parts_of(spec.options, spec.task)
+    parts = describe_parts(spec.options, spec.task)
     values = {one: getattr(other.options, one) for one in ("airframe", "randomization", "sensors")}
     values |= {"observation": other.options.observation, "reward": {"mine": (len, 0.1)}}
     for field in dataclasses.fields(EnvOptions):
         value = values.get(field.name, ANOTHER)
-        found = parts_of(changed(spec.options, field.name, value), spec.task)
+        found = describe_parts(changed(spec.options, field.name, value), spec.task)
         differ = {name for name in parts if parts[name] != found[name]}
         if field.name == "airframe":
             assert {"airframe", "airframe.mass", "airframe.rotors"} <= differ
@@ -744,7 +750,7 @@ def test_every_option_is_among_the_parts_of_a_snapshot_or_without_effect(task):
         flown = copy.copy(spec.task)
         flown.config = changed(spec.task.config, field.name, ANOTHER)
         flown.obstacles, flown.layouts = spec.task.obstacles, spec.task.layouts
-        found = parts_of(spec.options, flown)
+        found = describe_parts(spec.options, flown)
         assert {name for name in parts if parts[name] != found[name]} == {field.name}
     # Options without effect are options
     assert {field.name for field in dataclasses.fields(EnvOptions)} >= WITHOUT_EFFECT
@@ -853,17 +859,21 @@ def test_an_airspace_refuses_a_snapshot_of_another_one():
 
 def test_equal_values_have_equal_texts_in_every_process():
     field = lambda place, time: place * 0.0  # noqa: E731
-    again = "from bulletuav.envs.described import text_of; print(text_of({'b', 'a', 'c'}))"
+    again = "from bulletuav.envs.descriptions import text_of; print(text_of({'b', 'a', 'c'}))"
     told = subprocess.run([sys.executable, "-c", again], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == text_of({"c", "a", "b"})
-    assert text_of(Imperfect(Imu(), noise=0.1)) == text_of(Imperfect(Imu(), noise=0.1))
-    assert " at 0x" not in text_of((Imperfect(Imu(), noise=0.1), field, np.zeros))
-    assert text_of(Imperfect(Imu(), noise=0.1)) != text_of(Imperfect(Imu(), noise=0.2))
+    assert told.stdout.strip() == canonical_text({"c", "a", "b"})
+    assert canonical_text(Imperfect(Imu(), noise=0.1)) == canonical_text(
+        Imperfect(Imu(), noise=0.1)
+    )
+    assert " at 0x" not in canonical_text((Imperfect(Imu(), noise=0.1), field, np.zeros))
+    assert canonical_text(Imperfect(Imu(), noise=0.1)) != canonical_text(
+        Imperfect(Imu(), noise=0.2)
+    )
     made = [lambda speed=speed: speed for speed in (1.0, 2.0)]
-    assert text_of(made[0]) != text_of(made[1])
+    assert canonical_text(made[0]) != canonical_text(made[1])
     loop = []
     loop.append(loop)
-    assert text_of(loop) == "(itself)"
+    assert canonical_text(loop) == "(itself)"
 
 
 def test_snapshots_that_do_not_fit_are_refused():

@@ -15,7 +15,7 @@ from waiting import PATIENCE
 
 import bulletuav
 from bulletuav.envs import worker
-from bulletuav.envs.worker import came
+from bulletuav.envs.worker import poll_number
 
 
 def rolled(workers, task="crossing", steps=25, num_envs=5, **options):
@@ -83,11 +83,11 @@ def test_the_number_of_processes_changes_no_bit(workers, options):
 
 @pytest.mark.parametrize("cores", [1, 2])
 def test_who_has_fewer_cores_than_processes_sleeps_at_once(cores, monkeypatch):
-    monkeypatch.setattr("bulletuav.envs.workers._cores", lambda: cores)
+    monkeypatch.setattr("bulletuav.envs.workers._count_cores", lambda: cores)
     looked = []
-    look = came
+    look = poll_number
     monkeypatch.setattr(
-        "bulletuav.envs.workers.came", lambda *given: looked.append(given[2]) or look(*given)
+        "bulletuav.envs.workers.poll_number", lambda *given: looked.append(given[2]) or look(*given)
     )
     some = rolled(2, steps=3)
     assert looked
@@ -103,7 +103,7 @@ def test_questions_and_answers_are_counted_on_both_sides():
         env.step(np.zeros((4, 2, *env.action_space.shape)))
         assert env._arrays["questions"][2] == asked + 1
         # The worker counts an answer when it has sent it
-        assert came(env._arrays["answers"][2:], asked + 2, PATIENCE)
+        assert poll_number(env._arrays["answers"][2:], asked + 2, PATIENCE)
     env.close()
 
 
@@ -123,11 +123,11 @@ def test_who_sees_a_question_does_not_wait_for_the_pipe(monkeypatch):
 
 def test_a_number_in_shared_memory_is_looked_for_until_it_is_there_or_for_a_time():
     numbers = np.array([3, 0])
-    assert came(numbers, 3, 0.0)
-    assert not came(numbers, 4, 0.01)
+    assert poll_number(numbers, 3, 0.0)
+    assert not poll_number(numbers, 4, 0.01)
     late = threading.Timer(0.02, numbers.__setitem__, (0, 5))
     late.start()
-    assert came(numbers, 5, PATIENCE)
+    assert poll_number(numbers, 5, PATIENCE)
     late.join()
 
 
@@ -249,7 +249,7 @@ def test_processes_that_cannot_be_are_refused_however_many_there_are(workers):
 
 
 def test_closing_does_not_wait_for_ever_for_a_stopped_worker(monkeypatch):
-    monkeypatch.setattr("bulletuav.envs.worker.PATIENCE", 0.5)
+    monkeypatch.setattr("bulletuav.envs.worker.JOIN_TIMEOUT", 0.5)
     env = bulletuav.batch_env("hover", 2, workers=2, start_method="fork")
     children = [psutil.Process(process.pid) for process in env._processes]
     os.kill(children[0].pid, signal.SIGSTOP)

@@ -18,7 +18,7 @@ from bulletuav.cli import main
 from bulletuav.envs.viewer import join_address, parse_address
 from bulletuav.report import feed as feeds
 from bulletuav.report.feed import Feed, event
-from bulletuav.serving.connections import Limits
+from bulletuav.serving.connections import ConnectionLimits
 
 FREE = "127.0.0.1:0"
 SHORT = {"num_drones": 3, "dynamics": "point_mass", "horizon": 20}
@@ -151,7 +151,7 @@ def test_a_flight_is_the_same_with_viewers_and_without(env):
 
 def test_a_viewer_that_does_not_read_is_dropped(caplog):
     """It never makes the flight wait, and others see everything."""
-    feed = Feed("127.0.0.1", 0, lambda: "", Limits(max_unread=4_000_000))
+    feed = Feed("127.0.0.1", 0, lambda: "", ConnectionLimits(max_unread=4_000_000))
     asleep, awake = Watcher(feed.address), Watcher(feed.address)
     until(lambda: len(feed._viewers) == 2)
     news = event("rows", "x" * 500_000)
@@ -172,7 +172,7 @@ def test_a_viewer_that_does_not_read_is_dropped(caplog):
 def test_viewers_that_read_nothing_cost_no_threads_and_no_more_memory_than_is_allowed():
     """70 of them; those who read get everything, and a late one gets in when others stall."""
     now = [0.0]
-    limits = Limits(max_clients=64, max_unread=100_000, max_stall=10.0, grace=10.0)
+    limits = ConnectionLimits(max_clients=64, max_unread=100_000, max_stall=10.0, grace=10.0)
     feed = Feed("127.0.0.1", 0, lambda: "", limits, lambda: now[0])
     before = threading.active_count()
     asleep = [http.client.HTTPConnection(feed.address, timeout=PATIENCE) for _ in range(70)]
@@ -198,7 +198,7 @@ def test_viewers_that_read_nothing_cost_no_threads_and_no_more_memory_than_is_al
 
 def test_a_stalled_viewer_is_dropped_in_time():
     now = [0.0]
-    feed = Feed("127.0.0.1", 0, lambda: "", Limits(max_stall=10.0), lambda: now[0])
+    feed = Feed("127.0.0.1", 0, lambda: "", ConnectionLimits(max_stall=10.0), lambda: now[0])
     asleep, awake = Watcher(feed.address), Watcher(feed.address)
     until(lambda: len(feed._viewers) == 2)
     feed.send(event("rows", "x" * 10_000_000), lambda: event("start", "x" * 10_000_000))
@@ -219,7 +219,7 @@ def test_a_stalled_viewer_is_dropped_in_time():
 
 @pytest.fixture
 def feed():
-    feed = Feed("127.0.0.1", 0, lambda: "the page", Limits(handshake=0.5, linger=0.2))
+    feed = Feed("127.0.0.1", 0, lambda: "the page", ConnectionLimits(handshake=0.5, linger=0.2))
     yield feed
     feed.close()
 
@@ -334,7 +334,7 @@ def test_the_page_connects_to_its_server_alone(env):
 
 
 def test_there_are_bounds_to_how_many_watch():
-    feed = Feed("127.0.0.1", 0, lambda: "the page", Limits(max_clients=1))
+    feed = Feed("127.0.0.1", 0, lambda: "the page", ConnectionLimits(max_clients=1))
     watcher = Watcher(feed.address)
     assert watcher.answer.status == 200
     other = Watcher(feed.address)
@@ -358,7 +358,7 @@ def test_a_page_that_has_the_head_of_the_feed_watches():
 
 
 def test_silent_connections_lock_no_viewer_out():
-    feed = Feed("127.0.0.1", 0, lambda: "the page", Limits(max_pending=4))
+    feed = Feed("127.0.0.1", 0, lambda: "the page", ConnectionLimits(max_pending=4))
     silent = [socket.create_connection(parse_address(feed.address)) for _ in range(20)]
     watcher = Watcher(feed.address)
     until(lambda: feed.is_watched)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from waiting import PATIENCE
 
-from bulletuav.serving.connections import ACCEPT_RETRY, Connections, FullError, Limits
+from bulletuav.serving.connections import ACCEPT_RETRY, ConnectionLimits, Connections, FullError
 from bulletuav.serving.refusals import Refusals
 from bulletuav.serving.streams import StreamServer
 
@@ -30,7 +30,7 @@ def clock():
 
 
 def test_a_new_connection_evicts_the_pending_one_that_is_idle_longest(clock):
-    kept = Connections(Limits(max_pending=2), clock)
+    kept = Connections(ConnectionLimits(max_pending=2), clock)
     for key in "abcd":
         clock.now += 1
         evicted = kept.add(key)
@@ -40,7 +40,7 @@ def test_a_new_connection_evicts_the_pending_one_that_is_idle_longest(clock):
 
 
 def test_no_number_of_pending_connections_evicts_a_client(clock):
-    kept = Connections(Limits(max_clients=1, max_pending=3), clock)
+    kept = Connections(ConnectionLimits(max_clients=1, max_pending=3), clock)
     kept.add("client")
     assert kept.request("client") is None
     clock.now = 1e6
@@ -52,7 +52,7 @@ def test_no_number_of_pending_connections_evicts_a_client(clock):
 
 
 def test_a_new_client_evicts_the_one_that_is_idle_longest_if_it_is_idle_at_all(clock):
-    kept = Connections(Limits(max_clients=3, grace=60.0), clock)
+    kept = Connections(ConnectionLimits(max_clients=3, grace=60.0), clock)
     for key in "abc":
         kept.request(key)
         clock.now += 1
@@ -77,7 +77,7 @@ def test_a_new_client_evicts_the_one_that_is_idle_longest_if_it_is_idle_at_all(c
 
 
 def test_clients_that_wait_make_room_after_all_others_but_not_never(clock):
-    kept = Connections(Limits(max_clients=2, grace=60.0, max_wait=600.0), clock)
+    kept = Connections(ConnectionLimits(max_clients=2, grace=60.0, max_wait=600.0), clock)
     for key in "ab":
         kept.request(key)
         kept.wait(key)
@@ -93,7 +93,7 @@ def test_clients_that_wait_make_room_after_all_others_but_not_never(clock):
 
 
 def test_pending_connections_have_a_time_for_their_first_request_and_clients_one_for_each(clock):
-    kept = Connections(Limits(handshake=10.0, max_idle=100.0), clock)
+    kept = Connections(ConnectionLimits(handshake=10.0, max_idle=100.0), clock)
     kept.add("pending")
     kept.request("client")
     kept.request("waiting")
@@ -110,11 +110,11 @@ def test_pending_connections_have_a_time_for_their_first_request_and_clients_one
     assert kept.overdue() == ["client"]
     clock.now = 601.0
     assert kept.overdue() == ["client", "waiting"]
-    assert Limits().max_idle == math.inf
+    assert ConnectionLimits().max_idle == math.inf
 
 
 def test_silent_connections_are_spared_where_the_system_has_no_room(clock):
-    kept = Connections(Limits(), clock)
+    kept = Connections(ConnectionLimits(), clock)
     kept.request("client")
     kept.add("silent")
     clock.now = ACCEPT_RETRY
@@ -124,7 +124,7 @@ def test_silent_connections_are_spared_where_the_system_has_no_room(clock):
 
 
 def test_a_pending_peer_that_is_heard_again_has_a_grace_time(clock):
-    kept = Connections(Limits(max_pending=1, pending_grace=3.0), clock)
+    kept = Connections(ConnectionLimits(max_pending=1, pending_grace=3.0), clock)
     kept.add("a")
     clock.now = 2.9
     with pytest.raises(FullError):
@@ -139,7 +139,7 @@ def test_a_pending_peer_that_is_heard_again_has_a_grace_time(clock):
 
 def test_any_order_of_events_keeps_the_limits(clock):
     """Clients never exceed their places, nor pending ones theirs; none is in both."""
-    limits = Limits(max_clients=5, max_pending=3, grace=2.0, pending_grace=1.0)
+    limits = ConnectionLimits(max_clients=5, max_pending=3, grace=2.0, pending_grace=1.0)
     kept, rng = Connections(limits, clock), np.random.default_rng(0)
     for _ in range(5000):
         clock.now += rng.random()
@@ -175,7 +175,7 @@ def test_a_connection_that_comes_as_the_server_stops_is_closed(rounds):
 
     async def check():
         log = Refusals(logging.getLogger("bulletuav.test"))
-        server = StreamServer(talk, Limits(linger=0.1), log)
+        server = StreamServer(talk, ConnectionLimits(linger=0.1), log)
         listening = socket.create_server(("127.0.0.1", 0))
         await server.start(listening)
         with socket.create_connection(listening.getsockname(), timeout=PATIENCE) as client:

@@ -12,7 +12,7 @@ from urban import FLIGHTS, RADIUS, TOWER, URBAN, WALL, town
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.tasks import find_task
 
 
@@ -292,7 +292,7 @@ RANGES = {"easy": (0, 0), "medium": (0.1, 0), "hard": (0.3, 0.01), "extreme": (0
 @pytest.mark.parametrize("difficulty", DIFFICULTIES)
 @pytest.mark.parametrize("task", URBAN)
 def test_difficulties_are_those_of_the_docstring(task, difficulty):
-    options, config, _ = resolve(find_task(task), {"difficulty": difficulty})
+    options, config, _ = resolve_options(find_task(task), {"difficulty": difficulty})
     assert (options.num_drones, config.city, config.irregularity) == DIFFICULTIES[difficulty]
     uncertain = options.randomization
     ranges = RANGES[difficulty] if task == "lidar_navigation" else (0, 0)

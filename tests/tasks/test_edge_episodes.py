@@ -8,14 +8,14 @@ from placing import OPEN, SMALL, fly
 
 import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.envs.resolve import resolve
+from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
 
 
 @pytest.mark.parametrize(("task", "users"), [("mec", 50), ("mec_advanced", 10)])
 def test_the_preset_has_the_sizes_that_it_is_named_after(make, task, users):
-    options, config, _ = resolve(find_task(task), {"preset": "urbanmarl"})
+    options, config, _ = resolve_options(find_task(task), {"preset": "urbanmarl"})
     assert (options.num_drones, config.num_users, config.area) == (3, users, 500)
     assert (options.decision_hz, options.horizon, options.dynamics) == (1, 100, "single_integrator")
     assert (config.queue, config.assignment, config.n_nlos, config.contact_ends) == (

@@ -1,4 +1,4 @@
-"""The stages of a decision, and of a step of an airspace, in the order in which they happen."""
+"""Stages of a decision, and of a step of an airspace, in their order."""
 
 from bulletuav.envs.stages.admit import Admit
 from bulletuav.envs.stages.airspace import CountStep, FlyCommands, MeasureAll, MoveAndTurn, ShowLive
@@ -7,11 +7,11 @@ from bulletuav.envs.stages.energy import DrainBatteries
 from bulletuav.envs.stages.fly import Fly
 from bulletuav.envs.stages.judge import Judge
 from bulletuav.envs.stages.keep_before import KeepBefore
-from bulletuav.envs.stages.leave import Leave
+from bulletuav.envs.stages.leave import EndEpisodes
 from bulletuav.envs.stages.move_scene import MoveScene
 from bulletuav.envs.stages.observe import Observe
 from bulletuav.envs.stages.remember import Remember
-from bulletuav.envs.stages.report import Report
+from bulletuav.envs.stages.report import WriteInfos
 from bulletuav.envs.stages.reward import Reward
 from bulletuav.envs.stages.sense import Sense
 from bulletuav.envs.stages.separate import Separate
@@ -22,7 +22,7 @@ __all__ = ["Stage", "airspace_stages", "decision_stages"]
 
 
 def decision_stages() -> tuple[Stage, ...]:
-    """Make the stages of a decision."""
+    """Return the stages of a decision."""
     return (
         Admit(),
         SampleWind(),
@@ -35,13 +35,13 @@ def decision_stages() -> tuple[Stage, ...]:
         Separate(),
         Remember(),
         Judge(),
-        Leave(),
+        EndEpisodes(),
         Observe(),
         Reward(),
-        Report(),
+        WriteInfos(),
     )
 
 
 def airspace_stages() -> tuple[Stage, ...]:
-    """Make the stages of a step of an airspace."""
+    """Return the stages of a step of an airspace."""
     return (SampleWind(), MoveAndTurn(), FlyCommands(), CountStep(), MeasureAll(), ShowLive())

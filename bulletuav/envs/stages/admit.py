@@ -1,4 +1,4 @@
-"""Actions: what may be flown."""
+"""Stage: check and clip actions."""
 
 import math
 
@@ -11,25 +11,25 @@ from bulletuav.envs.worlds import Worlds
 
 
 class Admit(Stage):
-    """Refuse actions that are not finite, clip the others, and start the decision."""
+    """Check that actions are finite, clip them, and start the decision."""
 
     name = "admit"
     reads = ("given", "alive", "steps")
     writes = ("action", "flown", "flying", "time")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, action = worlds.state, worlds.action
         bounds = (action.low, action.high, action.choices is not None)
 
-        def refuse() -> None:
+        def raise_error() -> None:
             worlds.contacts.undo_decision()
             worlds.spec.actions(state.given, state.alive)
 
-        # Actions that cannot be end the decision before anything has changed
-        program.call(admit, state.given, state.alive, *bounds, state.action, otherwise=refuse)
+        # Invalid actions end the decision before anything has changed
+        program.call(admit, state.given, state.alive, *bounds, state.action, otherwise=raise_error)
         clock = (state.steps, float(worlds.options.decision_hz))
-        program.call(begin, state.alive, *clock, state.flown, state.flying, state.time)
+        program.call(mark_flying_drones, state.alive, *clock, state.flown, state.flying, state.time)
 
 
 @kernel
@@ -41,18 +41,18 @@ def admit(
     discrete: bool,
     action: np.ndarray,
 ) -> bool:
-    """Clip actions to their bounds; those of drones that are not alive become 0.
+    """Clip actions to their bounds; set those of drones that are not alive to 0.
 
     Args:
-        given: (W, N, A) what was given.
+        given: (W, N, A) actions of the caller.
         alive: (W, N) bool.
         low: (N, A) lower bounds.
         high: (N, A) upper bounds.
-        discrete: Whether numbers are choices, which are whole and within the bounds.
-        action: (W, N, A), written if all can be.
+        discrete: Whether numbers are choices, which must be whole and within the bounds.
+        action: (W, N, A), written if all actions are valid.
 
     Returns:
-        Whether a living drone's action cannot be; nothing is written then.
+        Whether any action of a living drone is invalid; nothing is written then.
     """
     # All are checked before any is written
     for w in range(given.shape[0]):
@@ -74,7 +74,7 @@ def admit(
 
 
 @kernel
-def begin(
+def mark_flying_drones(
     alive: np.ndarray,
     steps: np.ndarray,
     hz: float,
@@ -82,18 +82,18 @@ def begin(
     flying: np.ndarray,
     time: np.ndarray,
 ) -> None:
-    """Write which drones fly a decision, and when it begins.
+    """Write which drones fly a decision, and its start time.
 
     Args:
         alive: (W, N) bool.
         steps: (W,) decisions since the reset.
-        hz: Decisions a second.
+        hz: Decisions per second.
         flown: (W, N) bool, written: drones that fly.
-        flying: (W,) bool, written: worlds in which any does.
-        time: (W,) since the reset, s, written.
+        flying: (W,) bool, written: worlds in which any drone flies.
+        time: (W,) time since the reset, s, written.
     """
     for w in range(alive.shape[0]):
-        # A division each time, as sums of a period drift
+        # Divided each time, as a sum of periods would drift
         time[w] = steps[w] / hz
         flying[w] = False
         for i in range(alive.shape[1]):

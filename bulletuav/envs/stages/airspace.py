@@ -1,4 +1,4 @@
-"""What a step of an airspace has instead of the stages of a task's decision."""
+"""Stages of a step of an airspace."""
 
 import math
 
@@ -13,19 +13,19 @@ from bulletuav.envs.stages.base import Stage
 from bulletuav.geometry.rotation import heading, quat4
 
 TURN = 2 * math.pi
-"""A whole turn, rad"""
-MAX_LEAD = 1.0
-"""How far a yaw that turns may be ahead of the drone, rad"""
+"""Full turn, rad"""
+MAX_YAW_LEAD = 1.0
+"""Maximum angle of a turning yaw setpoint ahead of the drone, rad"""
 
 
 @func
-def half_turn(angle: float) -> float:
-    """Return the same angle within half a turn to either side, rad."""
+def wrap_angle(angle: float) -> float:
+    """Wrap an angle to [-pi, pi), rad."""
     return angle - TURN * math.floor(angle / TURN + 0.5)
 
 
 @kernel
-def prepare(
+def move_and_turn(
     quaternion: np.ndarray,
     setpoint: np.ndarray,
     yaw_rate: np.ndarray,
@@ -35,17 +35,17 @@ def prepare(
     before: np.ndarray,
     after: np.ndarray,
 ) -> None:
-    """Move obstacles through a step, and turn the yaws that drones of an airspace are to hold.
+    """Move obstacles through a step, and advance turning yaw setpoints.
 
     Args:
         quaternion: (W, N, 4) attitudes.
-        setpoint: (W, N, S) setpoints; the yaw of those that have one is their fourth number.
-        yaw_rate: (W, N) how fast to turn it, rad/s.
+        setpoint: (W, N, S) setpoints, with the yaw in the fourth column.
+        yaw_rate: (W, N) rates of the yaw setpoints, rad/s.
         period: Duration of the step, s.
-        obstacle: (W, K, 3) positions of obstacles before the step, m; moved to after it.
+        obstacle: (W, K, 3) positions of obstacles before the step, m; moved to those after it.
         obstacle_velocity: (W, K, 3) m/s.
-        before: (W, K, 3) positions before, written.
-        after: (W, K, 3) positions after, written.
+        before: (W, K, 3) positions before the step, written.
+        after: (W, K, 3) positions after the step, written.
     """
     for w in range(yaw_rate.shape[0]):
         for k in range(obstacle.shape[1]):
@@ -53,30 +53,30 @@ def prepare(
                 before[w, k, m] = obstacle[w, k, m]
                 obstacle[w, k, m] += period * obstacle_velocity[w, k, m]
                 after[w, k, m] = obstacle[w, k, m]
-        # Yaws stay near those that drones have, so that a drone that turns slowly is not overtaken
+        # Yaw setpoints stay near the yaws of drones, which may turn more slowly
         for i in range(yaw_rate.shape[1]):
             if yaw_rate[w, i] != 0.0:
                 present = heading(quat4(quaternion, w, i))
-                lead = half_turn(setpoint[w, i, 3] + period * yaw_rate[w, i] - present)
-                lead = min(max(lead, -MAX_LEAD), MAX_LEAD)
-                setpoint[w, i, 3] = half_turn(present + lead)
+                lead = wrap_angle(setpoint[w, i, 3] + period * yaw_rate[w, i] - present)
+                lead = min(max(lead, -MAX_YAW_LEAD), MAX_YAW_LEAD)
+                setpoint[w, i, 3] = wrap_angle(present + lead)
 
 
 @kernel
-def finish(
+def count_step(
     steps: np.ndarray, hz: float, time: np.ndarray, force: np.ndarray, torque: np.ndarray
 ) -> None:
-    """Count a step of an airspace, and end the forces that were applied in it.
+    """Count a step of an airspace, and clear external forces.
 
     Args:
-        steps: (W,) steps before, counted.
-        hz: Steps a second.
+        steps: (W,) number of steps, incremented.
+        hz: Steps per second.
         time: (W,) written, s.
         force: (W, N, 3) N, cleared.
         torque: (W, N, 3) N m, cleared.
     """
     for w in range(steps.shape[0]):
-        # A division each time, as sums of a period drift
+        # Divided each time, as a sum of periods would drift
         steps[w] += 1
         time[w] = steps[w] / hz
         for i in range(force.shape[1]):
@@ -86,29 +86,29 @@ def finish(
 
 
 class MoveAndTurn(Stage):
-    """Move obstacles, and turn the yaw setpoints of drones that were commanded a yaw rate."""
+    """Move obstacles, and advance the yaw setpoints of drones with a commanded yaw rate."""
 
     name = "move and turn"
     reads = ("swarm.quaternion", "setpoint", "yaw_rate", "obstacle", "obstacle_velocity")
     writes = ("setpoint", "obstacle", "dynamics")
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, contact = worlds.state, worlds.dynamics.contact
         turning = (state.swarm.quaternion, state.setpoint, state.yaw_rate)
         obstacles = (state.obstacle, state.obstacle_velocity, contact.before, contact.after)
-        program.call(prepare, *turning, 1 / worlds.options.decision_hz, *obstacles)
+        program.call(move_and_turn, *turning, 1 / worlds.options.decision_hz, *obstacles)
 
 
 class FlyCommands(Stage):
-    """Fly all substeps (controllers, forces, contacts) of the setpoints that drones hold."""
+    """Simulate all substeps (controllers, forces, contacts) with the held setpoints."""
 
     name = "fly"
     reads = ("setpoint", "levels", "wind", "alive", "obstacle", "swarm", "dynamics")
     writes = ("swarm", "dynamics", "engine")
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         setpoints = Setpoints(state.levels, state.setpoint)
         worlds.dynamics.add_to(program, state.swarm, state.alive, setpoints, state.wind)
@@ -116,17 +116,17 @@ class FlyCommands(Stage):
 
 
 class CountStep(Stage):
-    """Count the step, and end the forces that were applied in it."""
+    """Count the step, and clear the forces that were applied in it."""
 
     name = "count"
     reads = ("steps",)
     writes = ("steps", "time", "dynamics")
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, pushes = worlds.state, (worlds.dynamics.force, worlds.dynamics.torque)
         hz = float(worlds.options.decision_hz)
-        program.call(finish, state.steps, hz, state.time, *pushes)
+        program.call(count_step, state.steps, hz, state.time, *pushes)
 
 
 class MeasureAll(Stage):
@@ -137,7 +137,7 @@ class MeasureAll(Stage):
     writes = ("readings", "before")
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         if worlds.sensors.sensors:
             program.turn(worlds.measure)
 
@@ -150,6 +150,6 @@ class ShowLive(Stage):
     writes = ("engine",)
 
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         if worlds.options.render_mode == "human":
             program.turn(worlds.show_live)

@@ -1,4 +1,4 @@
-"""What a stage of a decision is, and lists of stages."""
+"""Base class of stages, and functions on lists of stages."""
 
 import inspect
 from abc import ABC, abstractmethod
@@ -12,10 +12,12 @@ class Stage(ABC):
     """One step of a decision, for all worlds: calls of compiled functions, or of Python.
 
     Attributes:
-        name: Its name, unique in a simulation.
-        reads: Names of the arrays that it reads: of `State.named`, or of a part of `Worlds` for all
-            that it holds: "dynamics", "energy", "engine", "readings", "account", "results", "rng".
-        writes: Names of the arrays that it writes. What it reads and writes is named in both.
+        name: Name of the stage, unique in a simulation.
+        reads: Names of the arrays that the stage reads: names of `State.named`, or a component of
+            `Worlds` for all its arrays: "dynamics", "energy", "engine", "readings", "account",
+            "results", "rng".
+        writes: Names of the arrays that the stage writes. Arrays that it reads and writes are in
+            both.
     """
 
     name: ClassVar[str]
@@ -27,8 +29,8 @@ class Stage(ABC):
         """Add the calls of the stage to a program.
 
         Args:
-            program: Compiled calls, and calls of Python, in their order.
-            worlds: What they work on: `Worlds`, or the `AirspaceWorld` of an airspace. Arrays are
+            program: Compiled calls and Python callbacks, in their order.
+            worlds: Data of the calls: `Worlds`, or the `AirspaceWorld` of an airspace. Arrays are
                 written in place.
         """
 
@@ -38,24 +40,24 @@ class Stage(ABC):
         return inspect.cleandoc(type(self).__doc__ or "").partition("\n")[0]
 
 
-def inserted(
+def insert_stage(
     stages: Sequence[Stage], stage: Stage, after: str | None, before: str | None
 ) -> tuple[Stage, ...]:
-    """Return stages with one more.
+    """Return the stages with one more.
 
     Args:
         stages: The stages.
-        stage: The new one.
+        stage: The new stage.
         after: Name of the stage that it follows; or
         before: name of the stage that it precedes.
 
     Raises:
-        ValueError: None or both of these are given, there is no such stage, or the new stage has a
-            name that is taken.
+        ValueError: If none or both of these are given, there is no such stage, or the name of the
+            new stage is in use.
     """
     names = [one.name for one in stages]
     if stage.name in names:
-        raise ValueError(f"stage {stage.name!r} is there already: choose another name")
+        raise ValueError(f"stage {stage.name!r} exists already: choose another name")
     if (after is None) == (before is None):
         raise ValueError(
             f"after is {after!r} and before is {before!r}: exactly one of them is needed, the name "
@@ -68,8 +70,8 @@ def inserted(
     return (*stages[:place], stage, *stages[place:])
 
 
-def table(stages: Sequence[Stage]) -> str:
-    """Write stages with what each reads and writes, and what it does, a line each."""
+def format_stages(stages: Sequence[Stage]) -> str:
+    """Return a table of stages: the arrays that each reads and writes, and its summary."""
     heads = ("stage", "reads", "writes")
     rows = [(one.name, ", ".join(one.reads), ", ".join(one.writes)) for one in stages]
     widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
@@ -80,7 +82,7 @@ def table(stages: Sequence[Stage]) -> str:
     )
 
 
-def programs_of(stages: Sequence[Stage], worlds: Any) -> dict[str, Program]:
+def stage_programs_of(stages: Sequence[Stage], worlds: Any) -> dict[str, Program]:
     """Make a program of each stage alone, by its name."""
     programs = {stage.name: Program() for stage in stages}
     for stage in stages:

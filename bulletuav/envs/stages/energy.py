@@ -1,4 +1,4 @@
-"""What the flight takes out of batteries."""
+"""Stage: energy consumption of the flight."""
 
 import numpy as np
 
@@ -8,14 +8,14 @@ from bulletuav.envs.worlds import Worlds
 
 
 class DrainBatteries(Stage):
-    """Drain the batteries by what the flight and the payload take; find their voltage."""
+    """Drain the batteries by the power of flight and payload; compute their voltage."""
 
     name = "energy"
     reads = ("before", "swarm", "wind", "flown", "scene", "payload", "energy")
     writes = ("payload", "energy", "dynamics")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, task = worlds.state, worlds.task
         if task.overrides_method("payload_power"):
             program.turn(lambda: np.copyto(state.payload, task.payload_power(state.scene)))

@@ -1,4 +1,4 @@
-"""The flight."""
+"""Stage: the flight."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from bulletuav.vehicle.swarm import confine
 
 
 class Fly(Stage):
-    """Fly all substeps (controllers, forces, contacts), bound drones by the arena, and count on."""
+    """Simulate all substeps (controllers, forces, contacts), and apply the arena's bounds."""
 
     name = "fly"
     reads = (
@@ -22,7 +22,7 @@ class Fly(Stage):
     writes = ("swarm", "dynamics", "steps", "time", "last", "moved", "commanded", "engine")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, task, dynamics = worlds.state, worlds.task, worlds.dynamics
         program.call(copy_vectors, state.scene.obstacle, dynamics.contact.after)
         setpoints = Setpoints(state.levels, state.setpoint)
@@ -32,26 +32,26 @@ class Fly(Stage):
 
             def place_again() -> None:
                 dynamics.place(state.swarm, state.moved)
-                # Contacts report what drones meet there, too. Those of the flight are collected
-                # first: overlaps are found in the same arrays
+                # Overlaps at the new positions are contacts, too. Contacts of the flight are
+                # collected first, as overlaps are written to the same arrays
                 worlds.contacts.collect()
                 worlds.contacts.add(dynamics.overlaps(state.swarm, state.moved, state.flown))
 
             box = (task.arena_low, task.arena_high, float(task.rebound))
             bounds = (state.swarm, state.commanded, state.flown, *box, state.moved)
             program.call(confine, *bounds, otherwise=place_again)
-        add_tick(program, worlds, state.flying)
+        add_decision_count(program, worlds, state.flying)
 
 
-def add_tick(program: Program, worlds: Worlds, flying: np.ndarray) -> None:
+def add_decision_count(program: Program, worlds: Worlds, flying: np.ndarray) -> None:
     """Add to a program that a decision is counted in worlds of a mask (W,)."""
     state, options = worlds.state, worlds.options
     clock = (state.steps, float(options.decision_hz), options.horizon)
-    program.call(tick, flying, *clock, state.time, state.last)
+    program.call(count_decision, flying, *clock, state.time, state.last)
 
 
 @kernel
-def tick(
+def count_decision(
     flying: np.ndarray,
     steps: np.ndarray,
     hz: float,
@@ -63,10 +63,10 @@ def tick(
 
     Args:
         flying: (W,) bool.
-        steps: (W,) decisions since the reset, counted on.
-        hz: Decisions a second.
-        horizon: Decisions until an episode is truncated.
-        time: (W,) since the reset, s, written.
+        steps: (W,) decisions since the reset, incremented.
+        hz: Decisions per second.
+        horizon: Number of decisions after which an episode is truncated.
+        time: (W,) time since the reset, s, written.
         last: (W,) bool, whether the horizon is reached, written.
     """
     for w in range(flying.shape[0]):

@@ -1,4 +1,4 @@
-"""What the task makes of the decision."""
+"""Stage: the task's evaluation of the decision."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
@@ -14,5 +14,5 @@ class Judge(Stage):
     writes = ("ended", "success", "results")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         add_evaluation(program, worlds.task, worlds.frame, worlds.judgement)

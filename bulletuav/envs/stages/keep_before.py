@@ -1,4 +1,4 @@
-"""The state before the decision, which tasks compare with the state after it."""
+"""Stage: copy of the state before the decision, which tasks compare with the state after it."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ class KeepBefore(Stage):
     writes = ("before", "goal_before", "dynamics")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         obstacles = (state.scene.obstacle, worlds.dynamics.contact.before)
         goals = (state.scene.goal, state.goal_before)
@@ -34,7 +34,7 @@ def keep_before(
     obstacle_before: np.ndarray,
 ) -> None:
     """Copy the state, goals (W, N, 3) and obstacles (W, K, 3) before a decision."""
-    # Into arrays that tasks look at all the time, so in place
+    # In place, as tasks keep references to these arrays
     for w in range(goal.shape[0]):
         for i in range(goal.shape[1]):
             for k in range(3):
@@ -44,10 +44,8 @@ def keep_before(
                 goal_before[w, i, k] = goal[w, i, k]
             for k in range(4):
                 before.quaternion[w, i, k] = swarm.quaternion[w, i, k]
-            # As many rotors as the airframe with the most
             for k in range(swarm.rotor_speed.shape[2]):
                 before.rotor_speed[w, i, k] = swarm.rotor_speed[w, i, k]
-        # Goals and obstacles may be moved next
         for m in range(obstacle.shape[1]):
             for k in range(3):
                 obstacle_before[w, m, k] = obstacle[w, m, k]

@@ -1,4 +1,4 @@
-"""Drones whose episode is over."""
+"""Stage: end of episodes."""
 
 import numpy as np
 
@@ -8,24 +8,24 @@ from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
 
 
-class Leave(Stage):
-    """End episodes, and take the drones that leave out of the airspace."""
+class EndEpisodes(Stage):
+    """End episodes, and remove the drones that leave from the airspace."""
 
     name = "leave"
     reads = ("ended", "energy", "flown", "last")
     writes = ("terminated", "truncated", "present", "alive", "left", "engine")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         ends = (state.terminated, state.truncated, state.present, state.alive, state.left)
         charge = worlds.energy.readings()["charge"]
         given = (state.ended, charge, state.flown, state.last)
-        program.call(conclude, *given, *ends, otherwise=lambda: worlds.engine.park(state.left))
+        program.call(end_episodes, *given, *ends, otherwise=lambda: worlds.engine.park(state.left))
 
 
 @kernel
-def conclude(
+def end_episodes(
     ended: np.ndarray,
     charge: np.ndarray,
     flown: np.ndarray,
@@ -39,14 +39,15 @@ def conclude(
     """Write which drones end their episodes.
 
     Args:
-        ended: (W, N) bool, drones that the task's ends are true of.
-        charge: (W, N) share of the charge; an empty battery ends an episode.
+        ended: (W, N) bool, drones for which an end of the task is true.
+        charge: (W, N) fraction of the charge; an empty battery ends an episode.
         flown: (W, N) bool, drones that flew the decision.
         last: (W,) bool, whether the horizon is reached.
         terminated: (W, N) bool, written.
         truncated: (W, N) bool, written.
-        present: (W, N) bool, written: drones that others still meet. The horizon takes none away.
-        alive: (W, N) bool, written: drones whose episode goes on.
+        present: (W, N) bool, written: drones that others observe in this decision, including
+            truncated ones.
+        alive: (W, N) bool, written: drones whose episode is running.
         left: (W, N) bool, written: drones that flew and are not alive any more.
 
     Returns:
@@ -55,13 +56,11 @@ def conclude(
     any_left = False
     for w in range(flown.shape[0]):
         for i in range(flown.shape[1]):
-            # The task's ends, or an empty battery
             terminated[w, i] = flown[w, i] and (ended[w, i] or charge[w, i] <= 0.0)
             present[w, i] = flown[w, i] and not terminated[w, i]
-            # The time is over for drones that are still there
+            # Terminated drones are not truncated
             truncated[w, i] = last[w] and present[w, i]
             alive[w, i] = present[w, i] and not truncated[w, i]
-            # Drones that flew this decision and will not fly the next
             left[w, i] = flown[w, i] and not alive[w, i]
             any_left = any_left or left[w, i]
     return any_left

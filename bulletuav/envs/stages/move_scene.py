@@ -1,4 +1,4 @@
-"""Goals and obstacles that move."""
+"""Stage: motion of goals and obstacles."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
@@ -13,8 +13,8 @@ class MoveScene(Stage):
     writes = ("scene",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
-        # Only tasks that move anything take Python's time
+        """Add the calls of the stage; see `Stage.add_to`."""
+        # Tasks without moving objects need no Python callback
         task, state = worlds.task, worlds.state
         if task.overrides_method("move_scene"):
 

@@ -1,4 +1,4 @@
-"""What drones observe."""
+"""Stage: observations."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
@@ -13,17 +13,16 @@ class Observe(Stage):
     writes = ("observations",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         self.add_observation(program, worlds)
         if worlds.options.render_mode == "human":
             program.turn(lambda: self._show(worlds))
 
     def add_observation(self, program: Program, worlds: Worlds) -> None:
-        """Add that observations are written, without a live window."""
+        """Add that observations are written, without updating the live window."""
         worlds.observer.add_to(program, worlds.frame, worlds.vector)
 
     def _show(self, worlds: Worlds) -> None:
-        """Update the live window."""
         state = worlds.state
         worlds.show(state.swarm, state.alive)
         worlds.renderer.show(state.swarm, state.alive, 1 / worlds.options.decision_hz)

@@ -1,4 +1,4 @@
-"""What the task keeps over an episode."""
+"""Stage: update of the task's memory."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
@@ -13,7 +13,7 @@ class Remember(Stage):
     writes = ("scene",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         task = worlds.task
         if task.overrides_method("update_memory"):
             program.turn(lambda: task.update_memory(worlds.frame, worlds.rng))

@@ -1,4 +1,4 @@
-"""Infos."""
+"""Stage: infos."""
 
 import numpy as np
 
@@ -8,15 +8,15 @@ from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.worlds import Worlds
 
 
-class Report(Stage):
-    """Write what infos report beside reward terms."""
+class WriteInfos(Stage):
+    """Write infos in addition to reward terms."""
 
     name = "report"
     reads = ("success", "flown", "account", "energy")
     writes = ("results",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, account, energy = worlds.state, worlds.account, worlds.energy.readings()
         program.call(
             fill_infos,
@@ -41,15 +41,15 @@ def fill_infos(
     """Write infos to a table (9, W, N), in this order.
 
     Args:
-        success: (W, N) bool, drones that are where the task wants them; 0 of others than flew.
+        success: (W, N) bool, drones that fulfil the task; counts only for drones that flew.
         flown: (W, N) bool, drones that flew the decision.
         touched: Collision and resting (W, N) bool, and impulse (W, N), N s.
         apart: Conflicts, separation and distance to the goal (W, N).
         energy: Power and charge (W, N).
-        rows: The table.
+        rows: The table, written.
     """
     # Row by row, in the order of `INFOS` in `bulletuav.envs.results`: rows may be a power of two
-    # apart, and writing to all of them in turn would then push each other out of the cache
+    # apart, and interleaved writes to all of them would then evict each other from the cache
     for w in range(flown.shape[0]):
         for i in range(flown.shape[1]):
             rows[0, w, i] = 1.0 if success[w, i] and flown[w, i] else 0.0

@@ -1,4 +1,4 @@
-"""What sensors measure."""
+"""Stage: sensors."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
@@ -13,7 +13,7 @@ class Sense(Stage):
     writes = ("readings",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         if worlds.sensors.sensors:
             program.turn(lambda: worlds.measure(state.before, state.swarm, state.flown))

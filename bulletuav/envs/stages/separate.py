@@ -1,4 +1,4 @@
-"""What follows from a flight for every drone."""
+"""Stage: separations and collisions."""
 
 import numpy as np
 
@@ -9,20 +9,20 @@ from bulletuav.tasks.frame_measures import add_frame_measures, mark_contacts, ma
 
 
 class Separate(Stage):
-    """Find separations, conflicts, collisions, landings and distances to goals."""
+    """Compute separations, conflicts, collisions, landings and distances to goals."""
 
     name = "separate"
     reads = ("before", "swarm", "scene.goal", "flown", "readings", "dynamics")
     writes = ("account",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         account, frame = worlds.account, worlds.frame
         add_frame_measures(program, account, frame, worlds.dynamics.contact)
         if worlds.collects_contacts:
 
             def mark() -> None:
-                # Compiled code has marked all others
+                # Compiled code has marked all other contacts
                 if worlds.contacts.is_collected or worlds.options.contacts == "bullet":
                     mark_contacts(account, frame)
 

@@ -1,4 +1,4 @@
-"""Setpoints that actions make."""
+"""Stage: setpoints of actions."""
 
 import numpy as np
 
@@ -11,14 +11,14 @@ from bulletuav.envs.worlds import Worlds
 
 
 class MakeSetpoints(Stage):
-    """Decode actions to setpoints; weaken rotors where randomization drains batteries."""
+    """Convert actions to setpoints; reduce thrust if randomization drains batteries."""
 
     name = "setpoints"
     reads = ("action", "setpoint", "commanded", "time")
     writes = ("setpoint", "commanded", "dynamics")
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state, action, decode = worlds.state, worlds.action, worlds.action.decode
         if isinstance(decode, Compiled):
             numbers = (state.setpoint, *decode.numbers)
@@ -28,7 +28,7 @@ class MakeSetpoints(Stage):
         if worlds.task.speed_limit is not None:
             limit = np.array(worlds.task.speed_limit, dtype=float)
             program.call(limit_each, state.setpoint, limit)
-        # Increments of velocity start from the last velocity asked for
+        # Velocity increments add to the last commanded velocity
         if action.level == SetpointLevel.VELOCITY:
             program.call(copy_vectors, state.setpoint, state.commanded)
         if worlds.uncertainty.drains:

@@ -1,4 +1,4 @@
-"""The air at each drone."""
+"""Stage: wind at each drone."""
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.airspace_world import AirspaceWorld
@@ -7,13 +7,13 @@ from bulletuav.envs.worlds import Worlds
 
 
 class SampleWind(Stage):
-    """Find the wind, with its gusts, where drones are before the flight."""
+    """Compute the wind, with its gusts, at the drones' positions before the flight."""
 
     name = "wind"
     reads = ("swarm.position", "time")
     writes = ("wind",)
 
     def add_to(self, program: Program, worlds: Worlds | AirspaceWorld) -> None:
-        """Add the calls; see `Stage`."""
+        """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         worlds.wind.add_to(program, state.swarm.position, state.time, state.wind)

@@ -1,4 +1,4 @@
-"""From keyword arguments to checked options and the task's own config."""
+"""Convert keyword arguments to validated options and the task's config."""
 
 import dataclasses
 import typing
@@ -10,13 +10,13 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.envs.options import (
-    MOST_COUNT,
-    MOST_DRONES,
-    MOST_NAMES,
-    MOST_SIZE,
-    MOST_WEIGHT,
-    NAMED,
-    SEVERAL,
+    LIST_OPTIONS,
+    MAX_COUNT,
+    MAX_DRONES,
+    MAX_NAMES,
+    MAX_SIZE,
+    MAX_WEIGHT,
+    NAME_LISTS,
     EnvOptions,
 )
 from bulletuav.envs.randomization import Randomization, known_uncertainties
@@ -47,18 +47,18 @@ NEVER_NONE = (
     "dynamics",
     "controller",
 )
-"""Options that are left out, and not None, for the task's default"""
+"""Options that must be left out, instead of None, for the task's default"""
 INGREDIENTS = ("observation", "sensors")
-"""Lists in which names and objects can stand"""
+"""Lists of names or objects"""
 
 
-class Resolved(NamedTuple):
-    """What keyword arguments stand for.
+class ResolvedOptions(NamedTuple):
+    """Result of `resolve_options`.
 
     Attributes:
         options: Common options.
-        config: The task's own.
-        sensors: All sensors that there are, by name.
+        config: Config of the task.
+        sensors: All available sensors, by name.
     """
 
     options: EnvOptions
@@ -66,12 +66,12 @@ class Resolved(NamedTuple):
     sensors: dict[str, Sensor]
 
 
-def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
-    """Make common options and the task's config from keyword arguments.
+def resolve_options(task: type[Task[Any]], given: Mapping[str, Any]) -> ResolvedOptions:
+    """Create common options and the task's config from keyword arguments.
 
-    What is given goes before the preset's values, those before the difficulty's, and those before
-    the task's defaults. An action that is not given, and that the dynamics cannot take, becomes
-    that of the highest setpoint level that the dynamics takes.
+    Given values override those of the preset, which override those of the difficulty, which
+    override the task's defaults. If no action is given and the dynamics does not support the
+    default, the action of the highest setpoint level that the dynamics supports is used.
 
     Args:
         task: The task.
@@ -81,9 +81,10 @@ def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
         The common options, the task's config, and the sensors.
 
     Raises:
-        UnknownOptionError: There is no such option; the nearest names are told. It is a TypeError,
-            too.
-        ValueError: A preset or difficulty is unknown (the nearest are told), or a value cannot be.
+        UnknownOptionError: If there is no such option; the message suggests similar names. It is a
+            TypeError, too.
+        ValueError: If a preset or difficulty is unknown (the message suggests similar names), or a
+            value is invalid.
     """
     common = {field.name for field in dataclasses.fields(EnvOptions)}
     own = {field.name for field in dataclasses.fields(task.Config)}
@@ -92,32 +93,31 @@ def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
     make_tuples(values)
-    _find_airframes(values, given)
+    _load_airframes(values, given)
     if "action" not in given:
         values["action"] = _default_action(values)
     sensors = known_sensors(values.get("sensors", ()))
     known = known_uncertainties(sensors)
     values["randomization"] = Randomization(values.get("randomization"), known)
-    # Common options check themselves, those of the task are checked by the types of their fields.
+    # `EnvOptions` validates itself; the task's config is validated by the types of its fields
     for_all = {name: value for name, value in values.items() if name in common}
     for_task = {name: value for name, value in values.items() if name in own}
     options = EnvOptions(**for_all)
     config = task.Config(**for_task)
-    return Resolved(options, _checked_config(config), sensors)
+    return ResolvedOptions(options, _validate_config(config), sensors)
 
 
 def _with_defaults(
     task: type[Task[Any]], given: Mapping[str, Any], known: set[str]
 ) -> dict[str, Any]:
-    """Add the values of preset, difficulty and task to the options that are given."""
+    """Add the values of preset, difficulty and task to the given options."""
     for name in given:
         if name not in known:
-            # The words are those of Python's own TypeError, which some wrappers look for.
+            # Some wrappers search for these words of Python's own TypeError
             raise UnknownOptionError(
                 f"unknown option of task {task.name!r}: unexpected keyword argument {name!r}: "
                 f"{suggest_names(name, known)}"
             )
-    # What the difficulty and the preset change.
     first = "easy" if "easy" in task.difficulties else next(iter(task.difficulties))
     usual_difficulty = task.defaults.get("difficulty", first)
     difficulty = given.get("difficulty", usual_difficulty)
@@ -127,47 +127,47 @@ def _with_defaults(
         if not task.presets:
             raise ValueError(f"preset is {shown(given['preset'])}: task {task.name!r} has none")
         preset = find_choice("preset", given["preset"], dict(task.presets))
-    # Later ones go before earlier ones.
+    # Later ones override earlier ones
     usual = {**DEFAULTS, **task.defaults, **changes, **preset}
     for name in usual:
         find_choice(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(known))
     values = {**usual, **given, "difficulty": difficulty}
-    # Weights that are given change those of the preset one by one.
+    # Given weights override those of the preset one by one
     if isinstance(given.get("weights"), Mapping):
         values["weights"] = {**preset.get("weights", {}), **given["weights"]}
     return values
 
 
 def make_tuples(values: dict[str, Any]) -> None:
-    """Make tuples of options that are lists, also of a single entry where there can be several."""
-    for name in SEVERAL:
+    """Convert list options to tuples, including single entries of such lists."""
+    for name in LIST_OPTIONS:
         value = values.get(name)
         if isinstance(value, str) or (name in INGREDIENTS and _is_ingredient(value)):
             values[name] = (value,)
-        elif name in values and not _is_single(name, value):
-            most = MOST_NAMES if name in NAMED else None
+        elif name in values and not _is_unlisted(name, value):
+            most = MAX_NAMES if name in NAME_LISTS else None
             values[name] = as_sequence(name, value, most=most)
 
 
 def _is_ingredient(value: Any) -> bool:
-    """Tell whether one ingredient was given, and not several."""
+    """Return True for a single object instead of a list."""
     return callable(value) or isinstance(value, Sensor | Block)
 
 
-def _is_single(name: str, value: Any) -> bool:
-    """Tell whether an option that can be a list has a value that is none."""
+def _is_unlisted(name: str, value: Any) -> bool:
+    """Return True if an option that can be a list has a valid value that is not a list."""
     return (name == "wind" and callable(value)) or (name == "observation" and value is None)
 
 
-def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
+def _load_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
     """Load an airframe for each drone.
 
-    They set what nobody gave: how many drones there are, and the speed limit.
+    The airframes determine the number of drones and the speed limit if these are not given.
     """
     several = isinstance(values["airframe"], list | tuple)
     if not several:
-        as_int("num_drones", values["num_drones"], 1, MOST_DRONES)
-    values["airframe"] = airframes_of(values["airframe"], values["num_drones"])
+        as_int("num_drones", values["num_drones"], 1, MAX_DRONES)
+    values["airframe"] = load_airframes(values["airframe"], values["num_drones"])
     if several and "num_drones" not in given:
         values["num_drones"] = len(values["airframe"])
     if "max_speed" not in given:
@@ -176,13 +176,12 @@ def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
 
 
 def _default_action(values: Mapping[str, Any]) -> str:
-    """Return the task's default action, or that of the highest level that the dynamics takes."""
     dynamics = values.get("dynamics", EnvOptions.dynamics)
     return action_for(dynamics, values["action"], values["airframe"])
 
 
 def action_for(dynamics: str | type[Dynamics], action: str, airframes: Sequence[Airframe]) -> str:
-    """Return the action that drones use by default where a task or a policy prefers another.
+    """Return an action if the dynamics supports it, else the nearest that it supports.
 
     Args:
         dynamics: The dynamics, by name or class.
@@ -190,49 +189,49 @@ def action_for(dynamics: str | type[Dynamics], action: str, airframes: Sequence[
         airframes: Airframe of each drone.
 
     Returns:
-        The same action, or where the dynamics cannot take its setpoints, the action of the highest
-        level that the dynamics takes.
+        The same action, or if the dynamics does not support its setpoints, the action of the
+        highest level that the dynamics supports.
 
     Raises:
-        ValueError: There is no such dynamics, or no such action.
+        ValueError: If there is no such dynamics or action.
     """
-    # A dynamics may compute its level; then only an environment can check the action
+    # If the level is a property, only the instance of an environment has it
     level: object = find_dynamics(dynamics).consumes
     if not isinstance(level, SetpointLevel) or level == SetpointLevel.ROTOR:
         return action
     return usable_action(action, airframes, level)
 
 
-def airframes_of(airframe: Any, count: int) -> tuple[Airframe, ...]:
+def load_airframes(airframe: Any, count: int) -> tuple[Airframe, ...]:
     """Load the airframe of each drone.
 
     Args:
         airframe: One for all, or a list with one for each.
-        count: How many drones share one.
+        count: Number of drones that share one.
 
     Returns:
-        One for each drone; of a list as many as are in it.
+        One for each drone; for a list, as many as it has.
 
     Raises:
-        ValueError: There is no such airframe, or none in the list.
+        ValueError: If there is no such airframe, or the list is empty.
     """
     if not isinstance(airframe, list | tuple):
         return (load_airframe(airframe),) * count
     if not airframe:
         raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
-    as_sequence("airframe", airframe, most=MOST_DRONES)
+    as_sequence("airframe", airframe, most=MAX_DRONES)
     return tuple(load_airframe(one) for one in airframe)
 
 
-def _checked_config(config: TaskConfig) -> TaskConfig:
-    """Store the numbers of a task's config as the types of its fields have them.
+def _validate_config(config: TaskConfig) -> TaskConfig:
+    """Validate a task's config, with numbers converted to the types of its fields.
 
     Raises:
-        ValueError: A value cannot be.
+        ValueError: If a value is invalid.
     """
     kinds = typing.get_type_hints(type(config))  # also where annotations are postponed
     stored = {
-        field.name: _checked(field, kinds[field.name], getattr(config, field.name))
+        field.name: _validate(field, kinds[field.name], getattr(config, field.name))
         for field in dataclasses.fields(config)
         if field.init
     }
@@ -241,20 +240,21 @@ def _checked_config(config: TaskConfig) -> TaskConfig:
     return dataclasses.replace(config, **stored)
 
 
-def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
-    """Check the value of a field by its type.
+def _validate(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
+    """Validate the value of a field by its type.
 
-    A field's metadata may tell its "least" and "most". Float fields are sizes, so not negative.
+    The metadata of a field may have its bounds "least" and "most". Float fields are sizes, so not
+    negative.
     """
-    # The field's own bounds before the usual ones
+    # Bounds of the field override the defaults
     name = field.name
-    usual_most = MOST_COUNT if kind is int else MOST_SIZE
+    usual_most = MAX_COUNT if kind is int else MAX_SIZE
     most = field.metadata.get("most", usual_most)
     if kind is int:
         return as_int(name, value, field.metadata.get("least", 1), most)
     if kind is bool and not isinstance(value, bool):
         raise ValueError(f"{name} is {shown(value)}: True or False is needed")
-    # By type; what is none of these is checked by who uses it
+    # Values of other types are validated where they are used
     if typing.get_origin(kind) is Literal:
         find_choice(name, value, dict.fromkeys(typing.get_args(kind)))
     elif kind is float:
@@ -264,19 +264,18 @@ def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
     elif kind == tuple[float, float]:
         return tuple(finite(name, number, most=most) for number in as_sequence(name, value, 2))
     elif name == "weights":
-        return _checked_weights(value)
+        return _validate_weights(value)
     return value
 
 
-def _checked_weights(weights: Any) -> dict[str, float]:
-    """Check weights of reward terms by name."""
+def _validate_weights(weights: Any) -> dict[str, float]:
     if not isinstance(weights, Mapping):
         raise ValueError(
             f"weights is {shown(weights)}: a dict from reward terms to weights is needed"
         )
     return {
         term: finite(
-            f"weights: weight of reward term {shown(term)}", weight, -MOST_WEIGHT, MOST_WEIGHT
+            f"weights: weight of reward term {shown(term)}", weight, -MAX_WEIGHT, MAX_WEIGHT
         )
         for term, weight in weights.items()
     }

@@ -1,4 +1,4 @@
-"""What a simulation is made from: as files hold it, and as texts that can be compared."""
+"""Descriptions of a simulation: as JSON values, and as texts that can be compared."""
 
 import contextlib
 import dataclasses
@@ -24,32 +24,32 @@ from bulletuav.version import __version__
 
 WITHOUT_EFFECT = frozenset(
     {
-        # Only names of values that other options have
+        # They only set other options
         *("difficulty", "preset"),
-        # Generators of random numbers are part of the state; a seed only starts them
+        # Random generators are part of the state; a seed only initialises them
         "seed",
-        # Pictures read the state and never write to it
+        # Rendering does not change the state
         *("render_mode", "render_size", "render_address"),
-        # The same results by other means
+        # The same results, computed in Python
         "debug",
     }
 )
-"""Options that cannot change how a simulation continues from a given state"""
-LONGEST = 60
-"""Letters of a value that is shown as it is; of a longer one a hash is shown"""
+"""Options that do not change how a simulation continues from a given state"""
+MAX_SHOWN_LENGTH = 60
+"""Characters of a value that is written in full; longer ones are written as a hash"""
 
 
-def described(options: EnvOptions, config: Any) -> dict[str, Any]:
-    """Return all options of an environment, as a JSON file can hold them.
+def describe_options(options: EnvOptions, config: Any) -> dict[str, Any]:
+    """Return all options of an environment as values that JSON can store.
 
     Args:
-        options: The common ones.
-        config: The task's own, a dataclass.
+        options: Common options.
+        config: Config of the task, a dataclass.
 
     Returns:
-        Their values by name; names stand for airframes, cities, mobility models and functions.
+        Values by name; airframes, cities, mobility models and functions are replaced by their
+        names.
     """
-    # Names stand for what a file cannot hold.
     ranges = options.randomization.ranges
     random = {name: ranges[name] for name in options.randomization.active}
     observed = options.observation
@@ -76,19 +76,21 @@ def described(options: EnvOptions, config: Any) -> dict[str, Any]:
     }
 
 
-def parts_of(options: EnvOptions, task: Task[Any] | None = None, **made: Any) -> dict[str, str]:
-    """Describe everything that a simulation is made from, but for `WITHOUT_EFFECT`.
+def describe_parts(
+    options: EnvOptions, task: Task[Any] | None = None, **made: Any
+) -> dict[str, str]:
+    """Describe everything that a simulation is made from, except for `WITHOUT_EFFECT`.
 
     Args:
-        options: The common options.
-        task: The task, with its own options; None where there is none.
-        **made: What else it is made from, by name.
+        options: Common options.
+        task: The task with its config; None if there is none.
+        **made: Further components by name.
 
     Returns:
-        A text for each part, by the names of the options. Parts whose texts are equal are equal.
-        "airframe.mass" and the like are the numbers of airframes.
+        A text for each component, by the names of the options. Components with equal texts are
+        equal. "airframe.mass" and the like are the numbers of airframes.
     """
-    names = vars(options) if task is None else described(options, task.config)
+    names = vars(options) if task is None else describe_options(options, task.config)
     values = {one.name: getattr(options, one.name) for one in dataclasses.fields(options)}
     if task is not None:
         values |= {
@@ -97,13 +99,13 @@ def parts_of(options: EnvOptions, task: Task[Any] | None = None, **made: Any) ->
         values |= {"obstacles": task.obstacles(), "layouts": faces_of(task.layouts())}
         values["arena"] = (task.arena_low, task.arena_high)
     values |= made
-    # Only what is uncertain counts, and airframes by their numbers, below
+    # Only active randomization matters; airframes are described by their numbers below
     ranges = options.randomization.ranges
     values["randomization"] = {name: ranges[name] for name in options.randomization.active}
     airframes = values.pop("airframe")
     parts = {"bulletuav": __version__, "airframe": _shown([one.name for one in airframes])}
     if task is not None:
-        parts |= {"task": task.name, "task.code": _digest(text_of(type(task)))}
+        parts |= {"task": task.name, "task.code": _digest(canonical_text(type(task)))}
     for field in dataclasses.fields(Airframe):
         if field.name != "urdf":  # the numbers count, not where the file is
             values[f"airframe.{field.name}"] = [getattr(one, field.name) for one in airframes]
@@ -113,34 +115,34 @@ def parts_of(options: EnvOptions, task: Task[Any] | None = None, **made: Any) ->
 
 
 def faces_of(layouts: Sequence[Solids]) -> list[list[np.ndarray]]:
-    """Return the faces of cities, by which they are compared."""
+    """Return the faces of cities, by which cities are compared."""
     return [[corners for corners, _ in solids.faces] for solids in layouts]
 
 
 def _shown(value: Any, name: Any = None) -> str:
-    """Write a value, or where that is long, its name and a hash of it."""
-    texts = {text_of(one) for one in value} if isinstance(value, list) else set()
-    # The same for all drones
-    text = texts.pop() if len(texts) == 1 else text_of(value)
-    if len(text) <= LONGEST:
+    """Return a value as text; if that is long, its name and a hash."""
+    texts = {canonical_text(one) for one in value} if isinstance(value, list) else set()
+    # All drones have the same value
+    text = texts.pop() if len(texts) == 1 else canonical_text(value)
+    if len(text) <= MAX_SHOWN_LENGTH:
         return text
     named = "" if name is None else repr(name)
-    return f"{named[:LONGEST]} (hash {_digest(text)})".strip()
+    return f"{named[:MAX_SHOWN_LENGTH]} (hash {_digest(text)})".strip()
 
 
 def _digest(text: str) -> str:
     return hashlib.blake2b(text.encode(), digest_size=6).hexdigest()
 
 
-def text_of(value: Any, within: tuple[int, ...] = ()) -> str:
-    """Write a value so that equal values have equal texts, in every process.
+def canonical_text(value: Any, within: tuple[int, ...] = ()) -> str:
+    """Return a value as text, so that equal values have equal texts in every process.
 
-    Code counts by its source file, with what a function was made with; objects by their class and
-    attributes; arrays by their numbers; paths by their last name.
+    Code is represented by its source file, with the defaults and closure of a function; objects by
+    their class and attributes; arrays by their numbers; paths by their last name.
 
     Args:
         value: The value.
-        within: Identities of the objects that it is part of.
+        within: Identities of the objects that contain the value.
     """
     if value is None or isinstance(value, bool | int | float | str | bytes | np.generic):
         return repr(value.item() if isinstance(value, np.generic) else value)
@@ -149,10 +151,10 @@ def text_of(value: Any, within: tuple[int, ...] = ()) -> str:
     if isinstance(value, np.ndarray) and value.dtype != object:
         digest = hashlib.blake2b(np.ascontiguousarray(value).tobytes(), digest_size=8).hexdigest()
         return f"array {value.dtype.str} {value.shape} {digest}"
-    # An object that is part of itself
+    # An object that contains itself
     if id(value) in within:
         return "itself"
-    inner = functools.partial(text_of, within=(*within, id(value)))
+    inner = functools.partial(canonical_text, within=(*within, id(value)))
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{inner(k)}: {inner(one)}" for k, one in value.items()) + "}"
     if isinstance(value, set | frozenset):
@@ -179,7 +181,7 @@ def text_of(value: Any, within: tuple[int, ...] = ()) -> str:
 
 @functools.lru_cache(maxsize=1024)
 def _source(code: Any) -> str:
-    """Hash the file that a class or function is from; nothing for interactive and built-in ones."""
+    """Return a hash of the source file of a class or function; empty if there is none."""
     with contextlib.suppress(OSError, TypeError):
         return hashlib.blake2b(Path(inspect.getfile(code)).read_bytes(), digest_size=8).hexdigest()
     return ""
