@@ -65,11 +65,7 @@ def is_due(contact: Contact, swarm: Swarm, alive: np.ndarray, w: int, dt: float)
 
 
 @func
-def _pace(
-    swarm: Swarm,
-    w: int,
-    i: int,
-) -> float:
+def _pace(swarm: Swarm, w: int, i: int) -> float:
     """Return the speed of a drone, and some more, as even a slow one will have, m/s."""
     velocity = vec3(swarm.velocity, w, i)
     return math.sqrt(dot(velocity, velocity)) + SOON
@@ -85,13 +81,7 @@ def _height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> float:
 
 
 @kernel
-def free_way(
-    scenery: Scenery,
-    swarm: Swarm,
-    turns: np.ndarray,
-    w: int,
-    i: int,
-) -> float:
+def free_way(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i: int) -> float:
     """Return how far drone i of world w may move before it can touch what does not fly, m.
 
     Args:
@@ -130,11 +120,7 @@ def free_way(
 
 @func
 def are_clear(
-    space: Workspace,
-    world: World,
-    end: Swarm,
-    budget: np.ndarray,
-    turns: np.ndarray,
+    space: Workspace, world: World, end: Swarm, budget: np.ndarray, turns: np.ndarray
 ) -> bool:
     """Tell whether the spheres about all drones to be looked at touched nothing in a substep.
 

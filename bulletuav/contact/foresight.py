@@ -36,13 +36,7 @@ def _as_now(
 
 
 @kernel
-def foresee(
-    space: Workspace,
-    world: World,
-    pair: np.record,
-    time: float,
-    point: np.record,
-) -> bool:
+def foresee(space: Workspace, world: World, pair: np.record, time: float, point: np.record) -> bool:
     """Fill in the point at which a pair would be too close at the end of its way, if there is one.
 
     Velocities are those at the end of the substep, and `aim` was called. Of a pair that turns,

@@ -13,11 +13,7 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, plus
 
 @func
 def _energy_of(
-    motion: np.record,
-    velocity: Vec3Like,
-    spin: Vec3Like,
-    frame: Vec3,
-    row: np.record,
+    motion: np.record, velocity: Vec3Like, spin: Vec3Like, frame: Vec3, row: np.record
 ) -> float:
     """Return a drone's kinetic energy (J) with a velocity and spin, as seen from a frame."""
     bx, by, bz = axes(quaternion_of(motion))
@@ -40,12 +36,7 @@ def frame_of(points: np.ndarray, size: int) -> Vec3:
 
 
 @func
-def remember_before(
-    space: Workspace,
-    members: int,
-    points: np.ndarray,
-    size: int,
-) -> None:
+def remember_before(space: Workspace, members: int, points: np.ndarray, size: int) -> None:
     """Keep velocities and impulses as they are before passes that may gain energy."""
     for m in range(members):
         motion = space.motions[space.island[m]]
@@ -77,24 +68,14 @@ def keep(points: np.ndarray, count: int) -> None:
 
 
 @func
-def _between(
-    one: Vec3Like,
-    two: Vec3Like,
-    share: float,
-) -> Vec3:
+def _between(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
     """Return the vector at a share of the way from one to another."""
     start = vector(one)
     return plus(start, share, minus(vector(two), start))
 
 
 @func
-def moving_energy(
-    space: Workspace,
-    world: World,
-    members: int,
-    frame: Vec3,
-    least: float,
-) -> float:
+def moving_energy(space: Workspace, world: World, members: int, frame: Vec3, least: float) -> float:
     """Return the kinetic energy of an island as seen from a frame, or what speed `least` has, J."""
     total = 0.0
     for m in range(members):
@@ -106,13 +87,7 @@ def moving_energy(
 
 
 @func
-def _work(
-    space: Workspace,
-    world: World,
-    members: int,
-    frame: Vec3,
-    rest: float,
-) -> float:
+def _work(space: Workspace, world: World, members: int, frame: Vec3, rest: float) -> float:
     """Return the work of forces on an island in the rest of the substep, seen from a frame, J."""
     total = 0.0
     for m in range(members):

@@ -55,13 +55,7 @@ def _rebounds(point: np.record) -> bool:
 
 
 @func
-def _rebound(
-    space: Workspace,
-    world: World,
-    members: int,
-    points: np.ndarray,
-    size: int,
-) -> bool:
+def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, size: int) -> bool:
     """Let what closes fast rebound (Newton), without a gain of energy, and stop what is slow.
 
     What closes fast and does not rebound is left to `_hold`: forces of this substep belong to the
@@ -99,12 +93,7 @@ def _rebound(
 
 
 @func
-def _allow(
-    pairs: np.ndarray,
-    points: np.ndarray,
-    size: int,
-    dt: float,
-) -> None:
+def _allow(pairs: np.ndarray, points: np.ndarray, size: int, dt: float) -> None:
     """Set how fast the points of contact may close, or have to part.
 
     What is allowed to a pair is linear in the distances, as its motion is: it can reach it at all
@@ -131,12 +120,7 @@ def _allow(
 
 
 @func
-def add_forces(
-    space: Workspace,
-    members: int,
-    time: float,
-    sign: float,
-) -> None:
+def add_forces(space: Workspace, members: int, time: float, sign: float) -> None:
     """Add what forces do to the velocities of an island in the rest of the substep, or take it."""
     rest = sign * (1.0 - time)
     for m in range(members):
@@ -148,11 +132,7 @@ def add_forces(
 
 
 @func
-def _take_mean(
-    motion: np.record,
-    time: float,
-    dt: float,
-) -> None:
+def _take_mean(motion: np.record, time: float, dt: float) -> None:
     """Let a drone fly on with the mean of its velocities at the beginning and the end.
 
     `aim` takes that at the end, which is 1 % too far in a slide that begins.
@@ -241,13 +221,7 @@ def _hold(
 
 
 @func
-def _tell_point(
-    touches: Touches,
-    space: Workspace,
-    w: int,
-    point: np.record,
-    other: int,
-) -> None:
+def _tell_point(touches: Touches, space: Workspace, w: int, point: np.record, other: int) -> None:
     """Tell a point of contact, for both sides if both are drones."""
     place = plus(vector(space.motions[point.a].position), 1.0, vector(point.arm_a))
     normal, velocity = vector(point.normal), vector(point.slip)
@@ -329,12 +303,7 @@ def push_apart(
 
 
 @kernel
-def tell_pair(
-    space: Workspace,
-    world: World,
-    pair: np.record,
-    touches: Touches,
-) -> None:
+def tell_pair(space: Workspace, world: World, pair: np.record, touches: Touches) -> None:
     """Tell a pair that is in touch at the beginning of a substep, without an impulse."""
     distance, normal, on_a, _ = measure(space, world, pair, 0.0)
     if distance > TOUCH:

@@ -158,12 +158,7 @@ def _set_levers(
 
 
 @func
-def _yield_of(
-    row: np.record,
-    one: int,
-    two: int,
-    light: float,
-) -> float:
+def _yield_of(row: np.record, one: int, two: int, light: float) -> float:
     """Return the velocity along one axis of a point that a unit impulse along another gives."""
     yields = light if one == two else 0.0
     yields += dot(row.lever_a[one], row.swing_a[two])
@@ -174,13 +169,7 @@ def _yield_of(
 
 @func
 def _set_hold(
-    row: np.record,
-    k00: float,
-    k01: float,
-    k02: float,
-    k11: float,
-    k12: float,
-    k22: float,
+    row: np.record, k00: float, k01: float, k02: float, k11: float, k12: float, k22: float
 ) -> None:
     """Invert the symmetric matrix of velocities along the axes of a point by impulses."""
     first = (k00, k01, k02)
@@ -254,11 +243,7 @@ def moving_at(row: np.record, motions: np.ndarray) -> Moving:
 
 
 @func
-def put_moving(
-    row: np.record,
-    motions: np.ndarray,
-    moving: Moving,
-) -> None:
+def put_moving(row: np.record, motions: np.ndarray, moving: Moving) -> None:
     """Let both bodies of a point move in another way."""
     put_vector(motions[row.a].velocity, moving[0])
     put_vector(motions[row.a].spin, moving[1])
@@ -268,12 +253,7 @@ def put_moving(
 
 
 @func
-def speed_along(
-    row: np.record,
-    moving: Moving,
-    k: int,
-    axis: Vec3,
-) -> float:
+def speed_along(row: np.record, moving: Moving, k: int, axis: Vec3) -> float:
     """Return the velocity of a's surface against that of b along axis k of a point, m/s."""
     speed = dot(moving[0], axis) + dot(moving[1], point(row.lever_a, k)) - dot(moving[2], axis)
     if row.b >= 0:
@@ -283,12 +263,7 @@ def speed_along(
 
 @func
 def pushed(
-    row: np.record,
-    motions: np.ndarray,
-    moving: Moving,
-    k: int,
-    axis: Vec3,
-    impulse: float,
+    row: np.record, motions: np.ndarray, moving: Moving, k: int, axis: Vec3, impulse: float
 ) -> Moving:
     """Return how both bodies of a point move after an impulse along its axis k, N s."""
     velocity_a, spin_a, velocity_b, spin_b = moving

@@ -18,13 +18,7 @@ HIT = 0.05
 
 
 @func
-def join(
-    space: Workspace,
-    world: World,
-    members: int,
-    i: int,
-    time: float,
-) -> int:
+def join(space: Workspace, world: World, members: int, i: int, time: float) -> int:
     """Bring a drone to the time of an impact, as one of its island; returns how many there are."""
     if i >= world.scenery.first_body or space.motions[i].member:
         return members
@@ -74,12 +68,7 @@ def _one_bears(motions: np.ndarray, pair: np.record) -> bool:
 
 
 @func
-def _is_hit(
-    motions: np.ndarray,
-    pair: np.record,
-    normal: Vec3,
-    on_a: Vec3,
-) -> bool:
+def _is_hit(motions: np.ndarray, pair: np.record, normal: Vec3, on_a: Vec3) -> bool:
     """Tell whether a drone a of an island closes on a sleeper faster than that bears."""
     velocity = surface_velocity(motions[pair.a], on_a)
     hit: bool = -dot(velocity, normal) > HIT
@@ -117,12 +106,7 @@ def _lean(
 
 @func
 def gather(
-    space: Workspace,
-    world: World,
-    pairs: np.ndarray,
-    count: int,
-    first: int,
-    time: float,
+    space: Workspace, world: World, pairs: np.ndarray, count: int, first: int, time: float
 ) -> int:
     """Find all drones that hang together with a pair at the time of its touch.
 

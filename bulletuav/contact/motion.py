@@ -127,13 +127,7 @@ def _put_quaternion(array: np.ndarray, values: Quat4) -> None:
 
 @func
 def begin(
-    motion: np.record,
-    before: Swarm,
-    after: Swarm,
-    w: int,
-    i: int,
-    row: np.record,
-    dt: float,
+    motion: np.record, before: Swarm, after: Swarm, w: int, i: int, row: np.record, dt: float
 ) -> None:
     """Start drone i of world w on its way through a substep in which it touches nothing.
 
@@ -182,11 +176,7 @@ def _share(motion: np.record, time: float) -> float:
 
 
 @func
-def advance_to(
-    motion: np.record,
-    time: float,
-    row: np.record,
-) -> None:
+def advance_to(motion: np.record, time: float, row: np.record) -> None:
     """Move a drone on to a time within the substep."""
     share = _share(motion, time)
     elapsed = time - motion.time
@@ -213,11 +203,7 @@ def advance_to(
 
 
 @func
-def aim(
-    motion: np.record,
-    dt: float,
-    row: np.record,
-) -> None:
+def aim(motion: np.record, dt: float, row: np.record) -> None:
     """Let a drone fly on from its time with the velocities that it has, until it has turned far.
 
     Who has touched nothing goes where its dynamics took it: that is where it will be.
@@ -262,13 +248,7 @@ def stay(motion: np.record) -> None:
 
 
 @func
-def finish(
-    motion: np.record,
-    after: Swarm,
-    w: int,
-    i: int,
-    row: np.record,
-) -> None:
+def finish(motion: np.record, after: Swarm, w: int, i: int, row: np.record) -> None:
     """Write the state of drone i of world w at the end of the substep."""
     advance_to(motion, 1.0, row)
     quaternion = quaternion_of(motion)
@@ -283,12 +263,7 @@ def finish(
 
 @func
 def pose_at(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    who: int,
-    time: float,
-    dt: float,
+    scenery: Scenery, motions: np.ndarray, w: int, who: int, time: float, dt: float
 ) -> tuple[Vec3, Quat4]:
     """Return position and attitude of someone (number of a shape) at a time in the substep."""
     level = (0.0, 0.0, 0.0, 1.0)
@@ -308,22 +283,14 @@ def pose_at(
 
 
 @func
-def valid_until(
-    scenery: Scenery,
-    motions: np.ndarray,
-    who: int,
-) -> float:
+def valid_until(scenery: Scenery, motions: np.ndarray, who: int) -> float:
     """Return the share of the substep up to which the way of someone is known."""
     return motions[who].until if who < scenery.first_body else 1.0
 
 
 @func
 def change_rates(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    who: int,
-    dt: float,
+    scenery: Scenery, motions: np.ndarray, w: int, who: int, dt: float
 ) -> tuple[Vec3, Vec3]:
     """Return displacement and rotation of someone on its way, per whole substep."""
     still = (0.0, 0.0, 0.0)

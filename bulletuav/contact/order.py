@@ -6,12 +6,7 @@ from bulletuav.compiled.kernel import func
 
 
 @func
-def _is_before(
-    position: np.ndarray,
-    w: int,
-    i: int,
-    j: int,
-) -> bool:
+def _is_before(position: np.ndarray, w: int, i: int, j: int) -> bool:
     """Tell whether drone i comes before drone j by x, then y, then z."""
     for k in range(3):
         one = float(position[w, i, k])
@@ -22,11 +17,7 @@ def _is_before(
 
 
 @func
-def set_order(
-    order: np.ndarray,
-    position: np.ndarray,
-    w: int,
-) -> None:
+def set_order(order: np.ndarray, position: np.ndarray, w: int) -> None:
     """Write the drones (N,) of a world in the order of x, then y, then z."""
     for last in range(order.shape[0]):
         i = last

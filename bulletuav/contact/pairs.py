@@ -51,13 +51,7 @@ Attributes:
 
 
 @allocating
-def _with_pair(
-    pairs: np.ndarray,
-    count: int,
-    first: int,
-    a: int,
-    b: int,
-) -> tuple[np.ndarray, int]:
+def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tuple[np.ndarray, int]:
     """Add a pair unless it is among those from `first` on; returns the pairs and their number."""
     for p in range(first, count):
         same = pairs[p].a == a and pairs[p].b == b
@@ -84,12 +78,7 @@ def _with_pair(
 
 
 @func
-def body_distance(
-    scenery: Scenery,
-    w: int,
-    k: int,
-    place: Vec3,
-) -> float:
+def body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
     """Return a lower bound of the distance of a point from body piece k of a world, m."""
     table = scenery.table
     s = scenery.first_body + k
@@ -99,11 +88,7 @@ def body_distance(
 
 
 @func
-def piece_distance(
-    city_grid: CityGrid,
-    p: int,
-    place: Vec3,
-) -> float:
+def piece_distance(city_grid: CityGrid, p: int, place: Vec3) -> float:
     """Return the distance of a point from the bounding box of a city's piece, m."""
     return distance_from_box(place, point(city_grid.low, p), point(city_grid.high, p))
 
@@ -179,14 +164,7 @@ def collect(
 
 
 @func
-def sweeps_apart(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    a: int,
-    b: int,
-    dt: float,
-) -> bool:
+def sweeps_apart(scenery: Scenery, motions: np.ndarray, w: int, a: int, b: int, dt: float) -> bool:
     """Tell whether the bounding volumes of a pair stay apart on their ways."""
     table = scenery.table
     here = vector(motions[a].position)

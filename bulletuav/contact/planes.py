@@ -72,11 +72,7 @@ def separation_along(
 
 
 @func
-def _swing(
-    radius: float,
-    normal: Vec3,
-    turn: Vec3,
-) -> tuple[float, float]:
+def _swing(radius: float, normal: Vec3, turn: Vec3) -> tuple[float, float]:
     """Bound how fast, m, and with which acceleration, a rotation moves a shape along `normal`.
 
     Both are per substep, for any of its points. A turn about the normal itself moves none.
@@ -89,11 +85,7 @@ def _swing(
 
 @func
 def plane_at_rest(
-    radii: tuple[float, float],
-    normal: Vec3,
-    move: Vec3,
-    turn_a: Vec3,
-    turn_b: Vec3,
+    radii: tuple[float, float], normal: Vec3, move: Vec3, turn_a: Vec3, turn_b: Vec3
 ) -> Plane:
     """Bound how a pair moves against a plane that stays as it is.
 
@@ -112,12 +104,7 @@ def plane_at_rest(
 
 @func
 def plane_turning(
-    radius: float,
-    normal: Vec3,
-    move: Vec3,
-    turn_a: Vec3,
-    turn_b: Vec3,
-    between: Vec3,
+    radius: float, normal: Vec3, move: Vec3, turn_a: Vec3, turn_b: Vec3, between: Vec3
 ) -> Plane:
     """Bound how a pair moves against a plane that turns with b, in whose frame b is at rest.
 

@@ -119,10 +119,7 @@ class World(NamedTuple):
 
 @func
 def measure(
-    space: Workspace,
-    world: World,
-    pair: np.record,
-    time: float,
+    space: Workspace, world: World, pair: np.record, time: float
 ) -> tuple[float, Vec3, Vec3, Vec3]:
     """Measure a pair at a time, keeping the direction."""
     guess = vector(pair.normal)
@@ -181,13 +178,7 @@ def _rolls(kind: int) -> bool:
 
 
 @func
-def surface_of(
-    space: Workspace,
-    world: World,
-    a: int,
-    b: int,
-    count: int,
-) -> Surface:
+def surface_of(space: Workspace, world: World, a: int, b: int, count: int) -> Surface:
     """Collect what the points of a pair have in common, and how many there are.
 
     On a face friction alone resists turning: only fewer points do so by themselves.
@@ -227,12 +218,7 @@ def surface_of(
 
 
 @func
-def _set_axis(
-    motions: np.ndarray,
-    point: np.record,
-    side: int,
-    axis: Vec3,
-) -> None:
+def _set_axis(motions: np.ndarray, point: np.record, side: int, axis: Vec3) -> None:
     """Set an axis about which a point resists turning."""
     turning = eased(motions[point.a], axis)
     put_vector(point.turning_a[side], turning)
@@ -246,11 +232,7 @@ def _set_axis(
 
 
 @func
-def fill(
-    motions: np.ndarray,
-    point: np.record,
-    surface: Surface,
-) -> None:
+def fill(motions: np.ndarray, point: np.record, surface: Surface) -> None:
     """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
     a, b, drift, friction, restitution, damping, resist, axis_b = surface
     point.a = a
@@ -271,12 +253,7 @@ def fill(
 
 @kernel
 def add_points(
-    space: Workspace,
-    world: World,
-    pair: np.record,
-    time: float,
-    points: np.ndarray,
-    size: int,
+    space: Workspace, world: World, pair: np.record, time: float, points: np.ndarray, size: int
 ) -> int:
     """Add the points of contact of a pair in touch; returns how many there are now."""
     a = pair.a

@@ -48,11 +48,7 @@ FEWEST = 20
 
 
 @func
-def _against(
-    row: np.record,
-    along: float,
-    across: float,
-) -> tuple[float, float, float]:
+def _against(row: np.record, along: float, across: float) -> tuple[float, float, float]:
     """Return friction along the tangents that grows against a slip (m/s), and its size, N s."""
     first = row.impulse[1] - row.grip[3] * along
     second = row.impulse[2] - row.grip[3] * across
@@ -60,11 +56,7 @@ def _against(
 
 
 @func
-def _rub(
-    row: np.record,
-    motions: np.ndarray,
-    moving: Moving,
-) -> Moving:
+def _rub(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
     """Let friction act at a point, and return how its bodies move then; notes if they slide."""
     one = vector(row.tangent[0])
     two = vector(row.tangent[1])
@@ -111,11 +103,7 @@ def _resist_turning(row: np.record, moving: Moving) -> Moving:
 
 
 @func
-def _spin_up(
-    motion: np.record,
-    twist: Vec3,
-    sign: float,
-) -> None:
+def _spin_up(motion: np.record, twist: Vec3, sign: float) -> None:
     """Give a drone an angular impulse, N m s."""
     turning = eased(motion, twist)
     for k in range(3):
@@ -123,11 +111,7 @@ def _spin_up(
 
 
 @func
-def _press(
-    row: np.record,
-    motions: np.ndarray,
-    moving: Moving,
-) -> Moving:
+def _press(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
     """Let a point push its surfaces apart, and return how its bodies move then."""
     normal = vector(row.normal)
     missing = row.least - speed_along(row, moving, 0, normal)
@@ -138,11 +122,7 @@ def _press(
 
 
 @func
-def _stick(
-    row: np.record,
-    motions: np.ndarray,
-    moving: Moving,
-) -> tuple[bool, Moving]:
+def _stick(row: np.record, motions: np.ndarray, moving: Moving) -> tuple[bool, Moving]:
     """Stop a point along all of its axes at once, if friction can hold it; tells whether it can."""
     missing = (
         row.least - speed_along(row, moving, 0, vector(row.normal)),
@@ -163,12 +143,7 @@ def _stick(
 
 
 @func
-def _given(
-    row: np.record,
-    motions: np.ndarray,
-    moving: Moving,
-    impulse: Vec3,
-) -> Moving:
+def _given(row: np.record, motions: np.ndarray, moving: Moving, impulse: Vec3) -> Moving:
     """Return how the bodies of a point move after an impulse along its axes, N s."""
     moving = pushed(row, motions, moving, 0, vector(row.normal), impulse[0])
     moving = pushed(row, motions, moving, 1, vector(row.tangent[0]), impulse[1])
@@ -176,11 +151,7 @@ def _given(
 
 
 @func
-def _slide(
-    row: np.record,
-    motions: np.ndarray,
-    moving: Moving,
-) -> tuple[bool, Moving]:
+def _slide(row: np.record, motions: np.ndarray, moving: Moving) -> tuple[bool, Moving]:
     """Stop a sliding point along its normal, with the friction that the normal impulse allows.
 
     Friction is `friction` times the normal impulse, so that both are solved for at once. Only its
@@ -240,13 +211,7 @@ def _visit(row: np.record, motions: np.ndarray, at_once: bool) -> None:
 
 
 @func
-def _go_on(
-    points: np.ndarray,
-    count: int,
-    motions: np.ndarray,
-    share: float,
-    anew: bool,
-) -> None:
+def _go_on(points: np.ndarray, count: int, motions: np.ndarray, share: float, anew: bool) -> None:
     """Let impulses go on the way of the sweeps before, by a share of it, or begin a new way."""
     for k in range(count):
         row = points[k]
@@ -265,12 +230,7 @@ def _go_on(
 
 @kernel
 def relax(
-    points: np.ndarray,
-    count: int,
-    motions: np.ndarray,
-    dt: float,
-    firm: float,
-    start: int,
+    points: np.ndarray, count: int, motions: np.ndarray, dt: float, firm: float, start: int
 ) -> int:
     """Sweep over points until none closes faster than it may.
 
@@ -334,11 +294,7 @@ def relax(
 
 
 @kernel
-def damp_tipping(
-    points: np.ndarray,
-    count: int,
-    motions: np.ndarray,
-) -> bool:
+def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
     """Damp the spin of bodies about axes across the normals of points that press.
 
     Args:

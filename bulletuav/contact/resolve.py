@@ -37,12 +37,7 @@ from bulletuav.vehicle.swarm import Swarm
 
 @deferred(types.none)
 @kernel
-def _start_drone(
-    space: Workspace,
-    world: World,
-    end: Swarm,
-    i: int,
-) -> None:
+def _start_drone(space: Workspace, world: World, end: Swarm, i: int) -> None:
     """Begin the motion of a drone that may touch something, if it has not begun."""
     if i < world.scenery.first_body and not space.motions[i].begun:
         row = world.parameters[world.w, i]
@@ -53,11 +48,7 @@ def _start_drone(
 
 
 @func
-def _is_over(
-    space: Workspace,
-    world: World,
-    pair: np.record,
-) -> bool:
+def _is_over(space: Workspace, world: World, pair: np.record) -> bool:
     """Tell whether a pair is not asked any more when it touches.
 
     Drones of too many impacts stay, or go along with an obstacle, and take along those of them that
@@ -79,12 +70,7 @@ def _is_over(
 
 
 @kernel
-def _time_pair(
-    space: Workspace,
-    world: World,
-    pair: np.record,
-    start: float,
-) -> None:
+def _time_pair(space: Workspace, world: World, pair: np.record, start: float) -> None:
     """Find when a pair touches next, from a time on."""
     motions = space.motions
     pair.time = NEVER
@@ -129,24 +115,14 @@ def _next_pair(pairs: np.ndarray, count: int) -> int:
 
 
 @func
-def _distance(
-    one: np.ndarray,
-    two: np.ndarray,
-    w: int,
-    i: int,
-) -> float:
+def _distance(one: np.ndarray, two: np.ndarray, w: int, i: int) -> float:
     """Return how far drone i is in one array (W, N, 3) from where it is in another, m."""
     way = minus(vec3(one, w, i), vec3(two, w, i))
     return math.sqrt(dot(way, way))
 
 
 @func
-def _set_reach(
-    space: Workspace,
-    world: World,
-    end: Swarm,
-    budget: np.ndarray,
-) -> None:
+def _set_reach(space: Workspace, world: World, end: Swarm, budget: np.ndarray) -> None:
     """Set how far drones get in the substep, and which of them are looked at.
 
     These are all that are due, and who would be after one more such substep: one look serves both.
@@ -195,10 +171,7 @@ def _collect_of(
 
 @allocating
 def find_pairs(
-    space: Workspace,
-    world: World,
-    end: Swarm,
-    order: np.ndarray,
+    space: Workspace, world: World, end: Swarm, order: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Collect the pairs of all drones that are due, and of sleepers within their reach."""
     motions = space.motions
@@ -225,12 +198,7 @@ def find_pairs(
 
 @allocating
 def _widen(
-    space: Workspace,
-    world: World,
-    end: Swarm,
-    order: np.ndarray,
-    pairs: np.ndarray,
-    count: int,
+    space: Workspace, world: World, end: Swarm, order: np.ndarray, pairs: np.ndarray, count: int
 ) -> tuple[np.ndarray, int]:
     """Collect the pairs of drones anew that were sent farther than was looked at."""
     for rank in range(order.shape[0]):
@@ -248,11 +216,7 @@ def _widen(
 
 
 @func
-def _turn_on(
-    space: Workspace,
-    world: World,
-    pair: np.record,
-) -> int:
+def _turn_on(space: Workspace, world: World, pair: np.record) -> int:
     """Let those of a pair whose way ends fly on; returns how many, they are in `space.island`."""
     members = 0
     for who in (pair.a, pair.b):

@@ -133,11 +133,7 @@ def make_contact(
 
 
 @func
-def wake(
-    contact: Contact,
-    w: int,
-    i: int,
-) -> None:
+def wake(contact: Contact, w: int, i: int) -> None:
     """Wake a drone, if it sleeps, and all who sleep in a heap with it."""
     space = contact.space
     asleep = contact.asleep

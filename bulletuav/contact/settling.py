@@ -27,13 +27,7 @@ FASTER = 1.5e-4
 
 
 @func
-def _is_slow(
-    contact: Contact,
-    w: int,
-    i: int,
-    velocity: Vec3,
-    rates: Vec3,
-) -> bool:
+def _is_slow(contact: Contact, w: int, i: int, velocity: Vec3, rates: Vec3) -> bool:
     """Tell whether a drone is as good as at rest."""
     scale = 1.0
     for k in range(contact.touches.number[w, i]):
@@ -44,23 +38,14 @@ def _is_slow(
 
 
 @func
-def _speed(
-    swarm: Swarm,
-    w: int,
-    i: int,
-) -> float:
+def _speed(swarm: Swarm, w: int, i: int) -> float:
     """Return the speed of a drone, m/s."""
     velocity = vec3(swarm.velocity, w, i)
     return math.sqrt(dot(velocity, velocity))
 
 
 @func
-def settle(
-    contact: Contact,
-    world: World,
-    swarm: Swarm,
-    last: bool,
-) -> None:
+def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
     """Let drones that have been at rest for long fall asleep, and sleepers that were hit wake.
 
     Args:
@@ -155,11 +140,7 @@ def _fall_asleep(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
 
 
 @func
-def _is_overloaded(
-    contact: Contact,
-    world: World,
-    i: int,
-) -> bool:
+def _is_overloaded(contact: Contact, world: World, i: int) -> bool:
     """Tell whether those who lie on a sleeper push it more than what it lies on bears."""
     motion = contact.space.motions[i]
     load = contact.load[world.w, i]
@@ -178,11 +159,7 @@ def _is_overloaded(
 
 
 @func
-def _is_safe(
-    contact: Contact,
-    world: World,
-    i: int,
-) -> bool:
+def _is_safe(contact: Contact, world: World, i: int) -> bool:
     """Tell whether the support of a drone bears the forces of this substep."""
     support = contact.support[world.w, i]
     if support.span <= 0.0:
@@ -196,11 +173,7 @@ def _is_safe(
 
 
 @func
-def _is_borne(
-    contact: Contact,
-    w: int,
-    i: int,
-) -> bool:
+def _is_borne(contact: Contact, w: int, i: int) -> bool:
     """Tell whether a drone touches something that does not yield, or somebody who sleeps on it."""
     touches = contact.touches
     for k in range(touches.number[w, i]):
@@ -211,12 +184,7 @@ def _is_borne(
 
 
 @func
-def _note_support(
-    contact: Contact,
-    world: World,
-    swarm: Swarm,
-    i: int,
-) -> None:
+def _note_support(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
     """Keep what a drone that falls asleep touches, and what it rests on if that is one surface."""
     w = world.w
     touches = contact.touches
@@ -234,12 +202,7 @@ def _note_support(
 
 
 @func
-def _put_back(
-    contact: Contact,
-    swarm: Swarm,
-    w: int,
-    i: int,
-) -> None:
+def _put_back(contact: Contact, swarm: Swarm, w: int, i: int) -> None:
     """Put a drone back to where it was at the beginning of the substep, at rest."""
     for k in range(3):
         swarm.position[w, i, k] = contact.start.position[w, i, k]

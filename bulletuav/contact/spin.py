@@ -70,11 +70,7 @@ def _series(c: tuple[float, ...], x: float) -> float:
 
 
 @func
-def turned(
-    rotation: Vec3,
-    share: float,
-    quaternion: Quat4,
-) -> Quat4:
+def turned(rotation: Vec3, share: float, quaternion: Quat4) -> Quat4:
     """Return an attitude after a share of a rotation (axis times angle, world axes).
 
     Its length is that of the attitude before, but for rounding.
@@ -93,11 +89,7 @@ def turned(
 
 
 @func
-def momentum(
-    quaternion: Quat4,
-    spin: Vec3,
-    row: np.record,
-) -> Vec3:
+def momentum(quaternion: Quat4, spin: Vec3, row: np.record) -> Vec3:
     """Return the angular momentum (N m s) of an angular velocity (rad/s), both in world axes."""
     p, q, r = to_body(quaternion, spin)
     inertia = row.inertia
@@ -105,11 +97,7 @@ def momentum(
 
 
 @func
-def spin_of(
-    quaternion: Quat4,
-    angular: Vec3,
-    row: np.record,
-) -> Vec3:
+def spin_of(quaternion: Quat4, angular: Vec3, row: np.record) -> Vec3:
     """Return the angular velocity (rad/s) of an angular momentum (N m s), both in world axes."""
     p, q, r = to_body(quaternion, angular)
     inertia = row.inertia
@@ -117,12 +105,7 @@ def spin_of(
 
 
 @func
-def spun(
-    here: Quat4,
-    spin: Vec3,
-    rest: float,
-    row: np.record,
-) -> tuple[Quat4, Vec3]:
+def spun(here: Quat4, spin: Vec3, rest: float, row: np.record) -> tuple[Quat4, Vec3]:
     """Return the attitude after a time without torque, and the rotation to it, axis times angle.
 
     The rotation takes the angular velocity halfway (midpoint rule), with the angular momentum held.

@@ -38,12 +38,7 @@ def end_forces(motion: np.record, time: float) -> None:
 
 @func
 def carried(
-    space: Workspace,
-    world: World,
-    pairs: np.ndarray,
-    count: int,
-    members: int,
-    time: float,
+    space: Workspace, world: World, pairs: np.ndarray, count: int, members: int, time: float
 ) -> Vec3:
     """Return how far an obstacle takes an island along in a substep that touched it, m.
 
@@ -67,12 +62,7 @@ def carried(
 
 
 @func
-def let_stay(
-    space: Workspace,
-    members: int,
-    time: float,
-    way: Vec3,
-) -> None:
+def let_stay(space: Workspace, members: int, time: float, way: Vec3) -> None:
     """Let those of an island that had too many impacts stay, or go along a way (m a substep)."""
     for m in range(members):
         motion = space.motions[space.island[m]]
@@ -82,12 +72,7 @@ def let_stay(
 
 
 @func
-def _way_velocity(
-    space: Workspace,
-    world: World,
-    i: int,
-    arm: Vec3,
-) -> Vec3:
+def _way_velocity(space: Workspace, world: World, i: int, arm: Vec3) -> Vec3:
     """Return the velocity of a drone's surface on its way, whatever the dynamics tells, m/s."""
     move, turn = change_rates(world.scenery, space.motions, world.w, i, world.dt)
     x, y, z = arm

@@ -42,12 +42,7 @@ Attributes:
 
 @kernel
 def find_support(
-    support: np.record,
-    space: Workspace,
-    world: World,
-    swarm: Swarm,
-    i: int,
-    other: int,
+    support: np.record, space: Workspace, world: World, swarm: Swarm, i: int, other: int
 ) -> None:
     """Measure how a drone rests on something that does not move.
 
@@ -84,11 +79,7 @@ def find_support(
 
 
 @func
-def _inner_radius(
-    points: np.ndarray,
-    count: int,
-    normal: Vec3,
-) -> float:
+def _inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float:
     """Return how far points (M, 3) reach about the origin, across a normal, where least, m."""
     first = cross(normal, (1.0, 0.0, 0.0) if abs(normal[0]) < 0.8 else (0.0, 1.0, 0.0))
     scale = 1.0 / math.sqrt(dot(first, first))
@@ -109,10 +100,7 @@ def _inner_radius(
 
 @func
 def pressing(
-    support: np.record,
-    mass: float,
-    acceleration: Vec3,
-    torque: Vec3,
+    support: np.record, mass: float, acceleration: Vec3, torque: Vec3
 ) -> tuple[float, bool]:
     """Return with which force a load presses a drone on its support, N, and whether that bears it.
 

@@ -48,12 +48,7 @@ def make_touches(num_worlds: int, num_drones: int) -> Touches:
 
 
 @func
-def _slot(
-    touches: Touches,
-    w: int,
-    i: int,
-    other: int,
-) -> int:
+def _slot(touches: Touches, w: int, i: int, other: int) -> int:
     """Return where to tell a touch, a new place if it is the first."""
     count = int(touches.number[w, i])
     for k in range(count):
