@@ -6,20 +6,20 @@ from typing import Any
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
-from bulletuav.contact.budgets import is_due
-from bulletuav.contact.impact import tell_pair
-from bulletuav.contact.order import set_order
-from bulletuav.contact.points import World
-from bulletuav.contact.resolve import find_pairs, resolve
-from bulletuav.contact.rest import Contact, wake_for_obstacles
-from bulletuav.contact.settling import settle
+from bulletuav.contact.contact_state import ContactState, wake_near_obstacles
+from bulletuav.contact.impact import record_overlap
+from bulletuav.contact.manifold import ContactWorld
+from bulletuav.contact.motion_bounds import update_budgets
+from bulletuav.contact.sleeping import update_sleep
+from bulletuav.contact.sorting import sort_drones
+from bulletuav.contact.substep import find_pairs, resolve_contacts
 from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, DroneArrays, Swarm, TimeStep
 
 
 @func
-def remember(contact: Contact, swarm: Swarm, w: int) -> None:
+def save_start_state(contact: ContactState, swarm: Swarm, w: int) -> None:
     """Keep the state of a world at the beginning of a substep."""
     start = contact.start
     # Where arrays are is read once, as what is written could be that for all the compiler knows
@@ -39,7 +39,7 @@ def remember(contact: Contact, swarm: Swarm, w: int) -> None:
 
 
 @func
-def move_obstacles(contact: Contact, w: int, substep: int, step: TimeStep) -> None:
+def place_world_obstacles(contact: ContactState, w: int, substep: int, step: TimeStep) -> None:
     """Put the obstacles of a world where they are at the beginning of a substep.
 
     Args:
@@ -57,19 +57,21 @@ def move_obstacles(contact: Contact, w: int, substep: int, step: TimeStep) -> No
 
 
 @kernel
-def place_obstacles(contact: Contact, substep: int, step: TimeStep) -> None:
-    """Do what `move_obstacles` does in all worlds in which any moves."""
+def place_obstacles(contact: ContactState, substep: int, step: TimeStep) -> None:
+    """Do what `place_world_obstacles` does in all worlds in which any moves."""
     for w in range(contact.speed.shape[0]):
         if contact.speed[w] > 0.0:
-            move_obstacles(contact, w, substep, step)
+            place_world_obstacles(contact, w, substep, step)
 
 
 @func
-def meet(contact: Contact, drones: DroneArrays, w: int, substep: int, step: TimeStep) -> bool:
+def step_contacts(
+    contact: ContactState, drones: DroneArrays, w: int, substep: int, step: TimeStep
+) -> bool:
     """Let the drones of a world touch what they would have flown into in a substep.
 
     Args:
-        contact: Of all worlds; `remember` was called at the beginning of the substep.
+        contact: Of all worlds; `save_start_state` was called at the beginning of the substep.
         drones: All drones; their state is that at its end, as flown freely; changed.
         w: The world.
         substep: Which substep of the decision it is.
@@ -78,18 +80,20 @@ def meet(contact: Contact, drones: DroneArrays, w: int, substep: int, step: Time
     Returns:
         Whether anything was touched.
     """
-    if not is_due(contact, drones.swarm, drones.alive, w, step.dt):
+    if not update_budgets(contact, drones.swarm, drones.alive, w, step.dt):
         return False
-    return _look(contact, drones, w, substep, step)
+    return _resolve_world(contact, drones, w, substep, step)
 
 
 @kernel
-def _look(contact: Contact, drones: DroneArrays, w: int, substep: int, step: TimeStep) -> bool:
-    """Do what `meet` does in a world where drones are due."""
+def _resolve_world(
+    contact: ContactState, drones: DroneArrays, w: int, substep: int, step: TimeStep
+) -> bool:
+    """Do what `step_contacts` does in a world where drones are due."""
     contact = in_memory(contact)
-    move_obstacles(contact, w, substep, step)
+    place_world_obstacles(contact, w, substep, step)
     world = in_memory(
-        World(
+        ContactWorld(
             w,
             step.dt,
             contact.speed[w] * step.dt,
@@ -106,8 +110,8 @@ def _look(contact: Contact, drones: DroneArrays, w: int, substep: int, step: Tim
     )
     swarm = in_memory(drones.swarm)
     if contact.sleeps and world.speed > 0.0:
-        wake_for_obstacles(contact, world)
-    eventful = resolve(
+        wake_near_obstacles(contact, world)
+    eventful = resolve_contacts(
         contact.space,
         world,
         swarm,
@@ -118,28 +122,30 @@ def _look(contact: Contact, drones: DroneArrays, w: int, substep: int, step: Tim
         contact.touches,
     )
     if contact.sleeps:
-        settle(contact, world, swarm, substep + 1 == step.substeps)
+        update_sleep(contact, world, swarm, substep + 1 == step.substeps)
     return eventful
 
 
 @kernel
-def meet_all(contact: Contact, drones: DroneArrays, substep: int, step: TimeStep) -> bool:
-    """Do what `meet` does in all worlds; returns whether any state was changed."""
+def step_all_contacts(
+    contact: ContactState, drones: DroneArrays, substep: int, step: TimeStep
+) -> bool:
+    """Do what `step_contacts` does in all worlds; returns whether any state was changed."""
     eventful = False
     for w in range(drones.alive.shape[0]):
-        eventful |= meet(contact, drones, w, substep, step)
+        eventful |= step_contacts(contact, drones, w, substep, step)
     return eventful
 
 
 @kernel
-def remember_all(contact: Contact, swarm: Swarm) -> None:
+def save_all_start_states(contact: ContactState, swarm: Swarm) -> None:
     """Keep the state of all worlds at the beginning of a substep."""
     for w in range(swarm.position.shape[0]):
-        remember(contact, swarm, w)
+        save_start_state(contact, swarm, w)
 
 
 @func
-def _take_over_sleepers(contact: Contact, alive: np.ndarray, w: int) -> None:
+def _restore_sleeper_contacts(contact: ContactState, alive: np.ndarray, w: int) -> None:
     """Tell what sleepers touched before, and wake those in whose world a drone came or went."""
     touches, slept = contact.touches, contact.slept
     same = True
@@ -155,7 +161,7 @@ def _take_over_sleepers(contact: Contact, alive: np.ndarray, w: int) -> None:
 
 
 @kernel
-def begin_decision(contact: Contact, alive: np.ndarray, period: float) -> None:
+def start_decision(contact: ContactState, alive: np.ndarray, period: float) -> None:
     """Forget what the last decision touched, and look at where obstacles go in this one.
 
     Args:
@@ -168,7 +174,7 @@ def begin_decision(contact: Contact, alive: np.ndarray, period: float) -> None:
             contact.touches.number[w, i] = 0
             contact.stopped[w, i] = False
         if contact.sleeps:
-            _take_over_sleepers(contact, alive, w)
+            _restore_sleeper_contacts(contact, alive, w)
 
         # Obstacles that were moved since may be near at once
         jumped, square = False, 0.0
@@ -184,7 +190,7 @@ def begin_decision(contact: Contact, alive: np.ndarray, period: float) -> None:
                 contact.asleep[w, i] = False
 
 
-def remembered(contact: Contact) -> dict[str, np.ndarray]:
+def get_state_arrays(contact: ContactState) -> dict[str, np.ndarray]:
     """Tell the arrays (W, ...) by name that later contacts follow from."""
     parts: dict[str, Any] = contact._asdict()
     for name in ("slept", "touches", "memory"):
@@ -192,7 +198,7 @@ def remembered(contact: Contact) -> dict[str, np.ndarray]:
     return {name: one for name, one in parts.items() if isinstance(one, np.ndarray)}
 
 
-def see(contact: Contact, scenery: Scenery) -> Contact:
+def replace_scenery(contact: ContactState, scenery: Scenery) -> ContactState:
     """Tell contacts that something else stands now; all look anew at what is near."""
     contact.budget[:] = -1.0
     contact.asleep[:] = False
@@ -200,8 +206,8 @@ def see(contact: Contact, scenery: Scenery) -> Contact:
 
 
 @func
-def _called(number: int, names: tuple[int, int, int, np.ndarray]) -> int:
-    """Return what `Contacts.other` calls the owner of a shape; see `mark` for its names."""
+def _get_owner(number: int, names: tuple[int, int, int, np.ndarray]) -> int:
+    """Return what `Contacts.other` calls the owner of a shape; see `summarize_contacts` for its names."""
     first_body, first_piece, ground, other = names
     if number < first_body:
         return number
@@ -211,7 +217,7 @@ def _called(number: int, names: tuple[int, int, int, np.ndarray]) -> int:
 
 
 @kernel
-def mark(
+def summarize_contacts(
     number: np.ndarray,
     other: np.ndarray,
     impulses: np.ndarray,
@@ -254,14 +260,14 @@ def mark(
 
             # Several pieces may be of one city, or of one body
             for k in range(count):
-                one, total = _called(other[w, i, k], names), 0.0
+                one, total = _get_owner(other[w, i, k], names), 0.0
                 for m in range(count):
-                    if _called(other[w, i, m], names) == one:
+                    if _get_owner(other[w, i, m], names) == one:
                         total += impulses[w, i, m]
                 impulse[w, i] = max(impulse[w, i], total)
 
 
-def told(contact: Contact) -> Contacts:
+def list_contacts(contact: ContactState) -> Contacts:
     """Tell what was touched in a decision, sorted by world, drone and other."""
     touches = contact.touches
     if not touches.number.any():
@@ -288,14 +294,14 @@ def told(contact: Contact) -> Contacts:
 
 
 @allocating
-def _note_overlaps(contact: Contact, drones: DroneArrays, moved: np.ndarray) -> None:
-    """Record the contacts of drones that were put somewhere else; see `overlaps`."""
+def _record_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarray) -> None:
+    """Record the contacts of drones that were put somewhere else; see `find_overlaps`."""
     contact, alive = in_memory(contact), drones.alive
     swarm = in_memory(drones.swarm)
     space = contact.space
     for w in range(alive.shape[0]):
         world = in_memory(
-            World(
+            ContactWorld(
                 w,
                 1.0,
                 0.0,
@@ -314,13 +320,13 @@ def _note_overlaps(contact: Contact, drones: DroneArrays, moved: np.ndarray) -> 
             space.motions[i].due = moved[w, i] and alive[w, i]
             space.motions[i].reach = 0.0
             space.motions[i].begun = False
-        set_order(space.order, swarm.position, w)
+        sort_drones(space.order, swarm.position, w)
         pairs, count = find_pairs(space, world, swarm, space.order)
         for p in range(count):
-            tell_pair(space, world, pairs[p], contact.touches)
+            record_overlap(space, world, pairs[p], contact.touches)
 
 
-def overlaps(contact: Contact, drones: DroneArrays, moved: np.ndarray) -> Contacts:
+def find_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarray) -> Contacts:
     """Find what drones touch that were put somewhere else.
 
     Args:
@@ -332,6 +338,6 @@ def overlaps(contact: Contact, drones: DroneArrays, moved: np.ndarray) -> Contac
         The contacts of `moved` drones with others and what stands, without impulse.
     """
     contact.touches.number[:] = 0
-    _note_overlaps(contact, drones, moved)
+    _record_overlaps(contact, drones, moved)
     contact.budget[moved] = -1.0
-    return told(contact)
+    return list_contacts(contact)

@@ -11,7 +11,13 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func
 from bulletuav.compiled.plain import record_type
-from bulletuav.contact.spin import momentum, rotation_between, spin_of, spun, turned
+from bulletuav.contact.spin import (
+    compute_angular_momentum,
+    compute_angular_velocity,
+    compute_rotation_between,
+    integrate_free_rotation,
+    rotate_by_fraction,
+)
 from bulletuav.geometry.rotation import (
     Quat4,
     Vec3,
@@ -30,11 +36,11 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import free_rates
 
-FAR_TURN = 0.5
+MAX_SEGMENT_ANGLE = 0.5
 """Angle by which a drone turns about one axis at most, rad; then it takes another"""
-MOST_IMPACTS = 16
+MAX_IMPACTS = 16
 """Impacts of a drone in a substep, after which it stays, or goes along with an obstacle"""
-SHORTEST_LEG = 1.0 / 64.0
+MIN_SEGMENT_FRACTION = 1.0 / 64.0
 """Share of the substep that it flies on at least, however fast it turns"""
 
 MOTION = record_type(
@@ -93,18 +99,18 @@ Attributes:
     after: The same after one without rebound.
     goal: Where it gets in the substep unless it touches anything, m.
     heading: Its attitude there.
-    stray: Rotation to that attitude from where `aim` alone would get, world axes, rad.
+    stray: Rotation to that attitude from where `start_segment` alone would get, world axes, rad.
 """
 
 
 @func
-def vector(array: Vec3Like) -> Vec3:
+def read_vec3(array: Vec3Like) -> Vec3:
     """Return an array of three numbers as a tuple."""
     return array[0], array[1], array[2]
 
 
 @func
-def put_vector(array: np.ndarray, values: Vec3Like) -> None:
+def write_vec3(array: np.ndarray, values: Vec3Like) -> None:
     """Write an array of three numbers."""
     array[0] = values[0]
     array[1] = values[1]
@@ -112,21 +118,21 @@ def put_vector(array: np.ndarray, values: Vec3Like) -> None:
 
 
 @func
-def quaternion_of(motion: np.record) -> Quat4:
+def read_quaternion(motion: np.record) -> Quat4:
     """Return the attitude of a drone at its time."""
     q = motion.quaternion
     return q[0], q[1], q[2], q[3]
 
 
 @func
-def _put_quaternion(array: np.ndarray, values: Quat4) -> None:
+def _write_quaternion(array: np.ndarray, values: Quat4) -> None:
     """Write an attitude."""
     for k in range(4):
         array[k] = values[k]
 
 
 @func
-def begin(
+def start_motion(
     motion: np.record, before: Swarm, after: Swarm, w: int, i: int, row: np.record, dt: float
 ) -> None:
     """Start drone i of world w on its way through a substep in which it touches nothing.
@@ -151,51 +157,51 @@ def begin(
     motion.time = 0.0
     motion.impacts = 0
     motion.begun = True
-    put_vector(motion.position, position)
-    _put_quaternion(motion.quaternion, quaternion)
-    put_vector(motion.velocity, velocity)
-    put_vector(motion.spin, spin)
-    put_vector(motion.move, plus(vec3(after.position, w, i), -1.0, position))
-    put_vector(motion.turn, rotation_between(quaternion, later))
-    put_vector(motion.push, plus(vec3(after.velocity, w, i), -1.0, velocity))
-    put_vector(motion.twist, momentum(later, to_world(later, gained), row))
+    write_vec3(motion.position, position)
+    _write_quaternion(motion.quaternion, quaternion)
+    write_vec3(motion.velocity, velocity)
+    write_vec3(motion.spin, spin)
+    write_vec3(motion.move, plus(vec3(after.position, w, i), -1.0, position))
+    write_vec3(motion.turn, compute_rotation_between(quaternion, later))
+    write_vec3(motion.push, plus(vec3(after.velocity, w, i), -1.0, velocity))
+    write_vec3(motion.twist, compute_angular_momentum(later, to_world(later, gained), row))
     motion.until = 1.0
-    if dot(spin, spin) * dt * dt > FAR_TURN * FAR_TURN:
-        put_vector(motion.goal, vec3(after.position, w, i))
-        _put_quaternion(motion.heading, later)
-        alone, _ = spun(quaternion, spin, dt, row)
-        put_vector(motion.stray, rotation_between(alone, later))
-        aim(motion, dt, row)
+    if dot(spin, spin) * dt * dt > MAX_SEGMENT_ANGLE * MAX_SEGMENT_ANGLE:
+        write_vec3(motion.goal, vec3(after.position, w, i))
+        _write_quaternion(motion.heading, later)
+        alone, _ = integrate_free_rotation(quaternion, spin, dt, row)
+        write_vec3(motion.stray, compute_rotation_between(alone, later))
+        start_segment(motion, dt, row)
 
 
 @func
-def _share(motion: np.record, time: float) -> float:
+def _compute_path_fraction(motion: np.record, time: float) -> float:
     """Return the share of its way that a drone has gone at a time."""
     rest = motion.until - motion.time
     return (time - motion.time) / rest if rest > 0.0 else 0.0
 
 
 @func
-def advance_to(motion: np.record, time: float, row: np.record) -> None:
+def advance_motion(motion: np.record, time: float, row: np.record) -> None:
     """Move a drone on to a time within the substep."""
-    share = _share(motion, time)
+    share = _compute_path_fraction(motion, time)
     elapsed = time - motion.time
-    here = quaternion_of(motion)
-    there = normalised(turned(vector(motion.turn), share, here))
-    spin = vector(motion.spin)
-    angular = momentum(here, spin, row)
-    held = spin_of(there, angular, row)
+    here = read_quaternion(motion)
+    there = normalised(rotate_by_fraction(read_vec3(motion.turn), share, here))
+    spin = read_vec3(motion.spin)
+    angular = compute_angular_momentum(here, spin, row)
+    held = compute_angular_velocity(there, angular, row)
     # Its way is not quite that of a free body: energy must not grow by it
     had = dot(spin, angular)
     has = dot(held, angular)
     if has > had:
         scale = math.sqrt(had / has)
         held = (scale * held[0], scale * held[1], scale * held[2])
-    twisted = spin_of(there, vector(motion.twist), row)
-    put_vector(motion.position, plus(vector(motion.position), share, vector(motion.move)))
-    _put_quaternion(motion.quaternion, there)
-    put_vector(motion.velocity, plus(vector(motion.velocity), elapsed, vector(motion.push)))
-    put_vector(motion.spin, plus(held, elapsed, twisted))
+    twisted = compute_angular_velocity(there, read_vec3(motion.twist), row)
+    write_vec3(motion.position, plus(read_vec3(motion.position), share, read_vec3(motion.move)))
+    _write_quaternion(motion.quaternion, there)
+    write_vec3(motion.velocity, plus(read_vec3(motion.velocity), elapsed, read_vec3(motion.push)))
+    write_vec3(motion.spin, plus(held, elapsed, twisted))
     for k in range(3):
         motion.move[k] *= 1.0 - share
         motion.turn[k] *= 1.0 - share
@@ -203,43 +209,43 @@ def advance_to(motion: np.record, time: float, row: np.record) -> None:
 
 
 @func
-def aim(motion: np.record, dt: float, row: np.record) -> None:
+def start_segment(motion: np.record, dt: float, row: np.record) -> None:
     """Let a drone fly on from its time with the velocities that it has, until it has turned far.
 
     Who has touched nothing goes where its dynamics took it: that is where it will be.
     """
-    here = quaternion_of(motion)
-    spin = vector(motion.spin)
+    here = read_quaternion(motion)
+    spin = read_vec3(motion.spin)
     left = 1.0 - motion.time
     motion.until = 1.0
     angle = math.sqrt(dot(spin, spin)) * dt
-    if angle > FAR_TURN:
-        motion.until = min(1.0, motion.time + max(SHORTEST_LEG, FAR_TURN / angle))
+    if angle > MAX_SEGMENT_ANGLE:
+        motion.until = min(1.0, motion.time + max(MIN_SEGMENT_FRACTION, MAX_SEGMENT_ANGLE / angle))
     part = motion.until - motion.time
-    there, turn = spun(here, spin, part * dt, row)
-    way = plus((0.0, 0.0, 0.0), part * dt, vector(motion.velocity))
+    there, turn = integrate_free_rotation(here, spin, part * dt, row)
+    way = plus((0.0, 0.0, 0.0), part * dt, read_vec3(motion.velocity))
     if motion.impacts == 0:
-        there = turned(vector(motion.stray), part, there)
+        there = rotate_by_fraction(read_vec3(motion.stray), part, there)
         if motion.until == 1.0:
             q = motion.heading
             there = (q[0], q[1], q[2], q[3])
-        turn = rotation_between(here, there)
+        turn = compute_rotation_between(here, there)
         share = part / left if left > 0.0 else 0.0
-        way = minus(vector(motion.goal), vector(motion.position))
+        way = minus(read_vec3(motion.goal), read_vec3(motion.position))
         way = (share * way[0], share * way[1], share * way[2])
-    put_vector(motion.turn, turn)
-    put_vector(motion.move, way)
+    write_vec3(motion.turn, turn)
+    write_vec3(motion.move, way)
 
 
 @func
-def is_spent(motion: np.record) -> bool:
+def is_at_impact_limit(motion: np.record) -> bool:
     """Tell whether a drone took part in too many impacts, so that it does not move by itself."""
-    spent: bool = motion.impacts >= MOST_IMPACTS
+    spent: bool = motion.impacts >= MAX_IMPACTS
     return spent
 
 
 @func
-def stay(motion: np.record) -> None:
+def clamp_motion(motion: np.record) -> None:
     """Keep a drone where it is until the end of the substep; its velocities stay."""
     motion.until = 1.0
     for k in range(3):
@@ -248,11 +254,11 @@ def stay(motion: np.record) -> None:
 
 
 @func
-def finish(motion: np.record, after: Swarm, w: int, i: int, row: np.record) -> None:
+def write_end_state(motion: np.record, after: Swarm, w: int, i: int, row: np.record) -> None:
     """Write the state of drone i of world w at the end of the substep."""
-    advance_to(motion, 1.0, row)
-    quaternion = quaternion_of(motion)
-    rates = to_body(quaternion, vector(motion.spin))
+    advance_motion(motion, 1.0, row)
+    quaternion = read_quaternion(motion)
+    rates = to_body(quaternion, read_vec3(motion.spin))
     for k in range(3):
         after.position[w, i, k] = motion.position[k]
         after.velocity[w, i, k] = motion.velocity[k]
@@ -262,16 +268,16 @@ def finish(motion: np.record, after: Swarm, w: int, i: int, row: np.record) -> N
 
 
 @func
-def pose_at(
+def interpolate_pose(
     scenery: Scenery, motions: np.ndarray, w: int, who: int, time: float, dt: float
 ) -> tuple[Vec3, Quat4]:
     """Return position and attitude of someone (number of a shape) at a time in the substep."""
     level = (0.0, 0.0, 0.0, 1.0)
     if who < scenery.first_body:
         motion = motions[who]
-        share = _share(motion, time)
-        position = plus(vector(motion.position), share, vector(motion.move))
-        return position, turned(vector(motion.turn), share, quaternion_of(motion))
+        share = _compute_path_fraction(motion, time)
+        position = plus(read_vec3(motion.position), share, read_vec3(motion.move))
+        return position, rotate_by_fraction(read_vec3(motion.turn), share, read_quaternion(motion))
     if who < scenery.first_piece:
         k = who - scenery.first_body
         turn = quat4(scenery.quaternion, w, k)
@@ -283,13 +289,13 @@ def pose_at(
 
 
 @func
-def valid_until(scenery: Scenery, motions: np.ndarray, who: int) -> float:
+def get_segment_end(scenery: Scenery, motions: np.ndarray, who: int) -> float:
     """Return the share of the substep up to which the way of someone is known."""
     return motions[who].until if who < scenery.first_body else 1.0
 
 
 @func
-def change_rates(
+def compute_path_rates(
     scenery: Scenery, motions: np.ndarray, w: int, who: int, dt: float
 ) -> tuple[Vec3, Vec3]:
     """Return displacement and rotation of someone on its way, per whole substep."""
@@ -298,7 +304,9 @@ def change_rates(
         motion = motions[who]
         rest = motion.until - motion.time
         scale = 1.0 / rest if rest > 0.0 else 0.0
-        return plus(still, scale, vector(motion.move)), plus(still, scale, vector(motion.turn))
+        return plus(still, scale, read_vec3(motion.move)), plus(
+            still, scale, read_vec3(motion.turn)
+        )
     if who < scenery.first_piece:
         velocity = vec3(scenery.velocity, w, who - scenery.first_body)
         return plus(still, dt, velocity), still

@@ -8,8 +8,8 @@ import numpy as np
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.program import Program
 from bulletuav.conflict.separation import Conflict, fill_conflict, no_conflict
-from bulletuav.contact.contacts import mark
-from bulletuav.contact.rest import Contact
+from bulletuav.contact.contact_state import ContactState
+from bulletuav.contact.contacts import summarize_contacts
 from bulletuav.geometry.closest_approach import fill_distances
 from bulletuav.tasks.frame import (
     RESTING_SPEED,
@@ -66,7 +66,7 @@ def make_account(frame: Frame) -> Account:
     return account
 
 
-def add_account(program: Program, account: Account, frame: Frame, contact: Contact) -> None:
+def add_account(program: Program, account: Account, frame: Frame, contact: ContactState) -> None:
     """Add to a program that the account is filled after a decision.
 
     Args:
@@ -85,7 +85,7 @@ def add_account(program: Program, account: Account, frame: Frame, contact: Conta
     names = (scenery.first_body, scenery.first_piece, scenery.ground, scenery.other)
     given = (touches.number, touches.other, touches.impulse, names, *frame.after[2:4])
     marks = (account.collision, account.resting, account.impulse)
-    program.call(mark, *given, RESTING_SPEED, RESTING_SPIN, *marks)
+    program.call(summarize_contacts, *given, RESTING_SPEED, RESTING_SPIN, *marks)
 
 
 @kernel

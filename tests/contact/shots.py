@@ -7,7 +7,7 @@ from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE
 
@@ -156,7 +156,7 @@ class Range:
         start -= np.where(np.linalg.norm(start - HIGH, axis=1) < far, 2.0 * far, 0.0)[:, None] * way
         # How the free flight would go, and when it is to begin for a touch within the shot
         time, least = self._flight(k, turn, start, velocity, attitude, rates)
-        hits = least <= TOUCH
+        hits = least <= CONTACT_DISTANCE
         substeps = np.where(hits, rng.uniform(0.05, SEEN / 2, worlds), SEEN / 2)
         begin = time - substeps * rig.dt
         drifts = rng.uniform(0, drift, worlds)[:, None] * random_directions(rng, worlds)
@@ -172,7 +172,7 @@ class Range:
         swarm.quaternion[:, 0] = _turned(attitude, rates, begin)
         swarm.rates[:, 0] = rates
         rig.place()
-        return self._follow(k, fast, hits, least > TOUCH + UNSURE)
+        return self._follow(k, fast, hits, least > CONTACT_DISTANCE + UNSURE)
 
     def _aims(
         self, rng: np.random.Generator, name: str
@@ -241,8 +241,8 @@ class Range:
             nearer = gap < least[open_]
             least[open_[nearer]] = gap[nearer]
             when[open_[nearer]] = now[nearer]
-            time[open_] += np.maximum(gap - TOUCH, 1e-6) / bound[open_]
-            open_ = open_[(gap > TOUCH) & (time[open_] < last[open_])]
+            time[open_] += np.maximum(gap - CONTACT_DISTANCE, 1e-6) / bound[open_]
+            open_ = open_[(gap > CONTACT_DISTANCE) & (time[open_] < last[open_])]
             if not len(open_):
                 return when, least
         least[open_] = np.nan

@@ -5,7 +5,7 @@ import pytest
 from contact.pairs import HEIGHT, KINDS, meet_in_pairs
 from contact.rig import Rig
 
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.6, 1.0])
@@ -34,7 +34,7 @@ def test_who_meets_at_the_end_of_a_substep_keeps_momentum_in_the_next(late):
     velocity = np.array([1.9, 2.7, 0.0])
     fast = np.linalg.norm(velocity)
     with Rig(["cf2x"] * 2, gravity=0.0) as rig:
-        apart = 2 * rig.airframes[0].shape.half[0] + TOUCH + (2 - late) * fast * rig.dt
+        apart = 2 * rig.airframes[0].shape.half[0] + CONTACT_DISTANCE + (2 - late) * fast * rig.dt
         rig.swarm.position[:] = 0.0, 0.0, HEIGHT
         rig.swarm.position[0, 1] += apart * velocity / fast
         rig.swarm.velocity[0, 0] = velocity

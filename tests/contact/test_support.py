@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from contact.rig import Rig
 
-from bulletuav.contact.support import SUPPORT, pressing
+from bulletuav.contact.resting_support import SUPPORT, compute_support_force
 from bulletuav.control.setpoint import SetpointLevel
 
 MASS = 2.0
@@ -21,7 +21,7 @@ def support(span=0.1, height=0.03, friction=0.5):
 def pressed(force, torque=(0.0, 0.0, 0.0), **shape):
     """Tell with which force a load presses, and whether it is borne."""
     acceleration = tuple(float(one) / MASS for one in force)
-    return pressing.py_func(support(**shape), MASS, acceleration, tuple(torque))
+    return compute_support_force.py_func(support(**shape), MASS, acceleration, tuple(torque))
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,14 @@ from contact.shots import TARGETS
 from scipy.spatial.transform import Rotation
 
 from bulletuav.compiled.kernel import allocating
-from bulletuav.contact.planes import is_kept_apart
-from bulletuav.contact.touch import IN_TOUCH, NEARLY, NEVER, TOUCH, touch_time
+from bulletuav.contact.separating_planes import is_separated_by_plane
+from bulletuav.contact.time_of_impact import (
+    CONTACT_DISTANCE,
+    LOOSE_TOI_TOLERANCE,
+    MAX_CONTACT_DISTANCE,
+    NO_IMPACT,
+    find_time_of_impact,
+)
 
 DT = 1 / 240
 SAMPLES = np.linspace(0, 1, 2001)
@@ -20,8 +26,8 @@ def _times(scenery, motions, room):  # type: ignore[no-untyped-def]
     found = np.zeros(len(motions))
     drones = motions.reshape(len(motions), -1)
     for m in range(len(motions)):
-        found[m] = touch_time(
-            scenery, drones[m], 0, 0, 1, 0.0, TOUCH, False, DT, (0.0, 0.0, 0.0), room
+        found[m] = find_time_of_impact(
+            scenery, drones[m], 0, 0, 1, 0.0, CONTACT_DISTANCE, False, DT, (0.0, 0.0, 0.0), room
         )[0]
     return found
 
@@ -33,7 +39,9 @@ def _kept_apart(scenery, motions, normals):  # type: ignore[no-untyped-def]
     for m in range(len(motions)):
         normal = (normals[m, 0], normals[m, 1], normals[m, 2])
         alone = motions[m : m + 1]
-        found[m] = is_kept_apart(scenery, alone, 0, 0, 1, 0.0, IN_TOUCH, TOUCH, DT, normal)
+        found[m] = is_separated_by_plane(
+            scenery, alone, 0, 0, 1, 0.0, MAX_CONTACT_DISTANCE, CONTACT_DISTANCE, DT, normal
+        )
     return found
 
 
@@ -59,18 +67,18 @@ def test_turning_drones_touch_when_their_lowest_point_does() -> None:
             size=(len(motions), 3)
         )
         motions["position"] = 0.0
-        gap = TOUCH + 10 ** rng.uniform(-7, -3, len(motions))
+        gap = CONTACT_DISTANCE + 10 ** rng.uniform(-7, -3, len(motions))
         start = np.zeros(len(motions))
         motions["position"][:, 2] = gap - _heights(motions, start, radius, half)
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
-    hits = times < NEVER
+    hits = times < NO_IMPACT
     assert 100 < hits.sum() < 400
     at_touch = _heights(motions[hits], times[hits], radius, half)
-    assert np.abs(at_touch - TOUCH).max() < 1e-12
+    assert np.abs(at_touch - CONTACT_DISTANCE).max() < 1e-12
     for motion, time in zip(motions, times, strict=True):
         before = SAMPLES[time > SAMPLES]
         heights = _heights(np.repeat(motion, len(before)), before, radius, half)
-        assert heights.min() > TOUCH - 1e-12
+        assert heights.min() > CONTACT_DISTANCE - 1e-12
 
 
 def _poses(motions: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -113,10 +121,10 @@ def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
         motions["quaternion"] = _unit((0.15571, 0.20242, -0.77796, 0.57407))
         motions["move"] = (0.0015, 0.0552, -0.0376)
         motions["turn"] = (-0.0004, -0.0281, 0.0216)
-        assert _gaps(rig, motions, np.zeros(len(motions))).min() > 1.1 * TOUCH
+        assert _gaps(rig, motions, np.zeros(len(motions))).min() > 1.1 * CONTACT_DISTANCE
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
         assert times.max() < 0.5
-        assert np.abs(_gaps(rig, motions, times) - TOUCH).max() < 1e-11
+        assert np.abs(_gaps(rig, motions, times) - CONTACT_DISTANCE).max() < 1e-11
 
 
 def _on_a_way(rig: Rig, way: tuple[tuple[float, ...], ...]) -> np.ndarray:
@@ -153,10 +161,10 @@ def test_nobody_leaps_over_a_graze(name: str) -> None:
         rig.place()
         motions = _on_a_way(rig, GRAZES[name])
         gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
-        assert gaps[0] > TOUCH > gaps.min()
+        assert gaps[0] > CONTACT_DISTANCE > gaps.min()
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
         assert times[0] < SAMPLES[gaps.argmin()]
-        assert abs(_gaps(rig, motions, times)[0] - TOUCH) < 1e-11
+        assert abs(_gaps(rig, motions, times)[0] - CONTACT_DISTANCE) < 1e-11
 
 
 PASSES_BY = (
@@ -175,9 +183,9 @@ def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
         rig.place()
         motions = _on_a_way(rig, PASSES_BY)
         gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
-        assert 0 < gaps.min() - TOUCH < 1e-6
+        assert 0 < gaps.min() - CONTACT_DISTANCE < 1e-6
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
-    assert times[0] == NEVER
+    assert times[0] == NO_IMPACT
 
 
 @pytest.mark.parametrize("together", [False, True])
@@ -198,7 +206,7 @@ def test_turning_pairs_touch_when_their_distance_says(
         other = 10 ** rng.uniform(-3, -0.3, (count, 1)) * random_directions(rng, count)
         motions["turn"] = np.stack([turn, turn if together else other], axis=1)
         # As near as they get
-        gap = TOUCH + 10 ** rng.uniform(-6, -3, count)
+        gap = CONTACT_DISTANCE + 10 ** rng.uniform(-6, -3, count)
         motions["position"] = motions["move"] = 0.0
         near, far = np.zeros(count), np.ones(count)
         for _ in range(50):
@@ -211,13 +219,13 @@ def test_turning_pairs_touch_when_their_distance_says(
         # About b, so that centres go round each other
         motions["move"][:, 0] = np.cross(turn, far[:, None] * away) + drift
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
-        hits = times < NEVER
+        hits = times < NO_IMPACT
         assert count / 10 < hits.sum() < count
         at_touch = _gaps(rig, motions, np.where(hits, times, 0.0))
-        assert np.abs(at_touch - TOUCH)[hits].max() < 1e-12
+        assert np.abs(at_touch - CONTACT_DISTANCE)[hits].max() < 1e-12
         for share in np.linspace(0, 1, 101):
             before = np.minimum(share, np.where(hits, times, 1.0))
-            assert (_gaps(rig, motions, before) > TOUCH - 1e-12).all()
+            assert (_gaps(rig, motions, before) > CONTACT_DISTANCE - 1e-12).all()
 
 
 def _grazing(
@@ -235,7 +243,7 @@ def _grazing(
     for _ in range(steps):
         middle = 0.5 * (near + far)
         motions["position"] = middle[:, None] * away
-        apart = _least(rig, motions) > TOUCH
+        apart = _least(rig, motions) > CONTACT_DISTANCE
         near, far = np.where(apart, near, middle), np.where(apart, middle, far)
     motions["position"] = far[:, None] * away
     return motions
@@ -268,14 +276,14 @@ def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
         across = side * (1.0, 0.0, 0.0)
         # A little nearer than a touch
         motions["position"] -= 1e-5 * across
-        touches = _least(rig, motions) < TOUCH
+        touches = _least(rig, motions) < CONTACT_DISTANCE
         ends = np.minimum(*(_gaps(rig, motions, np.full(200, share)) for share in (0.0, 1.0)))
-        assert ((ends > 2 * IN_TOUCH) & touches).sum() > 10
+        assert ((ends > 2 * MAX_CONTACT_DISTANCE) & touches).sum() > 10
         assert not (_kept_apart(scenery, motions, across) & touches).any()
         # Well away from one
         motions["position"] += 0.02 * across
         apart = _kept_apart(scenery, motions, across)
-        assert not (apart & (_least(rig, motions) < TOUCH)).any()
+        assert not (apart & (_least(rig, motions) < CONTACT_DISTANCE)).any()
         assert apart.mean() > 0.5
         assert not _kept_apart(scenery, motions, 0.0 * across).any()
 
@@ -295,8 +303,8 @@ def test_of_grazes_by_nanometres_none_is_told_wrongly(airframe: str, name: str) 
         shift = 10 ** rng.uniform(-9, -4, (count, 1)) * rng.choice([-1, 1], (count, 1))
         motions["position"] += shift * away
         least = _least(rig, motions)
-        outside = _gaps(rig, motions, np.zeros(count)) > TOUCH
-        touched = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room) < NEVER
+        outside = _gaps(rig, motions, np.zeros(count)) > CONTACT_DISTANCE
+        touched = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room) < NO_IMPACT
     assert 100 < touched.sum() < count - 100
-    assert not (touched & (least > TOUCH + NEARLY)).any()
-    assert not (~touched & outside & (least < TOUCH - 1e-12)).any()
+    assert not (touched & (least > CONTACT_DISTANCE + LOOSE_TOI_TOLERANCE)).any()
+    assert not (~touched & outside & (least < CONTACT_DISTANCE - 1e-12)).any()

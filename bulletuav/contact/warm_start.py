@@ -12,17 +12,17 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func
 from bulletuav.compiled.plain import record_type
-from bulletuav.contact.motion import is_spent, put_vector, quaternion_of, vector
+from bulletuav.contact.motion import is_at_impact_limit, read_quaternion, read_vec3, write_vec3
 from bulletuav.geometry.rotation import dot, minus, to_body, to_world
 
-ROWS = 16
+MAX_CACHED_POINTS = 16
 """Points of contact that are remembered of a drone"""
-SHORT = 1e-4
+MIN_CACHED_FRACTION = 1e-4
 """Rest of a substep, as a share of it, whose impulses are not remembered: they are of an impact"""
-SAME_PLACE = 0.3
+MATCH_DISTANCE = 0.3
 """Distance of points on a drone that count as one, as share of its radius"""
 
-ROW = record_type([("other", "i8"), ("arm", "f8", 3), ("force", "f8", 3), ("free", "?")])
+CACHED_POINT = record_type([("other", "i8"), ("arm", "f8", 3), ("force", "f8", 3), ("free", "?")])
 """A point of contact.
 
 Attributes:
@@ -33,11 +33,11 @@ Attributes:
 """
 
 
-class Memory(NamedTuple):
+class ContactCache(NamedTuple):
     """What contacts of W worlds of N drones remember.
 
     Attributes:
-        rows: (W, N, ROWS) rows of `ROW`, of each pair with its first drone.
+        rows: (W, N, ROWS) rows of `CACHED_POINT`, of each pair with its first drone.
         number: (W, N) how many of them count.
     """
 
@@ -45,15 +45,15 @@ class Memory(NamedTuple):
     number: np.ndarray
 
 
-def make_memory(num_worlds: int, num_drones: int) -> Memory:
+def make_contact_cache(num_worlds: int, num_drones: int) -> ContactCache:
     """Make an empty memory."""
-    rows = np.zeros((num_worlds, num_drones, ROWS), dtype=ROW)
-    return Memory(rows, np.zeros((num_worlds, num_drones), dtype=np.int64))
+    rows = np.zeros((num_worlds, num_drones, MAX_CACHED_POINTS), dtype=CACHED_POINT)
+    return ContactCache(rows, np.zeros((num_worlds, num_drones), dtype=np.int64))
 
 
 @func
-def recall(
-    memory: Memory,
+def warm_start_impulses(
+    memory: ContactCache,
     motions: np.ndarray,
     radii: np.ndarray,
     w: int,
@@ -76,36 +76,38 @@ def recall(
     """
     for k in range(size):
         point = points[k]
-        put_vector(point.impulse, (0.0, 0.0, 0.0))
+        write_vec3(point.impulse, (0.0, 0.0, 0.0))
         # No forces act any more on drones that are spent
-        if is_spent(motions[point.a]) and (point.b < 0 or is_spent(motions[point.b])):
+        if is_at_impact_limit(motions[point.a]) and (
+            point.b < 0 or is_at_impact_limit(motions[point.b])
+        ):
             continue
         rows = memory.rows[w, point.a]
-        turn = quaternion_of(motions[point.a])
-        arm = to_body(turn, vector(point.arm_a))
+        turn = read_quaternion(motions[point.a])
+        arm = to_body(turn, read_vec3(point.arm_a))
         best = -1
-        least = (SAME_PLACE * radii[point.a]) ** 2
+        least = (MATCH_DISTANCE * radii[point.a]) ** 2
         for m in range(memory.number[w, point.a]):
             if rows[m].other == pairs[point.pair].b and rows[m].free:
-                off = minus(vector(rows[m].arm), arm)
+                off = minus(read_vec3(rows[m].arm), arm)
                 if dot(off, off) < least:
                     best = m
                     least = dot(off, off)
         if best < 0:
             continue
         rows[best].free = False
-        force = to_world(turn, vector(rows[best].force))
-        point.impulse[0] = max(0.0, rest * dot(force, vector(point.normal)))
+        force = to_world(turn, read_vec3(rows[best].force))
+        point.impulse[0] = max(0.0, rest * dot(force, read_vec3(point.normal)))
         # The drone has turned since: without friction no sweep would take back what is across
         if point.friction == 0.0:
             continue
-        point.impulse[1] = rest * dot(force, vector(point.tangent[0]))
-        point.impulse[2] = rest * dot(force, vector(point.tangent[1]))
+        point.impulse[1] = rest * dot(force, read_vec3(point.tangent[0]))
+        point.impulse[2] = rest * dot(force, read_vec3(point.tangent[1]))
 
 
 @func
-def note(
-    memory: Memory,
+def store_impulses(
+    memory: ContactCache,
     motions: np.ndarray,
     w: int,
     island: np.ndarray,
@@ -117,28 +119,28 @@ def note(
 ) -> None:
     """Remember the impulses of an island, as far as its forces may need them again.
 
-    What stopped an impact does not hold in the next substep. Arguments as those of `recall`.
+    What stopped an impact does not hold in the next substep. Arguments as those of `warm_start_impulses`.
     """
     most = 0.0
     for m in range(members):
         i = island[m]
-        push = vector(motions[i].push)
+        push = read_vec3(motions[i].push)
         most = max(most, members * math.sqrt(dot(push, push)) / motions[i].lightness)
-        if is_spent(motions[i]):
+        if is_at_impact_limit(motions[i]):
             # What held it while forces acted will do so again
             for k in range(memory.number[w, i]):
                 memory.rows[w, i, k].free = True
         else:
             memory.number[w, i] = 0
-    if rest < SHORT:
+    if rest < MIN_CACHED_FRACTION:
         return
     for k in range(size):
         point = points[k]
         count = memory.number[w, point.a]
-        if count == ROWS or is_spent(motions[point.a]):
+        if count == MAX_CACHED_POINTS or is_at_impact_limit(motions[point.a]):
             continue
         row = memory.rows[w, point.a, count]
-        turn = quaternion_of(motions[point.a])
+        turn = read_quaternion(motions[point.a])
         share = 1.0 / rest
         if share * point.impulse[0] > most:
             share = most / point.impulse[0]
@@ -150,7 +152,7 @@ def note(
             normal * point.normal[2] + one * point.tangent[0, 2] + two * point.tangent[1, 2],
         )
         row.other = pairs[point.pair].b
-        put_vector(row.arm, to_body(turn, vector(point.arm_a)))
-        put_vector(row.force, to_body(turn, force))
+        write_vec3(row.arm, to_body(turn, read_vec3(point.arm_a)))
+        write_vec3(row.force, to_body(turn, force))
         row.free = True
         memory.number[w, point.a] = count + 1

@@ -7,12 +7,12 @@ import numpy as np
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3
 
-MOST_TOUCHES = 16
+MAX_LOGGED_CONTACTS = 16
 """Others that are told of a drone in a decision; more add to the last"""
 
 
-class Touches(NamedTuple):
-    """What drones touched during a decision: up to `MOST_TOUCHES` others (T) each.
+class ContactLog(NamedTuple):
+    """What drones touched during a decision: up to `MAX_LOGGED_CONTACTS` others (T) each.
 
     Attributes:
         number: (W, N) how many.
@@ -33,29 +33,29 @@ class Touches(NamedTuple):
     depth: np.ndarray
 
 
-def make_touches(num_worlds: int, num_drones: int) -> Touches:
+def make_contact_log(num_worlds: int, num_drones: int) -> ContactLog:
     """Make room for what drones touch."""
     shape = (num_worlds, num_drones)
-    return Touches(
+    return ContactLog(
         number=np.zeros(shape, dtype=np.int64),
-        other=np.zeros((*shape, MOST_TOUCHES), dtype=np.int64),
-        impulse=np.zeros((*shape, MOST_TOUCHES)),
-        place=np.zeros((*shape, MOST_TOUCHES, 3)),
-        normal=np.zeros((*shape, MOST_TOUCHES, 3)),
-        velocity=np.zeros((*shape, MOST_TOUCHES, 3)),
-        depth=np.zeros((*shape, MOST_TOUCHES)),
+        other=np.zeros((*shape, MAX_LOGGED_CONTACTS), dtype=np.int64),
+        impulse=np.zeros((*shape, MAX_LOGGED_CONTACTS)),
+        place=np.zeros((*shape, MAX_LOGGED_CONTACTS, 3)),
+        normal=np.zeros((*shape, MAX_LOGGED_CONTACTS, 3)),
+        velocity=np.zeros((*shape, MAX_LOGGED_CONTACTS, 3)),
+        depth=np.zeros((*shape, MAX_LOGGED_CONTACTS)),
     )
 
 
 @func
-def _slot(touches: Touches, w: int, i: int, other: int) -> int:
+def _find_slot(touches: ContactLog, w: int, i: int, other: int) -> int:
     """Return where to tell a touch, a new place if it is the first."""
     count = int(touches.number[w, i])
     for k in range(count):
         if touches.other[w, i, k] == other:
             return k
-    if count == MOST_TOUCHES:
-        return MOST_TOUCHES - 1
+    if count == MAX_LOGGED_CONTACTS:
+        return MAX_LOGGED_CONTACTS - 1
     touches.number[w, i] = count + 1
     touches.other[w, i, count] = other
     touches.impulse[w, i, count] = 0.0
@@ -63,8 +63,8 @@ def _slot(touches: Touches, w: int, i: int, other: int) -> int:
 
 
 @kernel
-def tell(
-    touches: Touches,
+def record_contact(
+    touches: ContactLog,
     w: int,
     i: int,
     other: int,
@@ -90,7 +90,7 @@ def tell(
         sign: -1 to turn normal and velocity round.
     """
     before = touches.number[w, i]
-    k = _slot(touches, w, i, other)
+    k = _find_slot(touches, w, i, other)
     touches.impulse[w, i, k] += impulse
     if touches.number[w, i] > before:
         touches.depth[w, i, k] = depth

@@ -12,11 +12,11 @@ from numba import types
 
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.contact.pairs import body_distance, piece_distance
-from bulletuav.contact.points import Workspace, World
-from bulletuav.contact.rest import Contact
-from bulletuav.contact.spin import angle_at_most
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.broad_phase import bound_body_distance, compute_piece_distance
+from bulletuav.contact.contact_state import ContactState
+from bulletuav.contact.manifold import ContactWorkspace, ContactWorld
+from bulletuav.contact.spin import bound_angle
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.geometry.city_grid import NO_LAYOUT, reached
 from bulletuav.geometry.closest_approach import closest_squared, offset
 from bulletuav.geometry.minkowski import far_point, swell
@@ -24,26 +24,28 @@ from bulletuav.geometry.rotation import axes, dot, minus, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 
-SPARE = 1e-3
+BUDGET_MARGIN = 1e-3
 """Metres that budgets leave, beside a touch, for rounding"""
-FARTHEST = 20.0
+MAX_BUDGET = 20.0
 """Greatest budget, m"""
-VIEW = 5.0
+MAX_CITY_RANGE = 5.0
 """Distance within which a city is looked at for a budget, m"""
-SOON = 0.2
+SHARE_SPEED_OFFSET = 0.2
 """Speed that is added to those by which drones share what is between them, m/s"""
 
 
 @deferred(types.float64)
 @kernel
-def _swept(contact: Contact, swarm: Swarm, w: int, i: int) -> float:
+def _bound_rotation_sweep(contact: ContactState, swarm: Swarm, w: int, i: int) -> float:
     """Return how far the outermost points of a drone got by its turn in a substep, at most, m."""
     before, after = quat4(contact.start.quaternion, w, i), quat4(swarm.quaternion, w, i)
-    return float(contact.scenery.table.radius[i]) * angle_at_most(before, after)
+    return float(contact.scenery.table.radius[i]) * bound_angle(before, after)
 
 
 @func
-def is_due(contact: Contact, swarm: Swarm, alive: np.ndarray, w: int, dt: float) -> bool:
+def update_budgets(
+    contact: ContactState, swarm: Swarm, alive: np.ndarray, w: int, dt: float
+) -> bool:
     """Take what drones moved off their budgets; tells whether the world needs a closer look."""
     found = False
     before = contact.start.position
@@ -59,21 +61,21 @@ def is_due(contact: Contact, swarm: Swarm, alive: np.ndarray, w: int, dt: float)
         moved = minus(vec3(swarm.position, w, i), vec3(before, w, i))
         contact.budget[w, i] -= math.sqrt(dot(moved, moved)) + way
         if contact.turns[w, i]:
-            contact.budget[w, i] -= _swept(contact, swarm, w, i)
+            contact.budget[w, i] -= _bound_rotation_sweep(contact, swarm, w, i)
         found = found or contact.budget[w, i] < 0.0
     return found
 
 
 @func
-def _pace(swarm: Swarm, w: int, i: int) -> float:
+def _compute_share_speed(swarm: Swarm, w: int, i: int) -> float:
     """Return the speed of a drone, and some more, as even a slow one will have, m/s."""
     velocity = vec3(swarm.velocity, w, i)
-    return math.sqrt(dot(velocity, velocity)) + SOON
+    return math.sqrt(dot(velocity, velocity)) + SHARE_SPEED_OFFSET
 
 
 @deferred(types.float64)
 @kernel
-def _height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> float:
+def _compute_lowest_height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> float:
     """Return how high the lowest point of drone i of world w is above the ground, m."""
     turn = axes(quat4(swarm.quaternion, w, i))
     lowest = far_point(scenery.table, i, turn, (0.0, 0.0, -1.0))[2] - swell(scenery.table, i)
@@ -81,7 +83,7 @@ def _height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> float:
 
 
 @kernel
-def free_way(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i: int) -> float:
+def compute_budget(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i: int) -> float:
     """Return how far drone i of world w may move before it can touch what does not fly, m.
 
     Args:
@@ -92,20 +94,20 @@ def free_way(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i: int) 
         i: The drone.
     """
     here = vec3(swarm.position, w, i)
-    own = scenery.table.radius[i] + TOUCH + SPARE
-    least = min(FARTHEST, here[2] - own)
+    own = scenery.table.radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
+    least = min(MAX_BUDGET, here[2] - own)
     # The sphere about a drone that flies low reaches into the ground; its shape may turn there
     turns[w, i] = least < 0.0
     if turns[w, i]:
-        least = _height(scenery, swarm, w, i) - TOUCH - SPARE
+        least = _compute_lowest_height(scenery, swarm, w, i) - CONTACT_DISTANCE - BUDGET_MARGIN
     # Bodies may be many: none nearer than what is known already needs its box
     for k in range(scenery.place.shape[1]):
-        least = min(least, body_distance(scenery, w, k, here) - own)
+        least = min(least, bound_body_distance(scenery, w, k, here) - own)
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
     if layout != NO_LAYOUT and least > 0.0:
-        far = min(VIEW, least) + own
-        least = min(least, VIEW)
+        far = min(MAX_CITY_RANGE, least) + own
+        least = min(least, MAX_CITY_RANGE)
         left, right, bottom, top = reached(
             city_grid, here[0] - far, here[0] + far, here[1] - far, here[1] + far
         )
@@ -113,14 +115,14 @@ def free_way(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i: int) 
             for row in range(bottom, top):
                 cell = column * city_grid.cells + row
                 for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
-                    distance = piece_distance(city_grid, city_grid.item[m], here)
+                    distance = compute_piece_distance(city_grid, city_grid.item[m], here)
                     least = min(least, distance - own)
     return float(least)
 
 
 @func
-def are_clear(
-    space: Workspace, world: World, end: Swarm, budget: np.ndarray, turns: np.ndarray
+def are_bounds_clear(
+    space: ContactWorkspace, world: ContactWorld, end: Swarm, budget: np.ndarray, turns: np.ndarray
 ) -> bool:
     """Tell whether the spheres about all drones to be looked at touched nothing in a substep.
 
@@ -128,9 +130,9 @@ def are_clear(
         space: Of its motions due and reach are read.
         world: The world, and the state at the beginning of the substep.
         end: State at its end.
-        budget: (W, N) m; those of drones to be looked at are set to `free_way`, up to the first
+        budget: (W, N) m; those of drones to be looked at are set to `compute_budget`, up to the first
             that is not clear.
-        turns: See `free_way`; set with them.
+        turns: See `compute_budget`; set with them.
     """
     w = world.w
     scenery = world.scenery
@@ -140,15 +142,15 @@ def are_clear(
         motion = space.motions[i]
         if not motion.due:
             continue
-        if end.position[w, i, 2] < radius[i] + TOUCH + SPARE:
+        if end.position[w, i, 2] < radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN:
             return False
-        budget[w, i] = free_way(scenery, end, turns, w, i)
+        budget[w, i] = compute_budget(scenery, end, turns, w, i)
         if budget[w, i] < motion.reach + world.speed:
             return False
         for j in range(drones):
             if j == i or not world.alive[w, j]:
                 continue
-            within = radius[i] + radius[j] + TOUCH + SPARE
+            within = radius[i] + radius[j] + CONTACT_DISTANCE + BUDGET_MARGIN
             before, after = offset(world.start.position, w, i, j), offset(end.position, w, i, j)
             if closest_squared(before, after)[1] < within * within:
                 return False
@@ -156,7 +158,7 @@ def are_clear(
 
 
 @kernel
-def share_gaps(
+def share_budgets(
     scenery: Scenery,
     swarm: Swarm,
     alive: np.ndarray,
@@ -176,10 +178,10 @@ def share_gaps(
         w: The world.
         i: The drone.
     """
-    own = scenery.table.radius[i] + TOUCH + SPARE
+    own = scenery.table.radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
     least = budget[w, i]
     # What is between two drones is for both, more of it for the faster one
-    pace = _pace(swarm, w, i)
+    pace = _compute_share_speed(swarm, w, i)
     for rank in range(order.shape[0]):
         j = order[rank]
         if j != i and alive[w, j]:
@@ -188,7 +190,7 @@ def share_gaps(
             # Who sleeps close by something has less than nothing, which is nothing
             other = max(0.0, budget[w, j])
             if least + other > left:
-                share = pace / (pace + _pace(swarm, w, j))
+                share = pace / (pace + _compute_share_speed(swarm, w, j))
                 # All that the other one does not have, if that is more
                 least = min(least, max(share * left, left - other))
                 budget[w, j] = min(budget[w, j], left - least)

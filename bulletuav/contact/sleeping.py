@@ -7,45 +7,45 @@ from numba import types
 
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.contact.motion import vector
-from bulletuav.contact.points import World
-from bulletuav.contact.rest import LONG, Contact, wake
-from bulletuav.contact.support import find_support, holds, pressing
+from bulletuav.contact.contact_state import TIME_TO_SLEEP, ContactState, wake_drone
+from bulletuav.contact.manifold import ContactWorld
+from bulletuav.contact.motion import read_vec3
+from bulletuav.contact.resting_support import can_carry_load, compute_support_force, measure_support
 from bulletuav.geometry.rotation import Vec3, dot, plus, point, quat4, to_world, vec3
 from bulletuav.vehicle.swarm import Swarm
 
-SLOWEST = 5e-3
+MAX_REST_SPEED = 5e-3
 """Speed below which a drone is at rest, m/s"""
-SLOWEST_SPIN = 0.05
+MAX_REST_SPIN = 0.05
 """Spin below which a drone is at rest, rad/s"""
-LOOSE = 2.0
+TOUCHING_FACTOR = 2.0
 """How much more of both a drone may have that touches others"""
-SHORT = 0.05
+TIME_TO_SLEEP_ON_FACE = 0.05
 """How long a drone is at rest before it falls asleep on a face that bears it safely, s"""
-FASTER = 1.5e-4
+MAX_SPEED_GAIN = 1.5e-4
 """How much faster a drone at rest may have become in that time, m/s"""
 
 
 @func
-def _is_slow(contact: Contact, w: int, i: int, velocity: Vec3, rates: Vec3) -> bool:
+def _is_slow(contact: ContactState, w: int, i: int, velocity: Vec3, rates: Vec3) -> bool:
     """Tell whether a drone is as good as at rest."""
     scale = 1.0
     for k in range(contact.touches.number[w, i]):
         if contact.touches.other[w, i, k] < contact.scenery.first_body:
-            scale = LOOSE * LOOSE
-    slow: bool = dot(velocity, velocity) < scale * SLOWEST**2
-    return slow and dot(rates, rates) < scale * SLOWEST_SPIN**2
+            scale = TOUCHING_FACTOR * TOUCHING_FACTOR
+    slow: bool = dot(velocity, velocity) < scale * MAX_REST_SPEED**2
+    return slow and dot(rates, rates) < scale * MAX_REST_SPIN**2
 
 
 @func
-def _speed(swarm: Swarm, w: int, i: int) -> float:
+def _compute_speed(swarm: Swarm, w: int, i: int) -> float:
     """Return the speed of a drone, m/s."""
     velocity = vec3(swarm.velocity, w, i)
     return math.sqrt(dot(velocity, velocity))
 
 
 @func
-def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
+def update_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, last: bool) -> None:
     """Let drones that have been at rest for long fall asleep, and sleepers that were hit wake.
 
     Args:
@@ -57,23 +57,23 @@ def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
     """
     w = world.w
     if contact.asleep[w].any():
-        _wake_the_hit(contact, world, swarm)
+        _wake_disturbed(contact, world, swarm)
     for i in range(world.alive.shape[1]):
         velocity, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
         slow = _is_slow(contact, w, i, velocity, rates)
         if contact.asleep[w, i] or (contact.changed[w, i] and slow):
-            _look_at_rest(contact, world, swarm, i, slow, last)
+            _update_rest_time(contact, world, swarm, i, slow, last)
         else:
             contact.quiet[w, i] = 0.0
     # All at once, so that their order does not matter
     for i in range(world.alive.shape[1]):
         if contact.dozes[w, i]:
-            _fall_asleep(contact, world, swarm, i)
+            _put_to_sleep(contact, world, swarm, i)
 
 
 @deferred(types.none)
 @kernel
-def _wake_the_hit(contact: Contact, world: World, swarm: Swarm) -> None:
+def _wake_disturbed(contact: ContactState, world: ContactWorld, swarm: Swarm) -> None:
     """Wake sleepers that were hit or bear too much, and all who sleep in a heap with them.
 
     Who that is must be known before anybody wakes, or their order would matter.
@@ -90,45 +90,45 @@ def _wake_the_hit(contact: Contact, world: World, swarm: Swarm) -> None:
     for i in range(world.alive.shape[1]):
         if contact.dozes[w, i]:
             contact.dozes[w, i] = False
-            wake(contact, w, i)
+            wake_drone(contact, w, i)
 
 
 @deferred(types.none)
 @kernel
-def _look_at_rest(
-    contact: Contact, world: World, swarm: Swarm, i: int, slow: bool, last: bool
+def _update_rest_time(
+    contact: ContactState, world: ContactWorld, swarm: Swarm, i: int, slow: bool, last: bool
 ) -> None:
     """Put a sleeper that was touched back, or look whether a drone at rest is to fall asleep."""
     w = world.w
     if contact.asleep[w, i]:
         if contact.changed[w, i]:
-            _put_back(contact, swarm, w, i)
+            _restore_pose(contact, swarm, w, i)
         return
-    speed = _speed(swarm, w, i)
+    speed = _compute_speed(swarm, w, i)
     if contact.quiet[w, i] == 0.0:
         contact.pace[w, i] = speed
     contact.quiet[w, i] += world.dt
-    if contact.quiet[w, i] >= SHORT and last and _is_borne(contact, w, i):
-        _note_support(contact, world, swarm, i)
-        contact.dozes[w, i] = _is_safe(contact, world, i)
-    if contact.quiet[w, i] >= LONG:
+    if contact.quiet[w, i] >= TIME_TO_SLEEP_ON_FACE and last and _is_supported(contact, w, i):
+        _store_support(contact, world, swarm, i)
+        contact.dozes[w, i] = _is_support_safe(contact, world, i)
+    if contact.quiet[w, i] >= TIME_TO_SLEEP:
         # Who slides ever faster down a slope that is hardly steep enough does not rest
-        if speed > contact.pace[w, i] + FASTER:
+        if speed > contact.pace[w, i] + MAX_SPEED_GAIN:
             contact.quiet[w, i] = 0.0
             contact.dozes[w, i] = False
         else:
-            contact.dozes[w, i] = last and _is_borne(contact, w, i)
+            contact.dozes[w, i] = last and _is_supported(contact, w, i)
 
 
 @deferred(types.none)
 @kernel
-def _fall_asleep(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
+def _put_to_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, i: int) -> None:
     """Let a drone fall asleep, which stops it."""
     w = world.w
     contact.dozes[w, i] = False
     contact.asleep[w, i] = True
     contact.load[w, i, 0] = np.nan
-    _note_support(contact, world, swarm, i)
+    _store_support(contact, world, swarm, i)
     support = contact.support[w, i]
     if support.span > 0.0:
         # What its support takes from it
@@ -140,7 +140,7 @@ def _fall_asleep(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
 
 
 @func
-def _is_overloaded(contact: Contact, world: World, i: int) -> bool:
+def _is_overloaded(contact: ContactState, world: ContactWorld, i: int) -> bool:
     """Tell whether those who lie on a sleeper push it more than what it lies on bears."""
     motion = contact.space.motions[i]
     load = contact.load[world.w, i]
@@ -155,25 +155,27 @@ def _is_overloaded(contact: Contact, world: World, i: int) -> bool:
     acceleration = (load[0], load[1], load[2])
     torque = to_world(quat4(contact.start.quaternion, world.w, i), twist)
     support = contact.support[world.w, i]
-    return not holds(support, row, acceleration, torque, given, world.dt)
+    return not can_carry_load(support, row, acceleration, torque, given, world.dt)
 
 
 @func
-def _is_safe(contact: Contact, world: World, i: int) -> bool:
+def _is_support_safe(contact: ContactState, world: ContactWorld, i: int) -> bool:
     """Tell whether the support of a drone bears the forces of this substep."""
     support = contact.support[world.w, i]
     if support.span <= 0.0:
         return False
     motion = contact.space.motions[i]
     scale = 1.0 / world.dt
-    acceleration = plus((0.0, 0.0, 0.0), scale, vector(motion.push))
-    torque = plus((0.0, 0.0, 0.0), scale, vector(motion.twist))
-    _, borne = pressing(support, world.parameters[world.w, i].mass, acceleration, torque)
+    acceleration = plus((0.0, 0.0, 0.0), scale, read_vec3(motion.push))
+    torque = plus((0.0, 0.0, 0.0), scale, read_vec3(motion.twist))
+    _, borne = compute_support_force(
+        support, world.parameters[world.w, i].mass, acceleration, torque
+    )
     return borne
 
 
 @func
-def _is_borne(contact: Contact, w: int, i: int) -> bool:
+def _is_supported(contact: ContactState, w: int, i: int) -> bool:
     """Tell whether a drone touches something that does not yield, or somebody who sleeps on it."""
     touches = contact.touches
     for k in range(touches.number[w, i]):
@@ -184,7 +186,7 @@ def _is_borne(contact: Contact, w: int, i: int) -> bool:
 
 
 @func
-def _note_support(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
+def _store_support(contact: ContactState, world: ContactWorld, swarm: Swarm, i: int) -> None:
     """Keep what a drone that falls asleep touches, and what it rests on if that is one surface."""
     w = world.w
     touches = contact.touches
@@ -195,14 +197,14 @@ def _note_support(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
     support = contact.support[w, i]
     support.span = 0.0
     if touches.number[w, i] == 1:
-        find_support(support, contact.space, world, swarm, i, touches.other[w, i, 0])
+        measure_support(support, contact.space, world, swarm, i, touches.other[w, i, 0])
     if support.span > 0.0:
         # How it is pressed down is told of each substep
         slept.impulse[w, i, 0] = 0.0
 
 
 @func
-def _put_back(contact: Contact, swarm: Swarm, w: int, i: int) -> None:
+def _restore_pose(contact: ContactState, swarm: Swarm, w: int, i: int) -> None:
     """Put a drone back to where it was at the beginning of the substep, at rest."""
     for k in range(3):
         swarm.position[w, i, k] = contact.start.position[w, i, k]

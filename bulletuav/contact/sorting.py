@@ -17,7 +17,7 @@ def _is_before(position: np.ndarray, w: int, i: int, j: int) -> bool:
 
 
 @func
-def set_order(order: np.ndarray, position: np.ndarray, w: int) -> None:
+def sort_drones(order: np.ndarray, position: np.ndarray, w: int) -> None:
     """Write the drones (N,) of a world in the order of x, then y, then z."""
     for last in range(order.shape[0]):
         i = last

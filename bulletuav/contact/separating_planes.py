@@ -11,18 +11,23 @@ import math
 import numpy as np
 
 from bulletuav.compiled.kernel import func
-from bulletuav.contact.motion import change_rates, pose_at, valid_until, vector
-from bulletuav.contact.spin import turned
+from bulletuav.contact.motion import (
+    compute_path_rates,
+    get_segment_end,
+    interpolate_pose,
+    read_vec3,
+)
+from bulletuav.contact.spin import rotate_by_fraction
 from bulletuav.geometry.minkowski import far_point, swell
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
 
-Plane = tuple[float, float, float, Vec3]
+SeparatingPlane = tuple[float, float, float, Vec3]
 """How a pair moves against a plane: how fast the gap closes at most, m per substep, how much faster
 that gets per substep, how far ways bend in a whole one, m, and how the plane turns, rad per substep
 """
-Planes = tuple[Plane, Plane, Plane]
+SeparatingPlanes = tuple[SeparatingPlane, SeparatingPlane, SeparatingPlane]
 """Against a plane that turns with b, one that turns with a, and one that does not turn"""
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -34,7 +39,7 @@ def _length(v: Vec3) -> float:
 
 
 @func
-def separation_along(
+def measure_along_direction(
     scenery: Scenery,
     motions: np.ndarray,
     w: int,
@@ -60,8 +65,8 @@ def separation_along(
         Signed distance (m), and the extreme points on a and b, from their positions, world axes.
     """
     table = scenery.table
-    position_a, quaternion_a = pose_at(scenery, motions, w, a, time, dt)
-    position_b, quaternion_b = pose_at(scenery, motions, w, b, time, dt)
+    position_a, quaternion_a = interpolate_pose(scenery, motions, w, a, time, dt)
+    position_b, quaternion_b = interpolate_pose(scenery, motions, w, b, time, dt)
     offset = minus(position_b, position_a)
     back = (-normal[0], -normal[1], -normal[2])
     on_a = plus(far_point(table, a, axes(quaternion_a), back), -swell(table, a), normal)
@@ -72,7 +77,7 @@ def separation_along(
 
 
 @func
-def _swing(radius: float, normal: Vec3, turn: Vec3) -> tuple[float, float]:
+def _bound_angular_sweep(radius: float, normal: Vec3, turn: Vec3) -> tuple[float, float]:
     """Bound how fast, m, and with which acceleration, a rotation moves a shape along `normal`.
 
     Both are per substep, for any of its points. A turn about the normal itself moves none.
@@ -84,9 +89,9 @@ def _swing(radius: float, normal: Vec3, turn: Vec3) -> tuple[float, float]:
 
 
 @func
-def plane_at_rest(
+def bound_fixed_plane(
     radii: tuple[float, float], normal: Vec3, move: Vec3, turn_a: Vec3, turn_b: Vec3
-) -> Plane:
+) -> SeparatingPlane:
     """Bound how a pair moves against a plane that stays as it is.
 
     Args:
@@ -96,16 +101,16 @@ def plane_at_rest(
         turn_a: Rotation of a, rad per substep.
         turn_b: Rotation of b, rad per substep.
     """
-    bound_a, bend_a = _swing(radii[0], normal, turn_a)
-    bound_b, bend_b = _swing(radii[1], normal, turn_b)
+    bound_a, bend_a = _bound_angular_sweep(radii[0], normal, turn_a)
+    bound_b, bend_b = _bound_angular_sweep(radii[1], normal, turn_b)
     bound = max(0.0, -dot(move, normal)) + bound_a + bound_b
     return bound, 0.0, 0.125 * (bend_a + bend_b), (0.0, 0.0, 0.0)
 
 
 @func
-def plane_turning(
+def bound_rotating_plane(
     radius: float, normal: Vec3, move: Vec3, turn_a: Vec3, turn_b: Vec3, between: Vec3
-) -> Plane:
+) -> SeparatingPlane:
     """Bound how a pair moves against a plane that turns with b, in whose frame b is at rest.
 
     A point of a at r from its centre moves there by u + w x r, with w = turn_a - turn_b and
@@ -115,7 +120,7 @@ def plane_turning(
     Args:
         radius: Of the sphere about a, m.
         normal: Unit vector from b to a.
-        move: As in `plane_at_rest`.
+        move: As in `bound_fixed_plane`.
         turn_a: As there.
         turn_b: As there.
         between: From the position of b to that of a, m.
@@ -132,7 +137,7 @@ def plane_turning(
 
 
 @func
-def planes_between(
+def bound_planes(
     radii: tuple[float, float],
     normal: Vec3,
     move: Vec3,
@@ -140,11 +145,11 @@ def planes_between(
     turn_b: Vec3,
     between: Vec3,
     count: int,
-) -> Planes:
+) -> SeparatingPlanes:
     """Bound how a pair moves against planes that turn with b, with a, and not at all.
 
     Args:
-        radii: As this and others are in `plane_at_rest`.
+        radii: As this and others are in `bound_fixed_plane`.
         normal: As there.
         move: As there.
         turn_a: As there.
@@ -152,22 +157,22 @@ def planes_between(
         between: From the position of b to that of a, m.
         count: How many are wanted, the last ones: 1, or 3.
     """
-    still = plane_at_rest(radii, normal, move, turn_a, turn_b)
+    still = bound_fixed_plane(radii, normal, move, turn_a, turn_b)
     if count == 1:
         return still, still, still
-    with_b = plane_turning(radii[0], normal, move, turn_a, turn_b, between)
+    with_b = bound_rotating_plane(radii[0], normal, move, turn_a, turn_b, between)
     back = minus(ORIGIN, normal), minus(ORIGIN, move), minus(ORIGIN, between)
-    with_a = plane_turning(radii[1], back[0], back[1], turn_b, turn_a, back[2])
+    with_a = bound_rotating_plane(radii[1], back[0], back[1], turn_b, turn_a, back[2])
     return with_b, with_a, still
 
 
 @func
-def longest(planes: Planes, left: float) -> tuple[Plane, float]:
-    """Return the plane against which a gap of `left` metres stays open longest, and `safe_time`."""
+def find_longest_plane(planes: SeparatingPlanes, left: float) -> tuple[SeparatingPlane, float]:
+    """Return the plane against which a gap of `left` metres stays open longest, and `compute_safe_time`."""
     plane = planes[2]
-    time = safe_time(plane, left)
+    time = compute_safe_time(plane, left)
     for k in range(2):
-        other = safe_time(planes[k], left)
+        other = compute_safe_time(planes[k], left)
         if other > time:
             plane = planes[k]
             time = other
@@ -175,23 +180,23 @@ def longest(planes: Planes, left: float) -> tuple[Plane, float]:
 
 
 @func
-def safe_time(plane: Plane, left: float) -> float:
+def compute_safe_time(plane: SeparatingPlane, left: float) -> float:
     """Return the share of the substep within which a gap does not close, of `left` metres."""
     bound, growth, _, _ = plane
     return 2.0 * left / (bound + math.sqrt(bound * bound + 2.0 * growth * left))
 
 
 @func
-def normal_after(plane: Plane, normal: Vec3, share: float) -> Vec3:
+def rotate_normal(plane: SeparatingPlane, normal: Vec3, share: float) -> Vec3:
     """Return the normal of a plane after a share of the substep."""
     turn = plane[3]
     if turn == (0.0, 0.0, 0.0):
         return normal
-    return to_world(turned(turn, share, (0.0, 0.0, 0.0, 1.0)), normal)
+    return to_world(rotate_by_fraction(turn, share, (0.0, 0.0, 0.0, 1.0)), normal)
 
 
 @func
-def time_apart(
+def find_time_apart(
     scenery: Scenery,
     motions: np.ndarray,
     w: int,
@@ -199,7 +204,7 @@ def time_apart(
     b: int,
     time: float,
     dt: float,
-    planes: Planes,
+    planes: SeparatingPlanes,
     count: int,
     normal: Vec3,
     distance: float,
@@ -217,7 +222,7 @@ def time_apart(
         b: As there.
         time: Share of the substep.
         dt: As there.
-        planes: See `planes_between`.
+        planes: See `bound_planes`.
         count: How many of them, the last ones.
         normal: Their unit vector at that time, from b to a.
         distance: What is between the pair then, m; more than `floor`.
@@ -238,8 +243,8 @@ def time_apart(
         reach = math.sqrt(0.5 * left / bend)
         span = rest
         while span > step:
-            ahead = normal_after(plane, normal, span)
-            later, _, _ = separation_along(scenery, motions, w, a, b, time + span, dt, ahead)
+            ahead = rotate_normal(plane, normal, span)
+            later, _, _ = measure_along_direction(scenery, motions, w, a, b, time + span, dt, ahead)
             dip = bend * span * span
             if later >= floor and (left >= 4.0 * dip or min(distance, later) - dip >= floor):
                 step = span
@@ -251,11 +256,11 @@ def time_apart(
 
 
 @func
-def line_of(motions: np.ndarray, a: int, b: int) -> Vec3:
+def compute_centre_direction(motions: np.ndarray, a: int, b: int) -> Vec3:
     """Return the direction from drone b to drone a; zeros if b is none, or in the same place."""
     if b >= motions.shape[0]:
         return 0.0, 0.0, 0.0
-    way = minus(vector(motions[a].position), vector(motions[b].position))
+    way = minus(read_vec3(motions[a].position), read_vec3(motions[b].position))
     length = _length(way)
     if length == 0.0:
         return 0.0, 0.0, 0.0
@@ -263,7 +268,7 @@ def line_of(motions: np.ndarray, a: int, b: int) -> Vec3:
 
 
 @func
-def is_kept_apart(
+def is_separated_by_plane(
     scenery: Scenery,
     motions: np.ndarray,
     w: int,
@@ -291,13 +296,13 @@ def is_kept_apart(
     """
     if dot(normal, normal) == 0.0:
         return False
-    end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
-    before, _, _ = separation_along(scenery, motions, w, a, b, start, dt, normal)
+    end = min(get_segment_end(scenery, motions, a), get_segment_end(scenery, motions, b))
+    before, _, _ = measure_along_direction(scenery, motions, w, a, b, start, dt, normal)
     if before <= max(least, floor):
         return False
-    after, _, _ = separation_along(scenery, motions, w, a, b, end, dt, normal)
-    move_a, turn_a = change_rates(scenery, motions, w, a, dt)
-    move_b, turn_b = change_rates(scenery, motions, w, b, dt)
+    after, _, _ = measure_along_direction(scenery, motions, w, a, b, end, dt, normal)
+    move_a, turn_a = compute_path_rates(scenery, motions, w, a, dt)
+    move_b, turn_b = compute_path_rates(scenery, motions, w, b, dt)
     radii = scenery.table.radius[a], scenery.table.radius[b]
-    _, _, bend, _ = plane_at_rest(radii, normal, minus(move_a, move_b), turn_a, turn_b)
+    _, _, bend, _ = bound_fixed_plane(radii, normal, minus(move_a, move_b), turn_a, turn_b)
     return min(before, after) - bend * (end - start) ** 2 > floor

@@ -1,6 +1,6 @@
 """Rest: drones that lie still sleep, and cost next to nothing, until something changes.
 
-A drone falls asleep after lying still for `LONG`. It wakes when its forces change by more than its
+A drone falls asleep after lying still for `TIME_TO_SLEEP`. It wakes when its forces change by more than its
 support bears, when something touches it, when a drone that lies by it wakes, or when an obstacle
 comes near.
 """
@@ -10,24 +10,24 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.compiled.kernel import func
-from bulletuav.contact.memory import Memory, make_memory
-from bulletuav.contact.pairs import body_distance
-from bulletuav.contact.points import Workspace, World, make_workspace
-from bulletuav.contact.support import SUPPORT, pressing
-from bulletuav.contact.touches import Touches, make_touches
+from bulletuav.contact.broad_phase import bound_body_distance
+from bulletuav.contact.contact_log import ContactLog, make_contact_log
+from bulletuav.contact.manifold import ContactWorkspace, ContactWorld, make_contact_workspace
+from bulletuav.contact.resting_support import SUPPORT, compute_support_force
+from bulletuav.contact.warm_start import ContactCache, make_contact_cache
 from bulletuav.geometry.rotation import Quat4, Vec3, dot, minus, to_world, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 
-NEARBY = 0.01
+WAKE_DISTANCE = 0.01
 """Distance between bounding spheres within which sleepers wake each other, m"""
-SAME_LOAD = 0.02
+MAX_LOAD_CHANGE = 0.02
 """Change of acceleration that wakes a sleeper, m/s^2"""
-LONG = 0.25
+TIME_TO_SLEEP = 0.25
 """How long it is before it does elsewhere, s"""
 
 
-class Contact(NamedTuple):
+class ContactState(NamedTuple):
     """What contacts of W worlds of N drones need, for compiled code.
 
     Attributes:
@@ -58,7 +58,7 @@ class Contact(NamedTuple):
     """
 
     scenery: Scenery
-    space: Workspace
+    space: ContactWorkspace
     start: Swarm
     budget: np.ndarray
     turns: np.ndarray
@@ -71,26 +71,26 @@ class Contact(NamedTuple):
     pace: np.ndarray
     load: np.ndarray
     support: np.ndarray
-    slept: Touches
+    slept: ContactLog
     dozes: np.ndarray
     flew: np.ndarray
     stopped: np.ndarray
     changed: np.ndarray
-    touches: Touches
+    touches: ContactLog
     speed: np.ndarray
     before: np.ndarray
     after: np.ndarray
-    memory: Memory
+    memory: ContactCache
 
 
-def make_contact(
+def make_contact_state(
     scenery: Scenery,
     shape: tuple[int, int, int],
     stops: bool,
     sleeps: bool,
     friction: float,
     restitution: float,
-) -> Contact:
+) -> ContactState:
     """Make what contacts of W worlds of N drones need.
 
     Args:
@@ -98,15 +98,15 @@ def make_contact(
         shape: (W, N, K), of which K are the task's obstacles.
         stops: Whether drones stop where they touch, instead of being pushed.
         sleeps: Whether drones that rest are left alone until something changes; the dynamics asks
-            `bears` of them.
+            `stays_asleep` of them.
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Their coefficient of restitution.
     """
     worlds, drones, obstacles = shape
     each = (worlds, drones)
-    return Contact(
+    return ContactState(
         scenery=scenery,
-        space=make_workspace(drones),
+        space=make_contact_workspace(drones),
         start=Swarm.zeros(*each, 0),
         budget=np.full(each, -1.0),
         turns=np.zeros(each, dtype=bool),
@@ -119,21 +119,21 @@ def make_contact(
         pace=np.zeros(each),
         load=np.full((*each, 6), np.nan),
         support=np.zeros(each, dtype=SUPPORT),
-        slept=make_touches(*each),
+        slept=make_contact_log(*each),
         dozes=np.zeros(each, dtype=bool),
         flew=np.zeros(each, dtype=bool),
         stopped=np.zeros(each, dtype=bool),
         changed=np.zeros(each, dtype=bool),
-        touches=make_touches(*each),
+        touches=make_contact_log(*each),
         speed=np.zeros(worlds),
         before=np.zeros((worlds, obstacles, 3)),
         after=np.zeros((worlds, obstacles, 3)),
-        memory=make_memory(*each),
+        memory=make_contact_cache(*each),
     )
 
 
 @func
-def wake(contact: Contact, w: int, i: int) -> None:
+def wake_drone(contact: ContactState, w: int, i: int) -> None:
     """Wake a drone, if it sleeps, and all who sleep in a heap with it."""
     space = contact.space
     asleep = contact.asleep
@@ -153,7 +153,7 @@ def wake(contact: Contact, w: int, i: int) -> None:
         for j in range(asleep.shape[1]):
             if asleep[w, j]:
                 gap = minus(vec3(contact.start.position, w, k), vec3(contact.start.position, w, j))
-                within = radius[k] + radius[j] + NEARBY
+                within = radius[k] + radius[j] + WAKE_DISTANCE
                 if dot(gap, gap) < within * within:
                     asleep[w, j] = False
                     space.island[count] = j
@@ -161,7 +161,7 @@ def wake(contact: Contact, w: int, i: int) -> None:
 
 
 @func
-def wake_for_obstacles(contact: Contact, world: World) -> None:
+def wake_near_obstacles(contact: ContactState, world: ContactWorld) -> None:
     """Wake the sleepers that an obstacle which moves comes near to."""
     w = world.w
     scenery = contact.scenery
@@ -169,16 +169,16 @@ def wake_for_obstacles(contact: Contact, world: World) -> None:
         if not contact.asleep[w, i]:
             continue
         here = vec3(contact.start.position, w, i)
-        near = scenery.table.radius[i] + 2.0 * world.speed + NEARBY
+        near = scenery.table.radius[i] + 2.0 * world.speed + WAKE_DISTANCE
         for k in range(contact.before.shape[1]):
             drift = vec3(scenery.velocity, w, k)
-            if dot(drift, drift) > 0.0 and body_distance(scenery, w, k, here) < near:
-                wake(contact, w, i)
+            if dot(drift, drift) > 0.0 and bound_body_distance(scenery, w, k, here) < near:
+                wake_drone(contact, w, i)
 
 
 @func
-def bears(
-    contact: Contact,
+def stays_asleep(
+    contact: ContactState,
     w: int,
     i: int,
     quaternion: Quat4,
@@ -211,17 +211,19 @@ def bears(
     if support.span > 0.0:
         inertia = row.inertia
         twist = (inertia[0] * spinning[0], inertia[1] * spinning[1], inertia[2] * spinning[2])
-        pressed, borne = pressing(support, row.mass, acceleration, to_world(quaternion, twist))
+        pressed, borne = compute_support_force(
+            support, row.mass, acceleration, to_world(quaternion, twist)
+        )
         contact.touches.impulse[w, i, 0] += pressed * dt
         if borne:
             return True
     if first:
         # On a face alone it has been at rest for too short a time to trust that
-        return bool(contact.quiet[w, i] >= LONG)
+        return bool(contact.quiet[w, i] >= TIME_TO_SLEEP)
     reach = contact.scenery.table.radius[i]
     for k in range(3):
-        if abs(load[k] - acceleration[k]) > SAME_LOAD:
+        if abs(load[k] - acceleration[k]) > MAX_LOAD_CHANGE:
             return False
-        if reach * abs(load[3 + k] - spinning[k]) > SAME_LOAD:
+        if reach * abs(load[3 + k] - spinning[k]) > MAX_LOAD_CHANGE:
             return False
     return True

@@ -12,20 +12,20 @@ import numpy as np
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.plain import record_type
-from bulletuav.contact.motion import pose_at, put_vector, vector
-from bulletuav.contact.points import Workspace, World, coefficients
+from bulletuav.contact.manifold import ContactWorkspace, ContactWorld, get_surface_coefficients
+from bulletuav.contact.motion import interpolate_pose, read_vec3, write_vec3
 from bulletuav.geometry.contact_points import contact_points
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, point, quat4, vec3
 from bulletuav.vehicle.swarm import Swarm
 
-SHARE = 0.5
+SAFE_FRACTION = 0.5
 """Share of what a support can bear that counts as safe"""
-BENEATH = 1e-3
+MAX_BASE_DISTANCE = 1e-3
 """Distance of the surface up to which a point is part of the base, m"""
-FEWEST = 3
+MIN_BASE_POINTS = 3
 """Fewest points of contact that make a base"""
-DIRECTIONS = 16
+NUM_DIRECTIONS = 16
 """Directions in which the base is measured"""
 
 SUPPORT = record_type([("normal", "f8", 3), ("height", "f8"), ("span", "f8"), ("friction", "f8")])
@@ -41,8 +41,13 @@ Attributes:
 
 
 @kernel
-def find_support(
-    support: np.record, space: Workspace, world: World, swarm: Swarm, i: int, other: int
+def measure_support(
+    support: np.record,
+    space: ContactWorkspace,
+    world: ContactWorld,
+    swarm: Swarm,
+    i: int,
+    other: int,
 ) -> None:
     """Measure how a drone rests on something that does not move.
 
@@ -59,35 +64,46 @@ def find_support(
     support.span = 0.0
     if other < scenery.first_body:
         return
-    place, turned = pose_at(scenery, space.motions, world.w, other, 0.0, world.dt)
+    place, turned = interpolate_pose(scenery, space.motions, world.w, other, 0.0, world.dt)
     turn = axes(turned)
     own = axes(quat4(swarm.quaternion, world.w, i))
     offset = minus(place, vec3(swarm.position, world.w, i))
     nowhere = (0.0, 0.0, 0.0)
     _, normal, on_a, on_b = gap(table, i, own, other, turn, offset, nowhere, space.room)
     found = contact_points(
-        table, i, own, other, turn, offset, normal, on_a, on_b, BENEATH, space.found, space.room
+        table,
+        i,
+        own,
+        other,
+        turn,
+        offset,
+        normal,
+        on_a,
+        on_b,
+        MAX_BASE_DISTANCE,
+        space.found,
+        space.room,
     )
-    if found < FEWEST:
+    if found < MIN_BASE_POINTS:
         return
-    put_vector(support.normal, normal)
+    write_vec3(support.normal, normal)
     support.height = -dot(normal, point(space.found, 0))
-    rough, _ = coefficients(world, i)
-    rough_other, _ = coefficients(world, other)
+    rough, _ = get_surface_coefficients(world, i)
+    rough_other, _ = get_surface_coefficients(world, other)
     support.friction = math.sqrt(rough * rough_other)
-    support.span = max(0.0, _inner_radius(space.found, found, normal))
+    support.span = max(0.0, _compute_inner_radius(space.found, found, normal))
 
 
 @func
-def _inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float:
+def _compute_inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float:
     """Return how far points (M, 3) reach about the origin, across a normal, where least, m."""
     first = cross(normal, (1.0, 0.0, 0.0) if abs(normal[0]) < 0.8 else (0.0, 1.0, 0.0))
     scale = 1.0 / math.sqrt(dot(first, first))
     first = (scale * first[0], scale * first[1], scale * first[2])
     second = cross(normal, first)
     least = np.inf
-    for k in range(DIRECTIONS):
-        angle = 2.0 * math.pi * k / DIRECTIONS
+    for k in range(NUM_DIRECTIONS):
+        angle = 2.0 * math.pi * k / NUM_DIRECTIONS
         east = cos(angle)
         north = sin(angle)
         most = -np.inf
@@ -99,7 +115,7 @@ def _inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float:
 
 
 @func
-def pressing(
+def compute_support_force(
     support: np.record, mass: float, acceleration: Vec3, torque: Vec3
 ) -> tuple[float, bool]:
     """Return with which force a load presses a drone on its support, N, and whether that bears it.
@@ -110,7 +126,7 @@ def pressing(
         acceleration: By forces without contacts, m/s^2.
         torque: Without contacts, world axes, N m.
     """
-    normal = vector(support.normal)
+    normal = read_vec3(support.normal)
     pressed = -mass * dot(acceleration, normal)
     if support.span <= 0.0 or pressed <= 0.0:
         return 0.0, False
@@ -119,14 +135,14 @@ def pressing(
     about = dot(torque, normal)
     # Where the surface has to press: the foot of the load
     tipping = plus(plus(torque, -about, normal), support.height, cross(normal, along))
-    if dot(tipping, tipping) > (SHARE * support.span * pressed) ** 2:
+    if dot(tipping, tipping) > (SAFE_FRACTION * support.span * pressed) ** 2:
         return pressed, False
     pull = math.sqrt(dot(along, along)) + abs(about) / support.span
-    return pressed, pull <= SHARE * support.friction * pressed
+    return pressed, pull <= SAFE_FRACTION * support.friction * pressed
 
 
 @func
-def holds(
+def can_carry_load(
     support: np.record,
     row: np.record,
     acceleration: Vec3,
@@ -148,7 +164,9 @@ def holds(
     """
     total = plus(acceleration, 1.0 / (row.mass * dt), point(load, 0))
     if support.span > 0.0:
-        _, borne = pressing(support, row.mass, total, plus(torque, 1.0 / dt, point(load, 1)))
+        _, borne = compute_support_force(
+            support, row.mass, total, plus(torque, 1.0 / dt, point(load, 1))
+        )
         return borne
     weight = dot(acceleration, acceleration)
     down = dot(total, acceleration)

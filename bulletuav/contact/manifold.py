@@ -6,18 +6,26 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.contact.impulses import eased, prepare, slip
-from bulletuav.contact.memory import Memory
+from bulletuav.contact.broad_phase import PAIR
+from bulletuav.contact.constraint import (
+    apply_inverse_inertia,
+    compute_relative_velocity,
+    prepare_constraint,
+)
 from bulletuav.contact.motion import (
     MOTION,
-    change_rates,
-    pose_at,
-    put_vector,
-    quaternion_of,
-    vector,
+    compute_path_rates,
+    interpolate_pose,
+    read_quaternion,
+    read_vec3,
+    write_vec3,
 )
-from bulletuav.contact.pairs import PAIR
-from bulletuav.contact.touch import IN_TOUCH, TOUCH, gap_at
+from bulletuav.contact.time_of_impact import (
+    CONTACT_DISTANCE,
+    MAX_CONTACT_DISTANCE,
+    measure_distance,
+)
+from bulletuav.contact.warm_start import ContactCache
 from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
 from bulletuav.geometry.direction import sharpened
 from bulletuav.geometry.gjk import make_room
@@ -27,33 +35,33 @@ from bulletuav.geometry.shapes import CYLINDER, SPHERE
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm
 
-ROOM = 16
+INITIAL_PAIR_CAPACITY = 16
 """Pairs that there is room for at first"""
-MIDDLE = 0.5 * TOUCH
+TARGET_SEPARATION = 0.5 * CONTACT_DISTANCE
 """Distance that a touch leaves, m"""
-NEARBY = 5 * TOUCH
+MAX_POINT_DISTANCE = 5 * CONTACT_DISTANCE
 """Points of a pair in touch that are farther apart play no part, m"""
-SLIP = 2e-6
+MAX_EXTRA_PENETRATION = 2e-6
 """How much closer shapes may come that are too close already, m"""
-LIFT = 2e-3
+MAX_PUSH_OUT_SPEED = 2e-3
 """Fastest that shapes which are too close are moved apart, m/s"""
-ROLLING = 0.4
+ROLLING_RESISTANCE = 0.4
 """Resistance of cylinders and spheres to rolling about their z axis, as share of their radius.
 
 They stand for airframes with arms and rotors, which do not roll like wheels.
 """
-MOST_OF_LINE = 3
+MAX_LINE_POINTS = 3
 """Most points of a pair that touches along a line: its ends, and the nearest one"""
-PIVOTING = 0.05
+TORSIONAL_RESISTANCE = 0.05
 """Resistance to turning about the normal on a single point, as share of the radius"""
-TIPPING = 0.7
+TIPPING_DAMPING = 0.7
 """Damping of tipping, as share of the radius, at a spin of sqrt(g / radius).
 
 A rigid disc would wobble on for long; what it stands for gives way.
 """
 
 
-class Workspace(NamedTuple):
+class ContactWorkspace(NamedTuple):
     """Arrays that a substep of one world works on.
 
     Attributes:
@@ -73,19 +81,19 @@ class Workspace(NamedTuple):
     found: np.ndarray
 
 
-def make_workspace(num_drones: int) -> Workspace:
+def make_contact_workspace(num_drones: int) -> ContactWorkspace:
     """Make room for the substep of a world of N drones."""
-    return Workspace(
+    return ContactWorkspace(
         motions=np.zeros(num_drones, dtype=MOTION),
         island=np.zeros(num_drones, dtype=np.int64),
         order=np.zeros(num_drones, dtype=np.int64),
-        pairs=np.zeros(ROOM, dtype=PAIR),
+        pairs=np.zeros(INITIAL_PAIR_CAPACITY, dtype=PAIR),
         room=make_room(),
         found=np.zeros((MOST_POINTS, 4)),
     )
 
 
-class World(NamedTuple):
+class ContactWorld(NamedTuple):
     """One world in a substep.
 
     Attributes:
@@ -114,16 +122,16 @@ class World(NamedTuple):
     alive: np.ndarray
     asleep: np.ndarray
     parameters: np.ndarray
-    memory: Memory
+    memory: ContactCache
 
 
 @func
-def measure(
-    space: Workspace, world: World, pair: np.record, time: float
+def measure_pair(
+    space: ContactWorkspace, world: ContactWorld, pair: np.record, time: float
 ) -> tuple[float, Vec3, Vec3, Vec3]:
     """Measure a pair at a time, keeping the direction."""
-    guess = vector(pair.normal)
-    distance, normal, on_a, on_b = gap_at(
+    guess = read_vec3(pair.normal)
+    distance, normal, on_a, on_b = measure_distance(
         world.scenery,
         space.motions,
         world.w,
@@ -136,8 +144,12 @@ def measure(
         world.stops,
     )
     if world.stops and pair.b != world.scenery.ground and distance > 0.0:
-        position_a, turn_a = pose_at(world.scenery, space.motions, world.w, pair.a, time, world.dt)
-        position_b, turn_b = pose_at(world.scenery, space.motions, world.w, pair.b, time, world.dt)
+        position_a, turn_a = interpolate_pose(
+            world.scenery, space.motions, world.w, pair.a, time, world.dt
+        )
+        position_b, turn_b = interpolate_pose(
+            world.scenery, space.motions, world.w, pair.b, time, world.dt
+        )
         normal, on_a, on_b = sharpened(
             world.scenery.table,
             pair.a,
@@ -149,12 +161,12 @@ def measure(
             on_a,
             on_b,
         )
-    put_vector(pair.normal, normal)
+    write_vec3(pair.normal, normal)
     return distance, normal, on_a, on_b
 
 
 @func
-def coefficients(world: World, who: int) -> tuple[float, float]:
+def get_surface_coefficients(world: ContactWorld, who: int) -> tuple[float, float]:
     """Return the coefficients of friction and restitution of someone."""
     scenery = world.scenery
     if who < scenery.first_body:
@@ -166,19 +178,21 @@ def coefficients(world: World, who: int) -> tuple[float, float]:
     return world.friction, world.restitution
 
 
-Surface = tuple[int, int, Vec3, float, float, float, Vec3, Vec3]
+PairSurface = tuple[int, int, Vec3, float, float, float, Vec3, Vec3]
 """Of a pair: a, b or -1, drift of b, friction, restitution, damping, resistance to rolling of both
 and to turning about the normal, and the axis about which b resists."""
 
 
 @func
-def _rolls(kind: int) -> bool:
+def _has_rolling_resistance(kind: int) -> bool:
     """Tell whether a shape resists rolling about its axis."""
     return kind in (SPHERE, CYLINDER)
 
 
 @func
-def surface_of(space: Workspace, world: World, a: int, b: int, count: int) -> Surface:
+def compute_pair_surface(
+    space: ContactWorkspace, world: ContactWorld, a: int, b: int, count: int
+) -> PairSurface:
     """Collect what the points of a pair have in common, and how many there are.
 
     On a face friction alone resists turning: only fewer points do so by themselves.
@@ -192,18 +206,22 @@ def surface_of(space: Workspace, world: World, a: int, b: int, count: int) -> Su
     if b < scenery.first_body:
         # A sleeper does not yield, but resists rolling about its own axis
         other = -1 if space.motions[b].bears else b
-        axis_b = axes(quaternion_of(space.motions[b]))[2]
-        resist_b = ROLLING * table.half[b, 0] if _rolls(table.kind[b]) else 0.0
+        axis_b = axes(read_quaternion(space.motions[b]))[2]
+        resist_b = (
+            ROLLING_RESISTANCE * table.half[b, 0] if _has_rolling_resistance(table.kind[b]) else 0.0
+        )
     else:
-        move, _ = change_rates(scenery, space.motions, world.w, b, world.dt)
+        move, _ = compute_path_rates(scenery, space.motions, world.w, b, world.dt)
         drift = (move[0] / world.dt, move[1] / world.dt, move[2] / world.dt)
-    resist_a = ROLLING * table.half[a, 0] if _rolls(table.kind[a]) else 0.0
+    resist_a = (
+        ROLLING_RESISTANCE * table.half[a, 0] if _has_rolling_resistance(table.kind[a]) else 0.0
+    )
     # Of two surfaces the geometric mean counts
-    rough, lively = coefficients(world, a)
-    rough_b, lively_b = coefficients(world, b)
+    rough, lively = get_surface_coefficients(world, a)
+    rough_b, lively_b = get_surface_coefficients(world, b)
     radius = table.radius[a]
-    pivoting = PIVOTING * radius
-    if count > MOST_OF_LINE:
+    pivoting = TORSIONAL_RESISTANCE * radius
+    if count > MAX_LINE_POINTS:
         resist_a = resist_b = pivoting = 0.0
     return (
         a,
@@ -211,62 +229,71 @@ def surface_of(space: Workspace, world: World, a: int, b: int, count: int) -> Su
         drift,
         math.sqrt(rough * rough_b),
         math.sqrt(lively * lively_b),
-        TIPPING * radius * math.sqrt(radius / STANDARD_GRAVITY),
+        TIPPING_DAMPING * radius * math.sqrt(radius / STANDARD_GRAVITY),
         (resist_a, resist_b, pivoting),
         axis_b,
     )
 
 
 @func
-def _set_axis(motions: np.ndarray, point: np.record, side: int, axis: Vec3) -> None:
+def _set_rolling_axis(motions: np.ndarray, point: np.record, side: int, axis: Vec3) -> None:
     """Set an axis about which a point resists turning."""
-    turning = eased(motions[point.a], axis)
-    put_vector(point.turning_a[side], turning)
+    turning = apply_inverse_inertia(motions[point.a], axis)
+    write_vec3(point.turning_a[side], turning)
     yields = dot(axis, turning)
     if point.b >= 0:
-        turning = eased(motions[point.b], axis)
-        put_vector(point.turning_b[side], turning)
+        turning = apply_inverse_inertia(motions[point.b], axis)
+        write_vec3(point.turning_b[side], turning)
         yields += dot(axis, turning)
-    put_vector(point.axis[side], axis)
+    write_vec3(point.axis[side], axis)
     point.stiff[side] = 1.0 / yields
 
 
 @func
-def fill(motions: np.ndarray, point: np.record, surface: Surface) -> None:
+def fill_constraint(motions: np.ndarray, point: np.record, surface: PairSurface) -> None:
     """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
     a, b, drift, friction, restitution, damping, resist, axis_b = surface
     point.a = a
     point.b = b
-    put_vector(point.drift, drift)
+    write_vec3(point.drift, drift)
     point.friction = friction
     point.restitution = restitution
     point.damping = damping
-    put_vector(point.resist, resist)
-    prepare(point, motions)
+    write_vec3(point.resist, resist)
+    prepare_constraint(point, motions)
     if resist[0] > 0.0:
-        _set_axis(motions, point, 0, axes(quaternion_of(motions[a]))[2])
+        _set_rolling_axis(motions, point, 0, axes(read_quaternion(motions[a]))[2])
     if resist[1] > 0.0:
-        _set_axis(motions, point, 1, axis_b)
+        _set_rolling_axis(motions, point, 1, axis_b)
     if resist[2] > 0.0:
-        _set_axis(motions, point, 2, vector(point.normal))
+        _set_rolling_axis(motions, point, 2, read_vec3(point.normal))
 
 
 @kernel
-def add_points(
-    space: Workspace, world: World, pair: np.record, time: float, points: np.ndarray, size: int
+def add_contact_points(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    pair: np.record,
+    time: float,
+    points: np.ndarray,
+    size: int,
 ) -> int:
     """Add the points of contact of a pair in touch; returns how many there are now."""
     a = pair.a
     b = pair.b
     scenery = world.scenery
-    distance, normal, on_a, on_b = measure(space, world, pair, time)
-    if distance > IN_TOUCH:
+    distance, normal, on_a, on_b = measure_pair(space, world, pair, time)
+    if distance > MAX_CONTACT_DISTANCE:
         return size
     # From now on it counts as a touch anew only when it gets closer than now
     pair.held = True
-    pair.floor = 0.25 * min(distance, TOUCH) if distance > 0.5 * SLIP else distance - SLIP
-    position_a, quaternion_a = pose_at(scenery, space.motions, world.w, a, time, world.dt)
-    position_b, quaternion_b = pose_at(scenery, space.motions, world.w, b, time, world.dt)
+    pair.floor = (
+        0.25 * min(distance, CONTACT_DISTANCE)
+        if distance > 0.5 * MAX_EXTRA_PENETRATION
+        else distance - MAX_EXTRA_PENETRATION
+    )
+    position_a, quaternion_a = interpolate_pose(scenery, space.motions, world.w, a, time, world.dt)
+    position_b, quaternion_b = interpolate_pose(scenery, space.motions, world.w, b, time, world.dt)
     offset = minus(position_b, position_a)
     found = contact_points(
         scenery.table,
@@ -278,11 +305,11 @@ def add_points(
         normal,
         on_a,
         on_b,
-        NEARBY,
+        MAX_POINT_DISTANCE,
         space.found,
         space.room,
     )
-    surface = surface_of(space, world, a, b, found)
+    surface = compute_pair_surface(space, world, a, b, found)
     motions = space.motions
     for m in range(found):
         point = points[size + m]
@@ -290,9 +317,9 @@ def add_points(
             point.normal[k] = normal[k]
             point.arm_a[k] = space.found[m, k]
             point.arm_b[k] = space.found[m, k] - offset[k]
-        fill(motions, point, surface)
+        fill_constraint(motions, point, surface)
         point.distance = space.found[m, 3]
-        moving = slip(point, motions)
-        put_vector(point.slip, moving)
+        moving = compute_relative_velocity(point, motions)
+        write_vec3(point.slip, moving)
         point.approach = dot(moving, normal)
     return size + found

@@ -6,7 +6,7 @@ from bulletuav.compiled.kernel import kernel
 
 
 @kernel
-def start(
+def reset_contacts(
     mask: np.ndarray,
     budget: np.ndarray,
     asleep: np.ndarray,

@@ -7,15 +7,15 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func
 from bulletuav.compiled.plain import record_type
-from bulletuav.contact.motion import put_vector, vector
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.motion import read_vec3, write_vec3
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
 from bulletuav.geometry.closest_approach import closest_squared
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
 
-SLACK = 2e-3
+PAIR_MARGIN = 2e-3
 """Metres beyond its way within which a drone's pairs are collected"""
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -51,7 +51,7 @@ Attributes:
 
 
 @allocating
-def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tuple[np.ndarray, int]:
+def _add_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tuple[np.ndarray, int]:
     """Add a pair unless it is among those from `first` on; returns the pairs and their number."""
     for p in range(first, count):
         same = pairs[p].a == a and pairs[p].b == b
@@ -67,8 +67,8 @@ def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tup
     pair.a = a
     pair.b = b
     pair.time = 0.0
-    put_vector(pair.normal, ORIGIN)
-    pair.floor = TOUCH
+    write_vec3(pair.normal, ORIGIN)
+    pair.floor = CONTACT_DISTANCE
     pair.held = False
     pair.near = False
     pair.knot = False
@@ -78,7 +78,7 @@ def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tup
 
 
 @func
-def body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
+def bound_body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
     """Return a lower bound of the distance of a point from body piece k of a world, m."""
     table = scenery.table
     s = scenery.first_body + k
@@ -88,13 +88,13 @@ def body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
 
 
 @func
-def piece_distance(city_grid: CityGrid, p: int, place: Vec3) -> float:
+def compute_piece_distance(city_grid: CityGrid, p: int, place: Vec3) -> float:
     """Return the distance of a point from the bounding box of a city's piece, m."""
     return distance_from_box(place, point(city_grid.low, p), point(city_grid.high, p))
 
 
 @allocating
-def collect(
+def collect_pairs(
     scenery: Scenery,
     motions: np.ndarray,
     alive: np.ndarray,
@@ -124,15 +124,15 @@ def collect(
         The pairs, perhaps in a larger array, and their number.
     """
     i = order[rank]
-    here = vector(motions[i].start)
-    far = scenery.table.radius[i] + motions[i].reach + TOUCH
+    here = read_vec3(motions[i].start)
+    far = scenery.table.radius[i] + motions[i].reach + CONTACT_DISTANCE
     known = 0 if again else count
     # What does not fly: ground, bodies and pieces of the city
     if here[2] < far:
-        pairs, count = _with_pair(pairs, count, known, i, scenery.ground)
+        pairs, count = _add_pair(pairs, count, known, i, scenery.ground)
     for k in range(scenery.place.shape[1]):
-        if body_distance(scenery, w, k, here) < far + speed:
-            pairs, count = _with_pair(pairs, count, known, i, scenery.first_body + k)
+        if bound_body_distance(scenery, w, k, here) < far + speed:
+            pairs, count = _add_pair(pairs, count, known, i, scenery.first_body + k)
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
     if layout != NO_LAYOUT:
@@ -144,36 +144,38 @@ def collect(
                 cell = column * city_grid.cells + row
                 for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
                     p = city_grid.item[m]
-                    if piece_distance(city_grid, p, here) < far:
+                    if compute_piece_distance(city_grid, p, here) < far:
                         other = scenery.first_piece + p
-                        pairs, count = _with_pair(pairs, count, known, i, other)
+                        pairs, count = _add_pair(pairs, count, known, i, other)
     # Drones in the order of their places, the lower one first
     for place in range(order.shape[0]):
         j = order[place]
         met = motions[j].due and place < rank and not again
         if j == i or not alive[w, j] or met:
             continue
-        gap = minus(vector(motions[j].start), here)
+        gap = minus(read_vec3(motions[j].start), here)
         within = far + scenery.table.radius[j] + motions[j].reach
         if dot(gap, gap) < within * within:
             if place < rank:
-                pairs, count = _with_pair(pairs, count, known, j, i)
+                pairs, count = _add_pair(pairs, count, known, j, i)
             else:
-                pairs, count = _with_pair(pairs, count, known, i, j)
+                pairs, count = _add_pair(pairs, count, known, i, j)
     return pairs, count
 
 
 @func
-def sweeps_apart(scenery: Scenery, motions: np.ndarray, w: int, a: int, b: int, dt: float) -> bool:
+def are_swept_bounds_apart(
+    scenery: Scenery, motions: np.ndarray, w: int, a: int, b: int, dt: float
+) -> bool:
     """Tell whether the bounding volumes of a pair stay apart on their ways."""
     table = scenery.table
-    here = vector(motions[a].position)
-    move = vector(motions[a].move)
-    margin = table.radius[a] + TOUCH
+    here = read_vec3(motions[a].position)
+    move = read_vec3(motions[a].move)
+    margin = table.radius[a] + CONTACT_DISTANCE
     if b < scenery.first_body:
         # Both move straight, but from times of their own: take the boxes of their ways
-        there = vector(motions[b].position)
-        other = vector(motions[b].move)
+        there = read_vec3(motions[b].position)
+        other = read_vec3(motions[b].move)
         if motions[a].time == motions[b].time and motions[a].until == motions[b].until:
             before = minus(there, here)
             after = (
@@ -211,7 +213,7 @@ def sweeps_apart(scenery: Scenery, motions: np.ndarray, w: int, a: int, b: int, 
             move[2] - rest * drift[2],
         )
         turn = quat4(scenery.quaternion, w, k)
-        return _passes_box(table.middle[b], table.half[b], margin, turn, before, change)
+        return _is_sweep_clear_of_box(table.middle[b], table.half[b], margin, turn, before, change)
     p = b - scenery.first_piece
     city_grid = scenery.city_grid
     for k in range(3):
@@ -223,7 +225,7 @@ def sweeps_apart(scenery: Scenery, motions: np.ndarray, w: int, a: int, b: int, 
 
 
 @func
-def _passes_box(
+def _is_sweep_clear_of_box(
     middle: np.ndarray,
     half: np.ndarray,
     margin: float,

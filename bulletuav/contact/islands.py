@@ -7,18 +7,20 @@ on. So a heap falls asleep from below. A sleeper that is hit yields, and all who
 import numpy as np
 
 from bulletuav.compiled.kernel import func
-from bulletuav.contact.impulses import set_ease, surface_velocity
-from bulletuav.contact.motion import advance_to
-from bulletuav.contact.points import Workspace, World, measure
-from bulletuav.contact.touch import IN_TOUCH
+from bulletuav.contact.constraint import compute_surface_velocity, set_inverse_mass
+from bulletuav.contact.manifold import ContactWorkspace, ContactWorld, measure_pair
+from bulletuav.contact.motion import advance_motion
+from bulletuav.contact.time_of_impact import MAX_CONTACT_DISTANCE
 from bulletuav.geometry.rotation import Vec3, dot
 
-HIT = 0.05
+WAKE_APPROACH_SPEED = 0.05
 """Approach from which on a sleeper yields, m/s"""
 
 
 @func
-def join(space: Workspace, world: World, members: int, i: int, time: float) -> int:
+def add_to_island(
+    space: ContactWorkspace, world: ContactWorld, members: int, i: int, time: float
+) -> int:
     """Bring a drone to the time of an impact, as one of its island; returns how many there are."""
     if i >= world.scenery.first_body or space.motions[i].member:
         return members
@@ -26,20 +28,20 @@ def join(space: Workspace, world: World, members: int, i: int, time: float) -> i
     row = world.parameters[world.w, i]
     motion.member = True
     space.island[members] = i
-    advance_to(motion, time, row)
-    set_ease(motion, row)
+    advance_motion(motion, time, row)
+    set_inverse_mass(motion, row)
     return members + 1
 
 
 @func
-def touching(pair: np.record, time: float) -> bool:
+def may_touch(pair: np.record, time: float) -> bool:
     """Tell whether a pair may be in touch at a time."""
     found: bool = pair.held or pair.near or pair.time <= time
     return found
 
 
 @func
-def in_island(motions: np.ndarray, pair: np.record) -> bool:
+def is_pair_in_island(motions: np.ndarray, pair: np.record) -> bool:
     """Tell whether both of a pair belong to the island, or the one that can move.
 
     Others were measured when it was gathered, and are not in touch.
@@ -51,7 +53,7 @@ def in_island(motions: np.ndarray, pair: np.record) -> bool:
 
 
 @func
-def _turn_round(pair: np.record) -> None:
+def _swap_bodies(pair: np.record) -> None:
     """Let a pair be told from its other side."""
     pair.a, pair.b = pair.b, pair.a
     for k in range(3):
@@ -59,7 +61,7 @@ def _turn_round(pair: np.record) -> None:
 
 
 @func
-def _one_bears(motions: np.ndarray, pair: np.record) -> bool:
+def _is_one_static(motions: np.ndarray, pair: np.record) -> bool:
     """Tell whether one of two drones sleeps and bears the other."""
     if pair.b >= motions.shape[0]:
         return False
@@ -70,15 +72,15 @@ def _one_bears(motions: np.ndarray, pair: np.record) -> bool:
 @func
 def _is_hit(motions: np.ndarray, pair: np.record, normal: Vec3, on_a: Vec3) -> bool:
     """Tell whether a drone a of an island closes on a sleeper faster than that bears."""
-    velocity = surface_velocity(motions[pair.a], on_a)
-    hit: bool = -dot(velocity, normal) > HIT
+    velocity = compute_surface_velocity(motions[pair.a], on_a)
+    hit: bool = -dot(velocity, normal) > WAKE_APPROACH_SPEED
     return hit
 
 
 @func
-def _lean(
-    space: Workspace,
-    world: World,
+def _add_drone_on_sleeper(
+    space: ContactWorkspace,
+    world: ContactWorld,
     pairs: np.ndarray,
     count: int,
     pair: np.record,
@@ -91,22 +93,27 @@ def _lean(
     """
     motions = space.motions
     if motions[pair.a].bears:
-        _turn_round(pair)
-    members = join(space, world, members, pair.a, time)
-    distance, normal, on_a, _ = measure(space, world, pair, time)
+        _swap_bodies(pair)
+    members = add_to_island(space, world, members, pair.a, time)
+    distance, normal, on_a, _ = measure_pair(space, world, pair, time)
     pair.leans = True
-    if distance <= IN_TOUCH and _is_hit(motions, pair, normal, on_a):
+    if distance <= MAX_CONTACT_DISTANCE and _is_hit(motions, pair, normal, on_a):
         for i in range(motions.shape[0]):
             motions[i].bears = False
         for p in range(count):
             pairs[p].leans = False
-        members = join(space, world, members, pair.b, time)
+        members = add_to_island(space, world, members, pair.b, time)
     return members
 
 
 @func
-def gather(
-    space: Workspace, world: World, pairs: np.ndarray, count: int, first: int, time: float
+def build_island(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    pairs: np.ndarray,
+    count: int,
+    first: int,
+    time: float,
 ) -> int:
     """Find all drones that hang together with a pair at the time of its touch.
 
@@ -115,27 +122,27 @@ def gather(
     motions = space.motions
     for p in range(count):
         pairs[p].leans = False
-    if _one_bears(motions, pairs[first]):
-        members = _lean(space, world, pairs, count, pairs[first], 0, time)
+    if _is_one_static(motions, pairs[first]):
+        members = _add_drone_on_sleeper(space, world, pairs, count, pairs[first], 0, time)
     else:
-        members = join(space, world, 0, pairs[first].a, time)
-        members = join(space, world, members, pairs[first].b, time)
+        members = add_to_island(space, world, 0, pairs[first].a, time)
+        members = add_to_island(space, world, members, pairs[first].b, time)
     grown = True
     while grown:
         grown = False
         for p in range(count):
             pair = pairs[p]
-            if pair.b >= world.scenery.first_body or not touching(pair, time):
+            if pair.b >= world.scenery.first_body or not may_touch(pair, time):
                 continue
             if pair.leans or motions[pair.a].member == motions[pair.b].member:
                 continue
-            if _one_bears(motions, pair):
-                members = _lean(space, world, pairs, count, pair, members, time)
+            if _is_one_static(motions, pair):
+                members = _add_drone_on_sleeper(space, world, pairs, count, pair, members, time)
                 grown = grown or not pair.leans
                 continue
-            distance, _, _, _ = measure(space, world, pair, time)
-            if distance <= IN_TOUCH:
-                members = join(space, world, members, pair.a, time)
-                members = join(space, world, members, pair.b, time)
+            distance, _, _, _ = measure_pair(space, world, pair, time)
+            if distance <= MAX_CONTACT_DISTANCE:
+                members = add_to_island(space, world, members, pair.a, time)
+                members = add_to_island(space, world, members, pair.b, time)
                 grown = True
     return members

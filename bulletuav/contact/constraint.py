@@ -12,10 +12,10 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.plain import record_type
-from bulletuav.contact.motion import put_vector, quaternion_of, vector
+from bulletuav.contact.motion import read_quaternion, read_vec3, write_vec3
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, cross, dot, minus, plus, point
 
-POINT = record_type(
+CONTACT_POINT = record_type(
     [
         ("a", "i8"),
         ("b", "i8"),
@@ -98,7 +98,7 @@ Attributes:
 """
 
 
-Moving = tuple[Vec3, Vec3, Vec3, Vec3]
+BodyVelocities = tuple[Vec3, Vec3, Vec3, Vec3]
 """Velocity and spin of a, and of b, m/s and rad/s"""
 
 
@@ -116,7 +116,7 @@ def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
 
 
 @func
-def eased(motion: np.record, v: Vec3Like) -> Vec3:
+def apply_inverse_inertia(motion: np.record, v: Vec3Like) -> Vec3:
     """Return the change of spin (rad/s) by an angular impulse (N m s), world axes."""
     ease = motion.ease
     return (
@@ -127,10 +127,10 @@ def eased(motion: np.record, v: Vec3Like) -> Vec3:
 
 
 @func
-def set_ease(motion: np.record, row: np.record) -> None:
+def set_inverse_mass(motion: np.record, row: np.record) -> None:
     """Set how a drone yields to impulses in its present attitude."""
     motion.lightness = 1.0 / row.mass
-    bx, by, bz = axes(quaternion_of(motion))
+    bx, by, bz = axes(read_quaternion(motion))
     inertia = row.inertia
     for k in range(3):
         for m in range(3):
@@ -141,7 +141,7 @@ def set_ease(motion: np.record, row: np.record) -> None:
 
 
 @func
-def _set_levers(
+def _set_jacobian(
     motion: np.record,
     arm: Vec3,
     normal: Vec3,
@@ -151,14 +151,14 @@ def _set_levers(
 ) -> None:
     """Set how impulses along the axes of a point turn one of its bodies."""
     for k in range(3):
-        axis = normal if k == 0 else vector(row.tangent[k - 1])
+        axis = normal if k == 0 else read_vec3(row.tangent[k - 1])
         lever = cross(arm, axis)
-        put_vector(levers[k], lever)
-        put_vector(swings[k], eased(motion, lever))
+        write_vec3(levers[k], lever)
+        write_vec3(swings[k], apply_inverse_inertia(motion, lever))
 
 
 @func
-def _yield_of(row: np.record, one: int, two: int, light: float) -> float:
+def _compute_inverse_mass(row: np.record, one: int, two: int, light: float) -> float:
     """Return the velocity along one axis of a point that a unit impulse along another gives."""
     yields = light if one == two else 0.0
     yields += dot(row.lever_a[one], row.swing_a[two])
@@ -168,7 +168,7 @@ def _yield_of(row: np.record, one: int, two: int, light: float) -> float:
 
 
 @func
-def _set_hold(
+def _set_block_mass(
     row: np.record, k00: float, k01: float, k02: float, k11: float, k12: float, k22: float
 ) -> None:
     """Invert the symmetric matrix of velocities along the axes of a point by impulses."""
@@ -176,18 +176,18 @@ def _set_hold(
     second = (k01, k11, k12)
     third = (k02, k12, k22)
     scale = 1.0 / dot(first, cross(second, third))
-    put_vector(row.hold[0], plus((0.0, 0.0, 0.0), scale, cross(second, third)))
-    put_vector(row.hold[1], plus((0.0, 0.0, 0.0), scale, cross(third, first)))
-    put_vector(row.hold[2], plus((0.0, 0.0, 0.0), scale, cross(first, second)))
+    write_vec3(row.hold[0], plus((0.0, 0.0, 0.0), scale, cross(second, third)))
+    write_vec3(row.hold[1], plus((0.0, 0.0, 0.0), scale, cross(third, first)))
+    write_vec3(row.hold[2], plus((0.0, 0.0, 0.0), scale, cross(first, second)))
 
 
 @kernel
-def prepare(row: np.record, motions: np.ndarray) -> None:
+def prepare_constraint(row: np.record, motions: np.ndarray) -> None:
     """Fill in what a point feels of the masses; a, b, normal and arms must be there."""
-    normal = vector(row.normal)
+    normal = read_vec3(row.normal)
     one, two = _tangents(normal)
-    put_vector(row.tangent[0], one)
-    put_vector(row.tangent[1], two)
+    write_vec3(row.tangent[0], one)
+    write_vec3(row.tangent[1], two)
     for k in range(3):
         row.total[k] = 0.0
         row.former[k] = 0.0
@@ -195,17 +195,17 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
         row.roll[k] = 0.0
         row.rolled[k] = 0.0
     light = motions[row.a].lightness
-    _set_levers(motions[row.a], vector(row.arm_a), normal, row, row.lever_a, row.swing_a)
+    _set_jacobian(motions[row.a], read_vec3(row.arm_a), normal, row, row.lever_a, row.swing_a)
     if row.b >= 0:
         light += motions[row.b].lightness
-        _set_levers(motions[row.b], vector(row.arm_b), normal, row, row.lever_b, row.swing_b)
-    k11 = _yield_of(row, 1, 1, light)
-    k12 = _yield_of(row, 1, 2, light)
-    k22 = _yield_of(row, 2, 2, light)
-    k00 = _yield_of(row, 0, 0, light)
-    k01 = _yield_of(row, 0, 1, light)
-    k02 = _yield_of(row, 0, 2, light)
-    _set_hold(row, k00, k01, k02, k11, k12, k22)
+        _set_jacobian(motions[row.b], read_vec3(row.arm_b), normal, row, row.lever_b, row.swing_b)
+    k11 = _compute_inverse_mass(row, 1, 1, light)
+    k12 = _compute_inverse_mass(row, 1, 2, light)
+    k22 = _compute_inverse_mass(row, 2, 2, light)
+    k00 = _compute_inverse_mass(row, 0, 0, light)
+    k01 = _compute_inverse_mass(row, 0, 1, light)
+    k02 = _compute_inverse_mass(row, 0, 2, light)
+    _set_block_mass(row, k00, k01, k02, k11, k12, k22)
     row.lift[0], row.lift[1] = k01, k02
     row.mass = 1.0 / k00
     scale = 1.0 / (k11 * k22 - k12 * k12)
@@ -217,43 +217,43 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
 
 
 @func
-def surface_velocity(motion: np.record, arm: Vec3) -> Vec3:
+def compute_surface_velocity(motion: np.record, arm: Vec3) -> Vec3:
     """Return the velocity of a drone's surface at a point, m/s."""
-    turning = cross(vector(motion.spin), arm)
-    return plus(vector(motion.velocity), 1.0, turning)
+    turning = cross(read_vec3(motion.spin), arm)
+    return plus(read_vec3(motion.velocity), 1.0, turning)
 
 
 @func
-def slip(row: np.record, motions: np.ndarray) -> Vec3:
+def compute_relative_velocity(row: np.record, motions: np.ndarray) -> Vec3:
     """Return the velocity of a's surface against that of b at a point, m/s."""
-    other = vector(row.drift)
+    other = read_vec3(row.drift)
     if row.b >= 0:
-        other = surface_velocity(motions[row.b], vector(row.arm_b))
-    return minus(surface_velocity(motions[row.a], vector(row.arm_a)), other)
+        other = compute_surface_velocity(motions[row.b], read_vec3(row.arm_b))
+    return minus(compute_surface_velocity(motions[row.a], read_vec3(row.arm_a)), other)
 
 
 @func
-def moving_at(row: np.record, motions: np.ndarray) -> Moving:
+def read_velocities(row: np.record, motions: np.ndarray) -> BodyVelocities:
     """Return how both bodies of a point move; what does not yield drifts."""
     a = motions[row.a]
     if row.b < 0:
-        return vector(a.velocity), vector(a.spin), vector(row.drift), (0.0, 0.0, 0.0)
+        return read_vec3(a.velocity), read_vec3(a.spin), read_vec3(row.drift), (0.0, 0.0, 0.0)
     b = motions[row.b]
-    return vector(a.velocity), vector(a.spin), vector(b.velocity), vector(b.spin)
+    return read_vec3(a.velocity), read_vec3(a.spin), read_vec3(b.velocity), read_vec3(b.spin)
 
 
 @func
-def put_moving(row: np.record, motions: np.ndarray, moving: Moving) -> None:
+def write_velocities(row: np.record, motions: np.ndarray, moving: BodyVelocities) -> None:
     """Let both bodies of a point move in another way."""
-    put_vector(motions[row.a].velocity, moving[0])
-    put_vector(motions[row.a].spin, moving[1])
+    write_vec3(motions[row.a].velocity, moving[0])
+    write_vec3(motions[row.a].spin, moving[1])
     if row.b >= 0:
-        put_vector(motions[row.b].velocity, moving[2])
-        put_vector(motions[row.b].spin, moving[3])
+        write_vec3(motions[row.b].velocity, moving[2])
+        write_vec3(motions[row.b].spin, moving[3])
 
 
 @func
-def speed_along(row: np.record, moving: Moving, k: int, axis: Vec3) -> float:
+def compute_axis_velocity(row: np.record, moving: BodyVelocities, k: int, axis: Vec3) -> float:
     """Return the velocity of a's surface against that of b along axis k of a point, m/s."""
     speed = dot(moving[0], axis) + dot(moving[1], point(row.lever_a, k)) - dot(moving[2], axis)
     if row.b >= 0:
@@ -262,9 +262,9 @@ def speed_along(row: np.record, moving: Moving, k: int, axis: Vec3) -> float:
 
 
 @func
-def pushed(
-    row: np.record, motions: np.ndarray, moving: Moving, k: int, axis: Vec3, impulse: float
-) -> Moving:
+def apply_axis_impulse(
+    row: np.record, motions: np.ndarray, moving: BodyVelocities, k: int, axis: Vec3, impulse: float
+) -> BodyVelocities:
     """Return how both bodies of a point move after an impulse along its axis k, N s."""
     velocity_a, spin_a, velocity_b, spin_b = moving
     velocity_a = plus(velocity_a, impulse * motions[row.a].lightness, axis)

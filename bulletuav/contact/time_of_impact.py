@@ -4,7 +4,7 @@ Two bounds tell how far it is safe to go; both hold however thin or fast things 
 closes a gap faster than a bound along the present separating direction (B. Mirtich, Impulse-based
 dynamic simulation of rigid body systems, 1996). And between two times at which a plane separates
 the pair, no point can get beyond it by more than its greatest acceleration bends its way; see
-`bulletuav.contact.planes`. Where the pair is close already, Newton's method on the distance ends
+`bulletuav.contact.separating_planes`. Where the pair is close already, Newton's method on the distance ends
 the search; who is apart after such a leap goes back unless a plane tells that there was no touch on
 the way.
 """
@@ -14,43 +14,43 @@ import math
 import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.contact.motion import change_rates, pose_at, valid_until
-from bulletuav.contact.planes import (
-    is_kept_apart,
-    line_of,
-    longest,
-    normal_after,
-    planes_between,
-    separation_along,
-    time_apart,
+from bulletuav.contact.motion import compute_path_rates, get_segment_end, interpolate_pose
+from bulletuav.contact.separating_planes import (
+    bound_planes,
+    compute_centre_direction,
+    find_longest_plane,
+    find_time_apart,
+    is_separated_by_plane,
+    measure_along_direction,
+    rotate_normal,
 )
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.nearest import nearest
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
 
-TOUCH = 1e-4
+CONTACT_DISTANCE = 1e-4
 """Shapes that are closer touch, m"""
-IN_TOUCH = 1.01 * TOUCH
+MAX_CONTACT_DISTANCE = 1.01 * CONTACT_DISTANCE
 """Distance up to which points are in touch, m"""
-EXACT = 1e-13
+TOI_TOLERANCE = 1e-13
 """Precision of the distance at which a touch is found, m"""
-ROUGH = 1e-7
+REPEATED_TOI_TOLERANCE = 1e-7
 """The same of shapes that touched already, m; well below `SLIP` in `points`"""
-NEAR = 1e-3
+NEWTON_DISTANCE = 1e-3
 """Distance from a touch at which Newton's method takes over, m"""
-NEARLY = 1e-9
-"""The same for ways that take more than `MANY_STEPS`, m"""
-MANY_STEPS = 1_000
+LOOSE_TOI_TOLERANCE = 1e-9
+"""The same for ways that take more than `LOOSE_AFTER_STEPS`, m"""
+LOOSE_AFTER_STEPS = 1_000
 """Steps after which nanometres do not matter any more; mostly a search takes five"""
-MOST_STEPS = 20_000
+MAX_TOI_STEPS = 20_000
 """Most steps to a touch; who grazes by a micrometre may take a thousand"""
-NEVER = 2.0
+NO_IMPACT = 2.0
 """Time of a touch that does not happen"""
 
 
 @func
-def gap_at(
+def measure_distance(
     scenery: Scenery,
     motions: np.ndarray,
     w: int,
@@ -63,8 +63,8 @@ def gap_at(
     plain: bool = False,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
     """Measure a pair at a time in the substep, with `nearest`, or `gap` if it is to be plain."""
-    position_a, quaternion_a = pose_at(scenery, motions, w, a, time, dt)
-    position_b, quaternion_b = pose_at(scenery, motions, w, b, time, dt)
+    position_a, quaternion_a = interpolate_pose(scenery, motions, w, a, time, dt)
+    position_b, quaternion_b = interpolate_pose(scenery, motions, w, b, time, dt)
     offset = minus(position_b, position_a)
     turn_a = axes(quaternion_a)
     turn_b = axes(quaternion_b)
@@ -74,7 +74,7 @@ def gap_at(
 
 
 @kernel
-def touch_time(
+def find_time_of_impact(
     scenery: Scenery,
     motions: np.ndarray,
     w: int,
@@ -111,53 +111,53 @@ def touch_time(
     """
     if not plain:
         # Of a pair that is held it is known that it is in touch
-        least = -math.inf if held else IN_TOUCH
-        across = guess if dot(guess, guess) > 0.0 else line_of(motions, a, b)
-        if is_kept_apart(scenery, motions, w, a, b, start, least, floor, dt, across):
-            return NEVER, across, False
-    exact = ROUGH if held else EXACT
-    move_a, turn_a = change_rates(scenery, motions, w, a, dt)
-    move_b, turn_b = change_rates(scenery, motions, w, b, dt)
+        least = -math.inf if held else MAX_CONTACT_DISTANCE
+        across = guess if dot(guess, guess) > 0.0 else compute_centre_direction(motions, a, b)
+        if is_separated_by_plane(scenery, motions, w, a, b, start, least, floor, dt, across):
+            return NO_IMPACT, across, False
+    exact = REPEATED_TOI_TOLERANCE if held else TOI_TOLERANCE
+    move_a, turn_a = compute_path_rates(scenery, motions, w, a, dt)
+    move_b, turn_b = compute_path_rates(scenery, motions, w, b, dt)
     move = minus(move_a, move_b)
     radii = scenery.table.radius[a], scenery.table.radius[b]
     turns = b < motions.shape[0] and (turn_a != (0.0, 0.0, 0.0) or turn_b != (0.0, 0.0, 0.0))
-    end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
+    end = min(get_segment_end(scenery, motions, a), get_segment_end(scenery, motions, b))
     time = start
     normal = guess
     near = False
     # The touch is between a time at which they were apart and one at which they were too close
-    apart, close = start, NEVER
+    apart, close = start, NO_IMPACT
     safe, leapt = start, False
-    for step_number in range(MOST_STEPS):
-        if step_number == MANY_STEPS:
-            exact = max(exact, NEARLY)
-        distance, normal, on_a, on_b = gap_at(
+    for step_number in range(MAX_TOI_STEPS):
+        if step_number == LOOSE_AFTER_STEPS:
+            exact = max(exact, LOOSE_TOI_TOLERANCE)
+        distance, normal, on_a, on_b = measure_distance(
             scenery, motions, w, a, b, time, dt, normal, room, plain
         )
-        near = near or (time == start and distance <= IN_TOUCH)
+        near = near or (time == start and distance <= MAX_CONTACT_DISTANCE)
         left = distance - floor
         rest = end - time
         # How fast the gap can close, and how far ways bend in between
         between = plus(minus(on_b, on_a), distance, normal)
         count = 3 if turns and left > 0.0 else 1
-        planes = planes_between(radii, normal, move, turn_a, turn_b, between, count)
-        plane, step = longest(planes, left)
+        planes = bound_planes(radii, normal, move, turn_a, turn_b, between, count)
+        plane, step = find_longest_plane(planes, left)
         bound, growth, bend, _ = plane
         landed, leapt = leapt and left > 0.0, False
         if landed:
             # Others than the nearest points may have touched on the way, and parted again
-            then = normal_after(plane, normal, apart - time)
-            before, _, _ = separation_along(scenery, motions, w, a, b, apart, dt, then)
+            then = rotate_normal(plane, normal, apart - time)
+            before, _, _ = measure_along_direction(scenery, motions, w, a, b, apart, dt, then)
             if before - floor < 4.0 * bend * (time - apart) ** 2:
                 time = safe
                 continue
         if left > (bound + 0.5 * growth * rest) * rest:
-            return NEVER, normal, near
+            return NO_IMPACT, normal, near
         if left <= exact and (time == start or left >= -exact):
-            return (time if bound + growth > 0.0 else NEVER), normal, near
+            return (time if bound + growth > 0.0 else NO_IMPACT), normal, near
         if left > 0.0:
             apart = time
-            step = time_apart(
+            step = find_time_apart(
                 scenery,
                 motions,
                 w,
@@ -174,11 +174,11 @@ def touch_time(
                 rest,
             )
             if step >= rest:
-                return NEVER, normal, near
+                return NO_IMPACT, normal, near
         else:
             close = time
             step = left / bound
-        if left < NEAR:
+        if left < NEWTON_DISTANCE:
             surface = minus(cross(turn_a, on_a), cross(turn_b, on_b))
             closing = -dot(move, normal) - dot(surface, normal)
             # Back from too far by Newton alone; ahead as far as there is but one touch
@@ -189,7 +189,7 @@ def touch_time(
                 if left < 0.0 or leapt:
                     step = aimed
         time = min(end, time + step)
-        if close < NEVER:
+        if close < NO_IMPACT:
             # Newton's method may go back and forth for ever where a way only just grazes
             if not apart < time < close:
                 time = 0.5 * (apart + close)

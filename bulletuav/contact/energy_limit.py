@@ -5,20 +5,20 @@ import math
 import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.contact.motion import put_vector, quaternion_of, vector
-from bulletuav.contact.points import Workspace, World
-from bulletuav.contact.relax import FIRM, FROM_NOTHING, relax
+from bulletuav.contact.manifold import ContactWorkspace, ContactWorld
+from bulletuav.contact.motion import read_quaternion, read_vec3, write_vec3
+from bulletuav.contact.solver import COLD_START, TIGHT_TOLERANCE, solve_constraints
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, plus
 
 
 @func
-def _energy_of(
+def _compute_body_energy(
     motion: np.record, velocity: Vec3Like, spin: Vec3Like, frame: Vec3, row: np.record
 ) -> float:
     """Return a drone's kinetic energy (J) with a velocity and spin, as seen from a frame."""
-    bx, by, bz = axes(quaternion_of(motion))
-    turning = vector(spin)
-    moving = minus(vector(velocity), frame)
+    bx, by, bz = axes(read_quaternion(motion))
+    turning = read_vec3(spin)
+    moving = minus(read_vec3(velocity), frame)
     total: float = 0.5 * row.mass * dot(moving, moving)
     total += 0.5 * row.inertia[0] * dot(bx, turning) ** 2
     total += 0.5 * row.inertia[1] * dot(by, turning) ** 2
@@ -27,29 +27,29 @@ def _energy_of(
 
 
 @func
-def frame_of(points: np.ndarray, size: int) -> Vec3:
+def find_reference_velocity(points: np.ndarray, size: int) -> Vec3:
     """Return the velocity of what does not yield, or zeros, m/s."""
     for k in range(size):
         if points[k].b < 0:
-            return vector(points[k].drift)
+            return read_vec3(points[k].drift)
     return 0.0, 0.0, 0.0
 
 
 @func
-def remember_before(space: Workspace, members: int, points: np.ndarray, size: int) -> None:
+def save_velocities(space: ContactWorkspace, members: int, points: np.ndarray, size: int) -> None:
     """Keep velocities and impulses as they are before passes that may gain energy."""
     for m in range(members):
         motion = space.motions[space.island[m]]
-        put_vector(motion.before[0], motion.velocity)
-        put_vector(motion.before[1], motion.spin)
+        write_vec3(motion.before[0], motion.velocity)
+        write_vec3(motion.before[1], motion.spin)
     for k in range(size):
-        put_vector(points[k].former, points[k].total)
-        put_vector(points[k].rolled, (0.0, 0.0, 0.0))
+        write_vec3(points[k].former, points[k].total)
+        write_vec3(points[k].rolled, (0.0, 0.0, 0.0))
 
 
 @kernel
-def reopen(points: np.ndarray, count: int) -> None:
-    """Take the impulses since `remember_before` from the totals, to be found again."""
+def reopen_impulses(points: np.ndarray, count: int) -> None:
+    """Take the impulses since `save_velocities` from the totals, to be found again."""
     for k in range(count):
         for m in range(3):
             points[k].impulse[m] = points[k].total[m] - points[k].former[m]
@@ -59,7 +59,7 @@ def reopen(points: np.ndarray, count: int) -> None:
 
 
 @kernel
-def keep(points: np.ndarray, count: int) -> None:
+def accumulate_impulses(points: np.ndarray, count: int) -> None:
     """Add the impulses of a pass to the totals."""
     for k in range(count):
         for m in range(3):
@@ -68,39 +68,43 @@ def keep(points: np.ndarray, count: int) -> None:
 
 
 @func
-def _between(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
+def _interpolate(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
     """Return the vector at a share of the way from one to another."""
-    start = vector(one)
-    return plus(start, share, minus(vector(two), start))
+    start = read_vec3(one)
+    return plus(start, share, minus(read_vec3(two), start))
 
 
 @func
-def moving_energy(space: Workspace, world: World, members: int, frame: Vec3, least: float) -> float:
+def compute_kinetic_energy(
+    space: ContactWorkspace, world: ContactWorld, members: int, frame: Vec3, least: float
+) -> float:
     """Return the kinetic energy of an island as seen from a frame, or what speed `least` has, J."""
     total = 0.0
     for m in range(members):
         motion = space.motions[space.island[m]]
         row = world.parameters[world.w, space.island[m]]
-        moving = _energy_of(motion, motion.velocity, motion.spin, frame, row)
+        moving = _compute_body_energy(motion, motion.velocity, motion.spin, frame, row)
         total += max(moving, 0.5 * row.mass * least * least)
     return total
 
 
 @func
-def _work(space: Workspace, world: World, members: int, frame: Vec3, rest: float) -> float:
+def _compute_work(
+    space: ContactWorkspace, world: ContactWorld, members: int, frame: Vec3, rest: float
+) -> float:
     """Return the work of forces on an island in the rest of the substep, seen from a frame, J."""
     total = 0.0
     for m in range(members):
         motion = space.motions[space.island[m]]
         mass = world.parameters[world.w, space.island[m]].mass
-        total += mass * rest * dot(motion.push, minus(vector(motion.velocity), frame))
+        total += mass * rest * dot(motion.push, minus(read_vec3(motion.velocity), frame))
     return total
 
 
 @func
-def lose_gain(
-    space: Workspace,
-    world: World,
+def limit_energy(
+    space: ContactWorkspace,
+    world: ContactWorld,
     members: int,
     points: np.ndarray,
     size: int,
@@ -108,7 +112,7 @@ def lose_gain(
     had: float,
     rest: float,
 ) -> None:
-    """Take back what energy the passes since `remember_before` gained, if any.
+    """Take back what energy the passes since `save_velocities` gained, if any.
 
     What they did is mixed with what happens if all that closes is stopped, which gains none.
     Energy is a parabola over the share of the first: it is known from its values at 0, 1/2 and 1.
@@ -124,27 +128,27 @@ def lose_gain(
         rest: Share of the substep in which forces have acted since.
     """
     motions = space.motions
-    full = moving_energy(space, world, members, frame, 0.0)
-    if full <= had + _work(space, world, members, frame, rest):
+    full = compute_kinetic_energy(space, world, members, frame, 0.0)
+    if full <= had + _compute_work(space, world, members, frame, rest):
         return
     for m in range(members):
         motion = motions[space.island[m]]
-        put_vector(motion.after[0], motion.velocity)
-        put_vector(motion.after[1], motion.spin)
-        put_vector(motion.velocity, motion.before[0])
-        put_vector(motion.spin, motion.before[1])
+        write_vec3(motion.after[0], motion.velocity)
+        write_vec3(motion.after[1], motion.spin)
+        write_vec3(motion.velocity, motion.before[0])
+        write_vec3(motion.spin, motion.before[1])
     # Later passes do not ask for it again
     for k in range(size):
         points[k].least = min(points[k].least, 0.0)
-    relax(points, size, motions, world.dt, FIRM, FROM_NOTHING)
-    had += _work(space, world, members, frame, rest)
-    calm = moving_energy(space, world, members, frame, 0.0)
+    solve_constraints(points, size, motions, world.dt, TIGHT_TOLERANCE, COLD_START)
+    had += _compute_work(space, world, members, frame, rest)
+    calm = compute_kinetic_energy(space, world, members, frame, 0.0)
     half = 0.0
     for m in range(members):
         motion = motions[space.island[m]]
-        velocity = _between(motion.velocity, motion.after[0], 0.5)
-        spin = _between(motion.spin, motion.after[1], 0.5)
-        half += _energy_of(
+        velocity = _interpolate(motion.velocity, motion.after[0], 0.5)
+        spin = _interpolate(motion.spin, motion.after[1], 0.5)
+        half += _compute_body_energy(
             motion, velocity, spin, frame, world.parameters[world.w, space.island[m]]
         )
     # calm + linear s + square s^2 = had
@@ -157,8 +161,8 @@ def lose_gain(
         share = min(1.0, max(0.0, 2.0 * left / (linear + root)))
     for m in range(members):
         motion = motions[space.island[m]]
-        put_vector(motion.velocity, _between(motion.velocity, motion.after[0], share))
-        put_vector(motion.spin, _between(motion.spin, motion.after[1], share))
+        write_vec3(motion.velocity, _interpolate(motion.velocity, motion.after[0], share))
+        write_vec3(motion.spin, _interpolate(motion.spin, motion.after[1], share))
     for k in range(size):
         point = points[k]
         for m in range(3):
