@@ -23,14 +23,14 @@ PAIR = record_type(
     [
         ("a", "i8"),
         ("b", "i8"),
-        ("time", "f8"),
+        ("impact_time", "f8"),
         ("normal", "f8", 3),
-        ("floor", "f8"),
-        ("held", "?"),
-        ("near", "?"),
-        ("knot", "?"),
-        ("leans", "?"),
-        ("joins", "?"),
+        ("target_distance", "f8"),
+        ("has_touched", "?"),
+        ("in_contact", "?"),
+        ("is_segment_end", "?"),
+        ("is_on_sleeper", "?"),
+        ("in_impact", "?"),
     ],
     align=True,
 )
@@ -39,14 +39,14 @@ PAIR = record_type(
 Attributes:
     a: Number of a drone.
     b: Number of the other shape.
-    time: Share of the substep at which they touch next; NEVER for not.
+    impact_time: Share of the substep at which they touch next; NEVER for not.
     normal: Direction of their last separation, or zeros.
-    floor: Distance at which they count as touching next, m.
-    held: Whether they touched already in this substep.
-    near: Whether they were in touch when this time was found, even if they do not come closer.
-    knot: Whether they do not touch at `time`, but one of them flies on about another axis.
-    leans: Whether a lies on b, who sleeps and bears it.
-    joins: Whether it is in touch in the present impact.
+    target_distance: Distance at which they count as touching next, m.
+    has_touched: Whether they touched already in this substep.
+    in_contact: Whether they were in touch when this time was found, even if they do not come closer.
+    is_segment_end: Whether they do not touch at `time`, but one of them flies on about another axis.
+    is_on_sleeper: Whether a lies on b, who sleeps and bears it.
+    in_impact: Whether it is in touch in the present impact.
 """
 
 
@@ -66,14 +66,14 @@ def _add_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tupl
     pair = pairs[count]
     pair.a = a
     pair.b = b
-    pair.time = 0.0
+    pair.impact_time = 0.0
     write_vec3(pair.normal, ORIGIN)
-    pair.floor = CONTACT_DISTANCE
-    pair.held = False
-    pair.near = False
-    pair.knot = False
-    pair.leans = False
-    pair.joins = False
+    pair.target_distance = CONTACT_DISTANCE
+    pair.has_touched = False
+    pair.in_contact = False
+    pair.is_segment_end = False
+    pair.is_on_sleeper = False
+    pair.in_impact = False
     return pairs, count + 1
 
 
@@ -124,7 +124,7 @@ def collect_pairs(
         The pairs, perhaps in a larger array, and their number.
     """
     i = order[rank]
-    here = read_vec3(motions[i].start)
+    here = read_vec3(motions[i].start_position)
     far = scenery.table.radius[i] + motions[i].reach + CONTACT_DISTANCE
     known = 0 if again else count
     # What does not fly: ground, bodies and pieces of the city
@@ -150,10 +150,10 @@ def collect_pairs(
     # Drones in the order of their places, the lower one first
     for place in range(order.shape[0]):
         j = order[place]
-        met = motions[j].due and place < rank and not again
+        met = motions[j].is_due and place < rank and not again
         if j == i or not alive[w, j] or met:
             continue
-        gap = minus(read_vec3(motions[j].start), here)
+        gap = minus(read_vec3(motions[j].start_position), here)
         within = far + scenery.table.radius[j] + motions[j].reach
         if dot(gap, gap) < within * within:
             if place < rank:
@@ -170,13 +170,13 @@ def are_swept_bounds_apart(
     """Tell whether the bounding volumes of a pair stay apart on their ways."""
     table = scenery.table
     here = read_vec3(motions[a].position)
-    move = read_vec3(motions[a].move)
+    move = read_vec3(motions[a].displacement)
     margin = table.radius[a] + CONTACT_DISTANCE
     if b < scenery.first_body:
         # Both move straight, but from times of their own: take the boxes of their ways
         there = read_vec3(motions[b].position)
-        other = read_vec3(motions[b].move)
-        if motions[a].time == motions[b].time and motions[a].until == motions[b].until:
+        other = read_vec3(motions[b].displacement)
+        if motions[a].time == motions[b].time and motions[a].end_time == motions[b].end_time:
             before = minus(there, here)
             after = (
                 before[0] + other[0] - move[0],
@@ -201,7 +201,7 @@ def are_swept_bounds_apart(
         where = vec3(scenery.place, w, k)
         drift = vec3(scenery.velocity, w, k)
         begun = motions[a].time * dt
-        rest = (motions[a].until - motions[a].time) * dt
+        rest = (motions[a].end_time - motions[a].time) * dt
         before = (
             here[0] - where[0] - begun * drift[0],
             here[1] - where[1] - begun * drift[1],

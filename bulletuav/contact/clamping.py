@@ -33,14 +33,14 @@ def remove_forces(motion: np.record, time: float) -> None:
     What held it up gave it the speed that gravity takes in the rest of the substep. It would be
     left with that, and heaps would never rest. Forces never speed it up, as it does not move on.
     """
-    push = read_vec3(motion.push)
+    push = read_vec3(motion.velocity_change)
     square = dot(push, push)
     against = -dot(read_vec3(motion.velocity), push)
     if against > 0.0:
         share = min(1.0 - time, against / square)
         write_vec3(motion.velocity, plus(read_vec3(motion.velocity), share, push))
-    write_vec3(motion.push, (0.0, 0.0, 0.0))
-    write_vec3(motion.twist, (0.0, 0.0, 0.0))
+    write_vec3(motion.velocity_change, (0.0, 0.0, 0.0))
+    write_vec3(motion.momentum_change, (0.0, 0.0, 0.0))
 
 
 @func
@@ -66,7 +66,7 @@ def compute_carried_displacement(
             if way != still:
                 return way
     for p in range(count):
-        if space.motions[pairs[p].a].member and may_touch(pairs[p], time):
+        if space.motions[pairs[p].a].in_island and may_touch(pairs[p], time):
             way, _ = compute_path_rates(world.scenery, space.motions, world.w, pairs[p].b, world.dt)
             if pairs[p].b >= world.scenery.first_body and way != still:
                 return way
@@ -80,7 +80,7 @@ def clamp_spent_drones(space: ContactWorkspace, members: int, time: float, way: 
         motion = space.motions[space.island[m]]
         if is_at_impact_limit(motion):
             clamp_motion(motion)
-            write_vec3(motion.move, plus((0.0, 0.0, 0.0), 1.0 - time, way))
+            write_vec3(motion.displacement, plus((0.0, 0.0, 0.0), 1.0 - time, way))
 
 
 @func
@@ -119,7 +119,9 @@ def stop_at_contact(
     point = points[0]
     normal = read_vec3(point.normal)
     arm = read_vec3(point.arm_a)
-    velocity = minus(_compute_path_velocity(space, world, pair.a, arm), read_vec3(point.drift))
+    velocity = minus(
+        _compute_path_velocity(space, world, pair.a, arm), read_vec3(point.obstacle_velocity)
+    )
     if point.b >= 0:
         velocity = minus(
             velocity, _compute_path_velocity(space, world, pair.b, read_vec3(point.arm_b))
@@ -148,6 +150,6 @@ def stop_at_contact(
         for k in range(3):
             motion.velocity[k] = 0.0
             motion.spin[k] = 0.0
-            motion.push[k] = 0.0
-            motion.twist[k] = 0.0
+            motion.velocity_change[k] = 0.0
+            motion.momentum_change[k] = 0.0
     return members

@@ -24,35 +24,35 @@ CONTACT_POINT = record_type(
         ("tangent", "f8", (2, 3)),
         ("arm_a", "f8", 3),
         ("arm_b", "f8", 3),
-        ("lever_a", "f8", (3, 3)),
-        ("lever_b", "f8", (3, 3)),
-        ("swing_a", "f8", (3, 3)),
-        ("swing_b", "f8", (3, 3)),
-        ("drift", "f8", 3),
+        ("jacobian_a", "f8", (3, 3)),
+        ("jacobian_b", "f8", (3, 3)),
+        ("angular_response_a", "f8", (3, 3)),
+        ("angular_response_b", "f8", (3, 3)),
+        ("obstacle_velocity", "f8", 3),
         ("friction", "f8"),
         ("restitution", "f8"),
         ("distance", "f8"),
-        ("approach", "f8"),
-        ("slip", "f8", 3),
-        ("mass", "f8"),
-        ("grip", "f8", 4),
-        ("lift", "f8", 2),
-        ("hold", "f8", (3, 3)),
-        ("least", "f8"),
-        ("axis", "f8", (3, 3)),
-        ("turning_a", "f8", (3, 3)),
-        ("turning_b", "f8", (3, 3)),
-        ("stiff", "f8", 3),
-        ("resist", "f8", 3),
-        ("roll", "f8", 3),
-        ("rolled", "f8", 3),
-        ("slides", "?"),
-        ("damping", "f8"),
+        ("normal_velocity", "f8"),
+        ("relative_velocity", "f8", 3),
+        ("normal_mass", "f8"),
+        ("tangent_mass", "f8", 4),
+        ("coupling", "f8", 2),
+        ("block_mass", "f8", (3, 3)),
+        ("target_velocity", "f8"),
+        ("rolling_axis", "f8", (3, 3)),
+        ("rolling_response_a", "f8", (3, 3)),
+        ("rolling_response_b", "f8", (3, 3)),
+        ("rolling_mass", "f8", 3),
+        ("rolling_limit", "f8", 3),
+        ("rolling_impulse", "f8", 3),
+        ("total_rolling_impulse", "f8", 3),
+        ("is_sliding", "?"),
+        ("tipping_damping", "f8"),
         ("impulse", "f8", 3),
-        ("step", "f8", 3),
-        ("way", "f8", 3),
-        ("total", "f8", 3),
-        ("former", "f8", 3),
+        ("impulse_change", "f8", 3),
+        ("search_direction", "f8", 3),
+        ("total_impulse", "f8", 3),
+        ("saved_impulse", "f8", 3),
     ]
 )
 """A point of contact.
@@ -65,36 +65,36 @@ Attributes:
     tangent: Two unit vectors across it.
     arm_a: From the centre of mass of a to the point, m.
     arm_b: From that of b, m.
-    lever_a: Arms of unit impulses along the normal and the tangents about the centre of a, m.
-    lever_b: The same about that of b, m.
-    swing_a: Changes of the spin of a by these impulses, rad/s.
-    swing_b: The same of b, rad/s.
-    drift: Velocity of what does not yield, m/s.
+    jacobian_a: Arms of unit impulses along the normal and the tangents about the centre of a, m.
+    jacobian_b: The same about that of b, m.
+    angular_response_a: Changes of the spin of a by these impulses, rad/s.
+    angular_response_b: The same of b, rad/s.
+    obstacle_velocity: Velocity of what does not yield, m/s.
     friction: Coefficient of friction.
     restitution: Coefficient of restitution.
     distance: Signed distance of the surfaces along the normal, m.
-    approach: Velocity along the normal before the impact, m/s.
-    slip: Velocity of a against b there, m/s; zeros where it was foreseen.
-    mass: That the point feels along the normal, kg.
-    grip: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22; and
+    normal_velocity: Velocity along the normal before the impact, m/s.
+    relative_velocity: Velocity of a against b there, m/s; zeros where it was foreseen.
+    normal_mass: That the point feels along the normal, kg.
+    tangent_mass: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22; and
         its least eigenvalue, kg.
-    lift: Velocities along the normal by unit impulses across, 1/kg.
-    hold: Inverse of the symmetric 3 x 3 matrix of velocities by impulses, kg.
-    least: Velocity along the normal that must be reached, m/s.
-    axis: Unit vectors about which they do not turn freely: z of a, z of b, and the normal.
-    turning_a: Changes of the spin of a by unit angular impulses about them, rad/s.
-    turning_b: The same of b, rad/s.
-    stiff: Moments of inertia about them, kg m^2.
-    resist: Greatest angular impulses about them, over the normal impulse, m.
-    roll: Angular impulses about the axes, in this pass, N m s.
-    rolled: The same in all passes since `remember_before`, N m s.
-    slides: Whether friction did not hold it in the last sweep.
-    damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
+    coupling: Velocities along the normal by unit impulses across, 1/kg.
+    block_mass: Inverse of the symmetric 3 x 3 matrix of velocities by impulses, kg.
+    target_velocity: Velocity along the normal that must be reached, m/s.
+    rolling_axis: Unit vectors about which they do not turn freely: z of a, z of b, and the normal.
+    rolling_response_a: Changes of the spin of a by unit angular impulses about them, rad/s.
+    rolling_response_b: The same of b, rad/s.
+    rolling_mass: Moments of inertia about them, kg m^2.
+    rolling_limit: Greatest angular impulses about them, over the normal impulse, m.
+    rolling_impulse: Angular impulses about the axes, in this pass, N m s.
+    total_rolling_impulse: The same in all passes since `remember_before`, N m s.
+    is_sliding: Whether friction did not hold it in the last sweep.
+    tipping_damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
     impulse: Along the normal and the tangents, in this pass, N s.
-    step: Change of the impulse in the last sweep, N s.
-    way: Sum of the last changes, each a share of what came after it, N s.
-    total: The same in all passes, N s.
-    former: The same in all passes before `remember_before`, N s.
+    impulse_change: Change of the impulse in the last sweep, N s.
+    search_direction: Sum of the last changes, each a share of what came after it, N s.
+    total_impulse: The same in all passes, N s.
+    saved_impulse: The same in all passes before `remember_before`, N s.
 """
 
 
@@ -118,7 +118,7 @@ def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
 @func
 def apply_inverse_inertia(motion: np.record, v: Vec3Like) -> Vec3:
     """Return the change of spin (rad/s) by an angular impulse (N m s), world axes."""
-    ease = motion.ease
+    ease = motion.inverse_inertia
     return (
         ease[0, 0] * v[0] + ease[0, 1] * v[1] + ease[0, 2] * v[2],
         ease[1, 0] * v[0] + ease[1, 1] * v[1] + ease[1, 2] * v[2],
@@ -129,7 +129,7 @@ def apply_inverse_inertia(motion: np.record, v: Vec3Like) -> Vec3:
 @func
 def set_inverse_mass(motion: np.record, row: np.record) -> None:
     """Set how a drone yields to impulses in its present attitude."""
-    motion.lightness = 1.0 / row.mass
+    motion.inverse_mass = 1.0 / row.mass
     bx, by, bz = axes(read_quaternion(motion))
     inertia = row.inertia
     for k in range(3):
@@ -137,7 +137,7 @@ def set_inverse_mass(motion: np.record, row: np.record) -> None:
             total = bx[k] * bx[m] / inertia[0]
             total += by[k] * by[m] / inertia[1]
             total += bz[k] * bz[m] / inertia[2]
-            motion.ease[k, m] = total
+            motion.inverse_inertia[k, m] = total
 
 
 @func
@@ -161,9 +161,9 @@ def _set_jacobian(
 def _compute_inverse_mass(row: np.record, one: int, two: int, light: float) -> float:
     """Return the velocity along one axis of a point that a unit impulse along another gives."""
     yields = light if one == two else 0.0
-    yields += dot(row.lever_a[one], row.swing_a[two])
+    yields += dot(row.jacobian_a[one], row.angular_response_a[two])
     if row.b >= 0:
-        yields += dot(row.lever_b[one], row.swing_b[two])
+        yields += dot(row.jacobian_b[one], row.angular_response_b[two])
     return yields
 
 
@@ -176,9 +176,9 @@ def _set_block_mass(
     second = (k01, k11, k12)
     third = (k02, k12, k22)
     scale = 1.0 / dot(first, cross(second, third))
-    write_vec3(row.hold[0], plus((0.0, 0.0, 0.0), scale, cross(second, third)))
-    write_vec3(row.hold[1], plus((0.0, 0.0, 0.0), scale, cross(third, first)))
-    write_vec3(row.hold[2], plus((0.0, 0.0, 0.0), scale, cross(first, second)))
+    write_vec3(row.block_mass[0], plus((0.0, 0.0, 0.0), scale, cross(second, third)))
+    write_vec3(row.block_mass[1], plus((0.0, 0.0, 0.0), scale, cross(third, first)))
+    write_vec3(row.block_mass[2], plus((0.0, 0.0, 0.0), scale, cross(first, second)))
 
 
 @kernel
@@ -189,16 +189,25 @@ def prepare_constraint(row: np.record, motions: np.ndarray) -> None:
     write_vec3(row.tangent[0], one)
     write_vec3(row.tangent[1], two)
     for k in range(3):
-        row.total[k] = 0.0
-        row.former[k] = 0.0
+        row.total_impulse[k] = 0.0
+        row.saved_impulse[k] = 0.0
         row.impulse[k] = 0.0
-        row.roll[k] = 0.0
-        row.rolled[k] = 0.0
-    light = motions[row.a].lightness
-    _set_jacobian(motions[row.a], read_vec3(row.arm_a), normal, row, row.lever_a, row.swing_a)
+        row.rolling_impulse[k] = 0.0
+        row.total_rolling_impulse[k] = 0.0
+    light = motions[row.a].inverse_mass
+    _set_jacobian(
+        motions[row.a], read_vec3(row.arm_a), normal, row, row.jacobian_a, row.angular_response_a
+    )
     if row.b >= 0:
-        light += motions[row.b].lightness
-        _set_jacobian(motions[row.b], read_vec3(row.arm_b), normal, row, row.lever_b, row.swing_b)
+        light += motions[row.b].inverse_mass
+        _set_jacobian(
+            motions[row.b],
+            read_vec3(row.arm_b),
+            normal,
+            row,
+            row.jacobian_b,
+            row.angular_response_b,
+        )
     k11 = _compute_inverse_mass(row, 1, 1, light)
     k12 = _compute_inverse_mass(row, 1, 2, light)
     k22 = _compute_inverse_mass(row, 2, 2, light)
@@ -206,14 +215,14 @@ def prepare_constraint(row: np.record, motions: np.ndarray) -> None:
     k01 = _compute_inverse_mass(row, 0, 1, light)
     k02 = _compute_inverse_mass(row, 0, 2, light)
     _set_block_mass(row, k00, k01, k02, k11, k12, k22)
-    row.lift[0], row.lift[1] = k01, k02
-    row.mass = 1.0 / k00
+    row.coupling[0], row.coupling[1] = k01, k02
+    row.normal_mass = 1.0 / k00
     scale = 1.0 / (k11 * k22 - k12 * k12)
-    row.grip[0] = k22 * scale
-    row.grip[1] = -k12 * scale
-    row.grip[2] = k11 * scale
+    row.tangent_mass[0] = k22 * scale
+    row.tangent_mass[1] = -k12 * scale
+    row.tangent_mass[2] = k11 * scale
     spread = math.sqrt((k11 - k22) ** 2 + 4.0 * k12 * k12)
-    row.grip[3] = 2.0 / (k11 + k22 + spread)
+    row.tangent_mass[3] = 2.0 / (k11 + k22 + spread)
 
 
 @func
@@ -226,7 +235,7 @@ def compute_surface_velocity(motion: np.record, arm: Vec3) -> Vec3:
 @func
 def compute_relative_velocity(row: np.record, motions: np.ndarray) -> Vec3:
     """Return the velocity of a's surface against that of b at a point, m/s."""
-    other = read_vec3(row.drift)
+    other = read_vec3(row.obstacle_velocity)
     if row.b >= 0:
         other = compute_surface_velocity(motions[row.b], read_vec3(row.arm_b))
     return minus(compute_surface_velocity(motions[row.a], read_vec3(row.arm_a)), other)
@@ -237,7 +246,12 @@ def read_velocities(row: np.record, motions: np.ndarray) -> BodyVelocities:
     """Return how both bodies of a point move; what does not yield drifts."""
     a = motions[row.a]
     if row.b < 0:
-        return read_vec3(a.velocity), read_vec3(a.spin), read_vec3(row.drift), (0.0, 0.0, 0.0)
+        return (
+            read_vec3(a.velocity),
+            read_vec3(a.spin),
+            read_vec3(row.obstacle_velocity),
+            (0.0, 0.0, 0.0),
+        )
     b = motions[row.b]
     return read_vec3(a.velocity), read_vec3(a.spin), read_vec3(b.velocity), read_vec3(b.spin)
 
@@ -255,9 +269,9 @@ def write_velocities(row: np.record, motions: np.ndarray, moving: BodyVelocities
 @func
 def compute_axis_velocity(row: np.record, moving: BodyVelocities, k: int, axis: Vec3) -> float:
     """Return the velocity of a's surface against that of b along axis k of a point, m/s."""
-    speed = dot(moving[0], axis) + dot(moving[1], point(row.lever_a, k)) - dot(moving[2], axis)
+    speed = dot(moving[0], axis) + dot(moving[1], point(row.jacobian_a, k)) - dot(moving[2], axis)
     if row.b >= 0:
-        speed -= dot(moving[3], point(row.lever_b, k))
+        speed -= dot(moving[3], point(row.jacobian_b, k))
     return speed
 
 
@@ -267,9 +281,9 @@ def apply_axis_impulse(
 ) -> BodyVelocities:
     """Return how both bodies of a point move after an impulse along its axis k, N s."""
     velocity_a, spin_a, velocity_b, spin_b = moving
-    velocity_a = plus(velocity_a, impulse * motions[row.a].lightness, axis)
-    spin_a = plus(spin_a, impulse, point(row.swing_a, k))
+    velocity_a = plus(velocity_a, impulse * motions[row.a].inverse_mass, axis)
+    spin_a = plus(spin_a, impulse, point(row.angular_response_a, k))
     if row.b >= 0:
-        velocity_b = plus(velocity_b, -impulse * motions[row.b].lightness, axis)
-        spin_b = plus(spin_b, -impulse, point(row.swing_b, k))
+        velocity_b = plus(velocity_b, -impulse * motions[row.b].inverse_mass, axis)
+        spin_b = plus(spin_b, -impulse, point(row.angular_response_b, k))
     return velocity_a, spin_a, velocity_b, spin_b

@@ -317,9 +317,9 @@ def _record_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarr
             )
         )
         for i in range(alive.shape[1]):
-            space.motions[i].due = moved[w, i] and alive[w, i]
+            space.motions[i].is_due = moved[w, i] and alive[w, i]
             space.motions[i].reach = 0.0
-            space.motions[i].begun = False
+            space.motions[i].is_started = False
         sort_drones(space.order, swarm.position, w)
         pairs, count = find_pairs(space, world, swarm, space.order)
         for p in range(count):

@@ -31,7 +31,7 @@ def find_reference_velocity(points: np.ndarray, size: int) -> Vec3:
     """Return the velocity of what does not yield, or zeros, m/s."""
     for k in range(size):
         if points[k].b < 0:
-            return read_vec3(points[k].drift)
+            return read_vec3(points[k].obstacle_velocity)
     return 0.0, 0.0, 0.0
 
 
@@ -40,11 +40,11 @@ def save_velocities(space: ContactWorkspace, members: int, points: np.ndarray, s
     """Keep velocities and impulses as they are before passes that may gain energy."""
     for m in range(members):
         motion = space.motions[space.island[m]]
-        write_vec3(motion.before[0], motion.velocity)
-        write_vec3(motion.before[1], motion.spin)
+        write_vec3(motion.saved_velocities[0], motion.velocity)
+        write_vec3(motion.saved_velocities[1], motion.spin)
     for k in range(size):
-        write_vec3(points[k].former, points[k].total)
-        write_vec3(points[k].rolled, (0.0, 0.0, 0.0))
+        write_vec3(points[k].saved_impulse, points[k].total_impulse)
+        write_vec3(points[k].total_rolling_impulse, (0.0, 0.0, 0.0))
 
 
 @kernel
@@ -52,10 +52,10 @@ def reopen_impulses(points: np.ndarray, count: int) -> None:
     """Take the impulses since `save_velocities` from the totals, to be found again."""
     for k in range(count):
         for m in range(3):
-            points[k].impulse[m] = points[k].total[m] - points[k].former[m]
-            points[k].total[m] = points[k].former[m]
-            points[k].roll[m] = points[k].rolled[m]
-            points[k].rolled[m] = 0.0
+            points[k].impulse[m] = points[k].total_impulse[m] - points[k].saved_impulse[m]
+            points[k].total_impulse[m] = points[k].saved_impulse[m]
+            points[k].rolling_impulse[m] = points[k].total_rolling_impulse[m]
+            points[k].total_rolling_impulse[m] = 0.0
 
 
 @kernel
@@ -63,8 +63,8 @@ def accumulate_impulses(points: np.ndarray, count: int) -> None:
     """Add the impulses of a pass to the totals."""
     for k in range(count):
         for m in range(3):
-            points[k].total[m] += points[k].impulse[m]
-            points[k].rolled[m] += points[k].roll[m]
+            points[k].total_impulse[m] += points[k].impulse[m]
+            points[k].total_rolling_impulse[m] += points[k].rolling_impulse[m]
 
 
 @func
@@ -97,7 +97,7 @@ def _compute_work(
     for m in range(members):
         motion = space.motions[space.island[m]]
         mass = world.parameters[world.w, space.island[m]].mass
-        total += mass * rest * dot(motion.push, minus(read_vec3(motion.velocity), frame))
+        total += mass * rest * dot(motion.velocity_change, minus(read_vec3(motion.velocity), frame))
     return total
 
 
@@ -133,21 +133,21 @@ def limit_energy(
         return
     for m in range(members):
         motion = motions[space.island[m]]
-        write_vec3(motion.after[0], motion.velocity)
-        write_vec3(motion.after[1], motion.spin)
-        write_vec3(motion.velocity, motion.before[0])
-        write_vec3(motion.spin, motion.before[1])
+        write_vec3(motion.unlimited_velocities[0], motion.velocity)
+        write_vec3(motion.unlimited_velocities[1], motion.spin)
+        write_vec3(motion.velocity, motion.saved_velocities[0])
+        write_vec3(motion.spin, motion.saved_velocities[1])
     # Later passes do not ask for it again
     for k in range(size):
-        points[k].least = min(points[k].least, 0.0)
+        points[k].target_velocity = min(points[k].target_velocity, 0.0)
     solve_constraints(points, size, motions, world.dt, TIGHT_TOLERANCE, COLD_START)
     had += _compute_work(space, world, members, frame, rest)
     calm = compute_kinetic_energy(space, world, members, frame, 0.0)
     half = 0.0
     for m in range(members):
         motion = motions[space.island[m]]
-        velocity = _interpolate(motion.velocity, motion.after[0], 0.5)
-        spin = _interpolate(motion.spin, motion.after[1], 0.5)
+        velocity = _interpolate(motion.velocity, motion.unlimited_velocities[0], 0.5)
+        spin = _interpolate(motion.spin, motion.unlimited_velocities[1], 0.5)
         half += _compute_body_energy(
             motion, velocity, spin, frame, world.parameters[world.w, space.island[m]]
         )
@@ -161,11 +161,15 @@ def limit_energy(
         share = min(1.0, max(0.0, 2.0 * left / (linear + root)))
     for m in range(members):
         motion = motions[space.island[m]]
-        write_vec3(motion.velocity, _interpolate(motion.velocity, motion.after[0], share))
-        write_vec3(motion.spin, _interpolate(motion.spin, motion.after[1], share))
+        write_vec3(
+            motion.velocity, _interpolate(motion.velocity, motion.unlimited_velocities[0], share)
+        )
+        write_vec3(motion.spin, _interpolate(motion.spin, motion.unlimited_velocities[1], share))
     for k in range(size):
         point = points[k]
         for m in range(3):
-            stopping = point.former[m] + point.impulse[m]
-            point.total[m] = stopping + share * (point.total[m] - stopping)
-            point.rolled[m] = point.roll[m] + share * (point.rolled[m] - point.roll[m])
+            stopping = point.saved_impulse[m] + point.impulse[m]
+            point.total_impulse[m] = stopping + share * (point.total_impulse[m] - stopping)
+            point.total_rolling_impulse[m] = point.rolling_impulse[m] + share * (
+                point.total_rolling_impulse[m] - point.rolling_impulse[m]
+            )

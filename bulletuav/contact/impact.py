@@ -62,7 +62,9 @@ UNCONSTRAINED_VELOCITY = -1e9
 @func
 def _needs_restitution(point: np.record) -> bool:
     """Tell whether a point is in touch and closes fast enough to rebound."""
-    found: bool = point.distance <= MAX_CONTACT_DISTANCE and point.approach < -RESTITUTION_THRESHOLD
+    found: bool = (
+        point.distance <= MAX_CONTACT_DISTANCE and point.normal_velocity < -RESTITUTION_THRESHOLD
+    )
     return found
 
 
@@ -83,15 +85,15 @@ def _apply_restitution(
     slow = True
     for k in range(size):
         point = points[k]
-        point.least = UNCONSTRAINED_VELOCITY
+        point.target_velocity = UNCONSTRAINED_VELOCITY
         if point.distance > MAX_CONTACT_DISTANCE:
             continue
-        point.least = 0.0
-        closes = closes or point.approach < -MIN_CLOSING_SPEED
+        point.target_velocity = 0.0
+        closes = closes or point.normal_velocity < -MIN_CLOSING_SPEED
         if _needs_restitution(point):
             slow = False
             lively = lively or point.restitution > 0.0
-            point.least = -point.restitution * point.approach
+            point.target_velocity = -point.restitution * point.normal_velocity
     if lively:
         frame = find_reference_velocity(points, size)
         had = compute_kinetic_energy(space, world, members, frame, 0.0)
@@ -124,16 +126,16 @@ def _set_target_velocities(pairs: np.ndarray, points: np.ndarray, size: int, dt:
         rate = 1.0 / max(dt, deepest / MAX_PUSH_OUT_SPEED)
         for m in range(k, end):
             point = points[m]
-            point.least = rate * (TARGET_SEPARATION - point.distance)
-            if pairs[point.pair].leans and deepest <= TARGET_SEPARATION:
-                point.least = min(0.0, point.least)
+            point.target_velocity = rate * (TARGET_SEPARATION - point.distance)
+            if pairs[point.pair].is_on_sleeper and deepest <= TARGET_SEPARATION:
+                point.target_velocity = min(0.0, point.target_velocity)
             # What rebounds when it arrives is left to its own impact
             if (
                 point.distance > MAX_CONTACT_DISTANCE
                 and point.restitution > 0.0
-                and point.approach < -RESTITUTION_THRESHOLD
+                and point.normal_velocity < -RESTITUTION_THRESHOLD
             ):
-                point.least = UNCONSTRAINED_VELOCITY
+                point.target_velocity = UNCONSTRAINED_VELOCITY
         k = end
 
 
@@ -143,9 +145,9 @@ def apply_forces(space: ContactWorkspace, members: int, time: float, sign: float
     rest = sign * (1.0 - time)
     for m in range(members):
         motion = space.motions[space.island[m]]
-        spun = apply_inverse_inertia(motion, read_vec3(motion.twist))
+        spun = apply_inverse_inertia(motion, read_vec3(motion.momentum_change))
         for k in range(3):
-            motion.velocity[k] += rest * motion.push[k]
+            motion.velocity[k] += rest * motion.velocity_change[k]
             motion.spin[k] += rest * spun[k]
 
 
@@ -156,11 +158,11 @@ def _use_mean_velocity(motion: np.record, time: float, dt: float) -> None:
     `start_segment` takes that at the end, which is 1 % too far in a slide that begins.
     """
     rest = 1.0 - time
-    share = (motion.until - time) / rest if rest > 0.0 else 0.0
+    share = (motion.end_time - time) / rest if rest > 0.0 else 0.0
     for k in range(3):
-        began = motion.before[0, k] - rest * motion.push[k]
+        began = motion.saved_velocities[0, k] - rest * motion.velocity_change[k]
         mean = began + 0.5 * share * (motion.velocity[k] - began)
-        motion.move[k] = (motion.until - time) * dt * mean
+        motion.displacement[k] = (motion.end_time - time) * dt * mean
 
 
 @func
@@ -197,9 +199,9 @@ def _solve_resting_contacts(
     alone = members == 1
     held = False
     for p in range(count):
-        alone = alone and not (pairs[p].joins and pairs[p].leans)
-        bears = pairs[p].leans or pairs[p].b >= motions.shape[0]
-        held = held or (pairs[p].joins and bears)
+        alone = alone and not (pairs[p].in_impact and pairs[p].is_on_sleeper)
+        bears = pairs[p].is_on_sleeper or pairs[p].b >= motions.shape[0]
+        held = held or (pairs[p].in_impact and bears)
     for trial in range(MAX_SPECULATIVE_PASSES + 1):
         if trial == 0:
             warm_start_impulses(memory, motions, radii, world.w, points, pairs, size, 1.0 - time)
@@ -232,7 +234,7 @@ def _solve_resting_contacts(
         before = size
         if trial < MAX_SPECULATIVE_PASSES and (1.0 - time) * world.dt > MIN_SPECULATIVE_TIME:
             for p in range(count):
-                if pairs[p].joins and find_speculative_point(
+                if pairs[p].in_impact and find_speculative_point(
                     space, world, pairs[p], time, points[size]
                 ):
                     points[size].pair = p
@@ -250,12 +252,14 @@ def _record_point(
 ) -> None:
     """Tell a point of contact, for both sides if both are drones."""
     place = plus(read_vec3(space.motions[point.a].position), 1.0, read_vec3(point.arm_a))
-    normal, velocity = read_vec3(point.normal), read_vec3(point.slip)
-    record_contact(touches, w, point.a, other, point.total[0], place, normal, velocity, 0.0, 1.0)
+    normal, velocity = read_vec3(point.normal), read_vec3(point.relative_velocity)
+    record_contact(
+        touches, w, point.a, other, point.total_impulse[0], place, normal, velocity, 0.0, 1.0
+    )
     # Also who sleeps and bears it
     if other < space.motions.shape[0]:
         record_contact(
-            touches, w, other, point.a, point.total[0], place, normal, velocity, 0.0, -1.0
+            touches, w, other, point.a, point.total_impulse[0], place, normal, velocity, 0.0, -1.0
         )
 
 
@@ -263,9 +267,9 @@ def _record_point(
 def _add_load(motion: np.record, point: np.record) -> None:
     """Add the impulse of a point to what a sleeper bears."""
     normal = read_vec3(point.normal)
-    pressed = plus((0.0, 0.0, 0.0), -point.total[0], normal)
-    pressed = plus(pressed, -point.total[1], read_vec3(point.tangent[0]))
-    pressed = plus(pressed, -point.total[2], read_vec3(point.tangent[1]))
+    pressed = plus((0.0, 0.0, 0.0), -point.total_impulse[0], normal)
+    pressed = plus(pressed, -point.total_impulse[1], read_vec3(point.tangent[0]))
+    pressed = plus(pressed, -point.total_impulse[2], read_vec3(point.tangent[1]))
     turned = cross(read_vec3(point.arm_b), pressed)
     for k in range(3):
         motion.load[0, k] += pressed[k]
@@ -303,28 +307,28 @@ def resolve_impact(
     # Points of all pairs of the island that are in touch
     most = 0
     for p in range(count):
-        pairs[p].joins = is_pair_in_island(motions, pairs[p]) and may_touch(pairs[p], time)
-        if pairs[p].joins:
+        pairs[p].in_impact = is_pair_in_island(motions, pairs[p]) and may_touch(pairs[p], time)
+        if pairs[p].in_impact:
             most += MOST_POINTS + MAX_SPECULATIVE_PASSES
     points = np.empty(most, dtype=CONTACT_POINT)
     size = 0
     for p in range(count):
         more = size
-        if pairs[p].joins:
+        if pairs[p].in_impact:
             more = add_contact_points(space, world, pairs[p], time, points, size)
         for k in range(size, more):
             points[k].pair = p
-        pairs[p].joins = more > size
+        pairs[p].in_impact = more > size
         size = more
     slow = _apply_restitution(space, world, members, points, size)
     size = _solve_resting_contacts(space, world, pairs, count, members, points, size, time, slow)
     for k in range(size):
         # Who parts was near, but touches nothing
-        if points[k].total[0] <= 0.0 and points[k].approach >= -MIN_APPROACH_SPEED:
+        if points[k].total_impulse[0] <= 0.0 and points[k].normal_velocity >= -MIN_APPROACH_SPEED:
             continue
         other = pairs[points[k].pair].b
         _record_point(touches, space, world.w, points[k], other)
-        if other < motions.shape[0] and motions[other].bears:
+        if other < motions.shape[0] and motions[other].is_static:
             _add_load(motions[other], points[k])
     clamp_spent_drones(space, members, time, way)
     return members

@@ -22,11 +22,11 @@ def add_to_island(
     space: ContactWorkspace, world: ContactWorld, members: int, i: int, time: float
 ) -> int:
     """Bring a drone to the time of an impact, as one of its island; returns how many there are."""
-    if i >= world.scenery.first_body or space.motions[i].member:
+    if i >= world.scenery.first_body or space.motions[i].in_island:
         return members
     motion = space.motions[i]
     row = world.parameters[world.w, i]
-    motion.member = True
+    motion.in_island = True
     space.island[members] = i
     advance_motion(motion, time, row)
     set_inverse_mass(motion, row)
@@ -36,7 +36,7 @@ def add_to_island(
 @func
 def may_touch(pair: np.record, time: float) -> bool:
     """Tell whether a pair may be in touch at a time."""
-    found: bool = pair.held or pair.near or pair.time <= time
+    found: bool = pair.has_touched or pair.in_contact or pair.impact_time <= time
     return found
 
 
@@ -46,9 +46,9 @@ def is_pair_in_island(motions: np.ndarray, pair: np.record) -> bool:
 
     Others were measured when it was gathered, and are not in touch.
     """
-    if not motions[pair.a].member:
+    if not motions[pair.a].in_island:
         return False
-    found: bool = pair.b >= motions.shape[0] or pair.leans or motions[pair.b].member
+    found: bool = pair.b >= motions.shape[0] or pair.is_on_sleeper or motions[pair.b].in_island
     return found
 
 
@@ -65,7 +65,7 @@ def _is_one_static(motions: np.ndarray, pair: np.record) -> bool:
     """Tell whether one of two drones sleeps and bears the other."""
     if pair.b >= motions.shape[0]:
         return False
-    found: bool = motions[pair.a].bears != motions[pair.b].bears
+    found: bool = motions[pair.a].is_static != motions[pair.b].is_static
     return found
 
 
@@ -92,16 +92,16 @@ def _add_drone_on_sleeper(
     Returns the number of members.
     """
     motions = space.motions
-    if motions[pair.a].bears:
+    if motions[pair.a].is_static:
         _swap_bodies(pair)
     members = add_to_island(space, world, members, pair.a, time)
     distance, normal, on_a, _ = measure_pair(space, world, pair, time)
-    pair.leans = True
+    pair.is_on_sleeper = True
     if distance <= MAX_CONTACT_DISTANCE and _is_hit(motions, pair, normal, on_a):
         for i in range(motions.shape[0]):
-            motions[i].bears = False
+            motions[i].is_static = False
         for p in range(count):
-            pairs[p].leans = False
+            pairs[p].is_on_sleeper = False
         members = add_to_island(space, world, members, pair.b, time)
     return members
 
@@ -121,7 +121,7 @@ def build_island(
     """
     motions = space.motions
     for p in range(count):
-        pairs[p].leans = False
+        pairs[p].is_on_sleeper = False
     if _is_one_static(motions, pairs[first]):
         members = _add_drone_on_sleeper(space, world, pairs, count, pairs[first], 0, time)
     else:
@@ -134,11 +134,11 @@ def build_island(
             pair = pairs[p]
             if pair.b >= world.scenery.first_body or not may_touch(pair, time):
                 continue
-            if pair.leans or motions[pair.a].member == motions[pair.b].member:
+            if pair.is_on_sleeper or motions[pair.a].in_island == motions[pair.b].in_island:
                 continue
             if _is_one_static(motions, pair):
                 members = _add_drone_on_sleeper(space, world, pairs, count, pair, members, time)
-                grown = grown or not pair.leans
+                grown = grown or not pair.is_on_sleeper
                 continue
             distance, _, _, _ = measure_pair(space, world, pair, time)
             if distance <= MAX_CONTACT_DISTANCE:

@@ -77,7 +77,7 @@ class ContactWorkspace(NamedTuple):
     island: np.ndarray
     order: np.ndarray
     pairs: np.ndarray
-    room: np.ndarray
+    scratch: np.ndarray
     found: np.ndarray
 
 
@@ -88,7 +88,7 @@ def make_contact_workspace(num_drones: int) -> ContactWorkspace:
         island=np.zeros(num_drones, dtype=np.int64),
         order=np.zeros(num_drones, dtype=np.int64),
         pairs=np.zeros(INITIAL_PAIR_CAPACITY, dtype=PAIR),
-        room=make_room(),
+        scratch=make_room(),
         found=np.zeros((MOST_POINTS, 4)),
     )
 
@@ -140,7 +140,7 @@ def measure_pair(
         time,
         world.dt,
         guess,
-        space.room,
+        space.scratch,
         world.stops,
     )
     if world.stops and pair.b != world.scenery.ground and distance > 0.0:
@@ -166,14 +166,14 @@ def measure_pair(
 
 
 @func
-def get_surface_coefficients(world: ContactWorld, who: int) -> tuple[float, float]:
+def get_surface_coefficients(world: ContactWorld, shape: int) -> tuple[float, float]:
     """Return the coefficients of friction and restitution of someone."""
     scenery = world.scenery
-    if who < scenery.first_body:
-        row = world.parameters[world.w, who]
+    if shape < scenery.first_body:
+        row = world.parameters[world.w, shape]
         return row.friction, row.restitution
-    if who < scenery.first_piece:
-        k = who - scenery.first_body
+    if shape < scenery.first_piece:
+        k = shape - scenery.first_body
         return scenery.friction[k], scenery.restitution[k]
     return world.friction, world.restitution
 
@@ -205,7 +205,7 @@ def compute_pair_surface(
     axis_b = (0.0, 0.0, 0.0)
     if b < scenery.first_body:
         # A sleeper does not yield, but resists rolling about its own axis
-        other = -1 if space.motions[b].bears else b
+        other = -1 if space.motions[b].is_static else b
         axis_b = axes(read_quaternion(space.motions[b]))[2]
         resist_b = (
             ROLLING_RESISTANCE * table.half[b, 0] if _has_rolling_resistance(table.kind[b]) else 0.0
@@ -239,14 +239,14 @@ def compute_pair_surface(
 def _set_rolling_axis(motions: np.ndarray, point: np.record, side: int, axis: Vec3) -> None:
     """Set an axis about which a point resists turning."""
     turning = apply_inverse_inertia(motions[point.a], axis)
-    write_vec3(point.turning_a[side], turning)
+    write_vec3(point.rolling_response_a[side], turning)
     yields = dot(axis, turning)
     if point.b >= 0:
         turning = apply_inverse_inertia(motions[point.b], axis)
-        write_vec3(point.turning_b[side], turning)
+        write_vec3(point.rolling_response_b[side], turning)
         yields += dot(axis, turning)
-    write_vec3(point.axis[side], axis)
-    point.stiff[side] = 1.0 / yields
+    write_vec3(point.rolling_axis[side], axis)
+    point.rolling_mass[side] = 1.0 / yields
 
 
 @func
@@ -255,11 +255,11 @@ def fill_constraint(motions: np.ndarray, point: np.record, surface: PairSurface)
     a, b, drift, friction, restitution, damping, resist, axis_b = surface
     point.a = a
     point.b = b
-    write_vec3(point.drift, drift)
+    write_vec3(point.obstacle_velocity, drift)
     point.friction = friction
     point.restitution = restitution
-    point.damping = damping
-    write_vec3(point.resist, resist)
+    point.tipping_damping = damping
+    write_vec3(point.rolling_limit, resist)
     prepare_constraint(point, motions)
     if resist[0] > 0.0:
         _set_rolling_axis(motions, point, 0, axes(read_quaternion(motions[a]))[2])
@@ -286,8 +286,8 @@ def add_contact_points(
     if distance > MAX_CONTACT_DISTANCE:
         return size
     # From now on it counts as a touch anew only when it gets closer than now
-    pair.held = True
-    pair.floor = (
+    pair.has_touched = True
+    pair.target_distance = (
         0.25 * min(distance, CONTACT_DISTANCE)
         if distance > 0.5 * MAX_EXTRA_PENETRATION
         else distance - MAX_EXTRA_PENETRATION
@@ -307,7 +307,7 @@ def add_contact_points(
         on_b,
         MAX_POINT_DISTANCE,
         space.found,
-        space.room,
+        space.scratch,
     )
     surface = compute_pair_surface(space, world, a, b, found)
     motions = space.motions
@@ -320,6 +320,6 @@ def add_contact_points(
         fill_constraint(motions, point, surface)
         point.distance = space.found[m, 3]
         moving = compute_relative_velocity(point, motions)
-        write_vec3(point.slip, moving)
-        point.approach = dot(moving, normal)
+        write_vec3(point.relative_velocity, moving)
+        point.normal_velocity = dot(moving, normal)
     return size + found

@@ -140,7 +140,7 @@ def are_bounds_clear(
     drones = world.alive.shape[1]
     for i in range(drones):
         motion = space.motions[i]
-        if not motion.due:
+        if not motion.is_due:
             continue
         if end.position[w, i, 2] < radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN:
             return False

@@ -69,7 +69,7 @@ def measure_support(
     own = axes(quat4(swarm.quaternion, world.w, i))
     offset = minus(place, vec3(swarm.position, world.w, i))
     nowhere = (0.0, 0.0, 0.0)
-    _, normal, on_a, on_b = gap(table, i, own, other, turn, offset, nowhere, space.room)
+    _, normal, on_a, on_b = gap(table, i, own, other, turn, offset, nowhere, space.scratch)
     found = contact_points(
         table,
         i,
@@ -82,7 +82,7 @@ def measure_support(
         on_b,
         MAX_BASE_DISTANCE,
         space.found,
-        space.room,
+        space.scratch,
     )
     if found < MIN_BASE_POINTS:
         return

@@ -208,7 +208,7 @@ def find_time_apart(
     count: int,
     normal: Vec3,
     distance: float,
-    floor: float,
+    min_distance: float,
     step: float,
     rest: float,
 ) -> float:
@@ -233,7 +233,7 @@ def find_time_apart(
     Returns:
         Share of the substep, at least `step`.
     """
-    left = distance - floor
+    left = distance - min_distance
     for k in range(3 - count, 3):
         plane = planes[k]
         bend = plane[2]
@@ -246,11 +246,13 @@ def find_time_apart(
             ahead = rotate_normal(plane, normal, span)
             later, _, _ = measure_along_direction(scenery, motions, w, a, b, time + span, dt, ahead)
             dip = bend * span * span
-            if later >= floor and (left >= 4.0 * dip or min(distance, later) - dip >= floor):
+            if later >= min_distance and (
+                left >= 4.0 * dip or min(distance, later) - dip >= min_distance
+            ):
                 step = span
                 break
             # Who is too close there comes so by a parabola, or sooner
-            part = 0.5 if later >= floor else 0.9 * math.sqrt(left / (distance - later))
+            part = 0.5 if later >= min_distance else 0.9 * math.sqrt(left / (distance - later))
             span = min(reach, part * span)
     return step
 
@@ -275,8 +277,8 @@ def is_separated_by_plane(
     a: int,
     b: int,
     start: float,
-    least: float,
-    floor: float,
+    start_distance: float,
+    min_distance: float,
     dt: float,
     normal: Vec3,
 ) -> bool:
@@ -298,11 +300,11 @@ def is_separated_by_plane(
         return False
     end = min(get_segment_end(scenery, motions, a), get_segment_end(scenery, motions, b))
     before, _, _ = measure_along_direction(scenery, motions, w, a, b, start, dt, normal)
-    if before <= max(least, floor):
+    if before <= max(start_distance, min_distance):
         return False
     after, _, _ = measure_along_direction(scenery, motions, w, a, b, end, dt, normal)
     move_a, turn_a = compute_path_rates(scenery, motions, w, a, dt)
     move_b, turn_b = compute_path_rates(scenery, motions, w, b, dt)
     radii = scenery.table.radius[a], scenery.table.radius[b]
     _, _, bend, _ = bound_fixed_plane(radii, normal, minus(move_a, move_b), turn_a, turn_b)
-    return min(before, after) - bend * (end - start) ** 2 > floor
+    return min(before, after) - bend * (end - start) ** 2 > min_distance

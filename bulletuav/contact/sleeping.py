@@ -145,7 +145,7 @@ def _is_overloaded(contact: ContactState, world: ContactWorld, i: int) -> bool:
     motion = contact.space.motions[i]
     load = contact.load[world.w, i]
     given = motion.load
-    if not motion.begun or not motion.bears or np.isnan(load[0]):
+    if not motion.is_started or not motion.is_static or np.isnan(load[0]):
         return False
     if dot(point(given, 0), point(given, 0)) == 0.0:
         return False
@@ -166,8 +166,8 @@ def _is_support_safe(contact: ContactState, world: ContactWorld, i: int) -> bool
         return False
     motion = contact.space.motions[i]
     scale = 1.0 / world.dt
-    acceleration = plus((0.0, 0.0, 0.0), scale, read_vec3(motion.push))
-    torque = plus((0.0, 0.0, 0.0), scale, read_vec3(motion.twist))
+    acceleration = plus((0.0, 0.0, 0.0), scale, read_vec3(motion.velocity_change))
+    torque = plus((0.0, 0.0, 0.0), scale, read_vec3(motion.momentum_change))
     _, borne = compute_support_force(
         support, world.parameters[world.w, i].mass, acceleration, torque
     )

@@ -52,8 +52,8 @@ def _compute_friction_against_slip(
     row: np.record, along: float, across: float
 ) -> tuple[float, float, float]:
     """Return friction along the tangents that grows against a slip (m/s), and its size, N s."""
-    first = row.impulse[1] - row.grip[3] * along
-    second = row.impulse[2] - row.grip[3] * across
+    first = row.impulse[1] - row.tangent_mass[3] * along
+    second = row.impulse[2] - row.tangent_mass[3] * across
     return first, second, math.sqrt(first * first + second * second)
 
 
@@ -65,16 +65,16 @@ def _update_friction(row: np.record, motions: np.ndarray, moving: BodyVelocities
     along = compute_axis_velocity(row, moving, 1, one)
     across = compute_axis_velocity(row, moving, 2, two)
     # What would stop the slip
-    first = row.impulse[1] - (row.grip[0] * along + row.grip[1] * across)
-    second = row.impulse[2] - (row.grip[1] * along + row.grip[2] * across)
+    first = row.impulse[1] - (row.tangent_mass[0] * along + row.tangent_mass[1] * across)
+    second = row.impulse[2] - (row.tangent_mass[1] * along + row.tangent_mass[2] * across)
     most = row.friction * max(0.0, row.impulse[0])
     size = math.sqrt(first * first + second * second)
-    row.slides = False
+    row.is_sliding = False
     if size > most:
         # More than the normal impulse allows: as much as it does, against the slip
         first, second, size = _compute_friction_against_slip(row, along, across)
         if size > most:
-            row.slides = True
+            row.is_sliding = True
             first *= most / size
             second *= most / size
     moving = apply_axis_impulse(row, motions, moving, 1, one, first - row.impulse[1])
@@ -89,18 +89,18 @@ def _update_rolling_resistance(row: np.record, moving: BodyVelocities) -> BodyVe
     """Let angular impulses about the axes of a point resist that its bodies roll or pivot."""
     velocity_a, spin_a, velocity_b, spin_b = moving
     for side in range(3):
-        if row.resist[side] == 0.0:
+        if row.rolling_limit[side] == 0.0:
             continue
-        axis = read_vec3(row.axis[side])
+        axis = read_vec3(row.rolling_axis[side])
         spin = minus(spin_a, spin_b)
-        most = row.resist[side] * max(0.0, row.impulse[0])
-        wanted = row.roll[side] - row.stiff[side] * dot(spin, axis)
+        most = row.rolling_limit[side] * max(0.0, row.impulse[0])
+        wanted = row.rolling_impulse[side] - row.rolling_mass[side] * dot(spin, axis)
         wanted = min(max(wanted, -most), most)
-        change = wanted - row.roll[side]
-        row.roll[side] = wanted
-        spin_a = plus(spin_a, change, point(row.turning_a, side))
+        change = wanted - row.rolling_impulse[side]
+        row.rolling_impulse[side] = wanted
+        spin_a = plus(spin_a, change, point(row.rolling_response_a, side))
         if row.b >= 0:
-            spin_b = plus(spin_b, -change, point(row.turning_b, side))
+            spin_b = plus(spin_b, -change, point(row.rolling_response_b, side))
     return velocity_a, spin_a, velocity_b, spin_b
 
 
@@ -116,8 +116,8 @@ def _apply_angular_impulse(motion: np.record, twist: Vec3, sign: float) -> None:
 def _update_normal(row: np.record, motions: np.ndarray, moving: BodyVelocities) -> BodyVelocities:
     """Let a point push its surfaces apart, and return how its bodies move then."""
     normal = read_vec3(row.normal)
-    missing = row.least - compute_axis_velocity(row, moving, 0, normal)
-    pressed = max(0.0, row.impulse[0] + row.mass * missing)
+    missing = row.target_velocity - compute_axis_velocity(row, moving, 0, normal)
+    pressed = max(0.0, row.impulse[0] + row.normal_mass * missing)
     change = pressed - row.impulse[0]
     row.impulse[0] = pressed
     return apply_axis_impulse(row, motions, moving, 0, normal, change)
@@ -129,14 +129,14 @@ def _update_sticking(
 ) -> tuple[bool, BodyVelocities]:
     """Stop a point along all of its axes at once, if friction can hold it; tells whether it can."""
     missing = (
-        row.least - compute_axis_velocity(row, moving, 0, read_vec3(row.normal)),
+        row.target_velocity - compute_axis_velocity(row, moving, 0, read_vec3(row.normal)),
         -compute_axis_velocity(row, moving, 1, read_vec3(row.tangent[0])),
         -compute_axis_velocity(row, moving, 2, read_vec3(row.tangent[1])),
     )
     change = (
-        dot(point(row.hold, 0), missing),
-        dot(point(row.hold, 1), missing),
-        dot(point(row.hold, 2), missing),
+        dot(point(row.block_mass, 0), missing),
+        dot(point(row.block_mass, 1), missing),
+        dot(point(row.block_mass, 2), missing),
     )
     wanted = plus(read_vec3(row.impulse), 1.0, change)
     square = wanted[1] * wanted[1] + wanted[2] * wanted[2]
@@ -174,16 +174,16 @@ def _update_sliding(
     first *= row.friction / size
     second *= row.friction / size
     # Less where friction presses, but such a point would do more than others bear
-    yields = 1.0 / row.mass + max(0.0, row.lift[0] * first + row.lift[1] * second)
-    missing = row.least - compute_axis_velocity(row, moving, 0, read_vec3(row.normal))
+    yields = 1.0 / row.normal_mass + max(0.0, row.coupling[0] * first + row.coupling[1] * second)
+    missing = row.target_velocity - compute_axis_velocity(row, moving, 0, read_vec3(row.normal))
     # What turns friction into that direction lifts, too
-    missing -= row.lift[0] * (row.impulse[0] * first - row.impulse[1])
-    missing -= row.lift[1] * (row.impulse[0] * second - row.impulse[2])
+    missing -= row.coupling[0] * (row.impulse[0] * first - row.impulse[1])
+    missing -= row.coupling[1] * (row.impulse[0] * second - row.impulse[2])
     pressed = max(0.0, row.impulse[0] + missing / yields)
     wanted = (pressed, pressed * first, pressed * second)
     change = minus(wanted, read_vec3(row.impulse))
     write_vec3(row.impulse, wanted)
-    row.slides = True
+    row.is_sliding = True
     return True, _apply_impulse(row, motions, moving, change)
 
 
@@ -196,17 +196,20 @@ def _update_row(row: np.record, motions: np.ndarray, at_once: bool) -> None:
     old = read_vec3(row.impulse)
     moving = read_velocities(row, motions)
     none = (0.0, 0.0, 0.0)
-    acts = old != none or read_vec3(row.roll) != none
+    acts = old != none or read_vec3(row.rolling_impulse) != none
     # Most points do nothing and have nothing to do
-    if not acts and compute_axis_velocity(row, moving, 0, read_vec3(row.normal)) >= row.least:
-        write_vec3(row.step, none)
+    if (
+        not acts
+        and compute_axis_velocity(row, moving, 0, read_vec3(row.normal)) >= row.target_velocity
+    ):
+        write_vec3(row.impulse_change, none)
         return
     done = False
     if row.friction > 0.0:
         if acts:
             moving = _update_rolling_resistance(row, moving)
         # Who slid a moment ago will hardly stick
-        if not row.slides:
+        if not row.is_sliding:
             done, moving = _update_sticking(row, motions, moving)
         if not done and at_once:
             done, moving = _update_sliding(row, motions, moving)
@@ -215,7 +218,7 @@ def _update_row(row: np.record, motions: np.ndarray, at_once: bool) -> None:
     if not done:
         moving = _update_normal(row, motions, moving)
     write_velocities(row, motions, moving)
-    write_vec3(row.step, minus(read_vec3(row.impulse), old))
+    write_vec3(row.impulse_change, minus(read_vec3(row.impulse), old))
 
 
 @func
@@ -226,15 +229,15 @@ def _step_along_search_direction(
     for k in range(count):
         row = points[k]
         if anew:
-            write_vec3(row.way, (0.0, 0.0, 0.0))
+            write_vec3(row.search_direction, (0.0, 0.0, 0.0))
             continue
-        way = read_vec3(row.way)
+        way = read_vec3(row.search_direction)
         if way == (0.0, 0.0, 0.0):
-            write_vec3(row.way, read_vec3(row.step))
+            write_vec3(row.search_direction, read_vec3(row.impulse_change))
             continue
         further = (share * way[0], share * way[1], share * way[2])
         write_vec3(row.impulse, plus(read_vec3(row.impulse), 1.0, further))
-        write_vec3(row.way, plus(further, 1.0, read_vec3(row.step)))
+        write_vec3(row.search_direction, plus(further, 1.0, read_vec3(row.impulse_change)))
         write_velocities(
             row, motions, _apply_impulse(row, motions, read_velocities(row, motions), further)
         )
@@ -262,11 +265,11 @@ def solve_constraints(
     fastest = 1.0
     for k in range(count):
         row = points[k]
-        write_vec3(row.way, (0.0, 0.0, 0.0))
-        row.slides = False
+        write_vec3(row.search_direction, (0.0, 0.0, 0.0))
+        row.is_sliding = False
         if start == RESUME:
             continue
-        write_vec3(row.roll, (0.0, 0.0, 0.0))
+        write_vec3(row.rolling_impulse, (0.0, 0.0, 0.0))
         if start == WARM_START:
             moving = read_velocities(row, motions)
             write_velocities(
@@ -289,10 +292,14 @@ def solve_constraints(
         for k in range(count):
             row = points[k]
             _update_row(row, motions, at_once)
-            step = read_vec3(row.step)
-            change = max(change, (abs(step[1]) + abs(step[2])) / row.mass, abs(step[0]) / row.mass)
+            step = read_vec3(row.impulse_change)
+            change = max(
+                change,
+                (abs(step[1]) + abs(step[2])) / row.normal_mass,
+                abs(step[0]) / row.normal_mass,
+            )
             square += dot(step, step)
-            further += dot(step, row.way)
+            further += dot(step, row.search_direction)
         if change <= firm * fastest:
             return sweep + 1
         grows = square > RESTART_GROWTH * least
@@ -343,7 +350,7 @@ def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
         yields = dot(tipping, apply_inverse_inertia(motions[row.a], tipping)) / square
         if row.b >= 0:
             yields += dot(tipping, apply_inverse_inertia(motions[row.b], tipping)) / square
-        strength = row.damping * row.impulse[0]
+        strength = row.tipping_damping * row.impulse[0]
         strength /= 1.0 + strength * yields
         twist = (-strength * tipping[0], -strength * tipping[1], -strength * tipping[2])
         _apply_angular_impulse(motions[row.a], twist, 1.0)

@@ -30,15 +30,15 @@ def _transform_back(
     scenery: Scenery,
     motions: np.ndarray,
     w: int,
-    who: int,
+    shape: int,
     time: float,
     end: float,
     dt: float,
     arm: Vec3,
 ) -> Vec3:
     """Return where a point of someone is at a time that is at `arm` at a later time, m."""
-    position, before = interpolate_pose(scenery, motions, w, who, time, dt)
-    _, after = interpolate_pose(scenery, motions, w, who, end, dt)
+    position, before = interpolate_pose(scenery, motions, w, shape, time, dt)
+    _, after = interpolate_pose(scenery, motions, w, shape, end, dt)
     return plus(position, 1.0, to_world(before, to_body(after, arm)))
 
 
@@ -77,7 +77,7 @@ def find_speculative_point(
         if later < enough and scenery.table.kind[b] != HALF_SPACE:
             # They may pass each other, for example over an edge
             later, new, on_a, on_b = measure_distance(
-                scenery, motions, w, a, b, end, dt, normal, space.room
+                scenery, motions, w, a, b, end, dt, normal, space.scratch
             )
             # The direction of a deep overlap misleads: keep that of the touch
             if later > -MAX_TRUSTED_DEPTH:
@@ -98,7 +98,7 @@ def find_speculative_point(
     fill_constraint(motions, point, compute_pair_surface(space, world, a, b, 1))
     closing = dot(compute_relative_velocity(point, motions), normal)
     point.distance = now
-    point.approach = 0.0
-    write_vec3(point.slip, (0.0, 0.0, 0.0))
-    point.least = closing + (wanted - later) / ((end - time) * dt)
+    point.normal_velocity = 0.0
+    write_vec3(point.relative_velocity, (0.0, 0.0, 0.0))
+    point.target_velocity = closing + (wanted - later) / ((end - time) * dt)
     return True

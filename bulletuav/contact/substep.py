@@ -39,10 +39,10 @@ from bulletuav.vehicle.swarm import Swarm
 @kernel
 def _start_drone_motion(space: ContactWorkspace, world: ContactWorld, end: Swarm, i: int) -> None:
     """Begin the motion of a drone that may touch something, if it has not begun."""
-    if i < world.scenery.first_body and not space.motions[i].begun:
+    if i < world.scenery.first_body and not space.motions[i].is_started:
         row = world.parameters[world.w, i]
         start_motion(space.motions[i], world.start, end, world.w, i, row, world.dt)
-        space.motions[i].bears = world.asleep[world.w, i]
+        space.motions[i].is_static = world.asleep[world.w, i]
         for k in range(3):
             space.motions[i].load[0, k] = space.motions[i].load[1, k] = 0.0
 
@@ -75,33 +75,33 @@ def _update_time_of_impact(
 ) -> None:
     """Find when a pair touches next, from a time on."""
     motions = space.motions
-    pair.time = NO_IMPACT
-    pair.knot = False
-    pair.near = False
+    pair.impact_time = NO_IMPACT
+    pair.is_segment_end = False
+    pair.in_contact = False
     if _is_pair_finished(space, world, pair):
         return
     if not are_swept_bounds_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
-        pair.time, normal, pair.near = find_time_of_impact(
+        pair.impact_time, normal, pair.in_contact = find_time_of_impact(
             world.scenery,
             motions,
             world.w,
             pair.a,
             pair.b,
             start,
-            pair.floor,
-            pair.held,
+            pair.target_distance,
+            pair.has_touched,
             world.dt,
             read_vec3(pair.normal),
-            space.room,
+            space.scratch,
             world.stops,
         )
         write_vec3(pair.normal, normal)
-    if pair.time == NO_IMPACT:
+    if pair.impact_time == NO_IMPACT:
         end = get_segment_end(world.scenery, motions, pair.a)
         end = min(end, get_segment_end(world.scenery, motions, pair.b))
         if end < 1.0:
-            pair.time = end
-            pair.knot = True
+            pair.impact_time = end
+            pair.is_segment_end = True
 
 
 @func
@@ -110,9 +110,9 @@ def _find_first_pair(pairs: np.ndarray, count: int) -> int:
     first = -1
     time = NO_IMPACT
     for p in range(count):
-        if pairs[p].time < time:
+        if pairs[p].impact_time < time:
             first = p
-            time = pairs[p].time
+            time = pairs[p].impact_time
     return first
 
 
@@ -134,12 +134,12 @@ def _set_reach(
     w = world.w
     for i in range(budget.shape[1]):
         motion = space.motions[i]
-        motion.begun = False
-        motion.due = False
+        motion.is_started = False
+        motion.is_due = False
         motion.reach = PAIR_MARGIN
         if world.alive[w, i] and not world.asleep[w, i]:
             motion.reach += _compute_distance(end.position, world.start.position, w, i)
-            motion.due = budget[w, i] < motion.reach
+            motion.is_due = budget[w, i] < motion.reach
 
 
 @allocating
@@ -180,12 +180,12 @@ def find_pairs(
     """Collect the pairs of all drones that are due, and of sleepers within their reach."""
     motions = space.motions
     for i in range(order.shape[0]):
-        motions[i].member = False
-        write_vec3(motions[i].start, vec3(world.start.position, world.w, i))
+        motions[i].in_island = False
+        write_vec3(motions[i].start_position, vec3(world.start.position, world.w, i))
     pairs = space.pairs
     count = 0
     for rank in range(order.shape[0]):
-        if motions[order[rank]].due:
+        if motions[order[rank]].is_due:
             pairs, count = _collect_drone_pairs(space, world, end, order, rank, False, pairs, count)
     # A sleeper that is touched is held by what it lies on, which may be another one
     grown = True
@@ -193,8 +193,8 @@ def find_pairs(
         grown = False
         for rank in range(order.shape[0]):
             motion = motions[order[rank]]
-            if motion.begun and not motion.due and world.asleep[world.w, order[rank]]:
-                motion.due = True
+            if motion.is_started and not motion.is_due and world.asleep[world.w, order[rank]]:
+                motion.is_due = True
                 pairs, count = _collect_drone_pairs(
                     space, world, end, order, rank, True, pairs, count
                 )
@@ -214,14 +214,14 @@ def _extend_pairs(
     """Collect the pairs of drones anew that were sent farther than was looked at."""
     for rank in range(order.shape[0]):
         motion = space.motions[order[rank]]
-        if not motion.member:
+        if not motion.in_island:
             continue
-        here = minus(read_vec3(motion.position), read_vec3(motion.start))
-        there = plus(here, 1.0, read_vec3(motion.move))
+        here = minus(read_vec3(motion.position), read_vec3(motion.start_position))
+        there = plus(here, 1.0, read_vec3(motion.displacement))
         way = math.sqrt(max(dot(here, here), dot(there, there)))
-        if way > motion.reach or not motion.due:
+        if way > motion.reach or not motion.is_due:
             motion.reach = max(motion.reach, 1.5 * way + PAIR_MARGIN)
-            motion.due = True
+            motion.is_due = True
             pairs, count = _collect_drone_pairs(space, world, end, order, rank, True, pairs, count)
     return pairs, count
 
@@ -230,14 +230,14 @@ def _extend_pairs(
 def _start_next_segment(space: ContactWorkspace, world: ContactWorld, pair: np.record) -> int:
     """Let those of a pair whose way ends fly on; returns how many, they are in `space.island`."""
     members = 0
-    for who in (pair.a, pair.b):
-        if get_segment_end(world.scenery, space.motions, who) <= pair.time:
-            members = add_to_island(space, world, members, who, pair.time)
-    apply_forces(space, members, pair.time, 1.0)
+    for shape in (pair.a, pair.b):
+        if get_segment_end(world.scenery, space.motions, shape) <= pair.impact_time:
+            members = add_to_island(space, world, members, shape, pair.impact_time)
+    apply_forces(space, members, pair.impact_time, 1.0)
     for m in range(members):
         i = space.island[m]
         start_segment(space.motions[i], world.dt, world.parameters[world.w, i])
-    apply_forces(space, members, pair.time, -1.0)
+    apply_forces(space, members, pair.impact_time, -1.0)
     return members
 
 
@@ -281,8 +281,8 @@ def _resolve_pairs(
         first = _find_first_pair(pairs, count)
         if first < 0:
             break
-        time = pairs[first].time
-        knot = pairs[first].knot
+        time = pairs[first].impact_time
+        knot = pairs[first].is_segment_end
         if knot:
             members = _start_next_segment(space, world, pairs[first])
         elif world.stops:
@@ -292,11 +292,11 @@ def _resolve_pairs(
         pairs, count = _extend_pairs(space, world, end, order, pairs, count)
         for p in range(count):
             b = pairs[p].b
-            if motions[pairs[p].a].member or (b < motions.shape[0] and motions[b].member):
+            if motions[pairs[p].a].in_island or (b < motions.shape[0] and motions[b].in_island):
                 _update_time_of_impact(space, world, pairs[p], time)
         for m in range(members):
             i = space.island[m]
-            motions[i].member = False
+            motions[i].in_island = False
             changed[w, i] = changed[w, i] or not knot
         eventful = eventful or not knot
     return eventful
@@ -338,11 +338,11 @@ def resolve_contacts(
         for i in range(changed.shape[1]):
             if changed[w, i]:
                 write_end_state(space.motions[i], end, w, i, world.parameters[w, i])
-            if space.motions[i].due and world.alive[w, i]:
+            if space.motions[i].is_due and world.alive[w, i]:
                 budget[w, i] = compute_budget(world.scenery, end, turns, w, i)
     for rank in range(order.shape[0]):
         i = order[rank]
-        if space.motions[i].due and world.alive[w, i]:
+        if space.motions[i].is_due and world.alive[w, i]:
             share_budgets(world.scenery, end, world.alive, budget, order, w, i)
             budget[w, i] -= world.speed
     return eventful

@@ -59,8 +59,8 @@ def measure_distance(
     time: float,
     dt: float,
     guess: Vec3,
-    room: np.ndarray,
-    plain: bool = False,
+    scratch: np.ndarray,
+    gjk_only: bool = False,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
     """Measure a pair at a time in the substep, with `nearest`, or `gap` if it is to be plain."""
     position_a, quaternion_a = interpolate_pose(scenery, motions, w, a, time, dt)
@@ -68,9 +68,9 @@ def measure_distance(
     offset = minus(position_b, position_a)
     turn_a = axes(quaternion_a)
     turn_b = axes(quaternion_b)
-    if plain:
-        return gap(scenery.table, a, turn_a, b, turn_b, offset, guess, room)
-    return nearest(scenery.table, a, turn_a, b, turn_b, offset, guess, room)
+    if gjk_only:
+        return gap(scenery.table, a, turn_a, b, turn_b, offset, guess, scratch)
+    return nearest(scenery.table, a, turn_a, b, turn_b, offset, guess, scratch)
 
 
 @kernel
@@ -81,12 +81,12 @@ def find_time_of_impact(
     a: int,
     b: int,
     start: float,
-    floor: float,
-    held: bool,
+    target_distance: float,
+    has_touched: bool,
     dt: float,
     guess: Vec3,
-    room: np.ndarray,
-    plain: bool = False,
+    scratch: np.ndarray,
+    gjk_only: bool = False,
 ) -> tuple[float, Vec3, bool]:
     """Find when a pair comes within a distance, while both fly on straight.
 
@@ -109,13 +109,15 @@ def find_time_of_impact(
         where they do not; the direction of the last separation; and whether they are in touch at
         `start`.
     """
-    if not plain:
+    if not gjk_only:
         # Of a pair that is held it is known that it is in touch
-        least = -math.inf if held else MAX_CONTACT_DISTANCE
+        least = -math.inf if has_touched else MAX_CONTACT_DISTANCE
         across = guess if dot(guess, guess) > 0.0 else compute_centre_direction(motions, a, b)
-        if is_separated_by_plane(scenery, motions, w, a, b, start, least, floor, dt, across):
+        if is_separated_by_plane(
+            scenery, motions, w, a, b, start, least, target_distance, dt, across
+        ):
             return NO_IMPACT, across, False
-    exact = REPEATED_TOI_TOLERANCE if held else TOI_TOLERANCE
+    exact = REPEATED_TOI_TOLERANCE if has_touched else TOI_TOLERANCE
     move_a, turn_a = compute_path_rates(scenery, motions, w, a, dt)
     move_b, turn_b = compute_path_rates(scenery, motions, w, b, dt)
     move = minus(move_a, move_b)
@@ -124,7 +126,7 @@ def find_time_of_impact(
     end = min(get_segment_end(scenery, motions, a), get_segment_end(scenery, motions, b))
     time = start
     normal = guess
-    near = False
+    in_contact = False
     # The touch is between a time at which they were apart and one at which they were too close
     apart, close = start, NO_IMPACT
     safe, leapt = start, False
@@ -132,10 +134,10 @@ def find_time_of_impact(
         if step_number == LOOSE_AFTER_STEPS:
             exact = max(exact, LOOSE_TOI_TOLERANCE)
         distance, normal, on_a, on_b = measure_distance(
-            scenery, motions, w, a, b, time, dt, normal, room, plain
+            scenery, motions, w, a, b, time, dt, normal, scratch, gjk_only
         )
-        near = near or (time == start and distance <= MAX_CONTACT_DISTANCE)
-        left = distance - floor
+        in_contact = in_contact or (time == start and distance <= MAX_CONTACT_DISTANCE)
+        left = distance - target_distance
         rest = end - time
         # How fast the gap can close, and how far ways bend in between
         between = plus(minus(on_b, on_a), distance, normal)
@@ -148,13 +150,13 @@ def find_time_of_impact(
             # Others than the nearest points may have touched on the way, and parted again
             then = rotate_normal(plane, normal, apart - time)
             before, _, _ = measure_along_direction(scenery, motions, w, a, b, apart, dt, then)
-            if before - floor < 4.0 * bend * (time - apart) ** 2:
+            if before - target_distance < 4.0 * bend * (time - apart) ** 2:
                 time = safe
                 continue
         if left > (bound + 0.5 * growth * rest) * rest:
-            return NO_IMPACT, normal, near
+            return NO_IMPACT, normal, in_contact
         if left <= exact and (time == start or left >= -exact):
-            return (time if bound + growth > 0.0 else NO_IMPACT), normal, near
+            return (time if bound + growth > 0.0 else NO_IMPACT), normal, in_contact
         if left > 0.0:
             apart = time
             step = find_time_apart(
@@ -169,12 +171,12 @@ def find_time_of_impact(
                 count,
                 normal,
                 distance,
-                floor,
+                target_distance,
                 step,
                 rest,
             )
             if step >= rest:
-                return NO_IMPACT, normal, near
+                return NO_IMPACT, normal, in_contact
         else:
             close = time
             step = left / bound
@@ -196,4 +198,4 @@ def find_time_of_impact(
             bracket = close - apart
             if (bound + 0.5 * growth * bracket) * bracket <= exact:
                 break
-    return time, normal, near
+    return time, normal, in_contact

@@ -124,8 +124,8 @@ def store_impulses(
     most = 0.0
     for m in range(members):
         i = island[m]
-        push = read_vec3(motions[i].push)
-        most = max(most, members * math.sqrt(dot(push, push)) / motions[i].lightness)
+        push = read_vec3(motions[i].velocity_change)
+        most = max(most, members * math.sqrt(dot(push, push)) / motions[i].inverse_mass)
         if is_at_impact_limit(motions[i]):
             # What held it while forces acted will do so again
             for k in range(memory.number[w, i]):

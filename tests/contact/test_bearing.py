@@ -55,7 +55,7 @@ def motion_of(velocity):
     """A drone in the middle of a substep, which gravity pulls."""
     motion = np.zeros(1, dtype=MOTION).view(np.recarray)[0]
     motion.velocity[:] = velocity
-    motion.push[:] = np.multiply(GRAVITY, DT)
+    motion.velocity_change[:] = np.multiply(GRAVITY, DT)
     return motion
 
 
@@ -63,7 +63,7 @@ def test_what_held_a_drone_up_does_not_send_it_up():
     motion = motion_of((0.3, 0.0, 0.25 * 9.81 * DT))
     remove_forces(motion, 0.75)
     np.testing.assert_allclose(motion.velocity, (0.3, 0.0, 0.0), atol=1e-15)
-    assert not motion.push.any()
+    assert not motion.velocity_change.any()
 
 
 @pytest.mark.parametrize("time", [0.0, 0.4, 1.0])

@@ -24,8 +24,8 @@ def touching(arms, turn, others=(2, 2), force=9.0):
     pairs = np.zeros(len(arms), dtype=PAIR).view(np.recarray)
     motions = np.zeros(2, dtype=MOTION).view(np.recarray)
     motions.quaternion[:] = turn.as_quat()
-    motions.lightness[:] = 0.5
-    motions.push[:] = (0.0, 0.0, 0.5 * force)
+    motions.inverse_mass[:] = 0.5
+    motions.velocity_change[:] = (0.0, 0.0, 0.5 * force)
     points.normal[:] = turn.apply([0, 0, 1])
     points.tangent[:] = turn.apply([1, 0, 0]), turn.apply([0, 1, 0])
     points.arm_a[:] = turn.apply(arms)

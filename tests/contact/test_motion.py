@@ -20,8 +20,8 @@ def _ends(motions, before, after, rows, dt):  # type: ignore[no-untyped-def]
     for w in range(len(motions)):
         motion, row = motions[w], rows[w, 0]
         start_motion(motion, before, after, w, 0, row, dt)
-        while motion.until < 1.0:
-            advance_motion(motion, motion.until, row)
+        while motion.end_time < 1.0:
+            advance_motion(motion, motion.end_time, row)
             start_segment(motion, dt, row)
             legs[w] += 1
         advance_motion(motion, 1.0, row)

@@ -139,12 +139,14 @@ def test_a_point_that_comes_later_takes_its_share_of_what_another_held():
     prepare(motions, points, row, touches(0.0))
     solve_constraints(points, 1, motions, 1 / 240, TIGHT_TOLERANCE, COLD_START)
     accumulate_impulses(points, 1)
-    assert points.total[0, 0] == pytest.approx(1 / (1 / row["mass"] + 0.01**2 / row["inertia"][1]))
+    assert points.total_impulse[0, 0] == pytest.approx(
+        1 / (1 / row["mass"] + 0.01**2 / row["inertia"][1])
+    )
     assert motions.spin[0, 1] < -1.0
     reopen_impulses(points, 2)
     solve_constraints(points, 2, motions, 1 / 240, TIGHT_TOLERANCE, RESUME)
     accumulate_impulses(points, 2)
-    np.testing.assert_allclose(points.total[:, 0], row["mass"] / 2)
+    np.testing.assert_allclose(points.total_impulse[:, 0], row["mass"] / 2)
     np.testing.assert_allclose(motions.velocity[0], 0, atol=1e-9)
     np.testing.assert_allclose(motions.spin[0], 0, atol=1e-7)
 
@@ -169,19 +171,19 @@ def test_passes_together_resist_rolling_no_more_than_the_normal_impulse_allows()
         prepare(motions, points, row, surface)
         solve_constraints(points, 1, motions, 1 / 60, SINGLE_BODY_TOLERANCE, COLD_START)
         accumulate_impulses(points, 1)
-        acted = points.roll.copy()
+        acted = points.rolling_impulse.copy()
         motions.spin[0] *= 0.7  # as if tipping was damped
         solve_constraints(points, 1, motions, 1 / 60, SINGLE_BODY_TOLERANCE, COLD_START)
         accumulate_impulses(points, 1)
-        acted += points.roll
+        acted += points.rolling_impulse
         # A second point is foreseen
-        points.least[1] = rng.uniform(0, 0.5)
+        points.target_velocity[1] = rng.uniform(0, 0.5)
         reopen_impulses(points, 2)
-        before = points.roll.copy()
+        before = points.rolling_impulse.copy()
         solve_constraints(points, 2, motions, 1 / 60, SINGLE_BODY_TOLERANCE, RESUME)
         accumulate_impulses(points, 2)
-        again += (points.roll[0] != before[0]).any()
-        acted += points.roll - before
-        most = points.resist * points.total[:, :1]
+        again += (points.rolling_impulse[0] != before[0]).any()
+        acted += points.rolling_impulse - before
+        most = points.rolling_limit * points.total_impulse[:, :1]
         assert (abs(acted) <= most + 1e-3 * most.max()).all()
     assert again > HITS / 2

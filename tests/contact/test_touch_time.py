@@ -70,7 +70,7 @@ def test_turning_drones_touch_when_their_lowest_point_does() -> None:
         gap = CONTACT_DISTANCE + 10 ** rng.uniform(-7, -3, len(motions))
         start = np.zeros(len(motions))
         motions["position"][:, 2] = gap - _heights(motions, start, radius, half)
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
     hits = times < NO_IMPACT
     assert 100 < hits.sum() < 400
     at_touch = _heights(motions[hits], times[hits], radius, half)
@@ -122,7 +122,7 @@ def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
         motions["move"] = (0.0015, 0.0552, -0.0376)
         motions["turn"] = (-0.0004, -0.0281, 0.0216)
         assert _gaps(rig, motions, np.zeros(len(motions))).min() > 1.1 * CONTACT_DISTANCE
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
         assert times.max() < 0.5
         assert np.abs(_gaps(rig, motions, times) - CONTACT_DISTANCE).max() < 1e-11
 
@@ -162,7 +162,7 @@ def test_nobody_leaps_over_a_graze(name: str) -> None:
         motions = _on_a_way(rig, GRAZES[name])
         gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
         assert gaps[0] > CONTACT_DISTANCE > gaps.min()
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
         assert times[0] < SAMPLES[gaps.argmin()]
         assert abs(_gaps(rig, motions, times)[0] - CONTACT_DISTANCE) < 1e-11
 
@@ -184,7 +184,7 @@ def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
         motions = _on_a_way(rig, PASSES_BY)
         gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
         assert 0 < gaps.min() - CONTACT_DISTANCE < 1e-6
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
     assert times[0] == NO_IMPACT
 
 
@@ -218,7 +218,7 @@ def test_turning_pairs_touch_when_their_distance_says(
         drift = 10 ** rng.uniform(-7, -3, (count, 1)) * random_directions(rng, count)
         # About b, so that centres go round each other
         motions["move"][:, 0] = np.cross(turn, far[:, None] * away) + drift
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
         hits = times < NO_IMPACT
         assert count / 10 < hits.sum() < count
         at_touch = _gaps(rig, motions, np.where(hits, times, 0.0))
@@ -304,7 +304,7 @@ def test_of_grazes_by_nanometres_none_is_told_wrongly(airframe: str, name: str) 
         motions["position"] += shift * away
         least = _least(rig, motions)
         outside = _gaps(rig, motions, np.zeros(count)) > CONTACT_DISTANCE
-        touched = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room) < NO_IMPACT
+        touched = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch) < NO_IMPACT
     assert 100 < touched.sum() < count - 100
     assert not (touched & (least > CONTACT_DISTANCE + LOOSE_TOI_TOLERANCE)).any()
     assert not (~touched & outside & (least < CONTACT_DISTANCE - 1e-12)).any()
