@@ -1,8 +1,9 @@
-"""Budgets: how long a drone needs no look at what it may touch.
+"""Motion bounds: skip drones that cannot reach anything.
 
-Every drone has a budget: how far it may move before anything can be near. Only drones that have
-used it up are looked at. Turns of a drone that flies low count as ways of its outermost points.
-Budgets change no motion: no touch is possible while both of a pair have some left.
+Each drone has a motion budget: the distance that it may move before it can touch anything. Only
+drones whose budget is used up are checked. For a drone close to the ground, rotation uses up
+budget, too: as much as its outermost point can move. Budgets do not change any motion, because no
+contact is possible while both bodies of a pair have budget left.
 """
 
 import math
@@ -25,19 +26,19 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 
 BUDGET_MARGIN = 1e-3
-"""Metres that budgets leave, beside a touch, for rounding"""
+"""Distance that budgets leave beyond `CONTACT_DISTANCE` for rounding errors, m"""
 MAX_BUDGET = 20.0
-"""Greatest budget, m"""
+"""Largest budget, m"""
 MAX_CITY_RANGE = 5.0
-"""Distance within which a city is looked at for a budget, m"""
+"""Distance within which buildings are searched for a budget, m"""
 SHARE_SPEED_OFFSET = 0.2
-"""Speed that is added to those by which drones share what is between them, m/s"""
+"""Speed added to the speeds by which two drones divide the distance between them, m/s"""
 
 
 @deferred(types.float64)
 @kernel
 def _bound_rotation_sweep(contact: ContactState, swarm: Swarm, w: int, i: int) -> float:
-    """Return how far the outermost points of a drone got by its turn in a substep, at most, m."""
+    """Return an upper bound of the distance that any point of a drone moves by rotation, m."""
     before, after = quat4(contact.start.quaternion, w, i), quat4(swarm.quaternion, w, i)
     return float(contact.scenery.table.radius[i]) * bound_angle(before, after)
 
@@ -46,7 +47,18 @@ def _bound_rotation_sweep(contact: ContactState, swarm: Swarm, w: int, i: int) -
 def update_budgets(
     contact: ContactState, swarm: Swarm, alive: np.ndarray, w: int, dt: float
 ) -> bool:
-    """Take what drones moved off their budgets; tells whether the world needs a closer look."""
+    """Subtract the motion of a substep from the budgets, and check whether any is used up.
+
+    Args:
+        contact: State of all contacts; `budget` and `changed` are written.
+        swarm: State at the end of the substep.
+        alive: (W, N) bool, drones that can be touched.
+        w: Index of the world.
+        dt: Length of the substep, s.
+
+    Returns:
+        True if the world needs contact detection in this substep.
+    """
     found = False
     before = contact.start.position
     way = contact.speed[w] * dt
@@ -55,7 +67,7 @@ def update_budgets(
         if not alive[w, i]:
             continue
         if contact.asleep[w, i]:
-            # Obstacles that move may come near to who sleeps
+            # A moving obstacle may reach a sleeping drone
             found = found or way > 0.0
             continue
         moved = minus(vec3(swarm.position, w, i), vec3(before, w, i))
@@ -68,7 +80,7 @@ def update_budgets(
 
 @func
 def _compute_share_speed(swarm: Swarm, w: int, i: int) -> float:
-    """Return the speed of a drone, and some more, as even a slow one will have, m/s."""
+    """Return the speed of a drone plus `SHARE_SPEED_OFFSET`, since a slow drone may speed up, m/s."""
     velocity = vec3(swarm.velocity, w, i)
     return math.sqrt(dot(velocity, velocity)) + SHARE_SPEED_OFFSET
 
@@ -76,7 +88,7 @@ def _compute_share_speed(swarm: Swarm, w: int, i: int) -> float:
 @deferred(types.float64)
 @kernel
 def _compute_lowest_height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> float:
-    """Return how high the lowest point of drone i of world w is above the ground, m."""
+    """Return the height of the lowest point of drone i of world w above the ground, m."""
     turn = axes(quat4(swarm.quaternion, w, i))
     lowest = far_point(scenery.table, i, turn, (0.0, 0.0, -1.0))[2] - swell(scenery.table, i)
     return float(swarm.position[w, i, 2] + lowest)
@@ -84,23 +96,22 @@ def _compute_lowest_height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> fl
 
 @kernel
 def compute_budget(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i: int) -> float:
-    """Return how far drone i of world w may move before it can touch what does not fly, m.
+    """Compute how far drone i of world w may move before it can touch anything but drones, m.
 
     Args:
-        scenery: What stands.
+        scenery: Shapes of the worlds.
         swarm: State of all drones.
-        turns: (W, N) bool; for drone i it is set whether its turns count as ways, too.
-        w: The world.
-        i: The drone.
+        turns: (W, N) bool; the entry of drone i is set to whether rotation uses up its budget.
+        w: Index of the world.
+        i: Index of the drone.
     """
     here = vec3(swarm.position, w, i)
     own = scenery.table.radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
     least = min(MAX_BUDGET, here[2] - own)
-    # The sphere about a drone that flies low reaches into the ground; its shape may turn there
+    # Close to the ground the bounding sphere overlaps it: use the lowest point, and count rotation
     turns[w, i] = least < 0.0
     if turns[w, i]:
         least = _compute_lowest_height(scenery, swarm, w, i) - CONTACT_DISTANCE - BUDGET_MARGIN
-    # Bodies may be many: none nearer than what is known already needs its box
     for k in range(scenery.place.shape[1]):
         least = min(least, bound_body_distance(scenery, w, k, here) - own)
     city_grid = scenery.city_grid
@@ -124,15 +135,14 @@ def compute_budget(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i:
 def are_bounds_clear(
     space: ContactWorkspace, world: ContactWorld, end: Swarm, budget: np.ndarray, turns: np.ndarray
 ) -> bool:
-    """Tell whether the spheres about all drones to be looked at touched nothing in a substep.
+    """Check whether the bounding spheres of all due drones stay clear in a substep.
 
     Args:
-        space: Of its motions due and reach are read.
-        world: The world, and the state at the beginning of the substep.
-        end: State at its end.
-        budget: (W, N) m; those of drones to be looked at are set to `compute_budget`, up to the first
-            that is not clear.
-        turns: See `compute_budget`; set with them.
+        space: Arrays to work on; `is_due` and `reach` of its motions are read.
+        world: The world, with the state at the beginning of the substep.
+        end: State at the end of the substep.
+        budget: (W, N) m; set to `compute_budget` for due drones, up to the first that is not clear.
+        turns: (W, N) bool; set together with the budget, see `compute_budget`.
     """
     w = world.w
     scenery = world.scenery
@@ -167,31 +177,33 @@ def share_budgets(
     w: int,
     i: int,
 ) -> None:
-    """Share what is between drone i of world w and others out among their budgets.
+    """Divide the distances between drone i of world w and the other drones among their budgets.
+
+    The faster drone of a pair gets the larger fraction.
 
     Args:
-        scenery: What stands.
+        scenery: Shapes of the worlds.
         swarm: State of all drones.
         alive: (W, N) bool, drones that can be touched.
-        budget: (W, N) m; that of drone i is what it has without others.
-        order: (N,) drones of the world by place: whoever comes first takes first.
-        w: The world.
-        i: The drone.
+        budget: (W, N) m; in: budget of drone i without other drones; out: budgets of all drones.
+        order: (N,) drones of the world sorted by position; earlier drones take their part first.
+        w: Index of the world.
+        i: Index of the drone.
     """
     own = scenery.table.radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
     least = budget[w, i]
-    # What is between two drones is for both, more of it for the faster one
+    # The faster drone gets the larger fraction of the distance between two drones
     pace = _compute_share_speed(swarm, w, i)
     for rank in range(order.shape[0]):
         j = order[rank]
         if j != i and alive[w, j]:
             gap = offset(swarm.position, w, i, j)
             left = math.sqrt(dot(gap, gap)) - own - scenery.table.radius[j]
-            # Who sleeps close by something has less than nothing, which is nothing
+            # The budget of a drone that sleeps close to something is negative: count it as zero
             other = max(0.0, budget[w, j])
             if least + other > left:
                 share = pace / (pace + _compute_share_speed(swarm, w, j))
-                # All that the other one does not have, if that is more
+                # Take all that the other drone does not need, if that is more
                 least = min(least, max(share * left, left - other))
                 budget[w, j] = min(budget[w, j], left - least)
     budget[w, i] = least

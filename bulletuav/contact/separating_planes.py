@@ -1,9 +1,10 @@
-"""Planes that keep a pair apart, and what they tell of the time that it takes to touch.
+"""Separating planes: bound when a pair of shapes can first touch.
 
-A plane across the present distance stays as it is, or turns with one of the two. Two that turn
-together hardly move against a plane that does so, too; and where one rolls on the other, the face
-of that one is the plane. Points move against a plane no faster than a bound, and between two times
-they get beyond it by no more than their greatest acceleration bends their ways.
+A plane across the present distance is either fixed, or rotates with one of the two bodies. Two
+bodies that rotate together hardly move relative to a plane that rotates with them; where one body
+rolls on the other, the face of the latter is the plane. The speed of any point relative to a plane
+has an upper bound. Between two times, the deviation of its path from a straight line is bounded by
+its maximum acceleration.
 """
 
 import math
@@ -24,17 +25,19 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
 
 SeparatingPlane = tuple[float, float, float, Vec3]
-"""How a pair moves against a plane: how fast the gap closes at most, m per substep, how much faster
-that gets per substep, how far ways bend in a whole one, m, and how the plane turns, rad per substep
+"""Bounds of the motion of a pair relative to a plane.
+
+The maximum closing speed, m per substep; how much that speed can grow, m per substep^2; the
+maximum deviation of paths from straight lines over a whole substep, m; and the rotation of the
+plane, rad per substep.
 """
 SeparatingPlanes = tuple[SeparatingPlane, SeparatingPlane, SeparatingPlane]
-"""Against a plane that turns with b, one that turns with a, and one that does not turn"""
+"""A plane that rotates with b, one that rotates with a, and a fixed one"""
 ORIGIN = (0.0, 0.0, 0.0)
 
 
 @func
 def _length(v: Vec3) -> float:
-    """Return the length of a vector."""
     return math.sqrt(dot(v, v))
 
 
@@ -49,20 +52,24 @@ def measure_along_direction(
     dt: float,
     normal: Vec3,
 ) -> tuple[float, Vec3, Vec3]:
-    """Measure a pair along a direction: below its distance, unless the direction is that of it.
+    """Measure the signed distance of a pair along a direction.
+
+    This is a lower bound of the distance of the shapes. It equals the distance if the direction is
+    that of the closest features.
 
     Args:
-        scenery: What stands, and all shapes.
+        scenery: All shapes.
         motions: (N,) rows of `MOTION`.
-        w: The world.
-        a: Number of the shape of a drone.
-        b: Number of the other shape.
-        time: Share of the substep.
+        w: Index of the world.
+        a: Shape index of a drone.
+        b: Index of the other shape.
+        time: Fraction of the substep.
         dt: Length of the substep, s.
-        normal: Unit vector from b to a; that of the plane if b is a half space.
+        normal: Unit vector from b to a; the normal of the plane if b is a half space.
 
     Returns:
-        Signed distance (m), and the extreme points on a and b, from their positions, world axes.
+        Signed distance (m), and the support points of a and b relative to their positions, in world
+        axes.
     """
     table = scenery.table
     position_a, quaternion_a = interpolate_pose(scenery, motions, w, a, time, dt)
@@ -78,9 +85,9 @@ def measure_along_direction(
 
 @func
 def _bound_angular_sweep(radius: float, normal: Vec3, turn: Vec3) -> tuple[float, float]:
-    """Bound how fast, m, and with which acceleration, a rotation moves a shape along `normal`.
+    """Bound the speed (m) and acceleration that a rotation gives any point of a shape along `normal`.
 
-    Both are per substep, for any of its points. A turn about the normal itself moves none.
+    Both are per substep. A rotation about the normal moves no point along it.
     """
     across = _length(cross(normal, turn))
     if across == 0.0:
@@ -92,12 +99,12 @@ def _bound_angular_sweep(radius: float, normal: Vec3, turn: Vec3) -> tuple[float
 def bound_fixed_plane(
     radii: tuple[float, float], normal: Vec3, move: Vec3, turn_a: Vec3, turn_b: Vec3
 ) -> SeparatingPlane:
-    """Bound how a pair moves against a plane that stays as it is.
+    """Bound the motion of a pair relative to a fixed plane.
 
     Args:
-        radii: Of the spheres about a and b, m.
+        radii: Bounding radii of a and b, m.
         normal: Unit vector from b to a.
-        move: Displacement of a against b, m per substep.
+        move: Displacement of a relative to b, m per substep.
         turn_a: Rotation of a, rad per substep.
         turn_b: Rotation of b, rad per substep.
     """
@@ -111,26 +118,26 @@ def bound_fixed_plane(
 def bound_rotating_plane(
     radius: float, normal: Vec3, move: Vec3, turn_a: Vec3, turn_b: Vec3, between: Vec3
 ) -> SeparatingPlane:
-    """Bound how a pair moves against a plane that turns with b, in whose frame b is at rest.
+    """Bound the motion of a pair relative to a plane that rotates with b, in the frame of b.
 
-    A point of a at r from its centre moves there by u + w x r, with w = turn_a - turn_b and
-    u = move - turn_b x between. By the laws of moving frames its acceleration is
+    A point of a at r from its centre moves in that frame by u + w x r, with w = turn_a - turn_b and
+    u = move - turn_b x between. By the laws of rotating frames its acceleration is
     w x (turn_a x r) + turn_b x (w x r) - turn_b x (turn_b x between) - 2 turn_b x (u + w x r).
 
     Args:
-        radius: Of the sphere about a, m.
+        radius: Bounding radius of a, m.
         normal: Unit vector from b to a.
-        move: As in `bound_fixed_plane`.
-        turn_a: As there.
-        turn_b: As there.
-        between: From the position of b to that of a, m.
+        move: Displacement of a relative to b, m per substep.
+        turn_a: Rotation of a, rad per substep.
+        turn_b: Rotation of b, rad per substep.
+        between: Vector from the position of b to that of a, m.
     """
     against = minus(turn_a, turn_b)
     shift = minus(move, cross(turn_b, between))
     bound = max(0.0, -dot(shift, normal)) + radius * _length(cross(against, normal))
     spin, way = _length(turn_b), _length(move)
     swing = radius * _length(against)
-    # With what u and the distance of both may grow to within the substep
+    # Include the growth of u and of the distance within the substep
     growth = swing * (_length(turn_a) + spin) + spin * spin * (_length(between) + way)
     growth += 2.0 * spin * (_length(shift) + spin * way + swing)
     return bound, growth, 0.125 * growth, turn_b
@@ -146,16 +153,16 @@ def bound_planes(
     between: Vec3,
     count: int,
 ) -> SeparatingPlanes:
-    """Bound how a pair moves against planes that turn with b, with a, and not at all.
+    """Bound the motion of a pair relative to planes that rotate with b, with a, and a fixed one.
 
     Args:
-        radii: As this and others are in `bound_fixed_plane`.
-        normal: As there.
-        move: As there.
-        turn_a: As there.
-        turn_b: As there.
-        between: From the position of b to that of a, m.
-        count: How many are wanted, the last ones: 1, or 3.
+        radii: Bounding radii of a and b, m.
+        normal: Unit vector from b to a.
+        move: Displacement of a relative to b, m per substep.
+        turn_a: Rotation of a, rad per substep.
+        turn_b: Rotation of b, rad per substep.
+        between: Vector from the position of b to that of a, m.
+        count: Number of planes to compute, from the last: 1 (the fixed plane) or 3.
     """
     still = bound_fixed_plane(radii, normal, move, turn_a, turn_b)
     if count == 1:
@@ -168,7 +175,11 @@ def bound_planes(
 
 @func
 def find_longest_plane(planes: SeparatingPlanes, left: float) -> tuple[SeparatingPlane, float]:
-    """Return the plane against which a gap of `left` metres stays open longest, and `compute_safe_time`."""
+    """Find the plane that keeps a pair `left` metres apart separated longest.
+
+    Returns:
+        The plane, and the fraction of the substep that `compute_safe_time` returns for it.
+    """
     plane = planes[2]
     time = compute_safe_time(plane, left)
     for k in range(2):
@@ -181,14 +192,14 @@ def find_longest_plane(planes: SeparatingPlanes, left: float) -> tuple[Separatin
 
 @func
 def compute_safe_time(plane: SeparatingPlane, left: float) -> float:
-    """Return the share of the substep within which a gap does not close, of `left` metres."""
+    """Compute the fraction of a substep within which a distance of `left` metres cannot close."""
     bound, growth, _, _ = plane
     return 2.0 * left / (bound + math.sqrt(bound * bound + 2.0 * growth * left))
 
 
 @func
 def rotate_normal(plane: SeparatingPlane, normal: Vec3, share: float) -> Vec3:
-    """Return the normal of a plane after a share of the substep."""
+    """Return the normal of a plane after a fraction of the substep."""
     turn = plane[3]
     if turn == (0.0, 0.0, 0.0):
         return normal
@@ -212,32 +223,32 @@ def find_time_apart(
     step: float,
     rest: float,
 ) -> float:
-    """Return how long some plane keeps a pair apart: to the end, or as far as ways bend.
+    """Find how long a separating plane keeps a pair apart, up to the end of the substep.
 
     Args:
-        scenery: As this and others are in `touch_time`.
-        motions: As there.
-        w: As there.
-        a: As there.
-        b: As there.
-        time: Share of the substep.
-        dt: As there.
-        planes: See `bound_planes`.
-        count: How many of them, the last ones.
-        normal: Their unit vector at that time, from b to a.
-        distance: What is between the pair then, m; more than `floor`.
-        floor: Distance that it must keep, m.
-        step: Share of the substep in which it is known to keep it.
-        rest: What is left of the substep.
+        scenery: All shapes.
+        motions: (N,) rows of `MOTION`.
+        w: Index of the world.
+        a: Shape index of a drone.
+        b: Index of the other shape.
+        time: Fraction of the substep at which the search starts.
+        dt: Length of the substep, s.
+        planes: Bounds of the motion, see `bound_planes`.
+        count: Number of planes that count, from the last.
+        normal: Normal of the planes at `time`, unit vector from b to a.
+        distance: Distance of the pair at `time`, m; more than `min_distance`.
+        min_distance: Distance that the pair must keep, m.
+        step: Fraction of the substep for which the pair is already known to keep it.
+        rest: Fraction of the substep that is left.
 
     Returns:
-        Share of the substep, at least `step`.
+        Fraction of the substep, at least `step`.
     """
     left = distance - min_distance
     for k in range(3 - count, 3):
         plane = planes[k]
         bend = plane[2]
-        # Without bends that is `step`
+        # Without curved paths `step` is exact
         if bend == 0.0:
             continue
         reach = math.sqrt(0.5 * left / bend)
@@ -251,7 +262,7 @@ def find_time_apart(
             ):
                 step = span
                 break
-            # Who is too close there comes so by a parabola, or sooner
+            # A pair that is too close there gets so along a parabola, or earlier
             part = 0.5 if later >= min_distance else 0.9 * math.sqrt(left / (distance - later))
             span = min(reach, part * span)
     return step
@@ -259,7 +270,7 @@ def find_time_apart(
 
 @func
 def compute_centre_direction(motions: np.ndarray, a: int, b: int) -> Vec3:
-    """Return the direction from drone b to drone a; zeros if b is none, or in the same place."""
+    """Return the unit vector from drone b to drone a; zeros if b is no drone or at the same position."""
     if b >= motions.shape[0]:
         return 0.0, 0.0, 0.0
     way = minus(read_vec3(motions[a].position), read_vec3(motions[b].position))
@@ -282,19 +293,19 @@ def is_separated_by_plane(
     dt: float,
     normal: Vec3,
 ) -> bool:
-    """Tell whether one plane tells already that a pair does not touch on its way.
+    """Check whether a single fixed plane separates a pair on its whole path.
 
     Args:
-        scenery: As this and others are in `touch_time`.
-        motions: As there.
-        w: As there.
-        a: As there.
-        b: As there.
-        start: As there.
-        least: Distance that they must have at the start, m.
-        floor: Distance that they must keep, m.
-        dt: As there.
-        normal: Unit vector across the plane, from b to a, or zeros.
+        scenery: All shapes.
+        motions: (N,) rows of `MOTION`.
+        w: Index of the world.
+        a: Shape index of a drone.
+        b: Index of the other shape.
+        start: Fraction of the substep at which the path starts.
+        start_distance: Distance that the pair must exceed at the start, m.
+        min_distance: Distance that the pair must keep, m.
+        dt: Length of the substep, s.
+        normal: Normal of the plane, unit vector from b to a; zeros for no plane.
     """
     if dot(normal, normal) == 0.0:
         return False

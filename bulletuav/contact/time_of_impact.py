@@ -1,12 +1,12 @@
-"""When a pair first touches: conservative advancement on exact distances.
+"""Time of impact of a pair, by conservative advancement on exact distances.
 
-Two bounds tell how far it is safe to go; both hold however thin or fast things are. No motion
-closes a gap faster than a bound along the present separating direction (B. Mirtich, Impulse-based
-dynamic simulation of rigid body systems, 1996). And between two times at which a plane separates
-the pair, no point can get beyond it by more than its greatest acceleration bends its way; see
-`bulletuav.contact.separating_planes`. Where the pair is close already, Newton's method on the distance ends
-the search; who is apart after such a leap goes back unless a plane tells that there was no touch on
-the way.
+Two bounds give a safe time step. Both hold for arbitrarily thin or fast bodies. First, no motion
+closes a distance faster than a bound along the present separating direction (B. Mirtich,
+Impulse-based dynamic simulation of rigid body systems, 1996). Second, between two times at which a
+plane separates the pair, no point crosses the plane by more than its maximum acceleration allows;
+see `bulletuav.contact.separating_planes`. At small distances, Newton's method on the distance
+finishes the search. A pair that is apart after a Newton step goes back to the safe time, unless a
+plane shows that there was no contact in between.
 """
 
 import math
@@ -30,23 +30,23 @@ from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
 
 CONTACT_DISTANCE = 1e-4
-"""Shapes that are closer touch, m"""
+"""Distance below which shapes are in contact, m"""
 MAX_CONTACT_DISTANCE = 1.01 * CONTACT_DISTANCE
-"""Distance up to which points are in touch, m"""
+"""Distance up to which contact points count as touching, m"""
 TOI_TOLERANCE = 1e-13
-"""Precision of the distance at which a touch is found, m"""
+"""Tolerance of the distance at the time of impact, m"""
 REPEATED_TOI_TOLERANCE = 1e-7
-"""The same of shapes that touched already, m; well below `SLIP` in `points`"""
+"""Tolerance for pairs that touched before in the substep, m; well below `MAX_EXTRA_PENETRATION`"""
 NEWTON_DISTANCE = 1e-3
-"""Distance from a touch at which Newton's method takes over, m"""
+"""Distance from contact below which Newton's method is used, m"""
 LOOSE_TOI_TOLERANCE = 1e-9
-"""The same for ways that take more than `LOOSE_AFTER_STEPS`, m"""
+"""Tolerance of searches that take more than `LOOSE_AFTER_STEPS`, m"""
 LOOSE_AFTER_STEPS = 1_000
-"""Steps after which nanometres do not matter any more; mostly a search takes five"""
+"""Steps after which the tolerance is relaxed; a typical search takes five"""
 MAX_TOI_STEPS = 20_000
-"""Most steps to a touch; who grazes by a micrometre may take a thousand"""
+"""Maximum number of steps of a search; grazing by a micrometre may take a thousand"""
 NO_IMPACT = 2.0
-"""Time of a touch that does not happen"""
+"""Time of impact of a pair that does not touch"""
 
 
 @func
@@ -62,7 +62,7 @@ def measure_distance(
     scratch: np.ndarray,
     gjk_only: bool = False,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Measure a pair at a time in the substep, with `nearest`, or `gap` if it is to be plain."""
+    """Measure the distance of a pair at a time in the substep, by `nearest`, or `gap` if `gjk_only`."""
     position_a, quaternion_a = interpolate_pose(scenery, motions, w, a, time, dt)
     position_b, quaternion_b = interpolate_pose(scenery, motions, w, b, time, dt)
     offset = minus(position_b, position_a)
@@ -88,29 +88,31 @@ def find_time_of_impact(
     scratch: np.ndarray,
     gjk_only: bool = False,
 ) -> tuple[float, Vec3, bool]:
-    """Find when a pair comes within a distance, while both fly on straight.
+    """Find the time at which the distance of a pair falls to a target distance.
+
+    Both bodies move along their present path segments.
 
     Args:
-        scenery: What stands, and all shapes.
+        scenery: All shapes.
         motions: (N,) rows of `MOTION`.
-        w: The world.
-        a: Number of the shape of a drone.
-        b: Number of the other shape.
-        start: Share of the substep from which on to look.
-        floor: The distance, m.
-        held: Whether they touched already in this substep, so that no exact time is needed.
+        w: Index of the world.
+        a: Shape index of a drone.
+        b: Index of the other shape.
+        start: Fraction of the substep at which the search starts.
+        target_distance: Distance at which the pair counts as touching, m.
+        has_touched: True if the pair touched before in this substep; a looser tolerance is used.
         dt: Length of the substep, s.
         guess: Direction of an earlier separation, or zeros.
-        room: See `bulletuav.geometry.gjk.make_room`.
-        plain: Whether `gap` measures, with bits that kinematic flights keep.
+        scratch: Work array, see `bulletuav.geometry.gjk.make_room`.
+        gjk_only: True to measure with `gap`, whose bits kinematic flights keep.
 
     Returns:
-        Share of the substep, `start` where they are as close already and may come closer, NEVER
-        where they do not; the direction of the last separation; and whether they are in touch at
-        `start`.
+        Time of impact as a fraction of the substep (`start` if the pair is that close already and may
+        approach, `NO_IMPACT` if there is none); the last separating direction; and whether the pair
+        is in contact at `start`.
     """
     if not gjk_only:
-        # Of a pair that is held it is known that it is in touch
+        # A pair that has touched is known to be in contact
         least = -math.inf if has_touched else MAX_CONTACT_DISTANCE
         across = guess if dot(guess, guess) > 0.0 else compute_centre_direction(motions, a, b)
         if is_separated_by_plane(
@@ -127,7 +129,7 @@ def find_time_of_impact(
     time = start
     normal = guess
     in_contact = False
-    # The touch is between a time at which they were apart and one at which they were too close
+    # Bracket of the impact: the last time apart, and the first time too close
     apart, close = start, NO_IMPACT
     safe, leapt = start, False
     for step_number in range(MAX_TOI_STEPS):
@@ -139,7 +141,7 @@ def find_time_of_impact(
         in_contact = in_contact or (time == start and distance <= MAX_CONTACT_DISTANCE)
         left = distance - target_distance
         rest = end - time
-        # How fast the gap can close, and how far ways bend in between
+        # Bound the closing speed, and the curvature of the paths
         between = plus(minus(on_b, on_a), distance, normal)
         count = 3 if turns and left > 0.0 else 1
         planes = bound_planes(radii, normal, move, turn_a, turn_b, between, count)
@@ -147,7 +149,7 @@ def find_time_of_impact(
         bound, growth, bend, _ = plane
         landed, leapt = leapt and left > 0.0, False
         if landed:
-            # Others than the nearest points may have touched on the way, and parted again
+            # Other points than the closest ones may have touched and parted again on the way
             then = rotate_normal(plane, normal, apart - time)
             before, _, _ = measure_along_direction(scenery, motions, w, a, b, apart, dt, then)
             if before - target_distance < 4.0 * bend * (time - apart) ** 2:
@@ -183,7 +185,7 @@ def find_time_of_impact(
         if left < NEWTON_DISTANCE:
             surface = minus(cross(turn_a, on_a), cross(turn_b, on_b))
             closing = -dot(move, normal) - dot(surface, normal)
-            # Back from too far by Newton alone; ahead as far as there is but one touch
+            # Newton goes back from an overlap; it goes ahead only as far as there is a single root
             if closing > 0.0:
                 aimed = left / closing
                 leapt = left > 0.0 and step < aimed and 4.0 * bend * aimed * aimed <= left
@@ -192,7 +194,7 @@ def find_time_of_impact(
                     step = aimed
         time = min(end, time + step)
         if close < NO_IMPACT:
-            # Newton's method may go back and forth for ever where a way only just grazes
+            # Bisect where Newton's method would oscillate, as for grazing paths
             if not apart < time < close:
                 time = 0.5 * (apart + close)
             bracket = close - apart
