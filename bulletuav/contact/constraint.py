@@ -1,9 +1,9 @@
-"""Impulses at the points where shapes touch: sequential impulses on all of an island together.
+"""Contact constraints: Jacobians, effective masses and impulses of contact points.
 
-Each point is asked for the impulse that keeps its surfaces from closing faster than they may, and
-for friction within Coulomb's disc; the points are swept until nothing changes (E. Catto, Iterative
-dynamics with temporal coherence, 2005). Impulses act on both bodies at one point, so that momentum
-and angular momentum stay.
+Each contact point constrains the relative velocity of its two surfaces: along the normal they must
+not approach faster than allowed, and along the tangents friction stays within Coulomb's disc
+(E. Catto, Iterative dynamics with temporal coherence, 2005). An impulse acts on both bodies at the
+same point, so that momentum and angular momentum are conserved.
 """
 
 import math
@@ -55,56 +55,57 @@ CONTACT_POINT = record_type(
         ("saved_impulse", "f8", 3),
     ]
 )
-"""A point of contact.
+"""A contact point with its constraint.
 
 Attributes:
-    a: Index of the drone that `normal` pushes.
-    b: Index of the other drone, or -1 for what does not yield.
-    pair: Number of its pair.
+    a: Index of the drone that `normal` points to.
+    b: Index of the other drone, or -1 for a static body.
+    pair: Index of the pair.
     normal: Unit vector from b to a.
-    tangent: Two unit vectors across it.
+    tangent: Two unit vectors perpendicular to the normal and to each other.
     arm_a: From the centre of mass of a to the point, m.
-    arm_b: From that of b, m.
-    jacobian_a: Arms of unit impulses along the normal and the tangents about the centre of a, m.
-    jacobian_b: The same about that of b, m.
-    angular_response_a: Changes of the spin of a by these impulses, rad/s.
-    angular_response_b: The same of b, rad/s.
-    obstacle_velocity: Velocity of what does not yield, m/s.
+    arm_b: From the centre of mass of b to the point, m.
+    jacobian_a: Angular Jacobian of a, arm x axis for the normal and the tangents, m.
+    jacobian_b: Angular Jacobian of b, m.
+    angular_response_a: Change of the angular velocity of a by unit impulses along the axes, rad/s.
+    angular_response_b: Change of the angular velocity of b, rad/s.
+    obstacle_velocity: Velocity of a static body, m/s.
     friction: Coefficient of friction.
     restitution: Coefficient of restitution.
     distance: Signed distance of the surfaces along the normal, m.
-    normal_velocity: Velocity along the normal before the impact, m/s.
-    relative_velocity: Velocity of a against b there, m/s; zeros where it was foreseen.
-    normal_mass: That the point feels along the normal, kg.
-    tangent_mass: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22; and
-        its least eigenvalue, kg.
-    coupling: Velocities along the normal by unit impulses across, 1/kg.
-    block_mass: Inverse of the symmetric 3 x 3 matrix of velocities by impulses, kg.
-    target_velocity: Velocity along the normal that must be reached, m/s.
-    rolling_axis: Unit vectors about which they do not turn freely: z of a, z of b, and the normal.
-    rolling_response_a: Changes of the spin of a by unit angular impulses about them, rad/s.
-    rolling_response_b: The same of b, rad/s.
-    rolling_mass: Moments of inertia about them, kg m^2.
-    rolling_limit: Greatest angular impulses about them, over the normal impulse, m.
-    rolling_impulse: Angular impulses about the axes, in this pass, N m s.
-    total_rolling_impulse: The same in all passes since `remember_before`, N m s.
-    is_sliding: Whether friction did not hold it in the last sweep.
-    tipping_damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
-    impulse: Along the normal and the tangents, in this pass, N s.
-    impulse_change: Change of the impulse in the last sweep, N s.
-    search_direction: Sum of the last changes, each a share of what came after it, N s.
-    total_impulse: The same in all passes, N s.
-    saved_impulse: The same in all passes before `remember_before`, N s.
+    normal_velocity: Relative velocity along the normal before the impact, m/s.
+    relative_velocity: Velocity of a relative to b at the point, m/s; zeros if speculative.
+    normal_mass: Effective mass along the normal, kg.
+    tangent_mass: Effective mass matrix of the tangents (symmetric 2 x 2: 11, 12, 22), and its
+        smallest eigenvalue, kg.
+    coupling: Velocities along the normal by unit impulses along the tangents, 1/kg.
+    block_mass: Effective mass matrix of all three axes (3 x 3), kg.
+    target_velocity: Smallest velocity along the normal that the solver accepts, m/s.
+    rolling_axis: Unit vectors about which rotation is resisted: z of a, z of b, and the normal.
+    rolling_response_a: Change of the angular velocity of a by unit angular impulses about these
+        axes, rad/s.
+    rolling_response_b: Change of the angular velocity of b, rad/s.
+    rolling_mass: Effective moments of inertia about these axes, kg m^2.
+    rolling_limit: Maximum angular impulses about these axes per normal impulse, m.
+    rolling_impulse: Angular impulses about these axes in this pass, N m s.
+    total_rolling_impulse: Sum of them over all passes since `save_velocities`, N m s.
+    is_sliding: Whether the friction limit was reached in the last iteration.
+    tipping_damping: Angular impulse that damps tipping, per normal impulse and spin, m s.
+    impulse: Impulses along the normal and the tangents in this pass, N s.
+    impulse_change: Change of the impulses in the last iteration, N s.
+    search_direction: Decaying sum of the changes over iterations, N s.
+    total_impulse: Sum of the impulses over all passes, N s.
+    saved_impulse: Sum over all passes before `save_velocities`, N s.
 """
 
 
 BodyVelocities = tuple[Vec3, Vec3, Vec3, Vec3]
-"""Velocity and spin of a, and of b, m/s and rad/s"""
+"""Velocity and angular velocity of a, and of b, m/s and rad/s"""
 
 
 @func
 def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
-    """Return two unit vectors across a unit vector and each other."""
+    """Return two unit vectors perpendicular to a unit vector and to each other."""
     x, y, z = normal
     if abs(x) > abs(z):
         scale = 1.0 / math.sqrt(x * x + y * y)
@@ -117,7 +118,7 @@ def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
 
 @func
 def apply_inverse_inertia(motion: np.record, v: Vec3Like) -> Vec3:
-    """Return the change of spin (rad/s) by an angular impulse (N m s), world axes."""
+    """Return the change of angular velocity (rad/s) by an angular impulse (N m s), in world axes."""
     ease = motion.inverse_inertia
     return (
         ease[0, 0] * v[0] + ease[0, 1] * v[1] + ease[0, 2] * v[2],
@@ -128,7 +129,7 @@ def apply_inverse_inertia(motion: np.record, v: Vec3Like) -> Vec3:
 
 @func
 def set_inverse_mass(motion: np.record, row: np.record) -> None:
-    """Set how a drone yields to impulses in its present attitude."""
+    """Compute the inverse mass, and the inverse inertia in world axes, at the present attitude."""
     motion.inverse_mass = 1.0 / row.mass
     bx, by, bz = axes(read_quaternion(motion))
     inertia = row.inertia
@@ -149,7 +150,7 @@ def _set_jacobian(
     levers: np.ndarray,
     swings: np.ndarray,
 ) -> None:
-    """Set how impulses along the axes of a point turn one of its bodies."""
+    """Compute the angular Jacobian of a contact point, and its product with the inverse inertia."""
     for k in range(3):
         axis = normal if k == 0 else read_vec3(row.tangent[k - 1])
         lever = cross(arm, axis)
@@ -159,7 +160,7 @@ def _set_jacobian(
 
 @func
 def _compute_inverse_mass(row: np.record, one: int, two: int, light: float) -> float:
-    """Return the velocity along one axis of a point that a unit impulse along another gives."""
+    """Return the velocity along axis `one` of a point by a unit impulse along axis `two`, 1/kg."""
     yields = light if one == two else 0.0
     yields += dot(row.jacobian_a[one], row.angular_response_a[two])
     if row.b >= 0:
@@ -171,7 +172,7 @@ def _compute_inverse_mass(row: np.record, one: int, two: int, light: float) -> f
 def _set_block_mass(
     row: np.record, k00: float, k01: float, k02: float, k11: float, k12: float, k22: float
 ) -> None:
-    """Invert the symmetric matrix of velocities along the axes of a point by impulses."""
+    """Invert the symmetric 3 x 3 inverse mass matrix of a point (Cramer's rule)."""
     first = (k00, k01, k02)
     second = (k01, k11, k12)
     third = (k02, k12, k22)
@@ -183,7 +184,10 @@ def _set_block_mass(
 
 @kernel
 def prepare_constraint(row: np.record, motions: np.ndarray) -> None:
-    """Fill in what a point feels of the masses; a, b, normal and arms must be there."""
+    """Compute the tangents, Jacobians and effective masses of a contact point; reset its impulses.
+
+    `a`, `b`, `normal` and the arms must be set. The inverse masses of the bodies must be set.
+    """
     normal = read_vec3(row.normal)
     one, two = _tangents(normal)
     write_vec3(row.tangent[0], one)
@@ -227,14 +231,14 @@ def prepare_constraint(row: np.record, motions: np.ndarray) -> None:
 
 @func
 def compute_surface_velocity(motion: np.record, arm: Vec3) -> Vec3:
-    """Return the velocity of a drone's surface at a point, m/s."""
+    """Return the velocity of a drone's surface at a point `arm` from its centre of mass, m/s."""
     turning = cross(read_vec3(motion.spin), arm)
     return plus(read_vec3(motion.velocity), 1.0, turning)
 
 
 @func
 def compute_relative_velocity(row: np.record, motions: np.ndarray) -> Vec3:
-    """Return the velocity of a's surface against that of b at a point, m/s."""
+    """Return the velocity of surface a relative to surface b at a contact point, m/s."""
     other = read_vec3(row.obstacle_velocity)
     if row.b >= 0:
         other = compute_surface_velocity(motions[row.b], read_vec3(row.arm_b))
@@ -243,7 +247,7 @@ def compute_relative_velocity(row: np.record, motions: np.ndarray) -> Vec3:
 
 @func
 def read_velocities(row: np.record, motions: np.ndarray) -> BodyVelocities:
-    """Return how both bodies of a point move; what does not yield drifts."""
+    """Return the velocities of both bodies of a point; a static body has `obstacle_velocity`."""
     a = motions[row.a]
     if row.b < 0:
         return (
@@ -258,7 +262,7 @@ def read_velocities(row: np.record, motions: np.ndarray) -> BodyVelocities:
 
 @func
 def write_velocities(row: np.record, motions: np.ndarray, moving: BodyVelocities) -> None:
-    """Let both bodies of a point move in another way."""
+    """Write the velocities of the bodies of a point."""
     write_vec3(motions[row.a].velocity, moving[0])
     write_vec3(motions[row.a].spin, moving[1])
     if row.b >= 0:
@@ -268,7 +272,7 @@ def write_velocities(row: np.record, motions: np.ndarray, moving: BodyVelocities
 
 @func
 def compute_axis_velocity(row: np.record, moving: BodyVelocities, k: int, axis: Vec3) -> float:
-    """Return the velocity of a's surface against that of b along axis k of a point, m/s."""
+    """Return the velocity of surface a relative to surface b along axis k of a point, m/s."""
     speed = dot(moving[0], axis) + dot(moving[1], point(row.jacobian_a, k)) - dot(moving[2], axis)
     if row.b >= 0:
         speed -= dot(moving[3], point(row.jacobian_b, k))
@@ -279,7 +283,7 @@ def compute_axis_velocity(row: np.record, moving: BodyVelocities, k: int, axis: 
 def apply_axis_impulse(
     row: np.record, motions: np.ndarray, moving: BodyVelocities, k: int, axis: Vec3, impulse: float
 ) -> BodyVelocities:
-    """Return how both bodies of a point move after an impulse along its axis k, N s."""
+    """Return the velocities of both bodies after an impulse along axis k of a point, N s."""
     velocity_a, spin_a, velocity_b, spin_b = moving
     velocity_a = plus(velocity_a, impulse * motions[row.a].inverse_mass, axis)
     spin_a = plus(spin_a, impulse, point(row.angular_response_a, k))

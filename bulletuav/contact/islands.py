@@ -1,7 +1,8 @@
-"""Islands: who hangs together at the time of a touch, and who sleeps under them and bears them.
+"""Islands: drones that are connected by contacts at the time of an impact.
 
-Who sleeps bears those that lie on it as the ground does, and what it gets goes on to what it lies
-on. So a heap falls asleep from below. A sleeper that is hit yields, and all who sleep near it.
+A sleeping drone supports the drones on it like a static body, and passes their load on to its own
+support. A pile therefore falls asleep from below. A sleeping drone that is hit becomes dynamic,
+and so do all drones that sleep near it.
 """
 
 import numpy as np
@@ -14,14 +15,17 @@ from bulletuav.contact.time_of_impact import MAX_CONTACT_DISTANCE
 from bulletuav.geometry.rotation import Vec3, dot
 
 WAKE_APPROACH_SPEED = 0.05
-"""Approach from which on a sleeper yields, m/s"""
+"""Approach speed above which a sleeping drone becomes dynamic, m/s"""
 
 
 @func
 def add_to_island(
     space: ContactWorkspace, world: ContactWorld, members: int, i: int, time: float
 ) -> int:
-    """Bring a drone to the time of an impact, as one of its island; returns how many there are."""
+    """Advance a drone to the time of an impact and add it to the island.
+
+    Shapes that are no drones, and drones of the island, are skipped. Returns the number of members.
+    """
     if i >= world.scenery.first_body or space.motions[i].in_island:
         return members
     motion = space.motions[i]
@@ -35,16 +39,16 @@ def add_to_island(
 
 @func
 def may_touch(pair: np.record, time: float) -> bool:
-    """Tell whether a pair may be in touch at a time."""
+    """Check whether a pair may be in contact at a time."""
     found: bool = pair.has_touched or pair.in_contact or pair.impact_time <= time
     return found
 
 
 @func
 def is_pair_in_island(motions: np.ndarray, pair: np.record) -> bool:
-    """Tell whether both of a pair belong to the island, or the one that can move.
+    """Check whether all dynamic bodies of a pair belong to the island.
 
-    Others were measured when it was gathered, and are not in touch.
+    Other pairs were measured when the island was built, and are not in contact.
     """
     if not motions[pair.a].in_island:
         return False
@@ -54,7 +58,7 @@ def is_pair_in_island(motions: np.ndarray, pair: np.record) -> bool:
 
 @func
 def _swap_bodies(pair: np.record) -> None:
-    """Let a pair be told from its other side."""
+    """Swap the bodies of a pair."""
     pair.a, pair.b = pair.b, pair.a
     for k in range(3):
         pair.normal[k] = -pair.normal[k]
@@ -62,7 +66,7 @@ def _swap_bodies(pair: np.record) -> None:
 
 @func
 def _is_one_static(motions: np.ndarray, pair: np.record) -> bool:
-    """Tell whether one of two drones sleeps and bears the other."""
+    """Check whether exactly one of two drones is a sleeping drone that acts as a static body."""
     if pair.b >= motions.shape[0]:
         return False
     found: bool = motions[pair.a].is_static != motions[pair.b].is_static
@@ -71,7 +75,7 @@ def _is_one_static(motions: np.ndarray, pair: np.record) -> bool:
 
 @func
 def _is_hit(motions: np.ndarray, pair: np.record, normal: Vec3, on_a: Vec3) -> bool:
-    """Tell whether a drone a of an island closes on a sleeper faster than that bears."""
+    """Check whether drone a approaches a sleeping drone faster than `WAKE_APPROACH_SPEED`."""
     velocity = compute_surface_velocity(motions[pair.a], on_a)
     hit: bool = -dot(velocity, normal) > WAKE_APPROACH_SPEED
     return hit
@@ -87,9 +91,9 @@ def _add_drone_on_sleeper(
     members: int,
     time: float,
 ) -> int:
-    """Let one of an island lean on a sleeper that it touches; if it hits that, no sleeper bears.
+    """Add a drone that touches a sleeping drone to the island.
 
-    Returns the number of members.
+    If the sleeping drone is hit, all sleeping drones become dynamic. Returns the number of members.
     """
     motions = space.motions
     if motions[pair.a].is_static:
@@ -115,9 +119,9 @@ def build_island(
     first: int,
     time: float,
 ) -> int:
-    """Find all drones that hang together with a pair at the time of its touch.
+    """Find all drones that are connected to a pair by contacts at the time of its impact.
 
-    Returns their number; they are in `space.island`.
+    Returns their number; their indices are in `space.island`.
     """
     motions = space.motions
     for p in range(count):

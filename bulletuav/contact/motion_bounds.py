@@ -96,7 +96,7 @@ def _compute_lowest_height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> fl
 
 @kernel
 def compute_budget(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i: int) -> float:
-    """Compute how far drone i of world w may move before it can touch anything but drones, m.
+    """Compute how far drone i of world w may move until it can touch anything but drones, m.
 
     Args:
         scenery: Shapes of the worlds.
@@ -108,7 +108,7 @@ def compute_budget(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i:
     here = vec3(swarm.position, w, i)
     own = scenery.table.radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
     least = min(MAX_BUDGET, here[2] - own)
-    # Close to the ground the bounding sphere overlaps it: use the lowest point, and count rotation
+    # Close to the ground the bounding sphere overlaps it: use the lowest point instead
     turns[w, i] = least < 0.0
     if turns[w, i]:
         least = _compute_lowest_height(scenery, swarm, w, i) - CONTACT_DISTANCE - BUDGET_MARGIN

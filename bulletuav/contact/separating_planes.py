@@ -85,7 +85,7 @@ def measure_along_direction(
 
 @func
 def _bound_angular_sweep(radius: float, normal: Vec3, turn: Vec3) -> tuple[float, float]:
-    """Bound the speed (m) and acceleration that a rotation gives any point of a shape along `normal`.
+    """Bound the speed (m) and acceleration of any point of a rotating shape along `normal`.
 
     Both are per substep. A rotation about the normal moves no point along it.
     """
@@ -270,7 +270,10 @@ def find_time_apart(
 
 @func
 def compute_centre_direction(motions: np.ndarray, a: int, b: int) -> Vec3:
-    """Return the unit vector from drone b to drone a; zeros if b is no drone or at the same position."""
+    """Return the unit vector from drone b to drone a.
+
+    Returns zeros if b is no drone, or if both are at the same position.
+    """
     if b >= motions.shape[0]:
         return 0.0, 0.0, 0.0
     way = minus(read_vec3(motions[a].position), read_vec3(motions[b].position))

@@ -1,9 +1,11 @@
-"""Sequential impulses on all points of an island together, until nothing changes.
+"""Contact solver: projected Gauss-Seidel (sequential impulses) over the constraints of an island.
 
-E. Catto, Iterative dynamics with temporal coherence, 2005. Friction stays within Coulomb's disc.
-Between sweeps impulses go on the way they went, as in the method of conjugate gradients: M.
-Silcowitz, S. Niebe and K. Erleben, A nonsmooth nonlinear conjugate gradient method for interactive
-contact force problems, 2010.
+Friction is limited by Coulomb's disc.
+
+References:
+    E. Catto, Iterative dynamics with temporal coherence, 2005.
+    M. Silcowitz, S. Niebe and K. Erleben, A nonsmooth nonlinear conjugate gradient method for
+    interactive contact force problems, 2010: the acceleration between iterations.
 """
 
 import math
@@ -24,34 +26,34 @@ from bulletuav.contact.motion import read_vec3, write_vec3
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus, point
 
 TIGHT_TOLERANCE = 1e-9
-"""Precision of impulses of what rebounds, see `solve_constraints`"""
+"""Tolerance of the solver for impacts with restitution, see `solve_constraints`"""
 SINGLE_BODY_TOLERANCE = 1e-6
-"""The same of a drone that is held or stopped: slides are exact to 1e-3 by it"""
+"""Tolerance for a single drone that rests or is stopped; sliding distances are exact to 1e-3"""
 MULTI_BODY_TOLERANCE = 1e-5
-"""The same of drones that hold each other; rest begins at hundreds of it"""
+"""Tolerance for islands of several drones; speeds at rest are hundreds of times this"""
 COLD_START, WARM_START, RESUME = 0, 1, 2
-"""What impulses start from, see `solve_constraints`"""
+"""Starting impulses of the solver, see `solve_constraints`"""
 MAX_ITERATIONS = 200
-"""Most sweeps over the points of any island"""
+"""Maximum number of iterations for any island"""
 RESTART_GROWTH = 4.0
-"""Square of the changes over the least so far, above which the way begins anew"""
+"""Growth of the squared change over its minimum at which the search direction is reset"""
 MAX_MOMENTUM = 0.9
-"""Share of its way by which it goes on at most"""
+"""Maximum fraction of the search direction that is added between iterations"""
 MIN_ROW_UPDATES = 10_000
-"""Visits of points that a large island gets, unless that is less than `MIN_ITERATIONS` sweeps"""
+"""Number of row updates that a large island gets, unless that is less than `MIN_ITERATIONS`"""
 ROW_UPDATES_PER_SECOND = 3_000_000
-"""The same over the length of the substep, if that is more: forces do more in a longer one"""
+"""Row updates per second of the substep, if that is more: forces do more in a long substep"""
 MIN_TIPPING_SPIN = 0.02
-"""Spin below which tipping is not damped, rad/s"""
+"""Angular velocity below which tipping is not damped, rad/s"""
 MIN_ITERATIONS = 20
-"""Sweeps that even a large island gets"""
+"""Number of iterations that even a large island gets"""
 
 
 @func
 def _compute_friction_against_slip(
     row: np.record, along: float, across: float
 ) -> tuple[float, float, float]:
-    """Return friction along the tangents that grows against a slip (m/s), and its size, N s."""
+    """Return the friction impulses along the tangents against a slip (m/s), and their norm, N s."""
     first = row.impulse[1] - row.tangent_mass[3] * along
     second = row.impulse[2] - row.tangent_mass[3] * across
     return first, second, math.sqrt(first * first + second * second)
@@ -59,19 +61,19 @@ def _compute_friction_against_slip(
 
 @func
 def _update_friction(row: np.record, motions: np.ndarray, moving: BodyVelocities) -> BodyVelocities:
-    """Let friction act at a point, and return how its bodies move then; notes if they slide."""
+    """Update the friction impulses of a point; returns the new velocities of its bodies."""
     one = read_vec3(row.tangent[0])
     two = read_vec3(row.tangent[1])
     along = compute_axis_velocity(row, moving, 1, one)
     across = compute_axis_velocity(row, moving, 2, two)
-    # What would stop the slip
+    # Impulses that stop the slip
     first = row.impulse[1] - (row.tangent_mass[0] * along + row.tangent_mass[1] * across)
     second = row.impulse[2] - (row.tangent_mass[1] * along + row.tangent_mass[2] * across)
     most = row.friction * max(0.0, row.impulse[0])
     size = math.sqrt(first * first + second * second)
     row.is_sliding = False
     if size > most:
-        # More than the normal impulse allows: as much as it does, against the slip
+        # Beyond the friction limit: clamp the impulse, directed against the slip
         first, second, size = _compute_friction_against_slip(row, along, across)
         if size > most:
             row.is_sliding = True
@@ -86,7 +88,7 @@ def _update_friction(row: np.record, motions: np.ndarray, moving: BodyVelocities
 
 @func
 def _update_rolling_resistance(row: np.record, moving: BodyVelocities) -> BodyVelocities:
-    """Let angular impulses about the axes of a point resist that its bodies roll or pivot."""
+    """Update the angular impulses that resist rolling and pivoting; returns the new velocities."""
     velocity_a, spin_a, velocity_b, spin_b = moving
     for side in range(3):
         if row.rolling_limit[side] == 0.0:
@@ -106,7 +108,7 @@ def _update_rolling_resistance(row: np.record, moving: BodyVelocities) -> BodyVe
 
 @func
 def _apply_angular_impulse(motion: np.record, twist: Vec3, sign: float) -> None:
-    """Give a drone an angular impulse, N m s."""
+    """Apply an angular impulse to a drone, N m s."""
     turning = apply_inverse_inertia(motion, twist)
     for k in range(3):
         motion.spin[k] += sign * turning[k]
@@ -114,7 +116,7 @@ def _apply_angular_impulse(motion: np.record, twist: Vec3, sign: float) -> None:
 
 @func
 def _update_normal(row: np.record, motions: np.ndarray, moving: BodyVelocities) -> BodyVelocities:
-    """Let a point push its surfaces apart, and return how its bodies move then."""
+    """Update the normal impulse of a point; returns the new velocities of its bodies."""
     normal = read_vec3(row.normal)
     missing = row.target_velocity - compute_axis_velocity(row, moving, 0, normal)
     pressed = max(0.0, row.impulse[0] + row.normal_mass * missing)
@@ -127,7 +129,10 @@ def _update_normal(row: np.record, motions: np.ndarray, moving: BodyVelocities) 
 def _update_sticking(
     row: np.record, motions: np.ndarray, moving: BodyVelocities
 ) -> tuple[bool, BodyVelocities]:
-    """Stop a point along all of its axes at once, if friction can hold it; tells whether it can."""
+    """Stop a point along all three axes by a block solve, if the impulse is within the friction cone.
+
+    Returns whether it is, and the velocities of the bodies.
+    """
     missing = (
         row.target_velocity - compute_axis_velocity(row, moving, 0, read_vec3(row.normal)),
         -compute_axis_velocity(row, moving, 1, read_vec3(row.tangent[0])),
@@ -150,7 +155,7 @@ def _update_sticking(
 def _apply_impulse(
     row: np.record, motions: np.ndarray, moving: BodyVelocities, impulse: Vec3
 ) -> BodyVelocities:
-    """Return how the bodies of a point move after an impulse along its axes, N s."""
+    """Return the velocities of the bodies of a point after an impulse along its axes, N s."""
     moving = apply_axis_impulse(row, motions, moving, 0, read_vec3(row.normal), impulse[0])
     moving = apply_axis_impulse(row, motions, moving, 1, read_vec3(row.tangent[0]), impulse[1])
     return apply_axis_impulse(row, motions, moving, 2, read_vec3(row.tangent[1]), impulse[2])
@@ -160,23 +165,24 @@ def _apply_impulse(
 def _update_sliding(
     row: np.record, motions: np.ndarray, moving: BodyVelocities
 ) -> tuple[bool, BodyVelocities]:
-    """Stop a sliding point along its normal, with the friction that the normal impulse allows.
+    """Solve the normal impulse of a sliding point together with its friction.
 
-    Friction is `friction` times the normal impulse, so that both are solved for at once. Only its
-    direction, against the slip, is left to the next sweep. Tells whether the point slides.
+    The friction is `friction` times the normal impulse, so that both are solved at once; the direction
+    of the friction, against the slip, is updated in each iteration. Returns whether the point slides,
+    and the velocities of the bodies.
     """
     along = compute_axis_velocity(row, moving, 1, read_vec3(row.tangent[0]))
     across = compute_axis_velocity(row, moving, 2, read_vec3(row.tangent[1]))
     first, second, size = _compute_friction_against_slip(row, along, across)
     if size <= row.friction * max(0.0, row.impulse[0]):
         return False, moving
-    # Friction for each unit of the normal impulse
+    # Friction per unit of the normal impulse
     first *= row.friction / size
     second *= row.friction / size
-    # Less where friction presses, but such a point would do more than others bear
+    # Ignore friction that presses: it would make this point stronger than others can balance
     yields = 1.0 / row.normal_mass + max(0.0, row.coupling[0] * first + row.coupling[1] * second)
     missing = row.target_velocity - compute_axis_velocity(row, moving, 0, read_vec3(row.normal))
-    # What turns friction into that direction lifts, too
+    # The change of the friction's direction changes the normal velocity, too
     missing -= row.coupling[0] * (row.impulse[0] * first - row.impulse[1])
     missing -= row.coupling[1] * (row.impulse[0] * second - row.impulse[2])
     pressed = max(0.0, row.impulse[0] + missing / yields)
@@ -189,15 +195,18 @@ def _update_sliding(
 
 @func
 def _update_row(row: np.record, motions: np.ndarray, at_once: bool) -> None:
-    """Let a point do what it has to, given what all others do; notes the change in `step`.
+    """Update the impulses of one contact point with all others fixed; sets `impulse_change`.
 
-    Where it slides, normal impulse and friction are found at once, or one after the other.
+    Args:
+        row: Row of `CONTACT_POINT`.
+        motions: (N,) rows of `MOTION`; velocities are changed.
+        at_once: True to solve the normal impulse of a sliding point together with its friction.
     """
     old = read_vec3(row.impulse)
     moving = read_velocities(row, motions)
     none = (0.0, 0.0, 0.0)
     acts = old != none or read_vec3(row.rolling_impulse) != none
-    # Most points do nothing and have nothing to do
+    # Most points carry no impulse and need none
     if (
         not acts
         and compute_axis_velocity(row, moving, 0, read_vec3(row.normal)) >= row.target_velocity
@@ -208,7 +217,7 @@ def _update_row(row: np.record, motions: np.ndarray, at_once: bool) -> None:
     if row.friction > 0.0:
         if acts:
             moving = _update_rolling_resistance(row, moving)
-        # Who slid a moment ago will hardly stick
+        # A point that slid in the last iteration rarely sticks
         if not row.is_sliding:
             done, moving = _update_sticking(row, motions, moving)
         if not done and at_once:
@@ -225,7 +234,7 @@ def _update_row(row: np.record, motions: np.ndarray, at_once: bool) -> None:
 def _step_along_search_direction(
     points: np.ndarray, count: int, motions: np.ndarray, share: float, anew: bool
 ) -> None:
-    """Let impulses go on the way of the sweeps before, by a share of it, or begin a new way."""
+    """Add a fraction of the search direction to all impulses, or reset it if `anew`."""
     for k in range(count):
         row = points[k]
         if anew:
@@ -247,20 +256,20 @@ def _step_along_search_direction(
 def solve_constraints(
     points: np.ndarray, count: int, motions: np.ndarray, dt: float, firm: float, start: int
 ) -> int:
-    """Sweep over points until none closes faster than it may.
+    """Solve the contact constraints of an island by projected Gauss-Seidel.
 
     Args:
-        points: Rows of `POINT`; impulses are written.
-        count: How many of them count.
+        points: Rows of `CONTACT_POINT`; impulses are written.
+        count: Number of points that count.
         motions: (N,) rows of `MOTION`; velocities and spins are changed.
         dt: Length of the substep, s.
-        firm: Change of velocity below which a sweep changes nothing, as share of the greatest one
-            or 1 m/s.
-        start: `COLD_START`, `WARM_START` for the impulses that are there, which do not act yet,
-            or `RESUME` for those that act already.
+        firm: Tolerance: the solver stops when no velocity changes by more than this fraction of the
+            largest relative velocity (or of 1 m/s).
+        start: `COLD_START` to start from zero impulses, `WARM_START` to apply the impulses in
+            `points`, or `RESUME` if the impulses in `points` have been applied already.
 
     Returns:
-        The number of sweeps.
+        Number of iterations.
     """
     fastest = 1.0
     for k in range(count):
@@ -303,10 +312,10 @@ def solve_constraints(
         if change <= firm * fastest:
             return sweep + 1
         grows = square > RESTART_GROWTH * least
-        # Points that are wedged may drive each other on by their friction
+        # With a coupled solve, the friction of wedged points may diverge
         at_once = at_once and not grows
         if sweep > 0 and sweep + 1 < most:
-            # What went too far is taken back against its way
+            # Reset the search direction after an overshoot
             anew = further < 0.0 or grows
             _step_along_search_direction(
                 points, count, motions, min(square / before, MAX_MOMENTUM), anew
@@ -318,15 +327,15 @@ def solve_constraints(
 
 @kernel
 def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
-    """Damp the spin of bodies about axes across the normals of points that press.
+    """Damp the angular velocity of bodies about tangential axes at points that carry an impulse.
 
     Args:
-        points: Rows of `POINT`, with the impulses of a pass.
-        count: How many of them count.
+        points: Rows of `CONTACT_POINT`, with the impulses of a pass.
+        count: Number of points that count.
         motions: (N,) rows of `MOTION`; spins are changed.
 
     Returns:
-        Whether any spin was changed enough to matter.
+        True if any spin was changed.
     """
     acts = False
     for k in range(count):
@@ -346,7 +355,7 @@ def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
         square = dot(tipping, tipping)
         if square < MIN_TIPPING_SPIN * MIN_TIPPING_SPIN:
             continue
-        # Implicit in the spin, so that it is never turned round
+        # Implicit in the spin, so that its sign never changes
         yields = dot(tipping, apply_inverse_inertia(motions[row.a], tipping)) / square
         if row.b >= 0:
             yields += dot(tipping, apply_inverse_inertia(motions[row.b], tipping)) / square

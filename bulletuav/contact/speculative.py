@@ -1,4 +1,4 @@
-"""Foresight: where a pair that touches will be too close next, although it is not now."""
+"""Speculative contacts: points of a touching pair that would overlap later in the substep."""
 
 import numpy as np
 
@@ -20,9 +20,9 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
 
 MAX_CHECKS = 4
-"""Times at which points of a pair that touches repeatedly are foreseen, each a quarter as far"""
+"""Times at which a pair with repeated contacts is checked; each interval is a quarter of the last"""
 MAX_TRUSTED_DEPTH = 5e-4
-"""Depth of an overlap up to which its direction is that of the contact, m"""
+"""Penetration depth up to which the direction of an overlap is used as the contact normal, m"""
 
 
 @func
@@ -36,7 +36,7 @@ def _transform_back(
     dt: float,
     arm: Vec3,
 ) -> Vec3:
-    """Return where a point of someone is at a time that is at `arm` at a later time, m."""
+    """Return the position at `time` of the point of a shape that is at `arm` at the time `end`, m."""
     position, before = interpolate_pose(scenery, motions, w, shape, time, dt)
     _, after = interpolate_pose(scenery, motions, w, shape, end, dt)
     return plus(position, 1.0, to_world(before, to_body(after, arm)))
@@ -46,14 +46,21 @@ def _transform_back(
 def find_speculative_point(
     space: ContactWorkspace, world: ContactWorld, pair: np.record, time: float, point: np.record
 ) -> bool:
-    """Fill in the point at which a pair would be too close at the end of its way, if there is one.
+    """Find the point at which a pair would be too close at the end of its path segment.
 
-    Velocities are those at the end of the substep, and `aim` was called. Of a pair that turns,
-    other points than those of now may come together: without them it would sink, and take many
-    impacts to stop.
+    Velocities must be those at the end of the substep, and `start_segment` must have been called. As a
+    pair rotates, other points than the present ones may come into contact. Without a speculative point
+    the pair would sink in, and need many impacts to stop.
+
+    Args:
+        space: Arrays to work on.
+        world: The world.
+        pair: Row of `PAIR`.
+        time: Fraction of the substep.
+        point: Row of `CONTACT_POINT`; written if there is such a point.
 
     Returns:
-        Whether there is one.
+        True if there is such a point.
     """
     a = pair.a
     b = pair.b
@@ -66,7 +73,7 @@ def find_speculative_point(
     now, _, _ = measure_along_direction(scenery, motions, w, a, b, time, dt, touched)
     wanted = min(now, TARGET_SEPARATION)
     enough = 0.5 * wanted if wanted > 0.0 else wanted - MAX_EXTRA_PENETRATION
-    # Who touches again and again may do so long before the end
+    # Repeated contacts may happen long before the end
     looks = MAX_CHECKS if motions[a].impacts > 1 else 1
     later = enough
     for look in range(looks):
@@ -75,11 +82,11 @@ def find_speculative_point(
             end = time + 0.25 * (end - time)
         later, on_a, on_b = measure_along_direction(scenery, motions, w, a, b, end, dt, normal)
         if later < enough and scenery.table.kind[b] != HALF_SPACE:
-            # They may pass each other, for example over an edge
+            # The bodies may miss each other, for example beyond an edge
             later, new, on_a, on_b = measure_distance(
                 scenery, motions, w, a, b, end, dt, normal, space.scratch
             )
-            # The direction of a deep overlap misleads: keep that of the touch
+            # The direction of a deep overlap is unreliable: keep the contact normal
             if later > -MAX_TRUSTED_DEPTH:
                 normal = new
         if later < enough:

@@ -62,7 +62,10 @@ def measure_distance(
     scratch: np.ndarray,
     gjk_only: bool = False,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Measure the distance of a pair at a time in the substep, by `nearest`, or `gap` if `gjk_only`."""
+    """Measure the distance of a pair at a time in the substep.
+
+    Uses `nearest`, or `gap` if `gjk_only`. Returns what these return.
+    """
     position_a, quaternion_a = interpolate_pose(scenery, motions, w, a, time, dt)
     position_b, quaternion_b = interpolate_pose(scenery, motions, w, b, time, dt)
     offset = minus(position_b, position_a)

@@ -1,8 +1,8 @@
-"""Memory of contacts: impulses of the last substep, with which the next one begins.
+"""Warm starting: contact impulses of the last substep, cached by shape and position.
 
-What rests needs the same impulses again and again. Beginning with them, sweeps over a stack or a
-heap go on from substep to substep until nothing moves (warm starting: E. Catto, Iterative dynamics
-with temporal coherence, 2005).
+Bodies at rest need the same impulses in each substep. Starting from them, the solver converges
+over several substeps even for stacks and piles (E. Catto, Iterative dynamics with temporal
+coherence, 2005).
 """
 
 import math
@@ -16,29 +16,29 @@ from bulletuav.contact.motion import is_at_impact_limit, read_quaternion, read_v
 from bulletuav.geometry.rotation import dot, minus, to_body, to_world
 
 MAX_CACHED_POINTS = 16
-"""Points of contact that are remembered of a drone"""
+"""Contact points that are cached for each drone"""
 MIN_CACHED_FRACTION = 1e-4
-"""Rest of a substep, as a share of it, whose impulses are not remembered: they are of an impact"""
+"""Remaining fraction of a substep below which impulses are not cached, because an impact caused them"""
 MATCH_DISTANCE = 0.3
-"""Distance of points on a drone that count as one, as share of its radius"""
+"""Distance within which points on a drone match, as a fraction of its radius"""
 
 CACHED_POINT = record_type([("other", "i8"), ("arm", "f8", 3), ("force", "f8", 3), ("free", "?")])
-"""A point of contact.
+"""A cached contact point.
 
 Attributes:
-    other: Number of the shape that the drone touched.
-    arm: Where, from the centre of mass, in axes of the drone, m.
-    force: Impulse over the share of the substep in which it acted, in axes of the drone, N s.
-    free: Whether no point has taken it yet.
+    other: Index of the shape that the drone touched.
+    arm: Position relative to the centre of mass, in body axes, m.
+    force: Impulse divided by the fraction of the substep in which it acted, in body axes, N s.
+    free: Whether no contact point has used it yet.
 """
 
 
 class ContactCache(NamedTuple):
-    """What contacts of W worlds of N drones remember.
+    """Cached contact impulses of W worlds of N drones.
 
     Attributes:
-        rows: (W, N, ROWS) rows of `CACHED_POINT`, of each pair with its first drone.
-        number: (W, N) how many of them count.
+        rows: (W, N, MAX_CACHED_POINTS) rows of `CACHED_POINT`, stored with the first drone of a pair.
+        number: (W, N) number of rows that count.
     """
 
     rows: np.ndarray
@@ -46,7 +46,7 @@ class ContactCache(NamedTuple):
 
 
 def make_contact_cache(num_worlds: int, num_drones: int) -> ContactCache:
-    """Make an empty memory."""
+    """Create an empty contact cache."""
     rows = np.zeros((num_worlds, num_drones, MAX_CACHED_POINTS), dtype=CACHED_POINT)
     return ContactCache(rows, np.zeros((num_worlds, num_drones), dtype=np.int64))
 
@@ -62,22 +62,22 @@ def warm_start_impulses(
     size: int,
     rest: float,
 ) -> None:
-    """Begin with the impulses that were remembered nearest to each point.
+    """Initialise the impulse of each point with the closest cached impulse of the same pair.
 
     Args:
-        memory: Of all worlds.
+        memory: Contact cache of all worlds.
         motions: (N,) rows of `MOTION`.
-        radii: Of all shapes, m.
-        w: The world.
-        points: Rows of `POINT`; impulses are written.
+        radii: Bounding radii of all shapes, m.
+        w: Index of the world.
+        points: Rows of `CONTACT_POINT`; impulses are written.
         pairs: Rows of `PAIR`.
-        size: How many points count.
-        rest: Share of the substep that is left.
+        size: Number of points that count.
+        rest: Fraction of the substep that is left.
     """
     for k in range(size):
         point = points[k]
         write_vec3(point.impulse, (0.0, 0.0, 0.0))
-        # No forces act any more on drones that are spent
+        # No forces act on drones at the impact limit
         if is_at_impact_limit(motions[point.a]) and (
             point.b < 0 or is_at_impact_limit(motions[point.b])
         ):
@@ -98,7 +98,7 @@ def warm_start_impulses(
         rows[best].free = False
         force = to_world(turn, read_vec3(rows[best].force))
         point.impulse[0] = max(0.0, rest * dot(force, read_vec3(point.normal)))
-        # The drone has turned since: without friction no sweep would take back what is across
+        # The drone has turned since: without friction the solver could not remove a tangential part
         if point.friction == 0.0:
             continue
         point.impulse[1] = rest * dot(force, read_vec3(point.tangent[0]))
@@ -117,9 +117,21 @@ def store_impulses(
     size: int,
     rest: float,
 ) -> None:
-    """Remember the impulses of an island, as far as its forces may need them again.
+    """Cache the impulses of an island for the next substep.
 
-    What stopped an impact does not hold in the next substep. Arguments as those of `warm_start_impulses`.
+    Normal impulses are limited to what the forces on the island can require, since impulses of an
+    impact do not act in the next substep.
+
+    Args:
+        memory: Contact cache of all worlds; written.
+        motions: (N,) rows of `MOTION`.
+        w: Index of the world.
+        island: (N,) drones of the island.
+        members: Number of drones of the island.
+        points: Rows of `CONTACT_POINT`.
+        pairs: Rows of `PAIR`.
+        size: Number of points that count.
+        rest: Fraction of the substep that is left.
     """
     most = 0.0
     for m in range(members):
@@ -127,7 +139,7 @@ def store_impulses(
         push = read_vec3(motions[i].velocity_change)
         most = max(most, members * math.sqrt(dot(push, push)) / motions[i].inverse_mass)
         if is_at_impact_limit(motions[i]):
-            # What held it while forces acted will do so again
+            # The impulses from when forces still acted will be needed again
             for k in range(memory.number[w, i]):
                 memory.rows[w, i, k].free = True
         else:
