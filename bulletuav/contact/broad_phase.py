@@ -1,6 +1,6 @@
-"""Broad phase: which pairs may touch within a substep.
+"""Broad phase: find the pairs that may touch within a substep.
 
-Whoever a pair is, it is told by the numbers of its shapes, see `Scenery`.
+A pair is given by the indices of its two shapes, see `Scenery`.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
 
 PAIR_MARGIN = 2e-3
-"""Metres beyond its way within which a drone's pairs are collected"""
+"""Distance beyond the path of a drone within which its pairs are collected, m"""
 ORIGIN = (0.0, 0.0, 0.0)
 
 PAIR = record_type(
@@ -37,16 +37,18 @@ PAIR = record_type(
 """A pair of shapes in one world.
 
 Attributes:
-    a: Number of a drone.
-    b: Number of the other shape.
-    impact_time: Share of the substep at which they touch next; NEVER for not.
-    normal: Direction of their last separation, or zeros.
-    target_distance: Distance at which they count as touching next, m.
-    has_touched: Whether they touched already in this substep.
-    in_contact: Whether they were in touch when this time was found, even if they do not come closer.
-    is_segment_end: Whether they do not touch at `time`, but one of them flies on about another axis.
-    is_on_sleeper: Whether a lies on b, who sleeps and bears it.
-    in_impact: Whether it is in touch in the present impact.
+    a: Shape index of a drone.
+    b: Index of the other shape.
+    impact_time: Fraction of the substep of the next impact; `NO_IMPACT` for none.
+    normal: Direction of the last separation, or zeros.
+    target_distance: Distance at which the pair counts as touching next, m.
+    has_touched: Whether the pair touched already in this substep.
+    in_contact: Whether the pair was in contact when this time was found, even if it does not
+        approach.
+    is_segment_end: Whether there is no impact at `impact_time`, but the end of a path segment of
+        a drone that rotates fast.
+    is_on_sleeper: Whether a rests on b, a sleeping drone that acts as a static body.
+    in_impact: Whether the pair is in contact in the present impact.
 """
 
 
@@ -58,7 +60,7 @@ def _add_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tupl
         if same or (pairs[p].b == a and pairs[p].a == b):
             return pairs, count
     if count == pairs.shape[0]:
-        # One by one, which compiles in a quarter of the time
+        # A loop over rows compiles in a quarter of the time
         wider = np.empty(2 * count, dtype=PAIR)
         for p in range(count):
             wider[p] = pairs[p]
@@ -79,7 +81,7 @@ def _add_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tupl
 
 @func
 def bound_body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
-    """Return a lower bound of the distance of a point from body piece k of a world, m."""
+    """Return a lower bound of the distance of a point from body k of a world, m."""
     table = scenery.table
     s = scenery.first_body + k
     here = to_body(quat4(scenery.quaternion, w, k), minus(place, vec3(scenery.place, w, k)))
@@ -89,7 +91,7 @@ def bound_body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
 
 @func
 def compute_piece_distance(city_grid: CityGrid, p: int, place: Vec3) -> float:
-    """Return the distance of a point from the bounding box of a city's piece, m."""
+    """Return the distance of a point from the bounding box of a building piece, m."""
     return distance_from_box(place, point(city_grid.low, p), point(city_grid.high, p))
 
 
@@ -106,19 +108,19 @@ def collect_pairs(
     pairs: np.ndarray,
     count: int,
 ) -> tuple[np.ndarray, int]:
-    """Add the pairs of a drone with all that is within its reach.
+    """Add the pairs of a drone with all shapes within its reach.
 
     Args:
-        scenery: What stands.
-        motions: (N,) rows of `MOTION`; start, reach and due are read.
+        scenery: All shapes.
+        motions: (N,) rows of `MOTION`; `start_position`, `reach` and `is_due` are read.
         alive: (W, N) bool, drones that can be touched.
-        w: The world.
-        order: (N,) drones of the world by x, then y, then z.
-        rank: Place of the drone in `order`. Drones of lower rank that are due met it in their turn.
-        again: Whether it was its turn before in this substep.
-        speed: How far the fastest obstacle gets in the substep, m.
+        w: Index of the world.
+        order: (N,) drones of the world sorted by x, then y, then z.
+        rank: Position of the drone in `order`. Pairs with due drones of lower rank exist already.
+        again: True if pairs of the drone were collected before in this substep.
+        speed: Displacement of the fastest obstacle in the substep, m.
         pairs: Rows of `PAIR` that were found before.
-        count: Their number.
+        count: Number of these pairs.
 
     Returns:
         The pairs, perhaps in a larger array, and their number.
@@ -127,7 +129,7 @@ def collect_pairs(
     here = read_vec3(motions[i].start_position)
     far = scenery.table.radius[i] + motions[i].reach + CONTACT_DISTANCE
     known = 0 if again else count
-    # What does not fly: ground, bodies and pieces of the city
+    # Static shapes: ground, bodies and building pieces
     if here[2] < far:
         pairs, count = _add_pair(pairs, count, known, i, scenery.ground)
     for k in range(scenery.place.shape[1]):
@@ -147,7 +149,7 @@ def collect_pairs(
                     if compute_piece_distance(city_grid, p, here) < far:
                         other = scenery.first_piece + p
                         pairs, count = _add_pair(pairs, count, known, i, other)
-    # Drones in the order of their places, the lower one first
+    # Other drones in sorted order; the drone of lower rank is a
     for place in range(order.shape[0]):
         j = order[place]
         met = motions[j].is_due and place < rank and not again
@@ -167,13 +169,13 @@ def collect_pairs(
 def are_swept_bounds_apart(
     scenery: Scenery, motions: np.ndarray, w: int, a: int, b: int, dt: float
 ) -> bool:
-    """Tell whether the bounding volumes of a pair stay apart on their ways."""
+    """Check whether the bounding volumes of a pair stay apart along their paths."""
     table = scenery.table
     here = read_vec3(motions[a].position)
     move = read_vec3(motions[a].displacement)
     margin = table.radius[a] + CONTACT_DISTANCE
     if b < scenery.first_body:
-        # Both move straight, but from times of their own: take the boxes of their ways
+        # Both move straight, but their segments may start at different times: then use bounding boxes
         there = read_vec3(motions[b].position)
         other = read_vec3(motions[b].displacement)
         if motions[a].time == motions[b].time and motions[a].end_time == motions[b].end_time:
@@ -233,7 +235,7 @@ def _is_sweep_clear_of_box(
     start: Vec3,
     change: Vec3,
 ) -> bool:
-    """Tell whether the box about a straight way, in body axes, stays off a box by a margin."""
+    """Check whether the box around a straight path, in body axes, keeps a margin to a box."""
     begin = to_body(turn, start)
     moved = to_body(turn, change)
     for k in range(3):

@@ -118,7 +118,7 @@ def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
 
 @func
 def apply_inverse_inertia(motion: np.record, v: Vec3Like) -> Vec3:
-    """Return the change of angular velocity (rad/s) by an angular impulse (N m s), in world axes."""
+    """Return the change of angular velocity (rad/s) by an angular impulse (N m s), world axes."""
     ease = motion.inverse_inertia
     return (
         ease[0, 0] * v[0] + ease[0, 1] * v[1] + ease[0, 2] * v[2],

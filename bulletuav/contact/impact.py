@@ -1,4 +1,4 @@
-"""Impacts: how drones that touch at one time push each other and what stands."""
+"""Impacts: resolve the contacts of an island at one time of the substep."""
 
 import numpy as np
 from numba import types
@@ -48,20 +48,20 @@ from bulletuav.geometry.contact_points import MOST_POINTS
 from bulletuav.geometry.rotation import cross, plus
 
 RESTITUTION_THRESHOLD = 0.02
-"""Approach below which nothing rebounds, m/s"""
+"""Approach speed below which there is no restitution, m/s"""
 MIN_CLOSING_SPEED = 1e-6
-"""Approach below which what touches needs no impact of its own, m/s"""
+"""Approach speed below which touching shapes need no impulses for the impact itself, m/s"""
 MAX_SPECULATIVE_PASSES = 4
-"""How often an impact looks what its pairs will touch with at the end of the substep"""
+"""Maximum number of passes of an impact that search for speculative contacts"""
 MIN_SPECULATIVE_TIME = 1e-6
-"""Rest of a substep below which nothing is foreseen, s"""
+"""Rest of a substep below which there are no speculative contacts, s"""
 UNCONSTRAINED_VELOCITY = -1e9
-"""Velocity that a point may have which does not count, m/s"""
+"""Target velocity of points that do not constrain the motion, m/s"""
 
 
 @func
 def _needs_restitution(point: np.record) -> bool:
-    """Tell whether a point is in touch and closes fast enough to rebound."""
+    """Check whether a point is in contact and approaches fast enough for restitution."""
     found: bool = (
         point.distance <= MAX_CONTACT_DISTANCE and point.normal_velocity < -RESTITUTION_THRESHOLD
     )
@@ -72,13 +72,13 @@ def _needs_restitution(point: np.record) -> bool:
 def _apply_restitution(
     space: ContactWorkspace, world: ContactWorld, members: int, points: np.ndarray, size: int
 ) -> bool:
-    """Let what closes fast rebound (Newton), without a gain of energy, and stop what is slow.
+    """Apply Newton's restitution to fast contacts without a gain of energy, and stop slow ones.
 
-    What closes fast and does not rebound is left to `_solve_resting_contacts`: forces of this substep belong to the
-    velocity before.
+    Fast contacts without restitution are left to `_solve_resting_contacts`, since forces of this
+    substep belong to the velocity before.
 
     Returns:
-        Whether all that is in touch is slow.
+        True if all touching points are slow.
     """
     lively = False
     closes = False
@@ -102,7 +102,7 @@ def _apply_restitution(
         accumulate_impulses(points, size)
         limit_energy(space, world, members, points, size, frame, had, 0.0)
     elif closes and slow:
-        # What is only stopped gains no energy
+        # Stopping an approach gains no energy
         solve_constraints(points, size, space.motions, world.dt, SINGLE_BODY_TOLERANCE, COLD_START)
         accumulate_impulses(points, size)
     return slow
@@ -110,11 +110,11 @@ def _apply_restitution(
 
 @func
 def _set_target_velocities(pairs: np.ndarray, points: np.ndarray, size: int, dt: float) -> None:
-    """Set how fast the points of contact may close, or have to part.
+    """Set the velocity along the normal that each contact point may, or must, reach.
 
-    What is allowed to a pair is linear in the distances, as its motion is: it can reach it at all
-    of its points, however many they are. From a sleeper nobody has to part unless they overlap:
-    who is wedged between two could not.
+    Within a pair the target is linear in the distances, as the motion of rigid bodies is: a pair can
+    therefore reach it at all of its points. A drone on a sleeping drone need not part from it unless
+    they overlap, because a drone wedged between two others could not.
     """
     k = 0
     while k < size:
@@ -129,7 +129,7 @@ def _set_target_velocities(pairs: np.ndarray, points: np.ndarray, size: int, dt:
             point.target_velocity = rate * (TARGET_SEPARATION - point.distance)
             if pairs[point.pair].is_on_sleeper and deepest <= TARGET_SEPARATION:
                 point.target_velocity = min(0.0, point.target_velocity)
-            # What rebounds when it arrives is left to its own impact
+            # A point that rebounds when it touches gets an impact of its own
             if (
                 point.distance > MAX_CONTACT_DISTANCE
                 and point.restitution > 0.0
@@ -141,7 +141,7 @@ def _set_target_velocities(pairs: np.ndarray, points: np.ndarray, size: int, dt:
 
 @func
 def apply_forces(space: ContactWorkspace, members: int, time: float, sign: float) -> None:
-    """Add what forces do to the velocities of an island in the rest of the substep, or take it."""
+    """Add the effect of forces in the rest of the substep to the velocities of an island, times sign."""
     rest = sign * (1.0 - time)
     for m in range(members):
         motion = space.motions[space.island[m]]
@@ -153,9 +153,9 @@ def apply_forces(space: ContactWorkspace, members: int, time: float, sign: float
 
 @func
 def _use_mean_velocity(motion: np.record, time: float, dt: float) -> None:
-    """Let a drone fly on with the mean of its velocities at the beginning and the end.
+    """Move a drone with the mean of its velocities at the start and the end of the segment.
 
-    `start_segment` takes that at the end, which is 1 % too far in a slide that begins.
+    `start_segment` uses the velocity at the end, which is 1 % too far at the start of a slide.
     """
     rest = 1.0 - time
     share = (motion.end_time - time) / rest if rest > 0.0 else 0.0
@@ -177,15 +177,17 @@ def _solve_resting_contacts(
     time: float,
     slow: bool,
 ) -> int:
-    """Let contacts hold against forces for the rest of the substep, and what closes stop.
+    """Solve the contacts of an island against forces for the rest of the substep, and stop approaches.
 
-    Where all is slow and something bears them they fly on with the mean of velocities before and
-    after, as forces act all the way. In free fall nothing does, and to move by another velocity
-    than they have would change their angular momentum.
+    Where all contacts are slow and something supports the island, drones move with the mean of the
+    velocities before and after, as forces act along the whole path. In free fall, moving with any
+    other velocity than the present one would change the angular momentum.
 
-    What would touch at the end of the substep gets points, too, which share what others hold.
+    Contacts that would arise until the end of the substep get speculative points, which share the load
+    with the present points.
 
-    Returns the number of points, those that were foreseen among them.
+    Returns:
+        Number of points, speculative points included.
     """
     motions = space.motions
     _set_target_velocities(pairs, points, size, world.dt)
@@ -215,7 +217,7 @@ def _solve_resting_contacts(
                 solve_constraints(points, size, motions, world.dt, firm, COLD_START)
                 accumulate_impulses(points, size)
         else:
-            # Who is fast and alone flies on before it would rock
+            # A fast drone on its own leaves the contact before it would rock
             shares = slow or members > 1
             if shares:
                 reopen_impulses(points, size)
@@ -228,7 +230,7 @@ def _solve_resting_contacts(
             i = space.island[m]
             motion = motions[i]
             start_segment(motion, world.dt, world.parameters[world.w, i])
-            # At a later impact of a heap velocities before are what holds it, and no way it goes
+            # At a later impact of a pile the saved velocities are not those of its path
             if held and slow and trial == 0 and (alone or motion.impacts == 1):
                 _use_mean_velocity(motion, time, world.dt)
         before = size
@@ -241,7 +243,7 @@ def _solve_resting_contacts(
                     size += 1
         if size == before:
             break
-    # Back to velocities at the time of the impact: forces are added on the way
+    # Restore the velocities at the time of the impact: forces are added along the path
     apply_forces(space, members, time, -1.0)
     return size
 
@@ -250,13 +252,13 @@ def _solve_resting_contacts(
 def _record_point(
     touches: ContactLog, space: ContactWorkspace, w: int, point: np.record, other: int
 ) -> None:
-    """Tell a point of contact, for both sides if both are drones."""
+    """Record a contact point on each drone of the pair."""
     place = plus(read_vec3(space.motions[point.a].position), 1.0, read_vec3(point.arm_a))
     normal, velocity = read_vec3(point.normal), read_vec3(point.relative_velocity)
     record_contact(
         touches, w, point.a, other, point.total_impulse[0], place, normal, velocity, 0.0, 1.0
     )
-    # Also who sleeps and bears it
+    # Also for a sleeping drone that supports a
     if other < space.motions.shape[0]:
         record_contact(
             touches, w, other, point.a, point.total_impulse[0], place, normal, velocity, 0.0, -1.0
@@ -265,7 +267,7 @@ def _record_point(
 
 @func
 def _add_load(motion: np.record, point: np.record) -> None:
-    """Add the impulse of a point to what a sleeper bears."""
+    """Add the impulse of a point to the load of a sleeping drone."""
     normal = read_vec3(point.normal)
     pressed = plus((0.0, 0.0, 0.0), -point.total_impulse[0], normal)
     pressed = plus(pressed, -point.total_impulse[1], read_vec3(point.tangent[0]))
@@ -287,13 +289,14 @@ def resolve_impact(
     time: float,
     touches: ContactLog,
 ) -> int:
-    """Push apart all who hang together with a pair at the time of its touch.
+    """Resolve the impact of all drones that are connected to a pair by contacts.
 
-    Returns how many drones that are; they are in `space.island`, and fly on with new velocities.
+    Returns the number of drones of the island. Their indices are in `space.island`, and they start a
+    path segment with new velocities.
     """
     motions = space.motions
     members = build_island(space, world, pairs, count, first, time)
-    # A drone that took part in too many impacts does not move by itself until the next substep
+    # A drone at the impact limit does not move by itself until the next substep
     stays = False
     for m in range(members):
         motion = motions[space.island[m]]
@@ -304,7 +307,7 @@ def resolve_impact(
     way = (0.0, 0.0, 0.0)
     if stays:
         way = compute_carried_displacement(space, world, pairs, count, members, time)
-    # Points of all pairs of the island that are in touch
+    # Build the contact manifolds of all touching pairs of the island
     most = 0
     for p in range(count):
         pairs[p].in_impact = is_pair_in_island(motions, pairs[p]) and may_touch(pairs[p], time)
@@ -323,7 +326,7 @@ def resolve_impact(
     slow = _apply_restitution(space, world, members, points, size)
     size = _solve_resting_contacts(space, world, pairs, count, members, points, size, time, slow)
     for k in range(size):
-        # Who parts was near, but touches nothing
+        # Skip points that part without an impulse
         if points[k].total_impulse[0] <= 0.0 and points[k].normal_velocity >= -MIN_APPROACH_SPEED:
             continue
         other = pairs[points[k].pair].b
@@ -338,7 +341,7 @@ def resolve_impact(
 def record_overlap(
     space: ContactWorkspace, world: ContactWorld, pair: np.record, touches: ContactLog
 ) -> None:
-    """Tell a pair that is in touch at the beginning of a substep, without an impulse."""
+    """Record a pair that is in contact at the beginning of a substep, without an impulse."""
     distance, normal, on_a, _ = measure_pair(space, world, pair, 0.0)
     if distance > CONTACT_DISTANCE:
         return

@@ -1,4 +1,4 @@
-"""Points of contact: who hangs together at a touch, where, and where they will be next."""
+"""Contact manifold: the contact points of a pair, with their normal and surface properties."""
 
 import math
 from typing import NamedTuple
@@ -36,28 +36,28 @@ from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm
 
 INITIAL_PAIR_CAPACITY = 16
-"""Pairs that there is room for at first"""
+"""Number of pairs that are allocated at first"""
 TARGET_SEPARATION = 0.5 * CONTACT_DISTANCE
-"""Distance that a touch leaves, m"""
+"""Distance that contacts keep, m"""
 MAX_POINT_DISTANCE = 5 * CONTACT_DISTANCE
-"""Points of a pair in touch that are farther apart play no part, m"""
+"""Distance beyond which points of a touching pair are left out of the manifold, m"""
 MAX_EXTRA_PENETRATION = 2e-6
-"""How much closer shapes may come that are too close already, m"""
+"""Further approach that is allowed to shapes which are too close already, m"""
 MAX_PUSH_OUT_SPEED = 2e-3
-"""Fastest that shapes which are too close are moved apart, m/s"""
+"""Maximum speed at which shapes that are too close are pushed apart, m/s"""
 ROLLING_RESISTANCE = 0.4
-"""Resistance of cylinders and spheres to rolling about their z axis, as share of their radius.
+"""Rolling resistance of cylinders and spheres about their z axis, as a fraction of their radius.
 
-They stand for airframes with arms and rotors, which do not roll like wheels.
+These shapes stand for airframes with arms and rotors, which do not roll like wheels.
 """
 MAX_LINE_POINTS = 3
-"""Most points of a pair that touches along a line: its ends, and the nearest one"""
+"""Maximum number of points of a line contact: its ends, and the closest point"""
 TORSIONAL_RESISTANCE = 0.05
-"""Resistance to turning about the normal on a single point, as share of the radius"""
+"""Resistance to rotation about the normal on a single point, as a fraction of the radius"""
 TIPPING_DAMPING = 0.7
-"""Damping of tipping, as share of the radius, at a spin of sqrt(g / radius).
+"""Damping of tipping, as a fraction of the radius, at a spin of sqrt(g / radius).
 
-A rigid disc would wobble on for long; what it stands for gives way.
+A rigid disc would wobble for a long time; the airframe that it stands for is compliant.
 """
 
 
@@ -65,12 +65,12 @@ class ContactWorkspace(NamedTuple):
     """Arrays that a substep of one world works on.
 
     Attributes:
-        motions: (N,) rows of `MOTION`, how the drones move.
-        island: (N,) drones that are solved together.
-        order: (N,) drones in the order of their places.
-        pairs: Rows of `PAIR`, as many as there mostly are.
-        room: Scratch of `gap`.
-        found: Scratch of `contact_points`.
+        motions: (N,) rows of `MOTION`, the motion of each drone.
+        island: (N,) indices of the drones of the present island.
+        order: (N,) indices of the drones, sorted by position.
+        pairs: Rows of `PAIR`, allocated for a typical number of pairs.
+        scratch: Work array of `gap`.
+        found: Work array of `contact_points`.
     """
 
     motions: np.ndarray
@@ -82,7 +82,7 @@ class ContactWorkspace(NamedTuple):
 
 
 def make_contact_workspace(num_drones: int) -> ContactWorkspace:
-    """Make room for the substep of a world of N drones."""
+    """Allocate the arrays for a substep of a world of N drones."""
     return ContactWorkspace(
         motions=np.zeros(num_drones, dtype=MOTION),
         island=np.zeros(num_drones, dtype=np.int64),
@@ -97,18 +97,18 @@ class ContactWorld(NamedTuple):
     """One world in a substep.
 
     Attributes:
-        w: Its index.
+        w: Index of the world.
         dt: Length of the substep, s.
-        speed: How far the fastest obstacle gets in the substep, m.
+        speed: Displacement of the fastest obstacle in the substep, m.
         friction: Coefficient of friction of the ground and of buildings.
-        restitution: Their coefficient of restitution.
-        stops: Whether drones stop where they touch, instead of being pushed.
-        scenery: What stands.
-        start: State of all drones at the beginning.
+        restitution: Coefficient of restitution of the ground and of buildings.
+        stops: True if drones stop at a contact instead of receiving an impulse.
+        scenery: All shapes.
+        start: State of all drones at the beginning of the substep.
         alive: (W, N) bool, drones that can be touched.
-        asleep: (W, N) bool, those that rest until something touches them.
+        asleep: (W, N) bool, sleeping drones.
         parameters: (W, N) rows of `PARAMETERS`.
-        memory: Impulses of the last substep.
+        memory: Contact cache: impulses of the last substep.
     """
 
     w: int
@@ -129,7 +129,7 @@ class ContactWorld(NamedTuple):
 def measure_pair(
     space: ContactWorkspace, world: ContactWorld, pair: np.record, time: float
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Measure a pair at a time, keeping the direction."""
+    """Measure the distance of a pair at a time, and store the direction as its normal."""
     guess = read_vec3(pair.normal)
     distance, normal, on_a, on_b = measure_distance(
         world.scenery,
@@ -167,7 +167,7 @@ def measure_pair(
 
 @func
 def get_surface_coefficients(world: ContactWorld, shape: int) -> tuple[float, float]:
-    """Return the coefficients of friction and restitution of someone."""
+    """Return the coefficients of friction and restitution of a shape."""
     scenery = world.scenery
     if shape < scenery.first_body:
         row = world.parameters[world.w, shape]
@@ -179,13 +179,13 @@ def get_surface_coefficients(world: ContactWorld, shape: int) -> tuple[float, fl
 
 
 PairSurface = tuple[int, int, Vec3, float, float, float, Vec3, Vec3]
-"""Of a pair: a, b or -1, drift of b, friction, restitution, damping, resistance to rolling of both
-and to turning about the normal, and the axis about which b resists."""
+"""Surface properties of a pair: a; b or -1; velocity of b if static; friction; restitution; tipping
+damping; resistance to rolling of a and b and to rotation about the normal; rolling axis of b.
+"""
 
 
 @func
 def _has_rolling_resistance(kind: int) -> bool:
-    """Tell whether a shape resists rolling about its axis."""
     return kind in (SPHERE, CYLINDER)
 
 
@@ -193,9 +193,9 @@ def _has_rolling_resistance(kind: int) -> bool:
 def compute_pair_surface(
     space: ContactWorkspace, world: ContactWorld, a: int, b: int, count: int
 ) -> PairSurface:
-    """Collect what the points of a pair have in common, and how many there are.
+    """Compute the surface properties that the `count` points of a pair have in common.
 
-    On a face friction alone resists turning: only fewer points do so by themselves.
+    On a face, friction alone resists rotation: rolling and torsional resistance apply to fewer points.
     """
     scenery = world.scenery
     table = scenery.table
@@ -204,7 +204,7 @@ def compute_pair_surface(
     resist_b = 0.0
     axis_b = (0.0, 0.0, 0.0)
     if b < scenery.first_body:
-        # A sleeper does not yield, but resists rolling about its own axis
+        # A sleeping drone is static, but resists rolling about its own axis
         other = -1 if space.motions[b].is_static else b
         axis_b = axes(read_quaternion(space.motions[b]))[2]
         resist_b = (
@@ -216,7 +216,7 @@ def compute_pair_surface(
     resist_a = (
         ROLLING_RESISTANCE * table.half[a, 0] if _has_rolling_resistance(table.kind[a]) else 0.0
     )
-    # Of two surfaces the geometric mean counts
+    # Combine both surfaces by the geometric mean
     rough, lively = get_surface_coefficients(world, a)
     rough_b, lively_b = get_surface_coefficients(world, b)
     radius = table.radius[a]
@@ -237,7 +237,7 @@ def compute_pair_surface(
 
 @func
 def _set_rolling_axis(motions: np.ndarray, point: np.record, side: int, axis: Vec3) -> None:
-    """Set an axis about which a point resists turning."""
+    """Set an axis about which a point resists rotation, and its effective inertia."""
     turning = apply_inverse_inertia(motions[point.a], axis)
     write_vec3(point.rolling_response_a[side], turning)
     yields = dot(axis, turning)
@@ -251,7 +251,7 @@ def _set_rolling_axis(motions: np.ndarray, point: np.record, side: int, axis: Ve
 
 @func
 def fill_constraint(motions: np.ndarray, point: np.record, surface: PairSurface) -> None:
-    """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
+    """Set the bodies, surface and effective masses of a contact point; normal and arms must be set."""
     a, b, drift, friction, restitution, damping, resist, axis_b = surface
     point.a = a
     point.b = b
@@ -278,14 +278,26 @@ def add_contact_points(
     points: np.ndarray,
     size: int,
 ) -> int:
-    """Add the points of contact of a pair in touch; returns how many there are now."""
+    """Add the contact points of a pair if it is in contact.
+
+    Args:
+        space: Arrays to work on.
+        world: The world.
+        pair: Row of `PAIR`; its target distance is set.
+        time: Fraction of the substep.
+        points: Rows of `CONTACT_POINT`, added to.
+        size: Number of points so far.
+
+    Returns:
+        Number of points.
+    """
     a = pair.a
     b = pair.b
     scenery = world.scenery
     distance, normal, on_a, on_b = measure_pair(space, world, pair, time)
     if distance > MAX_CONTACT_DISTANCE:
         return size
-    # From now on it counts as a touch anew only when it gets closer than now
+    # The next impact of the pair is when it gets closer than it is now
     pair.has_touched = True
     pair.target_distance = (
         0.25 * min(distance, CONTACT_DISTANCE)

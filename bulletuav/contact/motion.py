@@ -1,8 +1,8 @@
-"""Where the drones of one world are within a substep, and how their way changes at an impact.
+"""Motion of the drones of one world within a substep, and its changes at impacts.
 
-Times are shares of the substep, from 0 to 1. Between impacts a drone moves straight and turns about
-one axis; its forces act evenly. Angular momentum, not angular velocity, is what stays without
-torque.
+Times are fractions of the substep, from 0 to 1. Between impacts a drone moves straight and rotates
+about one axis, and its forces act evenly. Without torque the angular momentum is constant, not the
+angular velocity.
 """
 
 import math
@@ -37,11 +37,11 @@ from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import free_rates
 
 MAX_SEGMENT_ANGLE = 0.5
-"""Angle by which a drone turns about one axis at most, rad; then it takes another"""
+"""Maximum rotation about one axis in a path segment, rad; the next segment takes another axis"""
 MAX_IMPACTS = 16
-"""Impacts of a drone in a substep, after which it stays, or goes along with an obstacle"""
+"""Impacts of a drone in a substep after which it is clamped, or moves with an obstacle"""
 MIN_SEGMENT_FRACTION = 1.0 / 64.0
-"""Share of the substep that it flies on at least, however fast it turns"""
+"""Minimum length of a path segment as a fraction of the substep, however fast the drone rotates"""
 
 MOTION = record_type(
     [
@@ -72,34 +72,36 @@ MOTION = record_type(
         ("free_rotation_offset", "f8", 3),
     ]
 )
-"""Motion of a drone from a time within the substep to another, mostly to its end.
+"""Path segment of a drone from one time in the substep to another, mostly its end.
 
 Attributes:
-    time: Share of the substep from which on the rest holds.
-    end_time: Share of the substep up to which it does.
-    position: Centre of mass at that time, m.
-    quaternion: Attitude at that time.
-    velocity: At that time, m/s.
-    spin: Angular velocity at that time, world axes, rad/s.
-    displacement: Displacement from `time` to `until`, m.
-    rotation: Rotation from `time` to `until`, as axis times angle, world axes, rad.
+    time: Fraction of the substep at which the segment starts.
+    end_time: Fraction of the substep at which it ends.
+    position: Centre of mass at `time`, m.
+    quaternion: Attitude at `time`.
+    velocity: Velocity at `time`, m/s.
+    spin: Angular velocity at `time`, world axes, rad/s.
+    displacement: Displacement from `time` to `end_time`, m.
+    rotation: Rotation from `time` to `end_time`, axis times angle, world axes, rad.
     velocity_change: Change of velocity by forces over the whole substep, m/s.
     momentum_change: Change of angular momentum by torques over the substep, world axes, N m s.
-    impacts: How often the drone took part in an impact in this substep.
-    is_started: Whether the above is set.
-    is_due: Whether the drone is looked at, as its budget is used up or soon will be, or it is touched.
-    in_island: Whether it is one of those that are solved together.
-    is_static: Whether it sleeps, and bears who lies on it as the ground does.
-    load: Impulse (N s) and angular impulse (N m s) on it of those who lie on it.
-    start_position: Where it was at the beginning of the substep, m.
-    reach: How far from there its pairs were collected, m.
-    inverse_mass: Inverse mass, 1 / kg.
-    inverse_inertia: Inverse inertia in world axes, 1 / (kg m^2).
-    saved_velocities: Velocity and spin before an impact.
-    unlimited_velocities: The same after one without rebound.
-    free_position: Where it gets in the substep unless it touches anything, m.
-    free_quaternion: Its attitude there.
-    free_rotation_offset: Rotation to that attitude from where `start_segment` alone would get, world axes, rad.
+    impacts: Number of impacts of the drone in this substep.
+    is_started: Whether the fields above are set.
+    is_due: Whether the drone is checked, because its budget is or soon will be used up, or it is
+        touched.
+    in_island: Whether the drone belongs to the present island.
+    is_static: Whether the drone sleeps, and supports others like the ground does.
+    load: Impulse (N s) and angular impulse (N m s) that the drones on it exert on it.
+    start_position: Position at the beginning of the substep, m.
+    reach: Distance from there within which its pairs were collected, m.
+    inverse_mass: 1 / kg.
+    inverse_inertia: In world axes, 1 / (kg m^2).
+    saved_velocities: Velocity and spin before passes of the solver that may gain energy.
+    unlimited_velocities: Velocity and spin after them, before energy is limited.
+    free_position: Position at the end of the substep if the drone touches nothing, m.
+    free_quaternion: Attitude at the end of the substep if the drone touches nothing.
+    free_rotation_offset: Rotation from the attitude that `start_segment` alone would reach to
+        that attitude, world axes, rad.
 """
 
 
@@ -111,7 +113,7 @@ def read_vec3(array: Vec3Like) -> Vec3:
 
 @func
 def write_vec3(array: np.ndarray, values: Vec3Like) -> None:
-    """Write an array of three numbers."""
+    """Write three numbers into an array."""
     array[0] = values[0]
     array[1] = values[1]
     array[2] = values[2]
@@ -119,14 +121,13 @@ def write_vec3(array: np.ndarray, values: Vec3Like) -> None:
 
 @func
 def read_quaternion(motion: np.record) -> Quat4:
-    """Return the attitude of a drone at its time."""
+    """Return the attitude of a drone at the start of its path segment."""
     q = motion.quaternion
     return q[0], q[1], q[2], q[3]
 
 
 @func
 def _write_quaternion(array: np.ndarray, values: Quat4) -> None:
-    """Write an attitude."""
     for k in range(4):
         array[k] = values[k]
 
@@ -135,24 +136,24 @@ def _write_quaternion(array: np.ndarray, values: Quat4) -> None:
 def start_motion(
     motion: np.record, before: Swarm, after: Swarm, w: int, i: int, row: np.record, dt: float
 ) -> None:
-    """Start drone i of world w on its way through a substep in which it touches nothing.
+    """Start the contact-free motion of drone i of world w through a substep.
 
     Args:
         motion: Row of `MOTION`, written.
         before: State at the beginning of the substep.
-        after: State at its end.
-        w: The world.
-        i: The drone.
+        after: State at the end of the substep.
+        w: Index of the world.
+        i: Index of the drone.
         row: Row of `PARAMETERS` of the drone.
         dt: Length of the substep, s.
     """
     position = vec3(before.position, w, i)
-    # States that are set may be off by a millionth
+    # Quaternions of states that users set may be off by a millionth
     quaternion = normalised(quat4(before.quaternion, w, i))
     later = quat4(after.quaternion, w, i)
     velocity = vec3(before.velocity, w, i)
     spin = to_world(quaternion, vec3(before.rates, w, i))
-    # What torques did, and no error of the attitude: momentum would be held on as one
+    # Only the effect of torques: an error of the attitude must not count as momentum
     gained = minus(vec3(after.rates, w, i), free_rates(vec3(before.rates, w, i), dt, row))
     motion.time = 0.0
     motion.impacts = 0
@@ -178,14 +179,14 @@ def start_motion(
 
 @func
 def _compute_path_fraction(motion: np.record, time: float) -> float:
-    """Return the share of its way that a drone has gone at a time."""
+    """Return the fraction of the path segment that a drone has covered at a time."""
     rest = motion.end_time - motion.time
     return (time - motion.time) / rest if rest > 0.0 else 0.0
 
 
 @func
 def advance_motion(motion: np.record, time: float, row: np.record) -> None:
-    """Move a drone on to a time within the substep."""
+    """Advance a drone along its path segment to a time within the substep."""
     share = _compute_path_fraction(motion, time)
     elapsed = time - motion.time
     here = read_quaternion(motion)
@@ -193,7 +194,7 @@ def advance_motion(motion: np.record, time: float, row: np.record) -> None:
     spin = read_vec3(motion.spin)
     angular = compute_angular_momentum(here, spin, row)
     held = compute_angular_velocity(there, angular, row)
-    # Its way is not quite that of a free body: energy must not grow by it
+    # The path deviates slightly from that of a free body: energy must not grow by this
     had = dot(spin, angular)
     has = dot(held, angular)
     if has > had:
@@ -217,9 +218,10 @@ def advance_motion(motion: np.record, time: float, row: np.record) -> None:
 
 @func
 def start_segment(motion: np.record, dt: float, row: np.record) -> None:
-    """Let a drone fly on from its time with the velocities that it has, until it has turned far.
+    """Start the next path segment of a drone with its present velocities.
 
-    Who has touched nothing goes where its dynamics took it: that is where it will be.
+    The segment ends when the drone has rotated by `MAX_SEGMENT_ANGLE`. A drone that has had no impact
+    moves to where its dynamics took it.
     """
     here = read_quaternion(motion)
     spin = read_vec3(motion.spin)
@@ -248,14 +250,14 @@ def start_segment(motion: np.record, dt: float, row: np.record) -> None:
 
 @func
 def is_at_impact_limit(motion: np.record) -> bool:
-    """Tell whether a drone took part in too many impacts, so that it does not move by itself."""
+    """Check whether a drone had `MAX_IMPACTS` impacts, so that it no longer moves by itself."""
     spent: bool = motion.impacts >= MAX_IMPACTS
     return spent
 
 
 @func
 def clamp_motion(motion: np.record) -> None:
-    """Keep a drone where it is until the end of the substep; its velocities stay."""
+    """Keep a drone at its position until the end of the substep; its velocities do not change."""
     motion.end_time = 1.0
     for k in range(3):
         motion.displacement[k] = 0.0
@@ -280,7 +282,7 @@ def write_end_state(motion: np.record, after: Swarm, w: int, i: int, row: np.rec
 def interpolate_pose(
     scenery: Scenery, motions: np.ndarray, w: int, shape: int, time: float, dt: float
 ) -> tuple[Vec3, Quat4]:
-    """Return position and attitude of someone (number of a shape) at a time in the substep."""
+    """Return the position and attitude of a shape at a time in the substep."""
     level = (0.0, 0.0, 0.0, 1.0)
     if shape < scenery.first_body:
         motion = motions[shape]
@@ -301,7 +303,7 @@ def interpolate_pose(
 
 @func
 def get_segment_end(scenery: Scenery, motions: np.ndarray, shape: int) -> float:
-    """Return the share of the substep up to which the way of someone is known."""
+    """Return the fraction of the substep up to which the path of a shape is known."""
     return motions[shape].end_time if shape < scenery.first_body else 1.0
 
 
@@ -309,7 +311,7 @@ def get_segment_end(scenery: Scenery, motions: np.ndarray, shape: int) -> float:
 def compute_path_rates(
     scenery: Scenery, motions: np.ndarray, w: int, shape: int, dt: float
 ) -> tuple[Vec3, Vec3]:
-    """Return displacement and rotation of someone on its way, per whole substep."""
+    """Return the displacement and rotation of a shape on its path, per whole substep."""
     still = (0.0, 0.0, 0.0)
     if shape < scenery.first_body:
         motion = motions[shape]

@@ -80,7 +80,7 @@ def update_budgets(
 
 @func
 def _compute_share_speed(swarm: Swarm, w: int, i: int) -> float:
-    """Return the speed of a drone plus `SHARE_SPEED_OFFSET`, since a slow drone may speed up, m/s."""
+    """Return the speed of a drone plus `SHARE_SPEED_OFFSET`, m/s: a slow drone may speed up."""
     velocity = vec3(swarm.velocity, w, i)
     return math.sqrt(dot(velocity, velocity)) + SHARE_SPEED_OFFSET
 

@@ -20,7 +20,7 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
 
 MAX_CHECKS = 4
-"""Times at which a pair with repeated contacts is checked; each interval is a quarter of the last"""
+"""Times at which a pair with repeated contacts is checked, each a quarter as far as the last"""
 MAX_TRUSTED_DEPTH = 5e-4
 """Penetration depth up to which the direction of an overlap is used as the contact normal, m"""
 
@@ -36,7 +36,7 @@ def _transform_back(
     dt: float,
     arm: Vec3,
 ) -> Vec3:
-    """Return the position at `time` of the point of a shape that is at `arm` at the time `end`, m."""
+    """Return the position at `time` of the point of a shape that is at `arm` at `end`, m."""
     position, before = interpolate_pose(scenery, motions, w, shape, time, dt)
     _, after = interpolate_pose(scenery, motions, w, shape, end, dt)
     return plus(position, 1.0, to_world(before, to_body(after, arm)))
@@ -48,9 +48,9 @@ def find_speculative_point(
 ) -> bool:
     """Find the point at which a pair would be too close at the end of its path segment.
 
-    Velocities must be those at the end of the substep, and `start_segment` must have been called. As a
-    pair rotates, other points than the present ones may come into contact. Without a speculative point
-    the pair would sink in, and need many impacts to stop.
+    Velocities must be those at the end of the substep, and `start_segment` must have been called.
+    As a pair rotates, other points than the present ones may come into contact. Without a
+    speculative point the pair would sink in, and need many impacts to stop.
 
     Args:
         space: Arrays to work on.

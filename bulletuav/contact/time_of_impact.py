@@ -110,8 +110,8 @@ def find_time_of_impact(
         gjk_only: True to measure with `gap`, whose bits kinematic flights keep.
 
     Returns:
-        Time of impact as a fraction of the substep (`start` if the pair is that close already and may
-        approach, `NO_IMPACT` if there is none); the last separating direction; and whether the pair
+        Time of impact as a fraction of the substep: `start` if the pair is that close already and
+        may approach, `NO_IMPACT` if there is none. The last separating direction. Whether the pair
         is in contact at `start`.
     """
     if not gjk_only:

@@ -18,7 +18,7 @@ from bulletuav.geometry.rotation import dot, minus, to_body, to_world
 MAX_CACHED_POINTS = 16
 """Contact points that are cached for each drone"""
 MIN_CACHED_FRACTION = 1e-4
-"""Remaining fraction of a substep below which impulses are not cached, because an impact caused them"""
+"""Remaining fraction of a substep below which impulses, being those of an impact, are not cached"""
 MATCH_DISTANCE = 0.3
 """Distance within which points on a drone match, as a fraction of its radius"""
 
@@ -37,7 +37,7 @@ class ContactCache(NamedTuple):
     """Cached contact impulses of W worlds of N drones.
 
     Attributes:
-        rows: (W, N, MAX_CACHED_POINTS) rows of `CACHED_POINT`, stored with the first drone of a pair.
+        rows: (W, N, MAX_CACHED_POINTS) rows of `CACHED_POINT`, with the first drone of each pair.
         number: (W, N) number of rows that count.
     """
 
