@@ -175,7 +175,7 @@ def are_swept_bounds_apart(
     move = read_vec3(motions[a].displacement)
     margin = table.radius[a] + CONTACT_DISTANCE
     if b < scenery.first_body:
-        # Both move straight, but their segments may start at different times: then use bounding boxes
+        # Both move straight; if their segments start at different times, use bounding boxes
         there = read_vec3(motions[b].position)
         other = read_vec3(motions[b].displacement)
         if motions[a].time == motions[b].time and motions[a].end_time == motions[b].end_time:

@@ -1,4 +1,4 @@
-"""Drones that stay where they are: for too many impacts, or because they stop at a touch."""
+"""Clamping: drones that stay in place after too many impacts, or because they stop at a contact."""
 
 import math
 
@@ -23,15 +23,16 @@ from bulletuav.geometry.contact_points import MOST_POINTS
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus
 
 MIN_APPROACH_SPEED = 1e-9
-"""Approach below which shapes in touch do not come closer, m/s"""
+"""Speed below which touching shapes do not approach, m/s"""
 
 
 @func
 def remove_forces(motion: np.record, time: float) -> None:
-    """Let no forces act on a drone any more, but for what they would take of its speed.
+    """Remove the forces on a drone for the rest of the substep, but for what they take from its speed.
 
-    What held it up gave it the speed that gravity takes in the rest of the substep. It would be
-    left with that, and heaps would never rest. Forces never speed it up, as it does not move on.
+    The impulses that held the drone gave it the speed that gravity takes in the rest of the
+    substep. Without this correction the drone would keep that speed, and piles would never come to
+    rest. Forces never speed the drone up, as it does not move on.
     """
     push = read_vec3(motion.velocity_change)
     square = dot(push, push)
@@ -52,15 +53,15 @@ def compute_carried_displacement(
     members: int,
     time: float,
 ) -> Vec3:
-    """Return how far an obstacle takes an island along in a substep that touched it, m.
+    """Return the displacement by which an obstacle carries an island in a whole substep, m.
 
-    Whoever stays goes along, even who has just parted from it: it comes after. Those that go along
-    already take the others with them.
+    Clamped drones move with the obstacle even if they have just parted from it, as it follows them.
+    Drones that are carried already carry the others of the island.
     """
     still = (0.0, 0.0, 0.0)
     for m in range(members):
         i = space.island[m]
-        # Who stays since an impact before this one
+        # Drones that were clamped at an earlier impact
         if space.motions[i].impacts > MAX_IMPACTS:
             way, _ = compute_path_rates(world.scenery, space.motions, world.w, i, world.dt)
             if way != still:
@@ -75,7 +76,7 @@ def compute_carried_displacement(
 
 @func
 def clamp_spent_drones(space: ContactWorkspace, members: int, time: float, way: Vec3) -> None:
-    """Let those of an island that had too many impacts stay, or go along a way (m a substep)."""
+    """Clamp the drones of an island at the impact limit, or move them along `way` (m per substep)."""
     for m in range(members):
         motion = space.motions[space.island[m]]
         if is_at_impact_limit(motion):
@@ -85,7 +86,7 @@ def clamp_spent_drones(space: ContactWorkspace, members: int, time: float, way: 
 
 @func
 def _compute_path_velocity(space: ContactWorkspace, world: ContactWorld, i: int, arm: Vec3) -> Vec3:
-    """Return the velocity of a drone's surface on its way, whatever the dynamics tells, m/s."""
+    """Return the velocity of a drone's surface along its path, whatever its state says, m/s."""
     move, turn = compute_path_rates(world.scenery, space.motions, world.w, i, world.dt)
     x, y, z = arm
     return (
@@ -105,9 +106,9 @@ def stop_at_contact(
     touches: ContactLog,
     stopped: np.ndarray,
 ) -> int:
-    """Stop the drones of a pair where they touch, if they come closer.
+    """Stop the drones of a pair at their contact, if they approach.
 
-    Returns how many drones that are; they are in `space.island`.
+    Returns the number of drones; their indices are in `space.island`.
     """
     motions = space.motions
     w = world.w
@@ -130,7 +131,7 @@ def stop_at_contact(
     for m in range(members):
         motions[space.island[m]].impacts += 1
         tried = max(tried, motions[space.island[m]].impacts)
-    # Who turns may come closer elsewhere, but not for ever
+    # A rotating pair may approach at another point; limit the number of such impacts
     if dot(velocity, normal) > -MIN_APPROACH_SPEED and tried < MAX_IMPACTS:
         return members
     place = plus(read_vec3(motions[pair.a].position), 1.0, arm)

@@ -1,4 +1,4 @@
-"""What drones touched during a decision, as compiled code notes it."""
+"""Contact log: the contacts of each drone in a decision, as compiled code records them."""
 
 from typing import NamedTuple
 
@@ -8,20 +8,21 @@ from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3
 
 MAX_LOGGED_CONTACTS = 16
-"""Others that are told of a drone in a decision; more add to the last"""
+"""Maximum number of other shapes in the log of a drone in a decision; more add to the last"""
 
 
 class ContactLog(NamedTuple):
-    """What drones touched during a decision: up to `MAX_LOGGED_CONTACTS` others (T) each.
+    """Contacts of a decision: up to `MAX_LOGGED_CONTACTS` other shapes (T) for each drone.
 
     Attributes:
-        number: (W, N) how many.
-        other: (W, N, T) number of the other shape, see `Scenery`.
-        impulse: (W, N, T) along the normals, N s, summed up.
-        place: (W, N, T, 3) where they touched first, m.
+        number: (W, N) number of other shapes.
+        other: (W, N, T) index of the other shape, see `Scenery`.
+        impulse: (W, N, T) sum of the impulses along the normals, N s.
+        place: (W, N, T, 3) position of the first contact, m.
         normal: (W, N, T, 3) direction in which the drone was pushed there.
-        velocity: (W, N, T, 3) of the drone's surface against the other's just before, m/s.
-        depth: (W, N, T) how deep shapes overlapped there, m.
+        velocity: (W, N, T, 3) velocity of the drone's surface relative to the other just before,
+            m/s.
+        depth: (W, N, T) penetration depth there, m.
     """
 
     number: np.ndarray
@@ -34,7 +35,7 @@ class ContactLog(NamedTuple):
 
 
 def make_contact_log(num_worlds: int, num_drones: int) -> ContactLog:
-    """Make room for what drones touch."""
+    """Create an empty contact log."""
     shape = (num_worlds, num_drones)
     return ContactLog(
         number=np.zeros(shape, dtype=np.int64),
@@ -49,7 +50,7 @@ def make_contact_log(num_worlds: int, num_drones: int) -> ContactLog:
 
 @func
 def _find_slot(touches: ContactLog, w: int, i: int, other: int) -> int:
-    """Return where to tell a touch, a new place if it is the first."""
+    """Return the slot of a drone's contacts with another shape, a new one for the first contact."""
     count = int(touches.number[w, i])
     for k in range(count):
         if touches.other[w, i, k] == other:
@@ -75,19 +76,19 @@ def record_contact(
     depth: float,
     sign: float,
 ) -> None:
-    """Add a point of contact to what drone i of world w touched.
+    """Add a contact point to the log of drone i of world w.
 
     Args:
-        touches: Changed; all but the impulse are kept of the first point alone.
-        w: The world.
-        i: The drone.
-        other: Number of the other shape.
-        impulse: Along the normal, N s.
-        place: Of the point, m.
+        touches: Contact log, changed; all but the impulse is kept from the first point alone.
+        w: Index of the world.
+        i: Index of the drone.
+        other: Index of the other shape.
+        impulse: Impulse along the normal, N s.
+        place: Position of the point, m.
         normal: Direction in which the impulse acts on the drone, if `sign` is 1.
-        velocity: Of the drone's surface against the other's before, m/s, if `sign` is 1.
-        depth: How deep shapes overlap there, m.
-        sign: -1 to turn normal and velocity round.
+        velocity: Velocity of the drone's surface relative to the other before, m/s, if `sign` is 1.
+        depth: Penetration depth at the point, m.
+        sign: -1 to reverse normal and velocity.
     """
     before = touches.number[w, i]
     k = _find_slot(touches, w, i, other)

@@ -1,8 +1,8 @@
-"""Rest: drones that lie still sleep, and cost next to nothing, until something changes.
+"""State of the contacts of all worlds, and waking of sleeping drones.
 
-A drone falls asleep after lying still for `TIME_TO_SLEEP`. It wakes when its forces change by more than its
-support bears, when something touches it, when a drone that lies by it wakes, or when an obstacle
-comes near.
+A drone is put to sleep after `TIME_TO_SLEEP` at rest, and then costs next to nothing. A sleeping
+drone wakes when its forces change by more than its support can take, when something touches it,
+when a drone next to it wakes, or when an obstacle comes near.
 """
 
 from typing import NamedTuple
@@ -20,41 +20,42 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 
 WAKE_DISTANCE = 0.01
-"""Distance between bounding spheres within which sleepers wake each other, m"""
+"""Distance between bounding spheres within which sleeping drones wake each other, m"""
 MAX_LOAD_CHANGE = 0.02
-"""Change of acceleration that wakes a sleeper, m/s^2"""
+"""Change of acceleration that wakes a sleeping drone, m/s^2"""
 TIME_TO_SLEEP = 0.25
-"""How long it is before it does elsewhere, s"""
+"""Time at rest after which a drone sleeps, unless it rests safely on a face, s"""
 
 
 class ContactState(NamedTuple):
-    """What contacts of W worlds of N drones need, for compiled code.
+    """State of the contacts of W worlds of N drones, for compiled code.
 
     Attributes:
-        scenery: What stands, and all shapes.
+        scenery: All shapes.
         space: Arrays to work on.
         start: State at the beginning of the present substep.
-        budget: (W, N) how far each drone may move before it must be looked at, m.
-        turns: (W, N) bool, drones that fly low: their turns count there as ways.
+        budget: (W, N) distance that each drone may move before it is checked, m.
+        turns: (W, N) bool, drones close to the ground, whose rotation uses up budget.
         friction: Coefficient of friction of the ground and of buildings.
-        restitution: Their coefficient of restitution.
-        stops: Whether drones stop where they touch, instead of being pushed.
-        sleeps: Whether drones that rest are left alone until something changes.
-        asleep: (W, N) bool, drones that are.
+        restitution: Coefficient of restitution of the ground and of buildings.
+        stops: True if drones stop at a contact instead of receiving an impulse.
+        sleeps: True if drones at rest are put to sleep.
+        asleep: (W, N) bool, sleeping drones.
         quiet: (W, N) how long each drone has been at rest, s.
         pace: (W, N) speed of each drone when it came to rest, m/s.
-        load: (W, N, 6) accelerations of sleepers without contacts, m/s^2 and rad/s^2; NaN at first.
-        support: (W, N) rows of `SUPPORT`, what sleepers rest on.
-        slept: What each sleeper touched in the decision in which it fell asleep.
-        dozes: (W, N) bool, drones that fall asleep now, or wake.
-        flew: (W, N) bool, drones that flew the last decision.
+        load: (W, N, 6) accelerations of sleeping drones without contacts, m/s^2 and rad/s^2; NaN at
+            first.
+        support: (W, N) rows of `SUPPORT`, what sleeping drones rest on.
+        slept: Contacts of each sleeping drone in the decision in which it was put to sleep.
+        dozes: (W, N) bool, drones that are about to sleep or to wake.
+        flew: (W, N) bool, drones that flew in the last decision.
         stopped: (W, N) bool, drones that stopped in this decision.
         changed: (W, N) bool, drones whose state the last substep changed.
-        touches: What was touched in this decision.
+        touches: Contacts of this decision.
         speed: (W,) speed of the fastest obstacle in this decision, m/s.
         before: (W, K, 3) positions of the task's obstacles at the beginning of the decision, m.
-        after: (W, K, 3) the same at its end.
-        memory: Impulses of the last substep.
+        after: (W, K, 3) positions of the task's obstacles at the end of the decision, m.
+        memory: Contact cache: impulses of the last substep.
     """
 
     scenery: Scenery
@@ -91,16 +92,15 @@ def make_contact_state(
     friction: float,
     restitution: float,
 ) -> ContactState:
-    """Make what contacts of W worlds of N drones need.
+    """Create the state of the contacts of W worlds of N drones.
 
     Args:
-        scenery: What stands, and all shapes.
-        shape: (W, N, K), of which K are the task's obstacles.
-        stops: Whether drones stop where they touch, instead of being pushed.
-        sleeps: Whether drones that rest are left alone until something changes; the dynamics asks
-            `stays_asleep` of them.
+        scenery: All shapes.
+        shape: (W, N, K), with K obstacles of the task.
+        stops: True if drones stop at a contact instead of receiving an impulse.
+        sleeps: True if drones at rest are put to sleep; the dynamics then calls `stays_asleep`.
         friction: Coefficient of friction of the ground and of buildings.
-        restitution: Their coefficient of restitution.
+        restitution: Coefficient of restitution of the ground and of buildings.
     """
     worlds, drones, obstacles = shape
     each = (worlds, drones)
@@ -134,12 +134,12 @@ def make_contact_state(
 
 @func
 def wake_drone(contact: ContactState, w: int, i: int) -> None:
-    """Wake a drone, if it sleeps, and all who sleep in a heap with it."""
+    """Wake a drone, if it sleeps, and all drones that sleep in a pile with it."""
     space = contact.space
     asleep = contact.asleep
     if not asleep[w, i]:
         return
-    # All that were woken, in `island`, wake those who are near them
+    # Flood fill: each woken drone, listed in `island`, wakes the sleeping drones near it
     count = 1
     done = 0
     space.island[0] = i
@@ -162,7 +162,7 @@ def wake_drone(contact: ContactState, w: int, i: int) -> None:
 
 @func
 def wake_near_obstacles(contact: ContactState, world: ContactWorld) -> None:
-    """Wake the sleepers that an obstacle which moves comes near to."""
+    """Wake the sleeping drones that a moving obstacle comes near to."""
     w = world.w
     scenery = contact.scenery
     for i in range(world.alive.shape[1]):
@@ -187,17 +187,16 @@ def stays_asleep(
     row: np.record,
     dt: float,
 ) -> bool:
-    """Tell whether a sleeper stays at rest under its forces, and note how they press it down.
-
-    They may be what its support bears, or those with which it fell asleep.
+    """Check whether a sleeping drone stays at rest under its forces, and record the support force.
 
     Args:
-        contact: Its load is set at the first call; touches are added to.
-        w: The world.
-        i: The drone.
-        quaternion: Its attitude.
-        acceleration: By forces without contacts, m/s^2.
-        spinning: Change of its rates by torques, rad/s^2.
+        contact: State of all contacts; the drone's load is set at the first call, and impulses are
+            added to.
+        w: Index of the world.
+        i: Index of the drone.
+        quaternion: Attitude of the drone.
+        acceleration: Acceleration by forces without contacts, m/s^2.
+        spinning: Change of its body rates by torques, rad/s^2.
         row: Row of `PARAMETERS` of the drone.
         dt: Length of the substep, s.
     """
@@ -218,7 +217,7 @@ def stays_asleep(
         if borne:
             return True
     if first:
-        # On a face alone it has been at rest for too short a time to trust that
+        # Without a safe support, the drone must have been at rest for `TIME_TO_SLEEP`
         return bool(contact.quiet[w, i] >= TIME_TO_SLEEP)
     reach = contact.scenery.table.radius[i]
     for k in range(3):

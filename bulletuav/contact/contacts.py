@@ -1,4 +1,4 @@
-"""Contacts of all worlds: what compiled dynamics call in every substep, and what is told after."""
+"""Contacts of all worlds: the functions that dynamics call in each substep, and their results."""
 
 import math
 from typing import Any
@@ -20,9 +20,9 @@ from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, DroneArrays, Swarm, 
 
 @func
 def save_start_state(contact: ContactState, swarm: Swarm, w: int) -> None:
-    """Keep the state of a world at the beginning of a substep."""
+    """Copy the state of a world at the beginning of a substep."""
     start = contact.start
-    # Where arrays are is read once, as what is written could be that for all the compiler knows
+    # Read the arrays once: the compiler cannot know that writing to them does not change them
     position, quaternion, velocity, rates = (
         (start.position, swarm.position),
         (start.quaternion, swarm.quaternion),
@@ -40,13 +40,13 @@ def save_start_state(contact: ContactState, swarm: Swarm, w: int) -> None:
 
 @func
 def place_world_obstacles(contact: ContactState, w: int, substep: int, step: TimeStep) -> None:
-    """Put the obstacles of a world where they are at the beginning of a substep.
+    """Set the obstacles of a world to their positions at the beginning of a substep.
 
     Args:
-        contact: Its scenery is written.
-        w: The world.
-        substep: Which substep of the decision it is.
-        step: How the decision is divided.
+        contact: State of all contacts; its scenery is written.
+        w: Index of the world.
+        substep: Index of the substep in the decision.
+        step: Division of the decision into substeps.
     """
     share, period = substep / step.substeps, step.substeps * step.dt
     for k in range(contact.before.shape[1]):
@@ -58,7 +58,7 @@ def place_world_obstacles(contact: ContactState, w: int, substep: int, step: Tim
 
 @kernel
 def place_obstacles(contact: ContactState, substep: int, step: TimeStep) -> None:
-    """Do what `place_world_obstacles` does in all worlds in which any moves."""
+    """Set the obstacles of all worlds in which any moves; see `place_world_obstacles`."""
     for w in range(contact.speed.shape[0]):
         if contact.speed[w] > 0.0:
             place_world_obstacles(contact, w, substep, step)
@@ -68,17 +68,19 @@ def place_obstacles(contact: ContactState, substep: int, step: TimeStep) -> None
 def step_contacts(
     contact: ContactState, drones: DroneArrays, w: int, substep: int, step: TimeStep
 ) -> bool:
-    """Let the drones of a world touch what they would have flown into in a substep.
+    """Detect and resolve the contacts of one world in a substep.
 
     Args:
-        contact: Of all worlds; `save_start_state` was called at the beginning of the substep.
-        drones: All drones; their state is that at its end, as flown freely; changed.
-        w: The world.
-        substep: Which substep of the decision it is.
-        step: How the decision is divided.
+        contact: State of all contacts; `save_start_state` was called at the beginning of the
+            substep.
+        drones: All drones, with the state at the end of the substep as flown without contacts;
+            changed.
+        w: Index of the world.
+        substep: Index of the substep in the decision.
+        step: Division of the decision into substeps.
 
     Returns:
-        Whether anything was touched.
+        True if there was any impact.
     """
     if not update_budgets(contact, drones.swarm, drones.alive, w, step.dt):
         return False
@@ -89,7 +91,7 @@ def step_contacts(
 def _resolve_world(
     contact: ContactState, drones: DroneArrays, w: int, substep: int, step: TimeStep
 ) -> bool:
-    """Do what `step_contacts` does in a world where drones are due."""
+    """Resolve the contacts of a world in which drones are due; see `step_contacts`."""
     contact = in_memory(contact)
     place_world_obstacles(contact, w, substep, step)
     world = in_memory(
@@ -130,7 +132,7 @@ def _resolve_world(
 def step_all_contacts(
     contact: ContactState, drones: DroneArrays, substep: int, step: TimeStep
 ) -> bool:
-    """Do what `step_contacts` does in all worlds; returns whether any state was changed."""
+    """Detect and resolve the contacts of all worlds; returns whether any state was changed."""
     eventful = False
     for w in range(drones.alive.shape[0]):
         eventful |= step_contacts(contact, drones, w, substep, step)
@@ -139,14 +141,14 @@ def step_all_contacts(
 
 @kernel
 def save_all_start_states(contact: ContactState, swarm: Swarm) -> None:
-    """Keep the state of all worlds at the beginning of a substep."""
+    """Copy the state of all worlds at the beginning of a substep."""
     for w in range(swarm.position.shape[0]):
         save_start_state(contact, swarm, w)
 
 
 @func
 def _restore_sleeper_contacts(contact: ContactState, alive: np.ndarray, w: int) -> None:
-    """Tell what sleepers touched before, and wake those in whose world a drone came or went."""
+    """Restore the contacts of sleeping drones; wake those in whose world a drone was added or removed."""
     touches, slept = contact.touches, contact.slept
     same = True
     for i in range(alive.shape[1]):
@@ -162,10 +164,10 @@ def _restore_sleeper_contacts(contact: ContactState, alive: np.ndarray, w: int) 
 
 @kernel
 def start_decision(contact: ContactState, alive: np.ndarray, period: float) -> None:
-    """Forget what the last decision touched, and look at where obstacles go in this one.
+    """Clear the contacts of the last decision, and compute the speed of obstacles in this one.
 
     Args:
-        contact: Of the last decision; its `before` and `after` tell where obstacles go.
+        contact: State of all contacts; `before` and `after` give the positions of obstacles.
         alive: (W, N) bool, drones that fly.
         period: Length of the decision, s.
     """
@@ -176,7 +178,7 @@ def start_decision(contact: ContactState, alive: np.ndarray, period: float) -> N
         if contact.sleeps:
             _restore_sleeper_contacts(contact, alive, w)
 
-        # Obstacles that were moved since may be near at once
+        # Obstacles that were moved since the last decision may be close to any drone
         jumped, square = False, 0.0
         for k in range(contact.before.shape[1]):
             begin, end = vec3(contact.before, w, k), vec3(contact.after, w, k)
@@ -191,7 +193,7 @@ def start_decision(contact: ContactState, alive: np.ndarray, period: float) -> N
 
 
 def get_state_arrays(contact: ContactState) -> dict[str, np.ndarray]:
-    """Tell the arrays (W, ...) by name that later contacts follow from."""
+    """Return all arrays (W, ...) by name on which later contacts depend."""
     parts: dict[str, Any] = contact._asdict()
     for name in ("slept", "touches", "memory"):
         parts |= {f"{name} {key}": one for key, one in getattr(contact, name)._asdict().items()}
@@ -199,7 +201,7 @@ def get_state_arrays(contact: ContactState) -> dict[str, np.ndarray]:
 
 
 def replace_scenery(contact: ContactState, scenery: Scenery) -> ContactState:
-    """Tell contacts that something else stands now; all look anew at what is near."""
+    """Return the contact state with another scenery; resets all budgets and wakes all drones."""
     contact.budget[:] = -1.0
     contact.asleep[:] = False
     return contact._replace(scenery=scenery)
@@ -207,7 +209,7 @@ def replace_scenery(contact: ContactState, scenery: Scenery) -> ContactState:
 
 @func
 def _get_owner(number: int, names: tuple[int, int, int, np.ndarray]) -> int:
-    """Return what `Contacts.other` calls the owner of a shape; see `summarize_contacts` for its names."""
+    """Return the number in `Contacts.other` for a shape; see `summarize_contacts` for `names`."""
     first_body, first_piece, ground, other = names
     if number < first_body:
         return number
@@ -230,20 +232,20 @@ def summarize_contacts(
     resting: np.ndarray,
     impulse: np.ndarray,
 ) -> None:
-    """Write of each drone what it touched in a decision.
+    """Summarize the contacts of each drone in a decision.
 
     Args:
-        number: (W, N) how many it touched, as in `Touches`.
-        other: (W, N, T) numbers of their shapes, as there.
-        impulses: (W, N, T) N s, as there.
+        number: (W, N) number of contacts of each drone, as in `ContactLog`.
+        other: (W, N, T) indices of the other shapes, as in `ContactLog`.
+        impulses: (W, N, T) N s, as in `ContactLog`.
         names: `first_body`, `first_piece`, `ground` and `other` of the `Scenery`.
         velocity: (W, N, 3) at the end of the decision, m/s.
         rates: (W, N, 3) rad/s.
-        slowest: Speed of a drone at rest at most, m/s.
-        slowest_spin: Its spin at most, rad/s.
-        collision: (W, N) bool, written: whether it touched anything.
+        slowest: Maximum speed of a drone at rest, m/s.
+        slowest_spin: Maximum spin of a drone at rest, rad/s.
+        collision: (W, N) bool, written: whether the drone touched anything.
         resting: (W, N) bool, written: whether it did and is at rest.
-        impulse: (W, N) written: greatest impulse of one that it touched, N s.
+        impulse: (W, N) written: largest impulse from a single body, N s.
     """
     for w in range(collision.shape[0]):
         for i in range(collision.shape[1]):
@@ -258,7 +260,7 @@ def summarize_contacts(
             calm = calm and math.sqrt(dot(spin, spin)) <= slowest_spin
             resting[w, i] = calm
 
-            # Several pieces may be of one city, or of one body
+            # Several shapes may belong to one city, or to one body
             for k in range(count):
                 one, total = _get_owner(other[w, i, k], names), 0.0
                 for m in range(count):
@@ -268,7 +270,7 @@ def summarize_contacts(
 
 
 def list_contacts(contact: ContactState) -> Contacts:
-    """Tell what was touched in a decision, sorted by world, drone and other."""
+    """Return the contacts of a decision, sorted by world, drone and other."""
     touches = contact.touches
     if not touches.number.any():
         return Contacts.none()
@@ -276,7 +278,7 @@ def list_contacts(contact: ContactState) -> Contacts:
     used = np.arange(touches.other.shape[-1]) < touches.number[..., None]
     world, drone, _ = np.nonzero(used)
     number = touches.other[used]
-    # Numbers of shapes as `Contacts` calls who they belong to
+    # Convert shape indices to the numbers of their owners in `Contacts`
     other = np.where(number < scenery.first_body, number, CITY)
     other[number == scenery.ground] = GROUND
     bodies = (number >= scenery.first_body) & (number < scenery.first_piece)
@@ -295,7 +297,7 @@ def list_contacts(contact: ContactState) -> Contacts:
 
 @allocating
 def _record_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarray) -> None:
-    """Record the contacts of drones that were put somewhere else; see `find_overlaps`."""
+    """Record the contacts of drones that were moved; see `find_overlaps`."""
     contact, alive = in_memory(contact), drones.alive
     swarm = in_memory(drones.swarm)
     space = contact.space
@@ -327,15 +329,15 @@ def _record_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarr
 
 
 def find_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarray) -> Contacts:
-    """Find what drones touch that were put somewhere else.
+    """Find the contacts of drones that were moved to another place.
 
     Args:
-        contact: What contacts need; its touches are forgotten.
-        drones: All drones; nothing is written.
+        contact: State of all contacts; its list of contacts is cleared.
+        drones: All drones; not changed.
         moved: (W, N) bool, drones that were moved.
 
     Returns:
-        The contacts of `moved` drones with others and what stands, without impulse.
+        The contacts of `moved` drones with other drones and static shapes, without impulse.
     """
     contact.touches.number[:] = 0
     _record_overlaps(contact, drones, moved)

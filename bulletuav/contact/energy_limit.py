@@ -1,4 +1,4 @@
-"""Energy of an island and sums of its passes: what impulses gain is taken back."""
+"""Energy limit: remove kinetic energy that the passes of the solver add to an island."""
 
 import math
 
@@ -15,7 +15,7 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, plus
 def _compute_body_energy(
     motion: np.record, velocity: Vec3Like, spin: Vec3Like, frame: Vec3, row: np.record
 ) -> float:
-    """Return a drone's kinetic energy (J) with a velocity and spin, as seen from a frame."""
+    """Return the kinetic energy (J) of a drone with a velocity and spin, in a reference frame."""
     bx, by, bz = axes(read_quaternion(motion))
     turning = read_vec3(spin)
     moving = minus(read_vec3(velocity), frame)
@@ -28,7 +28,7 @@ def _compute_body_energy(
 
 @func
 def find_reference_velocity(points: np.ndarray, size: int) -> Vec3:
-    """Return the velocity of what does not yield, or zeros, m/s."""
+    """Return the velocity of the first static body that is touched, or zeros, m/s."""
     for k in range(size):
         if points[k].b < 0:
             return read_vec3(points[k].obstacle_velocity)
@@ -37,7 +37,7 @@ def find_reference_velocity(points: np.ndarray, size: int) -> Vec3:
 
 @func
 def save_velocities(space: ContactWorkspace, members: int, points: np.ndarray, size: int) -> None:
-    """Keep velocities and impulses as they are before passes that may gain energy."""
+    """Save velocities and impulses before passes of the solver that may gain energy."""
     for m in range(members):
         motion = space.motions[space.island[m]]
         write_vec3(motion.saved_velocities[0], motion.velocity)
@@ -49,7 +49,7 @@ def save_velocities(space: ContactWorkspace, members: int, points: np.ndarray, s
 
 @kernel
 def reopen_impulses(points: np.ndarray, count: int) -> None:
-    """Take the impulses since `save_velocities` from the totals, to be found again."""
+    """Move the impulses since `save_velocities` from the totals back to the present pass."""
     for k in range(count):
         for m in range(3):
             points[k].impulse[m] = points[k].total_impulse[m] - points[k].saved_impulse[m]
@@ -69,7 +69,7 @@ def accumulate_impulses(points: np.ndarray, count: int) -> None:
 
 @func
 def _interpolate(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
-    """Return the vector at a share of the way from one to another."""
+    """Return the vector at a fraction of the way from one vector to another."""
     start = read_vec3(one)
     return plus(start, share, minus(read_vec3(two), start))
 
@@ -78,7 +78,10 @@ def _interpolate(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
 def compute_kinetic_energy(
     space: ContactWorkspace, world: ContactWorld, members: int, frame: Vec3, least: float
 ) -> float:
-    """Return the kinetic energy of an island as seen from a frame, or what speed `least` has, J."""
+    """Return the kinetic energy of an island in a reference frame, J.
+
+    Each drone counts at least as much as at the speed `least`.
+    """
     total = 0.0
     for m in range(members):
         motion = space.motions[space.island[m]]
@@ -92,7 +95,7 @@ def compute_kinetic_energy(
 def _compute_work(
     space: ContactWorkspace, world: ContactWorld, members: int, frame: Vec3, rest: float
 ) -> float:
-    """Return the work of forces on an island in the rest of the substep, seen from a frame, J."""
+    """Return the work of forces on an island in the rest of the substep, in a reference frame, J."""
     total = 0.0
     for m in range(members):
         motion = space.motions[space.island[m]]
@@ -112,20 +115,20 @@ def limit_energy(
     had: float,
     rest: float,
 ) -> None:
-    """Take back what energy the passes since `save_velocities` gained, if any.
+    """Remove the energy that the passes since `save_velocities` added, if any.
 
-    What they did is mixed with what happens if all that closes is stopped, which gains none.
-    Energy is a parabola over the share of the first: it is known from its values at 0, 1/2 and 1.
+    Their result is interpolated with that of stopping all approaches, which adds no energy. The
+    energy is a quadratic function of the fraction: it follows from its values at 0, 1/2 and 1.
 
     Args:
         space: Arrays to work on.
         world: The world.
-        members: Drones of the island.
-        points: Rows of `POINT`.
-        size: How many of them count.
-        frame: From which energy is seen, m/s.
+        members: Number of drones of the island.
+        points: Rows of `CONTACT_POINT`.
+        size: Number of points that count.
+        frame: Velocity of the reference frame, m/s.
         had: Energy before, without forces, J.
-        rest: Share of the substep in which forces have acted since.
+        rest: Fraction of the substep in which forces have acted since.
     """
     motions = space.motions
     full = compute_kinetic_energy(space, world, members, frame, 0.0)
@@ -137,7 +140,7 @@ def limit_energy(
         write_vec3(motion.unlimited_velocities[1], motion.spin)
         write_vec3(motion.velocity, motion.saved_velocities[0])
         write_vec3(motion.spin, motion.saved_velocities[1])
-    # Later passes do not ask for it again
+    # Later passes must not push apart again
     for k in range(size):
         points[k].target_velocity = min(points[k].target_velocity, 0.0)
     solve_constraints(points, size, motions, world.dt, TIGHT_TOLERANCE, COLD_START)

@@ -112,9 +112,9 @@ def _apply_restitution(
 def _set_target_velocities(pairs: np.ndarray, points: np.ndarray, size: int, dt: float) -> None:
     """Set the velocity along the normal that each contact point may, or must, reach.
 
-    Within a pair the target is linear in the distances, as the motion of rigid bodies is: a pair can
-    therefore reach it at all of its points. A drone on a sleeping drone need not part from it unless
-    they overlap, because a drone wedged between two others could not.
+    Within a pair the target is linear in the distances, as the motion of rigid bodies is: a pair
+    can therefore reach it at all of its points. A drone on a sleeping drone need not part from it
+    unless they overlap, because a drone wedged between two others could not.
     """
     k = 0
     while k < size:
@@ -141,7 +141,7 @@ def _set_target_velocities(pairs: np.ndarray, points: np.ndarray, size: int, dt:
 
 @func
 def apply_forces(space: ContactWorkspace, members: int, time: float, sign: float) -> None:
-    """Add the effect of forces in the rest of the substep to the velocities of an island, times sign."""
+    """Add the effect of forces in the rest of the substep, times sign, to an island's velocities."""
     rest = sign * (1.0 - time)
     for m in range(members):
         motion = space.motions[space.island[m]]
@@ -177,14 +177,15 @@ def _solve_resting_contacts(
     time: float,
     slow: bool,
 ) -> int:
-    """Solve the contacts of an island against forces for the rest of the substep, and stop approaches.
+    """Solve the contacts of an island against forces for the rest of the substep.
 
-    Where all contacts are slow and something supports the island, drones move with the mean of the
-    velocities before and after, as forces act along the whole path. In free fall, moving with any
-    other velocity than the present one would change the angular momentum.
+    Also stops what approaches slowly. Where all contacts are slow and something supports the
+    island, drones move with the mean of the velocities before and after, as forces act along the
+    whole path. In free fall, moving with any other velocity than the present one would change the
+    angular momentum.
 
-    Contacts that would arise until the end of the substep get speculative points, which share the load
-    with the present points.
+    Contacts that would arise until the end of the substep get speculative points, which share the
+    load with the present points.
 
     Returns:
         Number of points, speculative points included.
@@ -291,8 +292,8 @@ def resolve_impact(
 ) -> int:
     """Resolve the impact of all drones that are connected to a pair by contacts.
 
-    Returns the number of drones of the island. Their indices are in `space.island`, and they start a
-    path segment with new velocities.
+    Returns the number of drones of the island. Their indices are in `space.island`, and they start
+    a path segment with new velocities.
     """
     motions = space.motions
     members = build_island(space, world, pairs, count, first, time)

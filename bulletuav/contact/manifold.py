@@ -195,7 +195,8 @@ def compute_pair_surface(
 ) -> PairSurface:
     """Compute the surface properties that the `count` points of a pair have in common.
 
-    On a face, friction alone resists rotation: rolling and torsional resistance apply to fewer points.
+    On a face, friction alone resists rotation: rolling and torsional resistance apply to fewer
+    points.
     """
     scenery = world.scenery
     table = scenery.table
@@ -251,7 +252,10 @@ def _set_rolling_axis(motions: np.ndarray, point: np.record, side: int, axis: Ve
 
 @func
 def fill_constraint(motions: np.ndarray, point: np.record, surface: PairSurface) -> None:
-    """Set the bodies, surface and effective masses of a contact point; normal and arms must be set."""
+    """Set the bodies, surface and effective masses of a contact point.
+
+    The normal and the arms must be set.
+    """
     a, b, drift, friction, restitution, damping, resist, axis_b = surface
     point.a = a
     point.b = b

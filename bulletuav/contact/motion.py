@@ -220,8 +220,8 @@ def advance_motion(motion: np.record, time: float, row: np.record) -> None:
 def start_segment(motion: np.record, dt: float, row: np.record) -> None:
     """Start the next path segment of a drone with its present velocities.
 
-    The segment ends when the drone has rotated by `MAX_SEGMENT_ANGLE`. A drone that has had no impact
-    moves to where its dynamics took it.
+    The segment ends when the drone has rotated by `MAX_SEGMENT_ANGLE`. A drone that has had no
+    impact moves to where its dynamics took it.
     """
     here = read_quaternion(motion)
     spin = read_vec3(motion.spin)

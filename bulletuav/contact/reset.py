@@ -1,4 +1,4 @@
-"""Drones that are put somewhere else: what contacts forget of them."""
+"""Reset the contact state of drones that are moved to another place."""
 
 import numpy as np
 
@@ -13,14 +13,14 @@ def reset_contacts(
     quiet: np.ndarray,
     remembered: np.ndarray,
 ) -> None:
-    """Forget what was before of drones that are put somewhere else.
+    """Clear the contact state of drones that are moved to another place.
 
     Args:
-        mask: (W, N) bool, drones that are put somewhere else.
-        budget: Of the contact, changed, as are the others.
-        asleep: (W, N) bool; all who sleep in these worlds wake.
-        quiet: (W, N) s.
-        remembered: (W, N) how many impulses are remembered.
+        mask: (W, N) bool, drones that are moved.
+        budget: (W, N) motion budgets, m; changed.
+        asleep: (W, N) bool, changed: all drones in the worlds of moved drones wake.
+        quiet: (W, N) time at rest, s; changed.
+        remembered: (W, N) number of cached impulses; changed.
     """
     for w in range(mask.shape[0]):
         any_moved = False

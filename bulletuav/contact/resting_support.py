@@ -1,8 +1,9 @@
-"""Support: what forces a drone that rests on one surface can bear without moving.
+"""Resting support: the forces under which a drone on one surface stays at rest.
 
-A rigid body on a flat surface stays at rest where the line of its load meets the surface within its
-base, and friction can hold what pulls it along (Coulomb). Here half of both must do, so that how
-the load spreads over the points of contact does not matter.
+A rigid body on a flat surface stays at rest if the line of action of its load meets the surface
+within its base, and if friction can hold the tangential load (Coulomb). Both are tested with a
+safety factor of two (`SAFE_FRACTION`), so that the distribution of the load over the contact points
+does not matter.
 """
 
 import math
@@ -20,22 +21,22 @@ from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, poi
 from bulletuav.vehicle.swarm import Swarm
 
 SAFE_FRACTION = 0.5
-"""Share of what a support can bear that counts as safe"""
+"""Fraction of the load limit of a support that counts as safe"""
 MAX_BASE_DISTANCE = 1e-3
-"""Distance of the surface up to which a point is part of the base, m"""
+"""Distance from the surface up to which a point belongs to the base, m"""
 MIN_BASE_POINTS = 3
-"""Fewest points of contact that make a base"""
+"""Minimum number of contact points of a base"""
 NUM_DIRECTIONS = 16
-"""Directions in which the base is measured"""
+"""Number of directions in which the base is measured"""
 
 SUPPORT = record_type([("normal", "f8", 3), ("height", "f8"), ("span", "f8"), ("friction", "f8")])
-"""What a drone rests on.
+"""The surface that a drone rests on.
 
 Attributes:
     normal: Unit vector out of the surface.
-    height: Of the centre of mass above it, m.
-    span: Radius of a circle about the foot of the centre of mass that its points enclose, m; 0
-        where they do not, or where it rests on several surfaces.
+    height: Height of the centre of mass above the surface, m.
+    span: Radius of the largest circle about the projected centre of mass within the base, m; 0 if
+        there is none, or if the drone rests on several surfaces.
     friction: Coefficient of friction.
 """
 
@@ -49,15 +50,15 @@ def measure_support(
     i: int,
     other: int,
 ) -> None:
-    """Measure how a drone rests on something that does not move.
+    """Measure how a drone rests on a static shape.
 
     Args:
         support: Row of `SUPPORT`, written.
         space: Arrays to work on.
         world: The world.
         swarm: State of all drones.
-        i: The drone.
-        other: Number of the shape of what it rests on.
+        i: Index of the drone.
+        other: Index of the shape that it rests on.
     """
     scenery = world.scenery
     table = scenery.table
@@ -96,7 +97,7 @@ def measure_support(
 
 @func
 def _compute_inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float:
-    """Return how far points (M, 3) reach about the origin, across a normal, where least, m."""
+    """Return the smallest extent of points (M, 3) from the origin over tangential directions, m."""
     first = cross(normal, (1.0, 0.0, 0.0) if abs(normal[0]) < 0.8 else (0.0, 1.0, 0.0))
     scale = 1.0 / math.sqrt(dot(first, first))
     first = (scale * first[0], scale * first[1], scale * first[2])
@@ -118,13 +119,13 @@ def _compute_inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float
 def compute_support_force(
     support: np.record, mass: float, acceleration: Vec3, torque: Vec3
 ) -> tuple[float, bool]:
-    """Return with which force a load presses a drone on its support, N, and whether that bears it.
+    """Compute the normal force of a drone on its support, N, and whether the drone stays at rest.
 
     Args:
         support: Row of `SUPPORT`.
-        mass: Of the drone, kg.
-        acceleration: By forces without contacts, m/s^2.
-        torque: Without contacts, world axes, N m.
+        mass: Mass of the drone, kg.
+        acceleration: Acceleration by forces without contacts, m/s^2.
+        torque: Torque without contacts, world axes, N m.
     """
     normal = read_vec3(support.normal)
     pressed = -mass * dot(acceleration, normal)
@@ -133,7 +134,7 @@ def compute_support_force(
     force = (mass * acceleration[0], mass * acceleration[1], mass * acceleration[2])
     along = plus(force, pressed, normal)
     about = dot(torque, normal)
-    # Where the surface has to press: the foot of the load
+    # Moment about the foot of the centre of mass: gives the centre of pressure
     tipping = plus(plus(torque, -about, normal), support.height, cross(normal, along))
     if dot(tipping, tipping) > (SAFE_FRACTION * support.span * pressed) ** 2:
         return pressed, False
@@ -150,17 +151,17 @@ def can_carry_load(
     load: np.ndarray,
     dt: float,
 ) -> bool:
-    """Tell whether a drone that rests stays at rest under those who lie on it.
+    """Check whether a resting drone stays at rest under the drones on it.
 
-    On several surfaces it does under what friction could hold on one across its own load.
+    On several surfaces it does if the tangential load is below the friction limit of its own load.
 
     Args:
         support: Row of `SUPPORT`.
         row: Row of `PARAMETERS` of the drone.
-        acceleration: By forces without contacts, m/s^2.
-        torque: Without contacts, world axes, N m.
-        load: (2, 3) impulse (N s) and angular impulse (N m s) of the others in a substep.
-        dt: Its length, s.
+        acceleration: Acceleration by forces without contacts, m/s^2.
+        torque: Torque without contacts, world axes, N m.
+        load: (2, 3) impulse (N s) and angular impulse (N m s) of the other drones in a substep.
+        dt: Length of the substep, s.
     """
     total = plus(acceleration, 1.0 / (row.mass * dt), point(load, 0))
     if support.span > 0.0:

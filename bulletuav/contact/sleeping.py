@@ -1,4 +1,4 @@
-"""Settling: who has been at rest for long falls asleep, and who is hit or pushed hard wakes."""
+"""Sleeping: put drones at rest to sleep, and wake those that are hit or overloaded."""
 
 import math
 
@@ -17,18 +17,18 @@ from bulletuav.vehicle.swarm import Swarm
 MAX_REST_SPEED = 5e-3
 """Speed below which a drone is at rest, m/s"""
 MAX_REST_SPIN = 0.05
-"""Spin below which a drone is at rest, rad/s"""
+"""Angular velocity below which a drone is at rest, rad/s"""
 TOUCHING_FACTOR = 2.0
-"""How much more of both a drone may have that touches others"""
+"""Factor of both limits for a drone that touches other drones"""
 TIME_TO_SLEEP_ON_FACE = 0.05
-"""How long a drone is at rest before it falls asleep on a face that bears it safely, s"""
+"""Time at rest after which a drone sleeps if a face supports it safely, s"""
 MAX_SPEED_GAIN = 1.5e-4
-"""How much faster a drone at rest may have become in that time, m/s"""
+"""Maximum gain of speed of a drone at rest in that time, m/s"""
 
 
 @func
 def _is_slow(contact: ContactState, w: int, i: int, velocity: Vec3, rates: Vec3) -> bool:
-    """Tell whether a drone is as good as at rest."""
+    """Check whether a drone is slow enough to be at rest."""
     scale = 1.0
     for k in range(contact.touches.number[w, i]):
         if contact.touches.other[w, i, k] < contact.scenery.first_body:
@@ -39,21 +39,21 @@ def _is_slow(contact: ContactState, w: int, i: int, velocity: Vec3, rates: Vec3)
 
 @func
 def _compute_speed(swarm: Swarm, w: int, i: int) -> float:
-    """Return the speed of a drone, m/s."""
     velocity = vec3(swarm.velocity, w, i)
     return math.sqrt(dot(velocity, velocity))
 
 
 @func
 def update_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, last: bool) -> None:
-    """Let drones that have been at rest for long fall asleep, and sleepers that were hit wake.
+    """Put drones that have been at rest long enough to sleep, and wake sleeping drones that were hit.
 
     Args:
-        contact: Of all worlds.
+        contact: State of all contacts.
         world: The world.
-        swarm: State at the end of the substep; sleepers stay where they are.
-        last: Whether it is the decision's last substep: only then a drone falls asleep, so that
-            what it touched is told of a whole decision.
+        swarm: State at the end of the substep; sleeping drones keep their pose.
+        last: True in the last substep of a decision. Drones are put to sleep only then, so that
+            their
+            contacts are those of a whole decision.
     """
     w = world.w
     if contact.asleep[w].any():
@@ -65,7 +65,7 @@ def update_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, last:
             _update_rest_time(contact, world, swarm, i, slow, last)
         else:
             contact.quiet[w, i] = 0.0
-    # All at once, so that their order does not matter
+    # Put all to sleep together, so that their order does not matter
     for i in range(world.alive.shape[1]):
         if contact.dozes[w, i]:
             _put_to_sleep(contact, world, swarm, i)
@@ -74,9 +74,9 @@ def update_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, last:
 @deferred(types.none)
 @kernel
 def _wake_disturbed(contact: ContactState, world: ContactWorld, swarm: Swarm) -> None:
-    """Wake sleepers that were hit or bear too much, and all who sleep in a heap with them.
+    """Wake sleeping drones that were hit or are overloaded, and all that sleep in a pile with them.
 
-    Who that is must be known before anybody wakes, or their order would matter.
+    The disturbed drones are found before any is woken, so that their order does not matter.
     """
     w = world.w
     for i in range(world.alive.shape[1]):
@@ -98,7 +98,7 @@ def _wake_disturbed(contact: ContactState, world: ContactWorld, swarm: Swarm) ->
 def _update_rest_time(
     contact: ContactState, world: ContactWorld, swarm: Swarm, i: int, slow: bool, last: bool
 ) -> None:
-    """Put a sleeper that was touched back, or look whether a drone at rest is to fall asleep."""
+    """Restore the pose of a sleeping drone that was touched, or update the rest time of a slow drone."""
     w = world.w
     if contact.asleep[w, i]:
         if contact.changed[w, i]:
@@ -112,7 +112,7 @@ def _update_rest_time(
         _store_support(contact, world, swarm, i)
         contact.dozes[w, i] = _is_support_safe(contact, world, i)
     if contact.quiet[w, i] >= TIME_TO_SLEEP:
-        # Who slides ever faster down a slope that is hardly steep enough does not rest
+        # A drone that slides ever faster down a barely steep slope is not at rest
         if speed > contact.pace[w, i] + MAX_SPEED_GAIN:
             contact.quiet[w, i] = 0.0
             contact.dozes[w, i] = False
@@ -123,7 +123,7 @@ def _update_rest_time(
 @deferred(types.none)
 @kernel
 def _put_to_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, i: int) -> None:
-    """Let a drone fall asleep, which stops it."""
+    """Put a drone to sleep, which stops it."""
     w = world.w
     contact.dozes[w, i] = False
     contact.asleep[w, i] = True
@@ -131,7 +131,7 @@ def _put_to_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, i: i
     _store_support(contact, world, swarm, i)
     support = contact.support[w, i]
     if support.span > 0.0:
-        # What its support takes from it
+        # The momentum that its support absorbs
         lost = world.parameters[w, i].mass * dot(vec3(swarm.velocity, w, i), support.normal)
         contact.touches.impulse[w, i, 0] -= lost
     for k in range(3):
@@ -141,7 +141,7 @@ def _put_to_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, i: i
 
 @func
 def _is_overloaded(contact: ContactState, world: ContactWorld, i: int) -> bool:
-    """Tell whether those who lie on a sleeper push it more than what it lies on bears."""
+    """Check whether the drones on a sleeping drone push it more than its support can take."""
     motion = contact.space.motions[i]
     load = contact.load[world.w, i]
     given = motion.load
@@ -160,7 +160,7 @@ def _is_overloaded(contact: ContactState, world: ContactWorld, i: int) -> bool:
 
 @func
 def _is_support_safe(contact: ContactState, world: ContactWorld, i: int) -> bool:
-    """Tell whether the support of a drone bears the forces of this substep."""
+    """Check whether the support of a drone can take the forces of this substep."""
     support = contact.support[world.w, i]
     if support.span <= 0.0:
         return False
@@ -176,7 +176,7 @@ def _is_support_safe(contact: ContactState, world: ContactWorld, i: int) -> bool
 
 @func
 def _is_supported(contact: ContactState, w: int, i: int) -> bool:
-    """Tell whether a drone touches something that does not yield, or somebody who sleeps on it."""
+    """Check whether a drone touches a static shape or a sleeping drone."""
     touches = contact.touches
     for k in range(touches.number[w, i]):
         other = touches.other[w, i, k]
@@ -187,7 +187,7 @@ def _is_supported(contact: ContactState, w: int, i: int) -> bool:
 
 @func
 def _store_support(contact: ContactState, world: ContactWorld, swarm: Swarm, i: int) -> None:
-    """Keep what a drone that falls asleep touches, and what it rests on if that is one surface."""
+    """Store the contacts of a drone that is put to sleep, and its support if that is one surface."""
     w = world.w
     touches = contact.touches
     slept = contact.slept
@@ -199,13 +199,13 @@ def _store_support(contact: ContactState, world: ContactWorld, swarm: Swarm, i: 
     if touches.number[w, i] == 1:
         measure_support(support, contact.space, world, swarm, i, touches.other[w, i, 0])
     if support.span > 0.0:
-        # How it is pressed down is told of each substep
+        # The support force is recorded in each substep, see `stays_asleep`
         slept.impulse[w, i, 0] = 0.0
 
 
 @func
 def _restore_pose(contact: ContactState, swarm: Swarm, w: int, i: int) -> None:
-    """Put a drone back to where it was at the beginning of the substep, at rest."""
+    """Reset a drone to its pose at the beginning of the substep, at rest."""
     for k in range(3):
         swarm.position[w, i, k] = contact.start.position[w, i, k]
         swarm.velocity[w, i, k] = 0.0

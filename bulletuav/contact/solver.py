@@ -167,9 +167,9 @@ def _update_sliding(
 ) -> tuple[bool, BodyVelocities]:
     """Solve the normal impulse of a sliding point together with its friction.
 
-    The friction is `friction` times the normal impulse, so that both are solved at once. The direction
-    of the friction, against the slip, is updated in each iteration. Returns whether the point
-    slides, and the velocities of the bodies.
+    The friction is `friction` times the normal impulse, so that both are solved at once. The
+    direction of the friction, against the slip, is updated in each iteration. Returns whether the
+    point slides, and the velocities of the bodies.
     """
     along = compute_axis_velocity(row, moving, 1, read_vec3(row.tangent[0]))
     across = compute_axis_velocity(row, moving, 2, read_vec3(row.tangent[1]))

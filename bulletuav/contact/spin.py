@@ -1,7 +1,7 @@
-"""How a rigid body turns that nothing touches: its angular momentum stays, its spin does not.
+"""Rotation of a free rigid body: angular momentum is constant, angular velocity is not.
 
-Small rotations are Taylor series of the exponential map: F. S. Grassia, Practical parameterization
-of rotations using the exponential map, 1998. They take a fifth of the time of sine and cosine.
+Small rotations use Taylor series of the exponential map (F. S. Grassia, Practical parameterization
+of rotations using the exponential map, 1998). They take a fifth of the time of sine and cosine.
 """
 
 import math
@@ -22,11 +22,11 @@ from bulletuav.geometry.rotation import (
 from bulletuav.vehicle.wrench import spin_parts
 
 MAX_STEP_ANGLE = 0.2
-"""Angle by which a drone turns in one step of the midpoint rule, rad"""
+"""Maximum rotation in one step of the midpoint rule, rad"""
 MAX_SERIES_ANGLE = 1.0
 """Angle up to which the series are exact to the last digit, rad"""
 NUM_TERMS = 8
-"""Terms of these series, see `_evaluate_series`"""
+"""Number of terms of the series, see `_evaluate_series`"""
 HALF_SINE = tuple(
     (-1) ** k / (2 ** (2 * k + 1) * math.factorial(2 * k + 1)) for k in range(NUM_TERMS)
 )
@@ -42,7 +42,7 @@ def _compute_relative_rotation(before: Quat4, after: Quat4) -> Quat4:
 
 @func
 def bound_angle(before: Quat4, after: Quat4) -> float:
-    """Return a bound of the angle from one attitude to another, rad; close where it is small."""
+    """Return an upper bound of the angle between two attitudes, rad; tight for small angles."""
     x, y, z, w = _compute_relative_rotation(before, after)
     sine = math.sqrt(x * x + y * y + z * z)
     # Twice the tangent of half the angle, which is more than the angle
@@ -51,7 +51,7 @@ def bound_angle(before: Quat4, after: Quat4) -> float:
 
 @func
 def compute_rotation_between(before: Quat4, after: Quat4) -> Vec3:
-    """Return the rotation from one attitude to another as axis times angle, the shorter way."""
+    """Return the shorter rotation from one attitude to another, as axis times angle."""
     x, y, z, w = _compute_relative_rotation(before, after)
     sine = math.sqrt(x * x + y * y + z * z)
     if sine == 0.0:
@@ -64,7 +64,7 @@ def compute_rotation_between(before: Quat4, after: Quat4) -> Vec3:
 
 @func
 def _evaluate_series(c: tuple[float, ...], x: float) -> float:
-    """Return c[0] + c[1] x + ... + c[7] x^7, in pairs, so that few terms wait for others."""
+    """Return c[0] + c[1] x + ... + c[7] x^7, in pairs for instruction-level parallelism."""
     square = x * x
     low = (c[0] + c[1] * x) + square * (c[2] + c[3] * x)
     high = (c[4] + c[5] * x) + square * (c[6] + c[7] * x)
@@ -73,9 +73,9 @@ def _evaluate_series(c: tuple[float, ...], x: float) -> float:
 
 @func
 def rotate_by_fraction(rotation: Vec3, share: float, quaternion: Quat4) -> Quat4:
-    """Return an attitude after a share of a rotation (axis times angle, world axes).
+    """Rotate an attitude by a fraction of a rotation (axis times angle, world axes).
 
-    Its length is that of the attitude before, but for rounding.
+    The norm of the quaternion is preserved up to rounding.
     """
     part = (
         share * rotation[0],
@@ -115,12 +115,12 @@ def compute_angular_velocity(quaternion: Quat4, angular: Vec3, row: np.record) -
 def integrate_free_rotation(
     here: Quat4, spin: Vec3, rest: float, row: np.record
 ) -> tuple[Quat4, Vec3]:
-    """Return the attitude after a time without torque, and the rotation to it, axis times angle.
+    """Integrate a torque-free rotation; returns the attitude, and the rotation as axis times angle.
 
-    The rotation takes the angular velocity halfway (midpoint rule), with the angular momentum held.
+    Uses the midpoint rule: the angular velocity halfway, with constant angular momentum.
     """
     angular = compute_angular_momentum(here, spin, row)
-    # Fast spins in parts, so that their energy stays
+    # Subdivide fast rotations, so that their energy is conserved
     parts = spin_parts(spin, rest, MAX_STEP_ANGLE)
     part = rest / parts
     there = here

@@ -1,8 +1,9 @@
-"""Contacts within one substep of one world, in the order of time.
+"""Contacts of one world within a substep, in order of time.
 
-A substep is flown freely first. Whoever would touch something is then taken to the time of the
-touch; all who touch each other there are pushed apart together (an island); and they fly on with
-what is left of the substep. A touch is a distance of `CONTACT_DISTANCE`, so that shapes stay apart.
+A substep is flown without contacts first. Drones that would touch something are then advanced to
+the time of impact; all drones that are connected by contacts at that time (an island) are solved
+together; and they move on for the rest of the substep. Shapes closer than `CONTACT_DISTANCE` are in
+contact, so that they do not overlap.
 """
 
 import math
@@ -38,7 +39,7 @@ from bulletuav.vehicle.swarm import Swarm
 @deferred(types.none)
 @kernel
 def _start_drone_motion(space: ContactWorkspace, world: ContactWorld, end: Swarm, i: int) -> None:
-    """Begin the motion of a drone that may touch something, if it has not begun."""
+    """Start the motion of a drone that may touch something, unless it is started already."""
     if i < world.scenery.first_body and not space.motions[i].is_started:
         row = world.parameters[world.w, i]
         start_motion(space.motions[i], world.start, end, world.w, i, row, world.dt)
@@ -49,11 +50,11 @@ def _start_drone_motion(space: ContactWorkspace, world: ContactWorld, end: Swarm
 
 @func
 def _is_pair_finished(space: ContactWorkspace, world: ContactWorld, pair: np.record) -> bool:
-    """Tell whether a pair is not asked any more when it touches.
+    """Check whether a pair needs no further time of impact in this substep.
 
-    Drones of too many impacts stay, or go along with an obstacle, and take along those of them that
-    they come to. So such pairs are over unless one moves against the other. Who goes along with an
-    obstacle is asked for no other one.
+    Drones at the impact limit are clamped, or move with an obstacle, and take along other such
+    drones that they come to. Pairs of such bodies are finished unless one moves relative to the
+    other. A drone that moves with an obstacle is not tested against other obstacles.
     """
     motions = space.motions
     if not is_at_impact_limit(motions[pair.a]):
@@ -73,7 +74,7 @@ def _is_pair_finished(space: ContactWorkspace, world: ContactWorld, pair: np.rec
 def _update_time_of_impact(
     space: ContactWorkspace, world: ContactWorld, pair: np.record, start: float
 ) -> None:
-    """Find when a pair touches next, from a time on."""
+    """Find the next time of impact of a pair."""
     motions = space.motions
     pair.impact_time = NO_IMPACT
     pair.is_segment_end = False
@@ -106,7 +107,7 @@ def _update_time_of_impact(
 
 @func
 def _find_first_pair(pairs: np.ndarray, count: int) -> int:
-    """Return the pair that touches first, the first of several; -1 if none does."""
+    """Return the pair with the earliest event (the first of several), or -1 if there is none."""
     first = -1
     time = NO_IMPACT
     for p in range(count):
@@ -118,7 +119,7 @@ def _find_first_pair(pairs: np.ndarray, count: int) -> int:
 
 @func
 def _compute_distance(one: np.ndarray, two: np.ndarray, w: int, i: int) -> float:
-    """Return how far drone i is in one array (W, N, 3) from where it is in another, m."""
+    """Return the distance of drone i in one array (W, N, 3) from its position in another, m."""
     way = minus(vec3(one, w, i), vec3(two, w, i))
     return math.sqrt(dot(way, way))
 
@@ -127,9 +128,10 @@ def _compute_distance(one: np.ndarray, two: np.ndarray, w: int, i: int) -> float
 def _set_reach(
     space: ContactWorkspace, world: ContactWorld, end: Swarm, budget: np.ndarray
 ) -> None:
-    """Set how far drones get in the substep, and which of them are looked at.
+    """Set how far drones move in the substep, and which of them are due.
 
-    These are all that are due, and who would be after one more such substep: one look serves both.
+    A drone is due if its budget is used up, or would be after one more such substep: one check then
+    serves both.
     """
     w = world.w
     for i in range(budget.shape[1]):
@@ -153,7 +155,7 @@ def _collect_drone_pairs(
     pairs: np.ndarray,
     count: int,
 ) -> tuple[np.ndarray, int]:
-    """Collect the pairs of one drone, and begin the motions of all in them; see `collect_pairs`."""
+    """Collect the pairs of one drone and start the motions of their drones; see `collect_pairs`."""
     old = count
     pairs, count = collect_pairs(
         world.scenery,
@@ -177,7 +179,7 @@ def _collect_drone_pairs(
 def find_pairs(
     space: ContactWorkspace, world: ContactWorld, end: Swarm, order: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Collect the pairs of all drones that are due, and of sleepers within their reach."""
+    """Collect the pairs of all due drones, and of sleeping drones within their reach."""
     motions = space.motions
     for i in range(order.shape[0]):
         motions[i].in_island = False
@@ -187,7 +189,7 @@ def find_pairs(
     for rank in range(order.shape[0]):
         if motions[order[rank]].is_due:
             pairs, count = _collect_drone_pairs(space, world, end, order, rank, False, pairs, count)
-    # A sleeper that is touched is held by what it lies on, which may be another one
+    # A touched sleeping drone is held by its support, which may be another sleeping drone
     grown = True
     while grown:
         grown = False
@@ -211,7 +213,7 @@ def _extend_pairs(
     pairs: np.ndarray,
     count: int,
 ) -> tuple[np.ndarray, int]:
-    """Collect the pairs of drones anew that were sent farther than was looked at."""
+    """Collect pairs again for drones whose new path leaves the distance that was searched."""
     for rank in range(order.shape[0]):
         motion = space.motions[order[rank]]
         if not motion.in_island:
@@ -228,7 +230,10 @@ def _extend_pairs(
 
 @func
 def _start_next_segment(space: ContactWorkspace, world: ContactWorld, pair: np.record) -> int:
-    """Let those of a pair whose way ends fly on; returns how many, they are in `space.island`."""
+    """Start the next path segment of the drones of a pair whose segment ends.
+
+    Returns the number of these drones; their indices are in `space.island`.
+    """
     members = 0
     for shape in (pair.a, pair.b):
         if get_segment_end(world.scenery, space.motions, shape) <= pair.impact_time:
@@ -250,7 +255,7 @@ def _resolve_due_drones(
     changed: np.ndarray,
     touches: ContactLog,
 ) -> bool:
-    """Take the drones that are due through the touches of a substep, in the order of time."""
+    """Find the pairs of due drones and resolve their impacts in order of time."""
     order = space.order
     pairs, count = find_pairs(space, world, end, order)
     if count == 0:
@@ -270,7 +275,7 @@ def _resolve_pairs(
     changed: np.ndarray,
     touches: ContactLog,
 ) -> bool:
-    """Take pairs that may touch through a substep; returns whether any does."""
+    """Resolve the impacts of pairs in order of time; returns whether there was any."""
     w = world.w
     motions = space.motions
     order = space.order
@@ -313,20 +318,20 @@ def resolve_contacts(
     changed: np.ndarray,
     touches: ContactLog,
 ) -> bool:
-    """Let the drones of a world touch what they would have flown into in a substep.
+    """Detect and resolve the contacts of one world in a substep.
 
     Args:
         space: Arrays to work on.
-        world: The world, and the state at the beginning of the substep.
-        end: State at the end of the substep as flown freely; changed.
-        budget: (W, N) how far each drone may move before it must be looked at, m; changed.
-        turns: (W, N) bool, drones whose turns count there; changed.
+        world: The world, with the state at the beginning of the substep.
+        end: State at the end of the substep as flown without contacts; changed.
+        budget: (W, N) distance that each drone may move before it is checked, m; changed.
+        turns: (W, N) bool, drones whose rotation uses up their budget; changed.
         stopped: (W, N) bool, drones that stopped; changed.
         changed: (W, N) bool, drones whose state was changed; changed.
-        touches: What was touched; added to.
+        touches: Contacts of the decision; added to.
 
     Returns:
-        Whether anything was touched.
+        True if there was any impact.
     """
     w = world.w
     order = space.order
