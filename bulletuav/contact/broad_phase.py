@@ -152,12 +152,12 @@ def collect_pairs(
     # Other drones in sorted order; the drone of lower rank is a
     for place in range(order.shape[0]):
         j = order[place]
-        met = motions[j].is_due and place < rank and not again
-        if j == i or not alive[w, j] or met:
+        is_paired = motions[j].is_due and place < rank and not again
+        if j == i or not alive[w, j] or is_paired:
             continue
-        gap = minus(read_vec3(motions[j].start_position), here)
+        between = minus(read_vec3(motions[j].start_position), here)
         within = far + scenery.table.radius[j] + motions[j].reach
-        if dot(gap, gap) < within * within:
+        if dot(between, between) < within * within:
             if place < rank:
                 pairs, count = _add_pair(pairs, count, known, j, i)
             else:

@@ -28,7 +28,7 @@ MIN_APPROACH_SPEED = 1e-9
 
 @func
 def remove_forces(motion: np.record, time: float) -> None:
-    """Remove the forces on a drone for the rest of the substep, but for what they take from its speed.
+    """Remove the forces on a drone for the rest of the substep, except what slows it down.
 
     The impulses that held the drone gave it the speed that gravity takes in the rest of the
     substep. Without this correction the drone would keep that speed, and piles would never come to
@@ -76,7 +76,7 @@ def compute_carried_displacement(
 
 @func
 def clamp_spent_drones(space: ContactWorkspace, members: int, time: float, way: Vec3) -> None:
-    """Clamp the drones of an island at the impact limit, or move them along `way` (m per substep)."""
+    """Clamp the drones of an island at the impact limit, or move them by `way` per substep, m."""
     for m in range(members):
         motion = space.motions[space.island[m]]
         if is_at_impact_limit(motion):

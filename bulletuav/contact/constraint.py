@@ -119,11 +119,11 @@ def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
 @func
 def apply_inverse_inertia(motion: np.record, v: Vec3Like) -> Vec3:
     """Return the change of angular velocity (rad/s) by an angular impulse (N m s), world axes."""
-    ease = motion.inverse_inertia
+    inverse_inertia = motion.inverse_inertia
     return (
-        ease[0, 0] * v[0] + ease[0, 1] * v[1] + ease[0, 2] * v[2],
-        ease[1, 0] * v[0] + ease[1, 1] * v[1] + ease[1, 2] * v[2],
-        ease[2, 0] * v[0] + ease[2, 1] * v[1] + ease[2, 2] * v[2],
+        inverse_inertia[0, 0] * v[0] + inverse_inertia[0, 1] * v[1] + inverse_inertia[0, 2] * v[2],
+        inverse_inertia[1, 0] * v[0] + inverse_inertia[1, 1] * v[1] + inverse_inertia[1, 2] * v[2],
+        inverse_inertia[2, 0] * v[0] + inverse_inertia[2, 1] * v[1] + inverse_inertia[2, 2] * v[2],
     )
 
 
@@ -147,25 +147,25 @@ def _set_jacobian(
     arm: Vec3,
     normal: Vec3,
     row: np.record,
-    levers: np.ndarray,
-    swings: np.ndarray,
+    jacobians: np.ndarray,
+    responses: np.ndarray,
 ) -> None:
     """Compute the angular Jacobian of a contact point, and its product with the inverse inertia."""
     for k in range(3):
         axis = normal if k == 0 else read_vec3(row.tangent[k - 1])
-        lever = cross(arm, axis)
-        write_vec3(levers[k], lever)
-        write_vec3(swings[k], apply_inverse_inertia(motion, lever))
+        jacobian = cross(arm, axis)
+        write_vec3(jacobians[k], jacobian)
+        write_vec3(responses[k], apply_inverse_inertia(motion, jacobian))
 
 
 @func
-def _compute_inverse_mass(row: np.record, one: int, two: int, light: float) -> float:
+def _compute_inverse_mass(row: np.record, one: int, two: int, inverse_mass: float) -> float:
     """Return the velocity along axis `one` of a point by a unit impulse along axis `two`, 1/kg."""
-    yields = light if one == two else 0.0
-    yields += dot(row.jacobian_a[one], row.angular_response_a[two])
+    total = inverse_mass if one == two else 0.0
+    total += dot(row.jacobian_a[one], row.angular_response_a[two])
     if row.b >= 0:
-        yields += dot(row.jacobian_b[one], row.angular_response_b[two])
-    return yields
+        total += dot(row.jacobian_b[one], row.angular_response_b[two])
+    return total
 
 
 @func
@@ -198,12 +198,12 @@ def prepare_constraint(row: np.record, motions: np.ndarray) -> None:
         row.impulse[k] = 0.0
         row.rolling_impulse[k] = 0.0
         row.total_rolling_impulse[k] = 0.0
-    light = motions[row.a].inverse_mass
+    inverse_mass = motions[row.a].inverse_mass
     _set_jacobian(
         motions[row.a], read_vec3(row.arm_a), normal, row, row.jacobian_a, row.angular_response_a
     )
     if row.b >= 0:
-        light += motions[row.b].inverse_mass
+        inverse_mass += motions[row.b].inverse_mass
         _set_jacobian(
             motions[row.b],
             read_vec3(row.arm_b),
@@ -212,12 +212,12 @@ def prepare_constraint(row: np.record, motions: np.ndarray) -> None:
             row.jacobian_b,
             row.angular_response_b,
         )
-    k11 = _compute_inverse_mass(row, 1, 1, light)
-    k12 = _compute_inverse_mass(row, 1, 2, light)
-    k22 = _compute_inverse_mass(row, 2, 2, light)
-    k00 = _compute_inverse_mass(row, 0, 0, light)
-    k01 = _compute_inverse_mass(row, 0, 1, light)
-    k02 = _compute_inverse_mass(row, 0, 2, light)
+    k11 = _compute_inverse_mass(row, 1, 1, inverse_mass)
+    k12 = _compute_inverse_mass(row, 1, 2, inverse_mass)
+    k22 = _compute_inverse_mass(row, 2, 2, inverse_mass)
+    k00 = _compute_inverse_mass(row, 0, 0, inverse_mass)
+    k01 = _compute_inverse_mass(row, 0, 1, inverse_mass)
+    k02 = _compute_inverse_mass(row, 0, 2, inverse_mass)
     _set_block_mass(row, k00, k01, k02, k11, k12, k22)
     row.coupling[0], row.coupling[1] = k01, k02
     row.normal_mass = 1.0 / k00
@@ -261,30 +261,39 @@ def read_velocities(row: np.record, motions: np.ndarray) -> BodyVelocities:
 
 
 @func
-def write_velocities(row: np.record, motions: np.ndarray, moving: BodyVelocities) -> None:
+def write_velocities(row: np.record, motions: np.ndarray, velocities: BodyVelocities) -> None:
     """Write the velocities of the bodies of a point."""
-    write_vec3(motions[row.a].velocity, moving[0])
-    write_vec3(motions[row.a].spin, moving[1])
+    write_vec3(motions[row.a].velocity, velocities[0])
+    write_vec3(motions[row.a].spin, velocities[1])
     if row.b >= 0:
-        write_vec3(motions[row.b].velocity, moving[2])
-        write_vec3(motions[row.b].spin, moving[3])
+        write_vec3(motions[row.b].velocity, velocities[2])
+        write_vec3(motions[row.b].spin, velocities[3])
 
 
 @func
-def compute_axis_velocity(row: np.record, moving: BodyVelocities, k: int, axis: Vec3) -> float:
+def compute_axis_velocity(row: np.record, velocities: BodyVelocities, k: int, axis: Vec3) -> float:
     """Return the velocity of surface a relative to surface b along axis k of a point, m/s."""
-    speed = dot(moving[0], axis) + dot(moving[1], point(row.jacobian_a, k)) - dot(moving[2], axis)
+    speed = (
+        dot(velocities[0], axis)
+        + dot(velocities[1], point(row.jacobian_a, k))
+        - dot(velocities[2], axis)
+    )
     if row.b >= 0:
-        speed -= dot(moving[3], point(row.jacobian_b, k))
+        speed -= dot(velocities[3], point(row.jacobian_b, k))
     return speed
 
 
 @func
 def apply_axis_impulse(
-    row: np.record, motions: np.ndarray, moving: BodyVelocities, k: int, axis: Vec3, impulse: float
+    row: np.record,
+    motions: np.ndarray,
+    velocities: BodyVelocities,
+    k: int,
+    axis: Vec3,
+    impulse: float,
 ) -> BodyVelocities:
     """Return the velocities of both bodies after an impulse along axis k of a point, N s."""
-    velocity_a, spin_a, velocity_b, spin_b = moving
+    velocity_a, spin_a, velocity_b, spin_b = velocities
     velocity_a = plus(velocity_a, impulse * motions[row.a].inverse_mass, axis)
     spin_a = plus(spin_a, impulse, point(row.angular_response_a, k))
     if row.b >= 0:

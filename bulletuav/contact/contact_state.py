@@ -152,9 +152,11 @@ def wake_drone(contact: ContactState, w: int, i: int) -> None:
         contact.budget[w, k] = -1.0
         for j in range(asleep.shape[1]):
             if asleep[w, j]:
-                gap = minus(vec3(contact.start.position, w, k), vec3(contact.start.position, w, j))
+                between = minus(
+                    vec3(contact.start.position, w, k), vec3(contact.start.position, w, j)
+                )
                 within = radius[k] + radius[j] + WAKE_DISTANCE
-                if dot(gap, gap) < within * within:
+                if dot(between, between) < within * within:
                     asleep[w, j] = False
                     space.island[count] = j
                     count += 1
@@ -210,11 +212,11 @@ def stays_asleep(
     if support.span > 0.0:
         inertia = row.inertia
         twist = (inertia[0] * spinning[0], inertia[1] * spinning[1], inertia[2] * spinning[2])
-        pressed, borne = compute_support_force(
+        pressed, is_safe = compute_support_force(
             support, row.mass, acceleration, to_world(quaternion, twist)
         )
         contact.touches.impulse[w, i, 0] += pressed * dt
-        if borne:
+        if is_safe:
             return True
     if first:
         # Without a safe support, the drone must have been at rest for `TIME_TO_SLEEP`

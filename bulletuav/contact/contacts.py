@@ -148,7 +148,10 @@ def save_all_start_states(contact: ContactState, swarm: Swarm) -> None:
 
 @func
 def _restore_sleeper_contacts(contact: ContactState, alive: np.ndarray, w: int) -> None:
-    """Restore the contacts of sleeping drones; wake those in whose world a drone was added or removed."""
+    """Restore the contacts of sleeping drones from the decision in which they were put to sleep.
+
+    Sleeping drones wake if a drone was added to their world or removed from it.
+    """
     touches, slept = contact.touches, contact.slept
     same = True
     for i in range(alive.shape[1]):

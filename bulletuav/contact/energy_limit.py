@@ -95,7 +95,7 @@ def compute_kinetic_energy(
 def _compute_work(
     space: ContactWorkspace, world: ContactWorld, members: int, frame: Vec3, rest: float
 ) -> float:
-    """Return the work of forces on an island in the rest of the substep, in a reference frame, J."""
+    """Return the work of forces on an island in the rest of the substep, in a moving frame, J."""
     total = 0.0
     for m in range(members):
         motion = space.motions[space.island[m]]

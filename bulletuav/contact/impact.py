@@ -80,7 +80,7 @@ def _apply_restitution(
     Returns:
         True if all touching points are slow.
     """
-    lively = False
+    rebounds = False
     closes = False
     slow = True
     for k in range(size):
@@ -92,9 +92,9 @@ def _apply_restitution(
         closes = closes or point.normal_velocity < -MIN_CLOSING_SPEED
         if _needs_restitution(point):
             slow = False
-            lively = lively or point.restitution > 0.0
+            rebounds = rebounds or point.restitution > 0.0
             point.target_velocity = -point.restitution * point.normal_velocity
-    if lively:
+    if rebounds:
         frame = find_reference_velocity(points, size)
         had = compute_kinetic_energy(space, world, members, frame, 0.0)
         save_velocities(space, members, points, size)
@@ -141,14 +141,14 @@ def _set_target_velocities(pairs: np.ndarray, points: np.ndarray, size: int, dt:
 
 @func
 def apply_forces(space: ContactWorkspace, members: int, time: float, sign: float) -> None:
-    """Add the effect of forces in the rest of the substep, times sign, to an island's velocities."""
+    """Add what forces do in the rest of the substep, times sign, to the velocities of an island."""
     rest = sign * (1.0 - time)
     for m in range(members):
         motion = space.motions[space.island[m]]
-        spun = apply_inverse_inertia(motion, read_vec3(motion.momentum_change))
+        angular_change = apply_inverse_inertia(motion, read_vec3(motion.momentum_change))
         for k in range(3):
             motion.velocity[k] += rest * motion.velocity_change[k]
-            motion.spin[k] += rest * spun[k]
+            motion.spin[k] += rest * angular_change[k]
 
 
 @func
@@ -198,32 +198,32 @@ def _solve_resting_contacts(
     save_velocities(space, members, points, size)
     memory = world.memory
     radii = world.scenery.table.radius
-    firm = SINGLE_BODY_TOLERANCE if members == 1 else MULTI_BODY_TOLERANCE
-    alone = members == 1
-    held = False
+    tolerance = SINGLE_BODY_TOLERANCE if members == 1 else MULTI_BODY_TOLERANCE
+    is_single = members == 1
+    is_supported = False
     for p in range(count):
-        alone = alone and not (pairs[p].in_impact and pairs[p].is_on_sleeper)
+        is_single = is_single and not (pairs[p].in_impact and pairs[p].is_on_sleeper)
         bears = pairs[p].is_on_sleeper or pairs[p].b >= motions.shape[0]
-        held = held or (pairs[p].in_impact and bears)
+        is_supported = is_supported or (pairs[p].in_impact and bears)
     for trial in range(MAX_SPECULATIVE_PASSES + 1):
         if trial == 0:
             warm_start_impulses(memory, motions, radii, world.w, points, pairs, size, 1.0 - time)
-            solve_constraints(points, size, motions, world.dt, firm, WARM_START)
+            solve_constraints(points, size, motions, world.dt, tolerance, WARM_START)
             island = space.island
             store_impulses(
                 memory, motions, world.w, island, members, points, pairs, size, 1.0 - time
             )
             accumulate_impulses(points, size)
             if damp_tipping(points, size, motions):
-                solve_constraints(points, size, motions, world.dt, firm, COLD_START)
+                solve_constraints(points, size, motions, world.dt, tolerance, COLD_START)
                 accumulate_impulses(points, size)
         else:
             # A fast drone on its own leaves the contact before it would rock
-            shares = slow or members > 1
-            if shares:
+            shares_load = slow or members > 1
+            if shares_load:
                 reopen_impulses(points, size)
             solve_constraints(
-                points, size, motions, world.dt, firm, RESUME if shares else COLD_START
+                points, size, motions, world.dt, tolerance, RESUME if shares_load else COLD_START
             )
             accumulate_impulses(points, size)
             limit_energy(space, world, members, points, size, frame, had, 1.0 - time)
@@ -232,7 +232,7 @@ def _solve_resting_contacts(
             motion = motions[i]
             start_segment(motion, world.dt, world.parameters[world.w, i])
             # At a later impact of a pile the saved velocities are not those of its path
-            if held and slow and trial == 0 and (alone or motion.impacts == 1):
+            if is_supported and slow and trial == 0 and (is_single or motion.impacts == 1):
                 _use_mean_velocity(motion, time, world.dt)
         before = size
         if trial < MAX_SPECULATIVE_PASSES and (1.0 - time) * world.dt > MIN_SPECULATIVE_TIME:
@@ -298,15 +298,15 @@ def resolve_impact(
     motions = space.motions
     members = build_island(space, world, pairs, count, first, time)
     # A drone at the impact limit does not move by itself until the next substep
-    stays = False
+    is_clamped = False
     for m in range(members):
         motion = motions[space.island[m]]
         motion.impacts += 1
         if is_at_impact_limit(motion):
             remove_forces(motion, time)
-            stays = True
+            is_clamped = True
     way = (0.0, 0.0, 0.0)
-    if stays:
+    if is_clamped:
         way = compute_carried_displacement(space, world, pairs, count, members, time)
     # Build the contact manifolds of all touching pairs of the island
     most = 0

@@ -200,7 +200,7 @@ def compute_pair_surface(
     """
     scenery = world.scenery
     table = scenery.table
-    drift = (0.0, 0.0, 0.0)
+    velocity_b = (0.0, 0.0, 0.0)
     other = -1
     resist_b = 0.0
     axis_b = (0.0, 0.0, 0.0)
@@ -213,13 +213,13 @@ def compute_pair_surface(
         )
     else:
         move, _ = compute_path_rates(scenery, space.motions, world.w, b, world.dt)
-        drift = (move[0] / world.dt, move[1] / world.dt, move[2] / world.dt)
+        velocity_b = (move[0] / world.dt, move[1] / world.dt, move[2] / world.dt)
     resist_a = (
         ROLLING_RESISTANCE * table.half[a, 0] if _has_rolling_resistance(table.kind[a]) else 0.0
     )
     # Combine both surfaces by the geometric mean
-    rough, lively = get_surface_coefficients(world, a)
-    rough_b, lively_b = get_surface_coefficients(world, b)
+    friction_a, restitution_a = get_surface_coefficients(world, a)
+    friction_b, restitution_b = get_surface_coefficients(world, b)
     radius = table.radius[a]
     pivoting = TORSIONAL_RESISTANCE * radius
     if count > MAX_LINE_POINTS:
@@ -227,9 +227,9 @@ def compute_pair_surface(
     return (
         a,
         other,
-        drift,
-        math.sqrt(rough * rough_b),
-        math.sqrt(lively * lively_b),
+        velocity_b,
+        math.sqrt(friction_a * friction_b),
+        math.sqrt(restitution_a * restitution_b),
         TIPPING_DAMPING * radius * math.sqrt(radius / STANDARD_GRAVITY),
         (resist_a, resist_b, pivoting),
         axis_b,
@@ -241,13 +241,13 @@ def _set_rolling_axis(motions: np.ndarray, point: np.record, side: int, axis: Ve
     """Set an axis about which a point resists rotation, and its effective inertia."""
     turning = apply_inverse_inertia(motions[point.a], axis)
     write_vec3(point.rolling_response_a[side], turning)
-    yields = dot(axis, turning)
+    inverse_inertia = dot(axis, turning)
     if point.b >= 0:
         turning = apply_inverse_inertia(motions[point.b], axis)
         write_vec3(point.rolling_response_b[side], turning)
-        yields += dot(axis, turning)
+        inverse_inertia += dot(axis, turning)
     write_vec3(point.rolling_axis[side], axis)
-    point.rolling_mass[side] = 1.0 / yields
+    point.rolling_mass[side] = 1.0 / inverse_inertia
 
 
 @func
@@ -256,10 +256,10 @@ def fill_constraint(motions: np.ndarray, point: np.record, surface: PairSurface)
 
     The normal and the arms must be set.
     """
-    a, b, drift, friction, restitution, damping, resist, axis_b = surface
+    a, b, velocity_b, friction, restitution, damping, resist, axis_b = surface
     point.a = a
     point.b = b
-    write_vec3(point.obstacle_velocity, drift)
+    write_vec3(point.obstacle_velocity, velocity_b)
     point.friction = friction
     point.restitution = restitution
     point.tipping_damping = damping

@@ -193,17 +193,17 @@ def share_budgets(
     own = scenery.table.radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
     least = budget[w, i]
     # The faster drone gets the larger fraction of the distance between two drones
-    pace = _compute_share_speed(swarm, w, i)
+    speed = _compute_share_speed(swarm, w, i)
     for rank in range(order.shape[0]):
         j = order[rank]
         if j != i and alive[w, j]:
-            gap = offset(swarm.position, w, i, j)
-            left = math.sqrt(dot(gap, gap)) - own - scenery.table.radius[j]
+            between = offset(swarm.position, w, i, j)
+            left = math.sqrt(dot(between, between)) - own - scenery.table.radius[j]
             # The budget of a drone that sleeps close to something is negative: count it as zero
             other = max(0.0, budget[w, j])
             if least + other > left:
-                share = pace / (pace + _compute_share_speed(swarm, w, j))
+                fraction = speed / (speed + _compute_share_speed(swarm, w, j))
                 # Take all that the other drone does not need, if that is more
-                least = min(least, max(share * left, left - other))
+                least = min(least, max(fraction * left, left - other))
                 budget[w, j] = min(budget[w, j], left - least)
     budget[w, i] = least

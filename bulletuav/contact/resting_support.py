@@ -165,10 +165,10 @@ def can_carry_load(
     """
     total = plus(acceleration, 1.0 / (row.mass * dt), point(load, 0))
     if support.span > 0.0:
-        _, borne = compute_support_force(
+        _, is_safe = compute_support_force(
             support, row.mass, total, plus(torque, 1.0 / dt, point(load, 1))
         )
-        return borne
+        return is_safe
     weight = dot(acceleration, acceleration)
     down = dot(total, acceleration)
     across = dot(total, total) * weight - down * down

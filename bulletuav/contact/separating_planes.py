@@ -108,10 +108,10 @@ def bound_fixed_plane(
         turn_a: Rotation of a, rad per substep.
         turn_b: Rotation of b, rad per substep.
     """
-    bound_a, bend_a = _bound_angular_sweep(radii[0], normal, turn_a)
-    bound_b, bend_b = _bound_angular_sweep(radii[1], normal, turn_b)
+    bound_a, deviation_a = _bound_angular_sweep(radii[0], normal, turn_a)
+    bound_b, deviation_b = _bound_angular_sweep(radii[1], normal, turn_b)
     bound = max(0.0, -dot(move, normal)) + bound_a + bound_b
-    return bound, 0.0, 0.125 * (bend_a + bend_b), (0.0, 0.0, 0.0)
+    return bound, 0.0, 0.125 * (deviation_a + deviation_b), (0.0, 0.0, 0.0)
 
 
 @func
@@ -136,10 +136,10 @@ def bound_rotating_plane(
     shift = minus(move, cross(turn_b, between))
     bound = max(0.0, -dot(shift, normal)) + radius * _length(cross(against, normal))
     spin, way = _length(turn_b), _length(move)
-    swing = radius * _length(against)
+    sweep_speed = radius * _length(against)
     # Include the growth of u and of the distance within the substep
-    growth = swing * (_length(turn_a) + spin) + spin * spin * (_length(between) + way)
-    growth += 2.0 * spin * (_length(shift) + spin * way + swing)
+    growth = sweep_speed * (_length(turn_a) + spin) + spin * spin * (_length(between) + way)
+    growth += 2.0 * spin * (_length(shift) + spin * way + sweep_speed)
     return bound, growth, 0.125 * growth, turn_b
 
 
@@ -247,18 +247,18 @@ def find_time_apart(
     left = distance - min_distance
     for k in range(3 - count, 3):
         plane = planes[k]
-        bend = plane[2]
+        deviation = plane[2]
         # Without curved paths `step` is exact
-        if bend == 0.0:
+        if deviation == 0.0:
             continue
-        reach = math.sqrt(0.5 * left / bend)
+        reach = math.sqrt(0.5 * left / deviation)
         span = rest
         while span > step:
             ahead = rotate_normal(plane, normal, span)
             later, _, _ = measure_along_direction(scenery, motions, w, a, b, time + span, dt, ahead)
-            dip = bend * span * span
+            sag = deviation * span * span
             if later >= min_distance and (
-                left >= 4.0 * dip or min(distance, later) - dip >= min_distance
+                left >= 4.0 * sag or min(distance, later) - sag >= min_distance
             ):
                 step = span
                 break
@@ -320,5 +320,5 @@ def is_separated_by_plane(
     move_a, turn_a = compute_path_rates(scenery, motions, w, a, dt)
     move_b, turn_b = compute_path_rates(scenery, motions, w, b, dt)
     radii = scenery.table.radius[a], scenery.table.radius[b]
-    _, _, bend, _ = bound_fixed_plane(radii, normal, minus(move_a, move_b), turn_a, turn_b)
-    return min(before, after) - bend * (end - start) ** 2 > min_distance
+    _, _, deviation, _ = bound_fixed_plane(radii, normal, minus(move_a, move_b), turn_a, turn_b)
+    return min(before, after) - deviation * (end - start) ** 2 > min_distance

@@ -45,15 +45,14 @@ def _compute_speed(swarm: Swarm, w: int, i: int) -> float:
 
 @func
 def update_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, last: bool) -> None:
-    """Put drones that have been at rest long enough to sleep, and wake sleeping drones that were hit.
+    """Put drones that have been at rest long enough to sleep, and wake disturbed ones.
 
     Args:
         contact: State of all contacts.
         world: The world.
         swarm: State at the end of the substep; sleeping drones keep their pose.
         last: True in the last substep of a decision. Drones are put to sleep only then, so that
-            their
-            contacts are those of a whole decision.
+            their contacts are those of a whole decision.
     """
     w = world.w
     if contact.asleep[w].any():
@@ -98,7 +97,7 @@ def _wake_disturbed(contact: ContactState, world: ContactWorld, swarm: Swarm) ->
 def _update_rest_time(
     contact: ContactState, world: ContactWorld, swarm: Swarm, i: int, slow: bool, last: bool
 ) -> None:
-    """Restore the pose of a sleeping drone that was touched, or update the rest time of a slow drone."""
+    """Update the rest time of a slow drone; restore the pose of a touched sleeping drone."""
     w = world.w
     if contact.asleep[w, i]:
         if contact.changed[w, i]:
@@ -168,10 +167,10 @@ def _is_support_safe(contact: ContactState, world: ContactWorld, i: int) -> bool
     scale = 1.0 / world.dt
     acceleration = plus((0.0, 0.0, 0.0), scale, read_vec3(motion.velocity_change))
     torque = plus((0.0, 0.0, 0.0), scale, read_vec3(motion.momentum_change))
-    _, borne = compute_support_force(
+    _, is_safe = compute_support_force(
         support, world.parameters[world.w, i].mass, acceleration, torque
     )
-    return borne
+    return is_safe
 
 
 @func
@@ -187,7 +186,10 @@ def _is_supported(contact: ContactState, w: int, i: int) -> bool:
 
 @func
 def _store_support(contact: ContactState, world: ContactWorld, swarm: Swarm, i: int) -> None:
-    """Store the contacts of a drone that is put to sleep, and its support if that is one surface."""
+    """Store the contacts of a drone that is put to sleep, and its support.
+
+    There is a support only if the drone rests on one surface.
+    """
     w = world.w
     touches = contact.touches
     slept = contact.slept

@@ -60,44 +60,46 @@ def _compute_friction_against_slip(
 
 
 @func
-def _update_friction(row: np.record, motions: np.ndarray, moving: BodyVelocities) -> BodyVelocities:
+def _update_friction(
+    row: np.record, motions: np.ndarray, velocities: BodyVelocities
+) -> BodyVelocities:
     """Update the friction impulses of a point; returns the new velocities of its bodies."""
     one = read_vec3(row.tangent[0])
     two = read_vec3(row.tangent[1])
-    along = compute_axis_velocity(row, moving, 1, one)
-    across = compute_axis_velocity(row, moving, 2, two)
+    along = compute_axis_velocity(row, velocities, 1, one)
+    across = compute_axis_velocity(row, velocities, 2, two)
     # Impulses that stop the slip
     first = row.impulse[1] - (row.tangent_mass[0] * along + row.tangent_mass[1] * across)
     second = row.impulse[2] - (row.tangent_mass[1] * along + row.tangent_mass[2] * across)
-    most = row.friction * max(0.0, row.impulse[0])
+    limit = row.friction * max(0.0, row.impulse[0])
     size = math.sqrt(first * first + second * second)
     row.is_sliding = False
-    if size > most:
+    if size > limit:
         # Beyond the friction limit: clamp the impulse, directed against the slip
         first, second, size = _compute_friction_against_slip(row, along, across)
-        if size > most:
+        if size > limit:
             row.is_sliding = True
-            first *= most / size
-            second *= most / size
-    moving = apply_axis_impulse(row, motions, moving, 1, one, first - row.impulse[1])
-    moving = apply_axis_impulse(row, motions, moving, 2, two, second - row.impulse[2])
+            first *= limit / size
+            second *= limit / size
+    velocities = apply_axis_impulse(row, motions, velocities, 1, one, first - row.impulse[1])
+    velocities = apply_axis_impulse(row, motions, velocities, 2, two, second - row.impulse[2])
     row.impulse[1] = first
     row.impulse[2] = second
-    return moving
+    return velocities
 
 
 @func
-def _update_rolling_resistance(row: np.record, moving: BodyVelocities) -> BodyVelocities:
+def _update_rolling_resistance(row: np.record, velocities: BodyVelocities) -> BodyVelocities:
     """Update the angular impulses that resist rolling and pivoting; returns the new velocities."""
-    velocity_a, spin_a, velocity_b, spin_b = moving
+    velocity_a, spin_a, velocity_b, spin_b = velocities
     for side in range(3):
         if row.rolling_limit[side] == 0.0:
             continue
         axis = read_vec3(row.rolling_axis[side])
         spin = minus(spin_a, spin_b)
-        most = row.rolling_limit[side] * max(0.0, row.impulse[0])
+        limit = row.rolling_limit[side] * max(0.0, row.impulse[0])
         wanted = row.rolling_impulse[side] - row.rolling_mass[side] * dot(spin, axis)
-        wanted = min(max(wanted, -most), most)
+        wanted = min(max(wanted, -limit), limit)
         change = wanted - row.rolling_impulse[side]
         row.rolling_impulse[side] = wanted
         spin_a = plus(spin_a, change, point(row.rolling_response_a, side))
@@ -115,55 +117,59 @@ def _apply_angular_impulse(motion: np.record, twist: Vec3, sign: float) -> None:
 
 
 @func
-def _update_normal(row: np.record, motions: np.ndarray, moving: BodyVelocities) -> BodyVelocities:
+def _update_normal(
+    row: np.record, motions: np.ndarray, velocities: BodyVelocities
+) -> BodyVelocities:
     """Update the normal impulse of a point; returns the new velocities of its bodies."""
     normal = read_vec3(row.normal)
-    missing = row.target_velocity - compute_axis_velocity(row, moving, 0, normal)
-    pressed = max(0.0, row.impulse[0] + row.normal_mass * missing)
-    change = pressed - row.impulse[0]
-    row.impulse[0] = pressed
-    return apply_axis_impulse(row, motions, moving, 0, normal, change)
+    velocity_error = row.target_velocity - compute_axis_velocity(row, velocities, 0, normal)
+    normal_impulse = max(0.0, row.impulse[0] + row.normal_mass * velocity_error)
+    change = normal_impulse - row.impulse[0]
+    row.impulse[0] = normal_impulse
+    return apply_axis_impulse(row, motions, velocities, 0, normal, change)
 
 
 @func
 def _update_sticking(
-    row: np.record, motions: np.ndarray, moving: BodyVelocities
+    row: np.record, motions: np.ndarray, velocities: BodyVelocities
 ) -> tuple[bool, BodyVelocities]:
     """Stop a point along all three axes by a block solve, if friction can hold it.
 
     Returns whether the impulse is within the friction cone, and the velocities of the bodies.
     """
-    missing = (
-        row.target_velocity - compute_axis_velocity(row, moving, 0, read_vec3(row.normal)),
-        -compute_axis_velocity(row, moving, 1, read_vec3(row.tangent[0])),
-        -compute_axis_velocity(row, moving, 2, read_vec3(row.tangent[1])),
+    velocity_error = (
+        row.target_velocity - compute_axis_velocity(row, velocities, 0, read_vec3(row.normal)),
+        -compute_axis_velocity(row, velocities, 1, read_vec3(row.tangent[0])),
+        -compute_axis_velocity(row, velocities, 2, read_vec3(row.tangent[1])),
     )
     change = (
-        dot(point(row.block_mass, 0), missing),
-        dot(point(row.block_mass, 1), missing),
-        dot(point(row.block_mass, 2), missing),
+        dot(point(row.block_mass, 0), velocity_error),
+        dot(point(row.block_mass, 1), velocity_error),
+        dot(point(row.block_mass, 2), velocity_error),
     )
     wanted = plus(read_vec3(row.impulse), 1.0, change)
     square = wanted[1] * wanted[1] + wanted[2] * wanted[2]
     if wanted[0] < 0.0 or square > (row.friction * wanted[0]) ** 2:
-        return False, moving
+        return False, velocities
     write_vec3(row.impulse, wanted)
-    return True, _apply_impulse(row, motions, moving, change)
+    return True, _apply_impulse(row, motions, velocities, change)
 
 
 @func
 def _apply_impulse(
-    row: np.record, motions: np.ndarray, moving: BodyVelocities, impulse: Vec3
+    row: np.record, motions: np.ndarray, velocities: BodyVelocities, impulse: Vec3
 ) -> BodyVelocities:
     """Return the velocities of the bodies of a point after an impulse along its axes, N s."""
-    moving = apply_axis_impulse(row, motions, moving, 0, read_vec3(row.normal), impulse[0])
-    moving = apply_axis_impulse(row, motions, moving, 1, read_vec3(row.tangent[0]), impulse[1])
-    return apply_axis_impulse(row, motions, moving, 2, read_vec3(row.tangent[1]), impulse[2])
+    velocities = apply_axis_impulse(row, motions, velocities, 0, read_vec3(row.normal), impulse[0])
+    velocities = apply_axis_impulse(
+        row, motions, velocities, 1, read_vec3(row.tangent[0]), impulse[1]
+    )
+    return apply_axis_impulse(row, motions, velocities, 2, read_vec3(row.tangent[1]), impulse[2])
 
 
 @func
 def _update_sliding(
-    row: np.record, motions: np.ndarray, moving: BodyVelocities
+    row: np.record, motions: np.ndarray, velocities: BodyVelocities
 ) -> tuple[bool, BodyVelocities]:
     """Solve the normal impulse of a sliding point together with its friction.
 
@@ -171,80 +177,84 @@ def _update_sliding(
     direction of the friction, against the slip, is updated in each iteration. Returns whether the
     point slides, and the velocities of the bodies.
     """
-    along = compute_axis_velocity(row, moving, 1, read_vec3(row.tangent[0]))
-    across = compute_axis_velocity(row, moving, 2, read_vec3(row.tangent[1]))
+    along = compute_axis_velocity(row, velocities, 1, read_vec3(row.tangent[0]))
+    across = compute_axis_velocity(row, velocities, 2, read_vec3(row.tangent[1]))
     first, second, size = _compute_friction_against_slip(row, along, across)
     if size <= row.friction * max(0.0, row.impulse[0]):
-        return False, moving
+        return False, velocities
     # Friction per unit of the normal impulse
     first *= row.friction / size
     second *= row.friction / size
     # Ignore friction that presses: it would make this point stronger than others can balance
-    yields = 1.0 / row.normal_mass + max(0.0, row.coupling[0] * first + row.coupling[1] * second)
-    missing = row.target_velocity - compute_axis_velocity(row, moving, 0, read_vec3(row.normal))
+    inverse_mass = 1.0 / row.normal_mass + max(
+        0.0, row.coupling[0] * first + row.coupling[1] * second
+    )
+    velocity_error = row.target_velocity - compute_axis_velocity(
+        row, velocities, 0, read_vec3(row.normal)
+    )
     # The change of the friction's direction changes the normal velocity, too
-    missing -= row.coupling[0] * (row.impulse[0] * first - row.impulse[1])
-    missing -= row.coupling[1] * (row.impulse[0] * second - row.impulse[2])
-    pressed = max(0.0, row.impulse[0] + missing / yields)
-    wanted = (pressed, pressed * first, pressed * second)
+    velocity_error -= row.coupling[0] * (row.impulse[0] * first - row.impulse[1])
+    velocity_error -= row.coupling[1] * (row.impulse[0] * second - row.impulse[2])
+    normal_impulse = max(0.0, row.impulse[0] + velocity_error / inverse_mass)
+    wanted = (normal_impulse, normal_impulse * first, normal_impulse * second)
     change = minus(wanted, read_vec3(row.impulse))
     write_vec3(row.impulse, wanted)
     row.is_sliding = True
-    return True, _apply_impulse(row, motions, moving, change)
+    return True, _apply_impulse(row, motions, velocities, change)
 
 
 @func
-def _update_row(row: np.record, motions: np.ndarray, at_once: bool) -> None:
+def _update_row(row: np.record, motions: np.ndarray, coupled: bool) -> None:
     """Update the impulses of one contact point with all others fixed; sets `impulse_change`.
 
     Args:
         row: Row of `CONTACT_POINT`.
         motions: (N,) rows of `MOTION`; velocities are changed.
-        at_once: True to solve the normal impulse of a sliding point together with its friction.
+        coupled: True to solve the normal impulse of a sliding point together with its friction.
     """
     old = read_vec3(row.impulse)
-    moving = read_velocities(row, motions)
+    velocities = read_velocities(row, motions)
     none = (0.0, 0.0, 0.0)
     acts = old != none or read_vec3(row.rolling_impulse) != none
     # Most points carry no impulse and need none
     if (
         not acts
-        and compute_axis_velocity(row, moving, 0, read_vec3(row.normal)) >= row.target_velocity
+        and compute_axis_velocity(row, velocities, 0, read_vec3(row.normal)) >= row.target_velocity
     ):
         write_vec3(row.impulse_change, none)
         return
     done = False
     if row.friction > 0.0:
         if acts:
-            moving = _update_rolling_resistance(row, moving)
+            velocities = _update_rolling_resistance(row, velocities)
         # A point that slid in the last iteration rarely sticks
         if not row.is_sliding:
-            done, moving = _update_sticking(row, motions, moving)
-        if not done and at_once:
-            done, moving = _update_sliding(row, motions, moving)
+            done, velocities = _update_sticking(row, motions, velocities)
+        if not done and coupled:
+            done, velocities = _update_sliding(row, motions, velocities)
         if acts and not done:
-            moving = _update_friction(row, motions, moving)
+            velocities = _update_friction(row, motions, velocities)
     if not done:
-        moving = _update_normal(row, motions, moving)
-    write_velocities(row, motions, moving)
+        velocities = _update_normal(row, motions, velocities)
+    write_velocities(row, motions, velocities)
     write_vec3(row.impulse_change, minus(read_vec3(row.impulse), old))
 
 
 @func
 def _step_along_search_direction(
-    points: np.ndarray, count: int, motions: np.ndarray, share: float, anew: bool
+    points: np.ndarray, count: int, motions: np.ndarray, fraction: float, restart: bool
 ) -> None:
-    """Add a fraction of the search direction to all impulses, or reset it if `anew`."""
+    """Add a fraction of the search direction to all impulses, or reset it if `restart`."""
     for k in range(count):
         row = points[k]
-        if anew:
+        if restart:
             write_vec3(row.search_direction, (0.0, 0.0, 0.0))
             continue
-        way = read_vec3(row.search_direction)
-        if way == (0.0, 0.0, 0.0):
+        direction = read_vec3(row.search_direction)
+        if direction == (0.0, 0.0, 0.0):
             write_vec3(row.search_direction, read_vec3(row.impulse_change))
             continue
-        further = (share * way[0], share * way[1], share * way[2])
+        further = (fraction * direction[0], fraction * direction[1], fraction * direction[2])
         write_vec3(row.impulse, plus(read_vec3(row.impulse), 1.0, further))
         write_vec3(row.search_direction, plus(further, 1.0, read_vec3(row.impulse_change)))
         write_velocities(
@@ -254,7 +264,7 @@ def _step_along_search_direction(
 
 @kernel
 def solve_constraints(
-    points: np.ndarray, count: int, motions: np.ndarray, dt: float, firm: float, start: int
+    points: np.ndarray, count: int, motions: np.ndarray, dt: float, tolerance: float, start: int
 ) -> int:
     """Solve the contact constraints of an island by projected Gauss-Seidel.
 
@@ -263,7 +273,8 @@ def solve_constraints(
         count: Number of points that count.
         motions: (N,) rows of `MOTION`; velocities and spins are changed.
         dt: Length of the substep, s.
-        firm: Tolerance: the solver stops when no velocity changes by more than this fraction of the
+        tolerance: Tolerance: the solver stops when no velocity changes by more than this fraction
+            of the
             largest relative velocity (or of 1 m/s).
         start: `COLD_START` to start from zero impulses, `WARM_START` to apply the impulses in
             `points`, or `RESUME` if the impulses in `points` have been applied already.
@@ -280,9 +291,9 @@ def solve_constraints(
             continue
         write_vec3(row.rolling_impulse, (0.0, 0.0, 0.0))
         if start == WARM_START:
-            moving = read_velocities(row, motions)
+            velocities = read_velocities(row, motions)
             write_velocities(
-                row, motions, _apply_impulse(row, motions, moving, read_vec3(row.impulse))
+                row, motions, _apply_impulse(row, motions, velocities, read_vec3(row.impulse))
             )
         else:
             write_vec3(row.impulse, (0.0, 0.0, 0.0))
@@ -290,17 +301,17 @@ def solve_constraints(
         slips = compute_relative_velocity(points[k], motions)
         fastest = max(fastest, math.sqrt(dot(slips, slips)))
     work = max(MIN_ROW_UPDATES, int(dt * ROW_UPDATES_PER_SECOND))
-    most = max(MIN_ITERATIONS, min(MAX_ITERATIONS, work // max(1, count)))
+    max_iterations = max(MIN_ITERATIONS, min(MAX_ITERATIONS, work // max(1, count)))
     before = 0.0
     least = math.inf
-    at_once = True
-    for sweep in range(most):
+    coupled = True
+    for iteration in range(max_iterations):
         change = 0.0
         square = 0.0
         further = 0.0
         for k in range(count):
             row = points[k]
-            _update_row(row, motions, at_once)
+            _update_row(row, motions, coupled)
             step = read_vec3(row.impulse_change)
             change = max(
                 change,
@@ -309,20 +320,20 @@ def solve_constraints(
             )
             square += dot(step, step)
             further += dot(step, row.search_direction)
-        if change <= firm * fastest:
-            return sweep + 1
+        if change <= tolerance * fastest:
+            return iteration + 1
         grows = square > RESTART_GROWTH * least
         # With a coupled solve, the friction of wedged points may diverge
-        at_once = at_once and not grows
-        if sweep > 0 and sweep + 1 < most:
+        coupled = coupled and not grows
+        if iteration > 0 and iteration + 1 < max_iterations:
             # Reset the search direction after an overshoot
-            anew = further < 0.0 or grows
+            restart = further < 0.0 or grows
             _step_along_search_direction(
-                points, count, motions, min(square / before, MAX_MOMENTUM), anew
+                points, count, motions, min(square / before, MAX_MOMENTUM), restart
             )
         before = square
         least = min(least, square)
-    return most
+    return max_iterations
 
 
 @kernel
@@ -356,11 +367,11 @@ def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
         if square < MIN_TIPPING_SPIN * MIN_TIPPING_SPIN:
             continue
         # Implicit in the spin, so that its sign never changes
-        yields = dot(tipping, apply_inverse_inertia(motions[row.a], tipping)) / square
+        inverse_inertia = dot(tipping, apply_inverse_inertia(motions[row.a], tipping)) / square
         if row.b >= 0:
-            yields += dot(tipping, apply_inverse_inertia(motions[row.b], tipping)) / square
+            inverse_inertia += dot(tipping, apply_inverse_inertia(motions[row.b], tipping)) / square
         strength = row.tipping_damping * row.impulse[0]
-        strength /= 1.0 + strength * yields
+        strength /= 1.0 + strength * inverse_inertia
         twist = (-strength * tipping[0], -strength * tipping[1], -strength * tipping[2])
         _apply_angular_impulse(motions[row.a], twist, 1.0)
         if row.b >= 0:

@@ -149,13 +149,13 @@ def find_time_of_impact(
         count = 3 if turns and left > 0.0 else 1
         planes = bound_planes(radii, normal, move, turn_a, turn_b, between, count)
         plane, step = find_longest_plane(planes, left)
-        bound, growth, bend, _ = plane
+        bound, growth, deviation, _ = plane
         landed, leapt = leapt and left > 0.0, False
         if landed:
             # Other points than the closest ones may have touched and parted again on the way
             then = rotate_normal(plane, normal, apart - time)
             before, _, _ = measure_along_direction(scenery, motions, w, a, b, apart, dt, then)
-            if before - target_distance < 4.0 * bend * (time - apart) ** 2:
+            if before - target_distance < 4.0 * deviation * (time - apart) ** 2:
                 time = safe
                 continue
         if left > (bound + 0.5 * growth * rest) * rest:
@@ -191,7 +191,7 @@ def find_time_of_impact(
             # Newton goes back from an overlap; it goes ahead only as far as there is a single root
             if closing > 0.0:
                 aimed = left / closing
-                leapt = left > 0.0 and step < aimed and 4.0 * bend * aimed * aimed <= left
+                leapt = left > 0.0 and step < aimed and 4.0 * deviation * aimed * aimed <= left
                 safe = time + step
                 if left < 0.0 or leapt:
                     step = aimed

@@ -86,13 +86,13 @@ def warm_start_impulses(
         turn = read_quaternion(motions[point.a])
         arm = to_body(turn, read_vec3(point.arm_a))
         best = -1
-        least = (MATCH_DISTANCE * radii[point.a]) ** 2
+        best_square = (MATCH_DISTANCE * radii[point.a]) ** 2
         for m in range(memory.number[w, point.a]):
             if rows[m].other == pairs[point.pair].b and rows[m].free:
                 off = minus(read_vec3(rows[m].arm), arm)
-                if dot(off, off) < least:
+                if dot(off, off) < best_square:
                     best = m
-                    least = dot(off, off)
+                    best_square = dot(off, off)
         if best < 0:
             continue
         rows[best].free = False
@@ -133,11 +133,13 @@ def store_impulses(
         size: Number of points that count.
         rest: Fraction of the substep that is left.
     """
-    most = 0.0
+    max_impulse = 0.0
     for m in range(members):
         i = island[m]
         push = read_vec3(motions[i].velocity_change)
-        most = max(most, members * math.sqrt(dot(push, push)) / motions[i].inverse_mass)
+        max_impulse = max(
+            max_impulse, members * math.sqrt(dot(push, push)) / motions[i].inverse_mass
+        )
         if is_at_impact_limit(motions[i]):
             # The impulses from when forces still acted will be needed again
             for k in range(memory.number[w, i]):
@@ -153,11 +155,11 @@ def store_impulses(
             continue
         row = memory.rows[w, point.a, count]
         turn = read_quaternion(motions[point.a])
-        share = 1.0 / rest
-        if share * point.impulse[0] > most:
-            share = most / point.impulse[0]
-        normal = share * point.impulse[0]
-        one, two = share * point.impulse[1], share * point.impulse[2]
+        scale = 1.0 / rest
+        if scale * point.impulse[0] > max_impulse:
+            scale = max_impulse / point.impulse[0]
+        normal = scale * point.impulse[0]
+        one, two = scale * point.impulse[1], scale * point.impulse[2]
         force = (
             normal * point.normal[0] + one * point.tangent[0, 0] + two * point.tangent[1, 0],
             normal * point.normal[1] + one * point.tangent[0, 1] + two * point.tangent[1, 1],

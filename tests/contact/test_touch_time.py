@@ -304,7 +304,9 @@ def test_of_grazes_by_nanometres_none_is_told_wrongly(airframe: str, name: str) 
         motions["position"] += shift * away
         least = _least(rig, motions)
         outside = _gaps(rig, motions, np.zeros(count)) > CONTACT_DISTANCE
-        touched = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch) < NO_IMPACT
+        touched = (
+            _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch) < NO_IMPACT
+        )
     assert 100 < touched.sum() < count - 100
     assert not (touched & (least > CONTACT_DISTANCE + LOOSE_TOI_TOLERANCE)).any()
     assert not (~touched & outside & (least < CONTACT_DISTANCE - 1e-12)).any()
