@@ -1,4 +1,4 @@
-"""Sleepers bear who lies on them; drones of too many impacts do not keep what held them up."""
+"""Sleeping drones support others; drones at the impact limit lose the speed that held them."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def resting(span=0.0, mass=0.5, friction=0.4):
 
 
 @pytest.mark.parametrize("laid", [0.0, 2.0, 20.0])
-def test_who_rests_on_several_things_bears_what_friction_holds(laid):
+def test_a_drone_on_several_supports_carries_what_friction_holds(laid):
     support, row, load = resting()
     weight = row.mass * 9.81
     load[0, 2] = -laid * DT
@@ -39,7 +39,7 @@ def test_who_rests_on_several_things_bears_what_friction_holds(laid):
     assert not can_carry_load(support, row, GRAVITY, STILL, load, DT)
 
 
-def test_who_rests_on_a_face_bears_half_of_what_tips_it():
+def test_a_drone_on_a_face_carries_half_of_what_tips_it():
     support, row, load = resting(span=0.05)
     weight = row.mass * 9.81
     # Off its centre by x, a load p tips it where p x exceeds the share of (weight + p) span
@@ -67,7 +67,7 @@ def test_what_held_a_drone_up_does_not_send_it_up():
 
 
 @pytest.mark.parametrize("time", [0.0, 0.4, 1.0])
-def test_forces_only_take_speed_from_who_stays(time):
+def test_forces_only_slow_clamped_drones(time):
     rng = np.random.default_rng(0)
     for velocity in rng.normal(size=(100, 3)) * 0.1:
         motion = motion_of(velocity)
@@ -78,7 +78,7 @@ def test_forces_only_take_speed_from_who_stays(time):
             assert motion.velocity[2] == velocity[2]
 
 
-def test_who_stays_keeps_what_it_remembers():
+def test_clamped_drones_keep_their_cached_impulses():
     memory = remembered()
     points, pairs, motions = touching(ARMS, Rotation.identity())
     motions.impacts[:] = MAX_IMPACTS

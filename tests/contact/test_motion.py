@@ -30,7 +30,7 @@ def _ends(motions, before, after, rows, dt):  # type: ignore[no-untyped-def]
 
 @pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
 def test_ways_end_where_the_dynamics_took_drones(dynamics: str) -> None:
-    """However fast they spin; nobody whose way was clear ends within a wall."""
+    """However fast they spin; no drone whose path was clear ends within a wall."""
     rng = np.random.default_rng(1)
     with Rig(["firefly"], dynamics=dynamics, worlds=100, hz=60) as rig:
         swarm = rig.swarm

@@ -1,4 +1,4 @@
-"""Impulses at a point obey Coulomb's law, whoever it is that hits whatever."""
+"""Impulses at a point obey Coulomb's law, for any pair of bodies."""
 
 import numpy as np
 import pytest
@@ -63,7 +63,7 @@ def hit(airframe, friction, seed):
 
 
 def outcome(airframe, friction, seed):
-    """Tell how a hit ended, after a check of what Coulomb's law asks for then."""
+    """Return how a hit ended, after a check of Coulomb's law."""
     point, drone, sweeps = hit(airframe, friction, seed)
     slip = drone.velocity + np.cross(drone.spin, point.arm_a)
     pressed, rubbed = point.impulse[0], point.impulse[1:] @ point.tangent

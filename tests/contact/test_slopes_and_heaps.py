@@ -88,7 +88,7 @@ def test_a_heap_on_a_rising_platform_does_not_sink_into_itself(seed):
 
 
 def test_a_heap_between_platforms_that_close_does_not_stop_time():
-    """Nobody can obey both: each goes along with one of them, and the flight goes on."""
+    """No drone can obey both: each moves with one of them, and the flight goes on."""
     rng = np.random.default_rng(0)
     box = Obstacle("box", (0.5, 0.5, 0.1))
     with Rig(["cf2x"] * 8, hz=60, obstacles=[box, box]) as rig:

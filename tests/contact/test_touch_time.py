@@ -34,7 +34,7 @@ def _times(scenery, motions, room):  # type: ignore[no-untyped-def]
 
 @allocating
 def _kept_apart(scenery, motions, normals):  # type: ignore[no-untyped-def]
-    """Return whether one plane each tells that drones of `motions` (M,) do not touch the other."""
+    """Return whether a plane separates each drone of `motions` (M,) from the other."""
     found = np.zeros(len(motions), dtype=np.bool_)
     for m in range(len(motions)):
         normal = (normals[m, 0], normals[m, 1], normals[m, 2])
@@ -54,7 +54,7 @@ def _heights(motions: np.ndarray, share: np.ndarray, radius: float, half: float)
 
 
 def test_turning_drones_touch_when_their_lowest_point_does() -> None:
-    """The first touch is found to 1e-12 m, also of who rolls and hardly comes closer."""
+    """The first touch is found to 1e-12 m, also of drones that roll and hardly approach."""
     rng = np.random.default_rng(3)
     with Rig() as rig:
         motions = np.repeat(rig.dynamics.contact.space.motions, 500)
@@ -154,7 +154,7 @@ GRAZES = {
 
 
 @pytest.mark.parametrize("name", GRAZES)
-def test_nobody_leaps_over_a_graze(name: str) -> None:
+def test_no_search_leaps_over_a_graze(name: str) -> None:
     """By Newton's method alone, where others than the nearest points come closer."""
     with Rig(obstacles=[TARGETS[name]]) as rig:
         rig.obstacle[:] = 0.0
@@ -176,7 +176,7 @@ PASSES_BY = (
 """Place, attitude, move and turn of a racer that passes by 0.9 um farther away than a touch"""
 
 
-def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
+def test_slow_searches_that_pass_by_find_no_impact() -> None:
     """After 200 steps the search ended here, 0.2 mm before the least gap, as if that touched."""
     with Rig(["racer"], obstacles=[TARGETS["hull"]]) as rig:
         rig.obstacle[:] = 0.0
@@ -193,7 +193,7 @@ def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
 def test_turning_pairs_touch_when_their_distance_says(
     frames: tuple[str, str], together: bool
 ) -> None:
-    """Also who turn about each other as one, or roll, and hardly come closer."""
+    """Also pairs that rotate about each other as one, or roll, and hardly approach."""
     rng = np.random.default_rng(7)
     count = 150
     with Rig(list(frames)) as rig:
@@ -264,7 +264,7 @@ def _least(rig: Rig, motions: np.ndarray) -> np.ndarray:
     return np.minimum(gaps.min(axis=0), _gaps(rig, motions, 0.5 * (begin + end)))
 
 
-def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
+def test_drones_separated_by_a_plane_do_not_touch_on_their_path() -> None:
     """Also where the pair is apart at both ends, and comes together in between."""
     rng = np.random.default_rng(5)
     with Rig(["iris"], obstacles=[TARGETS["wall of 20 cm"]]) as rig:
@@ -291,7 +291,7 @@ def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
 @pytest.mark.parametrize("airframe", ["cf2x", "racer", "iris"])
-def test_of_grazes_by_nanometres_none_is_told_wrongly(airframe: str, name: str) -> None:
+def test_grazes_by_nanometres_are_found_correctly(airframe: str, name: str) -> None:
     """Ways are moved until the least gap on them is that of a touch, and then by 1 nm to 0.1 mm."""
     rng = np.random.default_rng(1)
     count = 1000
