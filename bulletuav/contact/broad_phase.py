@@ -209,11 +209,7 @@ def are_swept_bounds_apart(
             here[1] - where[1] - begun * drift[1],
             here[2] - where[2] - begun * drift[2],
         )
-        change = (
-            move[0] - rest * drift[0],
-            move[1] - rest * drift[1],
-            move[2] - rest * drift[2],
-        )
+        change = (move[0] - rest * drift[0], move[1] - rest * drift[1], move[2] - rest * drift[2])
         turn = quat4(scenery.quaternion, w, k)
         return _is_sweep_clear_of_box(table.middle[b], table.half[b], margin, turn, before, change)
     p = b - scenery.first_piece

@@ -10,15 +10,7 @@ import numpy as np
 
 from bulletuav.compiled.functions import atan2
 from bulletuav.compiled.kernel import func
-from bulletuav.geometry.rotation import (
-    Quat4,
-    Vec3,
-    dot,
-    exponential,
-    product,
-    to_body,
-    to_world,
-)
+from bulletuav.geometry.rotation import Quat4, Vec3, dot, exponential, product, to_body, to_world
 from bulletuav.vehicle.wrench import spin_parts
 
 MAX_STEP_ANGLE = 0.2
@@ -77,11 +69,7 @@ def rotate_by_fraction(rotation: Vec3, share: float, quaternion: Quat4) -> Quat4
 
     The norm of the quaternion is preserved up to rounding.
     """
-    part = (
-        share * rotation[0],
-        share * rotation[1],
-        share * rotation[2],
-    )
+    part = (share * rotation[0], share * rotation[1], share * rotation[2])
     square = dot(part, part)
     if square > MAX_SERIES_ANGLE * MAX_SERIES_ANGLE:
         return product(exponential(part), quaternion)
