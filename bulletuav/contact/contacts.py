@@ -113,7 +113,7 @@ def _resolve_world(
     swarm = in_memory(drones.swarm)
     if contact.sleeps and world.speed > 0.0:
         wake_near_obstacles(contact, world)
-    eventful = resolve_contacts(
+    any_impact = resolve_contacts(
         contact.space,
         world,
         swarm,
@@ -125,7 +125,7 @@ def _resolve_world(
     )
     if contact.sleeps:
         update_sleep(contact, world, swarm, substep + 1 == step.substeps)
-    return eventful
+    return any_impact
 
 
 @kernel
@@ -133,10 +133,10 @@ def step_all_contacts(
     contact: ContactState, drones: DroneArrays, substep: int, step: TimeStep
 ) -> bool:
     """Detect and resolve the contacts of all worlds; returns whether any state was changed."""
-    eventful = False
+    any_impact = False
     for w in range(drones.alive.shape[0]):
-        eventful |= step_contacts(contact, drones, w, substep, step)
-    return eventful
+        any_impact |= step_contacts(contact, drones, w, substep, step)
+    return any_impact
 
 
 @kernel

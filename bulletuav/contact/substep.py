@@ -65,9 +65,9 @@ def _is_pair_finished(space: ContactWorkspace, world: ContactWorld, pair: np.rec
         return True
     way, _ = compute_path_rates(world.scenery, motions, world.w, pair.a, world.dt)
     other, _ = compute_path_rates(world.scenery, motions, world.w, pair.b, world.dt)
-    off = minus(way, other)
-    taken = pair.b >= motions.shape[0] and way != (0.0, 0.0, 0.0)
-    return taken or dot(off, off) < CONTACT_DISTANCE * CONTACT_DISTANCE
+    relative = minus(way, other)
+    is_carried = pair.b >= motions.shape[0] and way != (0.0, 0.0, 0.0)
+    return is_carried or dot(relative, relative) < CONTACT_DISTANCE * CONTACT_DISTANCE
 
 
 @kernel
@@ -281,7 +281,7 @@ def _resolve_pairs(
     order = space.order
     for p in range(count):
         _update_time_of_impact(space, world, pairs[p], 0.0)
-    eventful = False
+    any_impact = False
     while True:
         first = _find_first_pair(pairs, count)
         if first < 0:
@@ -303,8 +303,8 @@ def _resolve_pairs(
             i = space.island[m]
             motions[i].in_island = False
             changed[w, i] = changed[w, i] or not knot
-        eventful = eventful or not knot
-    return eventful
+        any_impact = any_impact or not knot
+    return any_impact
 
 
 @kernel
@@ -337,9 +337,9 @@ def resolve_contacts(
     order = space.order
     _set_reach(space, world, end, budget)
     sort_drones(order, world.start.position, w)
-    eventful = False
+    any_impact = False
     if not are_bounds_clear(space, world, end, budget, turns):
-        eventful = _resolve_due_drones(space, world, end, stopped, changed, touches)
+        any_impact = _resolve_due_drones(space, world, end, stopped, changed, touches)
         for i in range(changed.shape[1]):
             if changed[w, i]:
                 write_end_state(space.motions[i], end, w, i, world.parameters[w, i])
@@ -350,4 +350,4 @@ def resolve_contacts(
         if space.motions[i].is_due and world.alive[w, i]:
             share_budgets(world.scenery, end, world.alive, budget, order, w, i)
             budget[w, i] -= world.speed
-    return eventful
+    return any_impact

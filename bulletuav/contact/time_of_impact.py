@@ -116,13 +116,13 @@ def find_time_of_impact(
     """
     if not gjk_only:
         # A pair that has touched is known to be in contact
-        least = -math.inf if has_touched else MAX_CONTACT_DISTANCE
-        across = guess if dot(guess, guess) > 0.0 else compute_centre_direction(motions, a, b)
+        min_start_distance = -math.inf if has_touched else MAX_CONTACT_DISTANCE
+        direction = guess if dot(guess, guess) > 0.0 else compute_centre_direction(motions, a, b)
         if is_separated_by_plane(
-            scenery, motions, w, a, b, start, least, target_distance, dt, across
+            scenery, motions, w, a, b, start, min_start_distance, target_distance, dt, direction
         ):
-            return NO_IMPACT, across, False
-    exact = REPEATED_TOI_TOLERANCE if has_touched else TOI_TOLERANCE
+            return NO_IMPACT, direction, False
+    tolerance = REPEATED_TOI_TOLERANCE if has_touched else TOI_TOLERANCE
     move_a, turn_a = compute_path_rates(scenery, motions, w, a, dt)
     move_b, turn_b = compute_path_rates(scenery, motions, w, b, dt)
     move = minus(move_a, move_b)
@@ -133,11 +133,11 @@ def find_time_of_impact(
     normal = guess
     in_contact = False
     # Bracket of the impact: the last time apart, and the first time too close
-    apart, close = start, NO_IMPACT
+    apart, overlapping = start, NO_IMPACT
     safe, leapt = start, False
     for step_number in range(MAX_TOI_STEPS):
         if step_number == LOOSE_AFTER_STEPS:
-            exact = max(exact, LOOSE_TOI_TOLERANCE)
+            tolerance = max(tolerance, LOOSE_TOI_TOLERANCE)
         distance, normal, on_a, on_b = measure_distance(
             scenery, motions, w, a, b, time, dt, normal, scratch, gjk_only
         )
@@ -160,7 +160,7 @@ def find_time_of_impact(
                 continue
         if left > (bound + 0.5 * growth * rest) * rest:
             return NO_IMPACT, normal, in_contact
-        if left <= exact and (time == start or left >= -exact):
+        if left <= tolerance and (time == start or left >= -tolerance):
             return (time if bound + growth > 0.0 else NO_IMPACT), normal, in_contact
         if left > 0.0:
             apart = time
@@ -183,7 +183,7 @@ def find_time_of_impact(
             if step >= rest:
                 return NO_IMPACT, normal, in_contact
         else:
-            close = time
+            overlapping = time
             step = left / bound
         if left < NEWTON_DISTANCE:
             surface = minus(cross(turn_a, on_a), cross(turn_b, on_b))
@@ -196,11 +196,11 @@ def find_time_of_impact(
                 if left < 0.0 or leapt:
                     step = aimed
         time = min(end, time + step)
-        if close < NO_IMPACT:
+        if overlapping < NO_IMPACT:
             # Bisect where Newton's method would oscillate, as for grazing paths
-            if not apart < time < close:
-                time = 0.5 * (apart + close)
-            bracket = close - apart
-            if (bound + 0.5 * growth * bracket) * bracket <= exact:
+            if not apart < time < overlapping:
+                time = 0.5 * (apart + overlapping)
+            bracket = overlapping - apart
+            if (bound + 0.5 * growth * bracket) * bracket <= tolerance:
                 break
     return time, normal, in_contact
