@@ -1,1 +1,1 @@
-"""Contacts, for all dynamics: what drones touch on their way, and how that pushes them back."""
+"""Contact detection and rigid-body contact response for all dynamics."""

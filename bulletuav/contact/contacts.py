@@ -1,4 +1,4 @@
-"""Contacts of all worlds: what compiled dynamics call in every substep, and what is told after."""
+"""Contacts of all worlds: the functions that dynamics call in each substep, and their results."""
 
 import math
 from typing import Any
@@ -6,23 +6,23 @@ from typing import Any
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
-from bulletuav.contact.budgets import is_due
-from bulletuav.contact.impact import tell_pair
-from bulletuav.contact.order import set_order
-from bulletuav.contact.points import World
-from bulletuav.contact.resolve import find_pairs, resolve
-from bulletuav.contact.rest import Contact, wake_for_obstacles
-from bulletuav.contact.settling import settle
+from bulletuav.contact.contact_state import ContactState, wake_near_obstacles
+from bulletuav.contact.impact import record_overlap
+from bulletuav.contact.manifold import ContactWorld
+from bulletuav.contact.motion_bounds import update_budgets
+from bulletuav.contact.sleeping import update_sleep
+from bulletuav.contact.sorting import sort_drones
+from bulletuav.contact.substep import find_pairs, resolve_contacts
 from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, DroneArrays, Swarm, TimeStep
 
 
 @func
-def remember(contact: Contact, swarm: Swarm, w: int) -> None:
-    """Keep the state of a world at the beginning of a substep."""
+def save_start_state(contact: ContactState, swarm: Swarm, w: int) -> None:
+    """Copy the state of a world at the beginning of a substep."""
     start = contact.start
-    # Where arrays are is read once, as what is written could be that for all the compiler knows
+    # Read the arrays once: the compiler cannot know that writing to them does not change them
     position, quaternion, velocity, rates = (
         (start.position, swarm.position),
         (start.quaternion, swarm.quaternion),
@@ -39,14 +39,14 @@ def remember(contact: Contact, swarm: Swarm, w: int) -> None:
 
 
 @func
-def move_obstacles(contact: Contact, w: int, substep: int, step: TimeStep) -> None:
-    """Put the obstacles of a world where they are at the beginning of a substep.
+def place_world_obstacles(contact: ContactState, w: int, substep: int, step: TimeStep) -> None:
+    """Set the obstacles of a world to their positions at the beginning of a substep.
 
     Args:
-        contact: Its scenery is written.
-        w: The world.
-        substep: Which substep of the decision it is.
-        step: How the decision is divided.
+        contact: State of all contacts; its scenery is written.
+        w: Index of the world.
+        substep: Index of the substep in the decision.
+        step: Division of the decision into substeps.
     """
     share, period = substep / step.substeps, step.substeps * step.dt
     for k in range(contact.before.shape[1]):
@@ -57,39 +57,45 @@ def move_obstacles(contact: Contact, w: int, substep: int, step: TimeStep) -> No
 
 
 @kernel
-def place_obstacles(contact: Contact, substep: int, step: TimeStep) -> None:
-    """Do what `move_obstacles` does in all worlds in which any moves."""
+def place_obstacles(contact: ContactState, substep: int, step: TimeStep) -> None:
+    """Set the obstacles of all worlds in which any moves; see `place_world_obstacles`."""
     for w in range(contact.speed.shape[0]):
         if contact.speed[w] > 0.0:
-            move_obstacles(contact, w, substep, step)
+            place_world_obstacles(contact, w, substep, step)
 
 
 @func
-def meet(contact: Contact, drones: DroneArrays, w: int, substep: int, step: TimeStep) -> bool:
-    """Let the drones of a world touch what they would have flown into in a substep.
+def step_contacts(
+    contact: ContactState, drones: DroneArrays, w: int, substep: int, step: TimeStep
+) -> bool:
+    """Detect and resolve the contacts of one world in a substep.
 
     Args:
-        contact: Of all worlds; `remember` was called at the beginning of the substep.
-        drones: All drones; their state is that at its end, as flown freely; changed.
-        w: The world.
-        substep: Which substep of the decision it is.
-        step: How the decision is divided.
+        contact: State of all contacts; `save_start_state` was called at the beginning of the
+            substep.
+        drones: All drones, with the state at the end of the substep as flown without contacts;
+            changed.
+        w: Index of the world.
+        substep: Index of the substep in the decision.
+        step: Division of the decision into substeps.
 
     Returns:
-        Whether anything was touched.
+        True if there was any impact.
     """
-    if not is_due(contact, drones.swarm, drones.alive, w, step.dt):
+    if not update_budgets(contact, drones.swarm, drones.alive, w, step.dt):
         return False
-    return _look(contact, drones, w, substep, step)
+    return _resolve_world(contact, drones, w, substep, step)
 
 
 @kernel
-def _look(contact: Contact, drones: DroneArrays, w: int, substep: int, step: TimeStep) -> bool:
-    """Do what `meet` does in a world where drones are due."""
+def _resolve_world(
+    contact: ContactState, drones: DroneArrays, w: int, substep: int, step: TimeStep
+) -> bool:
+    """Resolve the contacts of a world in which drones are due; see `step_contacts`."""
     contact = in_memory(contact)
-    move_obstacles(contact, w, substep, step)
+    place_world_obstacles(contact, w, substep, step)
     world = in_memory(
-        World(
+        ContactWorld(
             w,
             step.dt,
             contact.speed[w] * step.dt,
@@ -106,8 +112,8 @@ def _look(contact: Contact, drones: DroneArrays, w: int, substep: int, step: Tim
     )
     swarm = in_memory(drones.swarm)
     if contact.sleeps and world.speed > 0.0:
-        wake_for_obstacles(contact, world)
-    eventful = resolve(
+        wake_near_obstacles(contact, world)
+    any_impact = resolve_contacts(
         contact.space,
         world,
         swarm,
@@ -118,29 +124,34 @@ def _look(contact: Contact, drones: DroneArrays, w: int, substep: int, step: Tim
         contact.touches,
     )
     if contact.sleeps:
-        settle(contact, world, swarm, substep + 1 == step.substeps)
-    return eventful
+        update_sleep(contact, world, swarm, substep + 1 == step.substeps)
+    return any_impact
 
 
 @kernel
-def meet_all(contact: Contact, drones: DroneArrays, substep: int, step: TimeStep) -> bool:
-    """Do what `meet` does in all worlds; returns whether any state was changed."""
-    eventful = False
+def step_all_contacts(
+    contact: ContactState, drones: DroneArrays, substep: int, step: TimeStep
+) -> bool:
+    """Detect and resolve the contacts of all worlds; returns whether any state was changed."""
+    any_impact = False
     for w in range(drones.alive.shape[0]):
-        eventful |= meet(contact, drones, w, substep, step)
-    return eventful
+        any_impact |= step_contacts(contact, drones, w, substep, step)
+    return any_impact
 
 
 @kernel
-def remember_all(contact: Contact, swarm: Swarm) -> None:
-    """Keep the state of all worlds at the beginning of a substep."""
+def save_all_start_states(contact: ContactState, swarm: Swarm) -> None:
+    """Copy the state of all worlds at the beginning of a substep."""
     for w in range(swarm.position.shape[0]):
-        remember(contact, swarm, w)
+        save_start_state(contact, swarm, w)
 
 
 @func
-def _take_over_sleepers(contact: Contact, alive: np.ndarray, w: int) -> None:
-    """Tell what sleepers touched before, and wake those in whose world a drone came or went."""
+def _restore_sleeper_contacts(contact: ContactState, alive: np.ndarray, w: int) -> None:
+    """Restore the contacts of sleeping drones from the decision in which they were put to sleep.
+
+    Sleeping drones wake if a drone was added to their world or removed from it.
+    """
     touches, slept = contact.touches, contact.slept
     same = True
     for i in range(alive.shape[1]):
@@ -155,11 +166,11 @@ def _take_over_sleepers(contact: Contact, alive: np.ndarray, w: int) -> None:
 
 
 @kernel
-def begin_decision(contact: Contact, alive: np.ndarray, period: float) -> None:
-    """Forget what the last decision touched, and look at where obstacles go in this one.
+def start_decision(contact: ContactState, alive: np.ndarray, period: float) -> None:
+    """Clear the contacts of the last decision, and compute the speed of obstacles in this one.
 
     Args:
-        contact: Of the last decision; its `before` and `after` tell where obstacles go.
+        contact: State of all contacts; `before` and `after` give the positions of obstacles.
         alive: (W, N) bool, drones that fly.
         period: Length of the decision, s.
     """
@@ -168,9 +179,9 @@ def begin_decision(contact: Contact, alive: np.ndarray, period: float) -> None:
             contact.touches.number[w, i] = 0
             contact.stopped[w, i] = False
         if contact.sleeps:
-            _take_over_sleepers(contact, alive, w)
+            _restore_sleeper_contacts(contact, alive, w)
 
-        # Obstacles that were moved since may be near at once
+        # Obstacles that were moved since the last decision may be close to any drone
         jumped, square = False, 0.0
         for k in range(contact.before.shape[1]):
             begin, end = vec3(contact.before, w, k), vec3(contact.after, w, k)
@@ -184,24 +195,24 @@ def begin_decision(contact: Contact, alive: np.ndarray, period: float) -> None:
                 contact.asleep[w, i] = False
 
 
-def remembered(contact: Contact) -> dict[str, np.ndarray]:
-    """Tell the arrays (W, ...) by name that later contacts follow from."""
+def get_state_arrays(contact: ContactState) -> dict[str, np.ndarray]:
+    """Return all arrays (W, ...) by name on which later contacts depend."""
     parts: dict[str, Any] = contact._asdict()
     for name in ("slept", "touches", "memory"):
         parts |= {f"{name} {key}": one for key, one in getattr(contact, name)._asdict().items()}
     return {name: one for name, one in parts.items() if isinstance(one, np.ndarray)}
 
 
-def see(contact: Contact, scenery: Scenery) -> Contact:
-    """Tell contacts that something else stands now; all look anew at what is near."""
+def replace_scenery(contact: ContactState, scenery: Scenery) -> ContactState:
+    """Return the contact state with another scenery; resets all budgets and wakes all drones."""
     contact.budget[:] = -1.0
     contact.asleep[:] = False
     return contact._replace(scenery=scenery)
 
 
 @func
-def _called(number: int, names: tuple[int, int, int, np.ndarray]) -> int:
-    """Return what `Contacts.other` calls the owner of a shape; see `mark` for its names."""
+def _get_owner(number: int, names: tuple[int, int, int, np.ndarray]) -> int:
+    """Return the number in `Contacts.other` for a shape; see `summarize_contacts` for `names`."""
     first_body, first_piece, ground, other = names
     if number < first_body:
         return number
@@ -211,7 +222,7 @@ def _called(number: int, names: tuple[int, int, int, np.ndarray]) -> int:
 
 
 @kernel
-def mark(
+def summarize_contacts(
     number: np.ndarray,
     other: np.ndarray,
     impulses: np.ndarray,
@@ -224,20 +235,20 @@ def mark(
     resting: np.ndarray,
     impulse: np.ndarray,
 ) -> None:
-    """Write of each drone what it touched in a decision.
+    """Summarize the contacts of each drone in a decision.
 
     Args:
-        number: (W, N) how many it touched, as in `Touches`.
-        other: (W, N, T) numbers of their shapes, as there.
-        impulses: (W, N, T) N s, as there.
+        number: (W, N) number of contacts of each drone, as in `ContactLog`.
+        other: (W, N, T) indices of the other shapes, as in `ContactLog`.
+        impulses: (W, N, T) N s, as in `ContactLog`.
         names: `first_body`, `first_piece`, `ground` and `other` of the `Scenery`.
         velocity: (W, N, 3) at the end of the decision, m/s.
         rates: (W, N, 3) rad/s.
-        slowest: Speed of a drone at rest at most, m/s.
-        slowest_spin: Its spin at most, rad/s.
-        collision: (W, N) bool, written: whether it touched anything.
+        slowest: Maximum speed of a drone at rest, m/s.
+        slowest_spin: Maximum spin of a drone at rest, rad/s.
+        collision: (W, N) bool, written: whether the drone touched anything.
         resting: (W, N) bool, written: whether it did and is at rest.
-        impulse: (W, N) written: greatest impulse of one that it touched, N s.
+        impulse: (W, N) written: largest impulse from a single body, N s.
     """
     for w in range(collision.shape[0]):
         for i in range(collision.shape[1]):
@@ -252,17 +263,17 @@ def mark(
             calm = calm and math.sqrt(dot(spin, spin)) <= slowest_spin
             resting[w, i] = calm
 
-            # Several pieces may be of one city, or of one body
+            # Several shapes may belong to one city, or to one body
             for k in range(count):
-                one, total = _called(other[w, i, k], names), 0.0
+                one, total = _get_owner(other[w, i, k], names), 0.0
                 for m in range(count):
-                    if _called(other[w, i, m], names) == one:
+                    if _get_owner(other[w, i, m], names) == one:
                         total += impulses[w, i, m]
                 impulse[w, i] = max(impulse[w, i], total)
 
 
-def told(contact: Contact) -> Contacts:
-    """Tell what was touched in a decision, sorted by world, drone and other."""
+def list_contacts(contact: ContactState) -> Contacts:
+    """Return the contacts of a decision, sorted by world, drone and other."""
     touches = contact.touches
     if not touches.number.any():
         return Contacts.none()
@@ -270,7 +281,7 @@ def told(contact: Contact) -> Contacts:
     used = np.arange(touches.other.shape[-1]) < touches.number[..., None]
     world, drone, _ = np.nonzero(used)
     number = touches.other[used]
-    # Numbers of shapes as `Contacts` calls who they belong to
+    # Convert shape indices to the numbers of their owners in `Contacts`
     other = np.where(number < scenery.first_body, number, CITY)
     other[number == scenery.ground] = GROUND
     bodies = (number >= scenery.first_body) & (number < scenery.first_piece)
@@ -288,14 +299,14 @@ def told(contact: Contact) -> Contacts:
 
 
 @allocating
-def _note_overlaps(contact: Contact, drones: DroneArrays, moved: np.ndarray) -> None:
-    """Record the contacts of drones that were put somewhere else; see `overlaps`."""
+def _record_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarray) -> None:
+    """Record the contacts of drones that were moved; see `find_overlaps`."""
     contact, alive = in_memory(contact), drones.alive
     swarm = in_memory(drones.swarm)
     space = contact.space
     for w in range(alive.shape[0]):
         world = in_memory(
-            World(
+            ContactWorld(
                 w,
                 1.0,
                 0.0,
@@ -311,27 +322,27 @@ def _note_overlaps(contact: Contact, drones: DroneArrays, moved: np.ndarray) -> 
             )
         )
         for i in range(alive.shape[1]):
-            space.motions[i].due = moved[w, i] and alive[w, i]
+            space.motions[i].is_due = moved[w, i] and alive[w, i]
             space.motions[i].reach = 0.0
-            space.motions[i].begun = False
-        set_order(space.order, swarm.position, w)
+            space.motions[i].is_started = False
+        sort_drones(space.order, swarm.position, w)
         pairs, count = find_pairs(space, world, swarm, space.order)
         for p in range(count):
-            tell_pair(space, world, pairs[p], contact.touches)
+            record_overlap(space, world, pairs[p], contact.touches)
 
 
-def overlaps(contact: Contact, drones: DroneArrays, moved: np.ndarray) -> Contacts:
-    """Find what drones touch that were put somewhere else.
+def find_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarray) -> Contacts:
+    """Find the contacts of drones that were moved to another place.
 
     Args:
-        contact: What contacts need; its touches are forgotten.
-        drones: All drones; nothing is written.
+        contact: State of all contacts; its list of contacts is cleared.
+        drones: All drones; not changed.
         moved: (W, N) bool, drones that were moved.
 
     Returns:
-        The contacts of `moved` drones with others and what stands, without impulse.
+        The contacts of `moved` drones with other drones and static shapes, without impulse.
     """
     contact.touches.number[:] = 0
-    _note_overlaps(contact, drones, moved)
+    _record_overlaps(contact, drones, moved)
     contact.budget[moved] = -1.0
-    return told(contact)
+    return list_contacts(contact)

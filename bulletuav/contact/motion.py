@@ -1,8 +1,8 @@
-"""Where the drones of one world are within a substep, and how their way changes at an impact.
+"""Motion of the drones of one world within a substep, and its changes at impacts.
 
-Times are shares of the substep, from 0 to 1. Between impacts a drone moves straight and turns about
-one axis; its forces act evenly. Angular momentum, not angular velocity, is what stays without
-torque.
+Times are fractions of the substep, from 0 to 1. Between impacts a drone moves straight and rotates
+about one axis, and its forces act evenly. Without torque the angular momentum is constant, not the
+angular velocity.
 """
 
 import math
@@ -11,7 +11,13 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func
 from bulletuav.compiled.plain import record_type
-from bulletuav.contact.spin import momentum, rotation_between, spin_of, spun, turned
+from bulletuav.contact.spin import (
+    compute_angular_momentum,
+    compute_angular_velocity,
+    compute_rotation_between,
+    integrate_free_rotation,
+    rotate_by_fraction,
+)
 from bulletuav.geometry.rotation import (
     Quat4,
     Vec3,
@@ -30,249 +36,240 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import free_rates
 
-FAR_TURN = 0.5
-"""Angle by which a drone turns about one axis at most, rad; then it takes another"""
-MOST_IMPACTS = 16
-"""Impacts of a drone in a substep, after which it stays, or goes along with an obstacle"""
-SHORTEST_LEG = 1.0 / 64.0
-"""Share of the substep that it flies on at least, however fast it turns"""
+MAX_SEGMENT_ANGLE = 0.5
+"""Maximum rotation about one axis in a path segment, rad; the next segment takes another axis"""
+MAX_IMPACTS = 16
+"""Impacts of a drone in a substep after which it is clamped, or moves with an obstacle"""
+MIN_SEGMENT_FRACTION = 1.0 / 64.0
+"""Minimum length of a path segment as a fraction of the substep, however fast the drone rotates"""
 
 MOTION = record_type(
     [
         ("time", "f8"),
-        ("until", "f8"),
+        ("end_time", "f8"),
         ("position", "f8", 3),
         ("quaternion", "f8", 4),
         ("velocity", "f8", 3),
         ("spin", "f8", 3),
-        ("move", "f8", 3),
-        ("turn", "f8", 3),
-        ("push", "f8", 3),
-        ("twist", "f8", 3),
+        ("displacement", "f8", 3),
+        ("rotation", "f8", 3),
+        ("velocity_change", "f8", 3),
+        ("momentum_change", "f8", 3),
         ("impacts", "i8"),
-        ("begun", "?"),
-        ("due", "?"),
-        ("member", "?"),
-        ("bears", "?"),
+        ("is_started", "?"),
+        ("is_due", "?"),
+        ("in_island", "?"),
+        ("is_static", "?"),
         ("load", "f8", (2, 3)),
-        ("start", "f8", 3),
+        ("start_position", "f8", 3),
         ("reach", "f8"),
-        ("lightness", "f8"),
-        ("ease", "f8", (3, 3)),
-        ("before", "f8", (2, 3)),
-        ("after", "f8", (2, 3)),
-        ("goal", "f8", 3),
-        ("heading", "f8", 4),
-        ("stray", "f8", 3),
+        ("inverse_mass", "f8"),
+        ("inverse_inertia", "f8", (3, 3)),
+        ("saved_velocities", "f8", (2, 3)),
+        ("unlimited_velocities", "f8", (2, 3)),
+        ("free_position", "f8", 3),
+        ("free_quaternion", "f8", 4),
+        ("free_rotation_offset", "f8", 3),
     ]
 )
-"""Motion of a drone from a time within the substep to another, mostly to its end.
+"""Path segment of a drone from one time in the substep to another, mostly its end.
 
 Attributes:
-    time: Share of the substep from which on the rest holds.
-    until: Share of the substep up to which it does.
-    position: Centre of mass at that time, m.
-    quaternion: Attitude at that time.
-    velocity: At that time, m/s.
-    spin: Angular velocity at that time, world axes, rad/s.
-    move: Displacement from `time` to `until`, m.
-    turn: Rotation from `time` to `until`, as axis times angle, world axes, rad.
-    push: Change of velocity by forces over the whole substep, m/s.
-    twist: Change of angular momentum by torques over the substep, world axes, N m s.
-    impacts: How often the drone took part in an impact in this substep.
-    begun: Whether the above is set.
-    due: Whether the drone is looked at, as its budget is used up or soon will be, or it is touched.
-    member: Whether it is one of those that are solved together.
-    bears: Whether it sleeps, and bears who lies on it as the ground does.
-    load: Impulse (N s) and angular impulse (N m s) on it of those who lie on it.
-    start: Where it was at the beginning of the substep, m.
-    reach: How far from there its pairs were collected, m.
-    lightness: Inverse mass, 1 / kg.
-    ease: Inverse inertia in world axes, 1 / (kg m^2).
-    before: Velocity and spin before an impact.
-    after: The same after one without rebound.
-    goal: Where it gets in the substep unless it touches anything, m.
-    heading: Its attitude there.
-    stray: Rotation to that attitude from where `aim` alone would get, world axes, rad.
+    time: Fraction of the substep at which the segment starts.
+    end_time: Fraction of the substep at which it ends.
+    position: Centre of mass at `time`, m.
+    quaternion: Attitude at `time`.
+    velocity: Velocity at `time`, m/s.
+    spin: Angular velocity at `time`, world axes, rad/s.
+    displacement: Displacement from `time` to `end_time`, m.
+    rotation: Rotation from `time` to `end_time`, axis times angle, world axes, rad.
+    velocity_change: Change of velocity by forces over the whole substep, m/s.
+    momentum_change: Change of angular momentum by torques over the substep, world axes, N m s.
+    impacts: Number of impacts of the drone in this substep.
+    is_started: Whether the fields above are set.
+    is_due: Whether the drone is checked, because its budget is or soon will be used up, or it is
+        touched.
+    in_island: Whether the drone belongs to the present island.
+    is_static: Whether the drone sleeps, and supports others like the ground does.
+    load: Impulse (N s) and angular impulse (N m s) that the drones on it exert on it.
+    start_position: Position at the beginning of the substep, m.
+    reach: Distance from there within which its pairs were collected, m.
+    inverse_mass: 1 / kg.
+    inverse_inertia: In world axes, 1 / (kg m^2).
+    saved_velocities: Velocity and spin before passes of the solver that may gain energy.
+    unlimited_velocities: Velocity and spin after them, before energy is limited.
+    free_position: Position at the end of the substep if the drone touches nothing, m.
+    free_quaternion: Attitude at the end of the substep if the drone touches nothing.
+    free_rotation_offset: Rotation from the attitude that `start_segment` alone would reach to
+        that attitude, world axes, rad.
 """
 
 
 @func
-def vector(array: Vec3Like) -> Vec3:
+def read_vec3(array: Vec3Like) -> Vec3:
     """Return an array of three numbers as a tuple."""
     return array[0], array[1], array[2]
 
 
 @func
-def put_vector(array: np.ndarray, values: Vec3Like) -> None:
-    """Write an array of three numbers."""
+def write_vec3(array: np.ndarray, values: Vec3Like) -> None:
+    """Write three numbers into an array."""
     array[0] = values[0]
     array[1] = values[1]
     array[2] = values[2]
 
 
 @func
-def quaternion_of(motion: np.record) -> Quat4:
-    """Return the attitude of a drone at its time."""
+def read_quaternion(motion: np.record) -> Quat4:
+    """Return the attitude of a drone at the start of its path segment."""
     q = motion.quaternion
     return q[0], q[1], q[2], q[3]
 
 
 @func
-def _put_quaternion(array: np.ndarray, values: Quat4) -> None:
-    """Write an attitude."""
+def _write_quaternion(array: np.ndarray, values: Quat4) -> None:
     for k in range(4):
         array[k] = values[k]
 
 
 @func
-def begin(
-    motion: np.record,
-    before: Swarm,
-    after: Swarm,
-    w: int,
-    i: int,
-    row: np.record,
-    dt: float,
+def start_motion(
+    motion: np.record, before: Swarm, after: Swarm, w: int, i: int, row: np.record, dt: float
 ) -> None:
-    """Start drone i of world w on its way through a substep in which it touches nothing.
+    """Start the contact-free motion of drone i of world w through a substep.
 
     Args:
         motion: Row of `MOTION`, written.
         before: State at the beginning of the substep.
-        after: State at its end.
-        w: The world.
-        i: The drone.
+        after: State at the end of the substep.
+        w: Index of the world.
+        i: Index of the drone.
         row: Row of `PARAMETERS` of the drone.
         dt: Length of the substep, s.
     """
     position = vec3(before.position, w, i)
-    # States that are set may be off by a millionth
+    # Quaternions of states that users set may be off by a millionth
     quaternion = normalised(quat4(before.quaternion, w, i))
     later = quat4(after.quaternion, w, i)
     velocity = vec3(before.velocity, w, i)
     spin = to_world(quaternion, vec3(before.rates, w, i))
-    # What torques did, and no error of the attitude: momentum would be held on as one
+    # Only the effect of torques: an error of the attitude must not count as momentum
     gained = minus(vec3(after.rates, w, i), free_rates(vec3(before.rates, w, i), dt, row))
     motion.time = 0.0
     motion.impacts = 0
-    motion.begun = True
-    put_vector(motion.position, position)
-    _put_quaternion(motion.quaternion, quaternion)
-    put_vector(motion.velocity, velocity)
-    put_vector(motion.spin, spin)
-    put_vector(motion.move, plus(vec3(after.position, w, i), -1.0, position))
-    put_vector(motion.turn, rotation_between(quaternion, later))
-    put_vector(motion.push, plus(vec3(after.velocity, w, i), -1.0, velocity))
-    put_vector(motion.twist, momentum(later, to_world(later, gained), row))
-    motion.until = 1.0
-    if dot(spin, spin) * dt * dt > FAR_TURN * FAR_TURN:
-        put_vector(motion.goal, vec3(after.position, w, i))
-        _put_quaternion(motion.heading, later)
-        alone, _ = spun(quaternion, spin, dt, row)
-        put_vector(motion.stray, rotation_between(alone, later))
-        aim(motion, dt, row)
+    motion.is_started = True
+    write_vec3(motion.position, position)
+    _write_quaternion(motion.quaternion, quaternion)
+    write_vec3(motion.velocity, velocity)
+    write_vec3(motion.spin, spin)
+    write_vec3(motion.displacement, plus(vec3(after.position, w, i), -1.0, position))
+    write_vec3(motion.rotation, compute_rotation_between(quaternion, later))
+    write_vec3(motion.velocity_change, plus(vec3(after.velocity, w, i), -1.0, velocity))
+    write_vec3(
+        motion.momentum_change, compute_angular_momentum(later, to_world(later, gained), row)
+    )
+    motion.end_time = 1.0
+    if dot(spin, spin) * dt * dt > MAX_SEGMENT_ANGLE * MAX_SEGMENT_ANGLE:
+        write_vec3(motion.free_position, vec3(after.position, w, i))
+        _write_quaternion(motion.free_quaternion, later)
+        alone, _ = integrate_free_rotation(quaternion, spin, dt, row)
+        write_vec3(motion.free_rotation_offset, compute_rotation_between(alone, later))
+        start_segment(motion, dt, row)
 
 
 @func
-def _share(motion: np.record, time: float) -> float:
-    """Return the share of its way that a drone has gone at a time."""
-    rest = motion.until - motion.time
+def _compute_path_fraction(motion: np.record, time: float) -> float:
+    """Return the fraction of the path segment that a drone has covered at a time."""
+    rest = motion.end_time - motion.time
     return (time - motion.time) / rest if rest > 0.0 else 0.0
 
 
 @func
-def advance_to(
-    motion: np.record,
-    time: float,
-    row: np.record,
-) -> None:
-    """Move a drone on to a time within the substep."""
-    share = _share(motion, time)
+def advance_motion(motion: np.record, time: float, row: np.record) -> None:
+    """Advance a drone along its path segment to a time within the substep."""
+    share = _compute_path_fraction(motion, time)
     elapsed = time - motion.time
-    here = quaternion_of(motion)
-    there = normalised(turned(vector(motion.turn), share, here))
-    spin = vector(motion.spin)
-    angular = momentum(here, spin, row)
-    held = spin_of(there, angular, row)
-    # Its way is not quite that of a free body: energy must not grow by it
+    here = read_quaternion(motion)
+    there = normalised(rotate_by_fraction(read_vec3(motion.rotation), share, here))
+    spin = read_vec3(motion.spin)
+    angular = compute_angular_momentum(here, spin, row)
+    held = compute_angular_velocity(there, angular, row)
+    # The path deviates slightly from that of a free body: energy must not grow by this
     had = dot(spin, angular)
     has = dot(held, angular)
     if has > had:
         scale = math.sqrt(had / has)
         held = (scale * held[0], scale * held[1], scale * held[2])
-    twisted = spin_of(there, vector(motion.twist), row)
-    put_vector(motion.position, plus(vector(motion.position), share, vector(motion.move)))
-    _put_quaternion(motion.quaternion, there)
-    put_vector(motion.velocity, plus(vector(motion.velocity), elapsed, vector(motion.push)))
-    put_vector(motion.spin, plus(held, elapsed, twisted))
+    twisted = compute_angular_velocity(there, read_vec3(motion.momentum_change), row)
+    write_vec3(
+        motion.position, plus(read_vec3(motion.position), share, read_vec3(motion.displacement))
+    )
+    _write_quaternion(motion.quaternion, there)
+    write_vec3(
+        motion.velocity,
+        plus(read_vec3(motion.velocity), elapsed, read_vec3(motion.velocity_change)),
+    )
+    write_vec3(motion.spin, plus(held, elapsed, twisted))
     for k in range(3):
-        motion.move[k] *= 1.0 - share
-        motion.turn[k] *= 1.0 - share
+        motion.displacement[k] *= 1.0 - share
+        motion.rotation[k] *= 1.0 - share
     motion.time = time
 
 
 @func
-def aim(
-    motion: np.record,
-    dt: float,
-    row: np.record,
-) -> None:
-    """Let a drone fly on from its time with the velocities that it has, until it has turned far.
+def start_segment(motion: np.record, dt: float, row: np.record) -> None:
+    """Start the next path segment of a drone with its present velocities.
 
-    Who has touched nothing goes where its dynamics took it: that is where it will be.
+    The segment ends when the drone has rotated by `MAX_SEGMENT_ANGLE`. A drone that has had no
+    impact moves to where its dynamics took it.
     """
-    here = quaternion_of(motion)
-    spin = vector(motion.spin)
+    here = read_quaternion(motion)
+    spin = read_vec3(motion.spin)
     left = 1.0 - motion.time
-    motion.until = 1.0
+    motion.end_time = 1.0
     angle = math.sqrt(dot(spin, spin)) * dt
-    if angle > FAR_TURN:
-        motion.until = min(1.0, motion.time + max(SHORTEST_LEG, FAR_TURN / angle))
-    part = motion.until - motion.time
-    there, turn = spun(here, spin, part * dt, row)
-    way = plus((0.0, 0.0, 0.0), part * dt, vector(motion.velocity))
+    if angle > MAX_SEGMENT_ANGLE:
+        motion.end_time = min(
+            1.0, motion.time + max(MIN_SEGMENT_FRACTION, MAX_SEGMENT_ANGLE / angle)
+        )
+    part = motion.end_time - motion.time
+    there, turn = integrate_free_rotation(here, spin, part * dt, row)
+    way = plus((0.0, 0.0, 0.0), part * dt, read_vec3(motion.velocity))
     if motion.impacts == 0:
-        there = turned(vector(motion.stray), part, there)
-        if motion.until == 1.0:
-            q = motion.heading
+        there = rotate_by_fraction(read_vec3(motion.free_rotation_offset), part, there)
+        if motion.end_time == 1.0:
+            q = motion.free_quaternion
             there = (q[0], q[1], q[2], q[3])
-        turn = rotation_between(here, there)
+        turn = compute_rotation_between(here, there)
         share = part / left if left > 0.0 else 0.0
-        way = minus(vector(motion.goal), vector(motion.position))
+        way = minus(read_vec3(motion.free_position), read_vec3(motion.position))
         way = (share * way[0], share * way[1], share * way[2])
-    put_vector(motion.turn, turn)
-    put_vector(motion.move, way)
+    write_vec3(motion.rotation, turn)
+    write_vec3(motion.displacement, way)
 
 
 @func
-def is_spent(motion: np.record) -> bool:
-    """Tell whether a drone took part in too many impacts, so that it does not move by itself."""
-    spent: bool = motion.impacts >= MOST_IMPACTS
+def is_at_impact_limit(motion: np.record) -> bool:
+    """Check whether a drone had `MAX_IMPACTS` impacts, so that it no longer moves by itself."""
+    spent: bool = motion.impacts >= MAX_IMPACTS
     return spent
 
 
 @func
-def stay(motion: np.record) -> None:
-    """Keep a drone where it is until the end of the substep; its velocities stay."""
-    motion.until = 1.0
+def clamp_motion(motion: np.record) -> None:
+    """Keep a drone at its position until the end of the substep; its velocities do not change."""
+    motion.end_time = 1.0
     for k in range(3):
-        motion.move[k] = 0.0
-        motion.turn[k] = 0.0
+        motion.displacement[k] = 0.0
+        motion.rotation[k] = 0.0
 
 
 @func
-def finish(
-    motion: np.record,
-    after: Swarm,
-    w: int,
-    i: int,
-    row: np.record,
-) -> None:
+def write_end_state(motion: np.record, after: Swarm, w: int, i: int, row: np.record) -> None:
     """Write the state of drone i of world w at the end of the substep."""
-    advance_to(motion, 1.0, row)
-    quaternion = quaternion_of(motion)
-    rates = to_body(quaternion, vector(motion.spin))
+    advance_motion(motion, 1.0, row)
+    quaternion = read_quaternion(motion)
+    rates = to_body(quaternion, read_vec3(motion.spin))
     for k in range(3):
         after.position[w, i, k] = motion.position[k]
         after.velocity[w, i, k] = motion.velocity[k]
@@ -282,57 +279,48 @@ def finish(
 
 
 @func
-def pose_at(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    who: int,
-    time: float,
-    dt: float,
+def interpolate_pose(
+    scenery: Scenery, motions: np.ndarray, w: int, shape: int, time: float, dt: float
 ) -> tuple[Vec3, Quat4]:
-    """Return position and attitude of someone (number of a shape) at a time in the substep."""
+    """Return the position and attitude of a shape at a time in the substep."""
     level = (0.0, 0.0, 0.0, 1.0)
-    if who < scenery.first_body:
-        motion = motions[who]
-        share = _share(motion, time)
-        position = plus(vector(motion.position), share, vector(motion.move))
-        return position, turned(vector(motion.turn), share, quaternion_of(motion))
-    if who < scenery.first_piece:
-        k = who - scenery.first_body
+    if shape < scenery.first_body:
+        motion = motions[shape]
+        share = _compute_path_fraction(motion, time)
+        position = plus(read_vec3(motion.position), share, read_vec3(motion.displacement))
+        return position, rotate_by_fraction(
+            read_vec3(motion.rotation), share, read_quaternion(motion)
+        )
+    if shape < scenery.first_piece:
+        k = shape - scenery.first_body
         turn = quat4(scenery.quaternion, w, k)
         velocity = vec3(scenery.velocity, w, k)
         return plus(vec3(scenery.place, w, k), time * dt, velocity), turn
-    if who < scenery.ground:
-        return point(scenery.piece_place, who - scenery.first_piece), level
+    if shape < scenery.ground:
+        return point(scenery.piece_place, shape - scenery.first_piece), level
     return (0.0, 0.0, 0.0), level
 
 
 @func
-def valid_until(
-    scenery: Scenery,
-    motions: np.ndarray,
-    who: int,
-) -> float:
-    """Return the share of the substep up to which the way of someone is known."""
-    return motions[who].until if who < scenery.first_body else 1.0
+def get_segment_end(scenery: Scenery, motions: np.ndarray, shape: int) -> float:
+    """Return the fraction of the substep up to which the path of a shape is known."""
+    return motions[shape].end_time if shape < scenery.first_body else 1.0
 
 
 @func
-def change_rates(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    who: int,
-    dt: float,
+def compute_path_rates(
+    scenery: Scenery, motions: np.ndarray, w: int, shape: int, dt: float
 ) -> tuple[Vec3, Vec3]:
-    """Return displacement and rotation of someone on its way, per whole substep."""
+    """Return the displacement and rotation of a shape on its path, per whole substep."""
     still = (0.0, 0.0, 0.0)
-    if who < scenery.first_body:
-        motion = motions[who]
-        rest = motion.until - motion.time
+    if shape < scenery.first_body:
+        motion = motions[shape]
+        rest = motion.end_time - motion.time
         scale = 1.0 / rest if rest > 0.0 else 0.0
-        return plus(still, scale, vector(motion.move)), plus(still, scale, vector(motion.turn))
-    if who < scenery.first_piece:
-        velocity = vec3(scenery.velocity, w, who - scenery.first_body)
+        return plus(still, scale, read_vec3(motion.displacement)), plus(
+            still, scale, read_vec3(motion.rotation)
+        )
+    if shape < scenery.first_piece:
+        velocity = vec3(scenery.velocity, w, shape - scenery.first_body)
         return plus(still, dt, velocity), still
     return still, still

@@ -1,7 +1,7 @@
-"""How a rigid body turns that nothing touches: its angular momentum stays, its spin does not.
+"""Rotation of a free rigid body: angular momentum is constant, angular velocity is not.
 
-Small rotations are Taylor series of the exponential map: F. S. Grassia, Practical parameterization
-of rotations using the exponential map, 1998. They take a fifth of the time of sine and cosine.
+Small rotations use Taylor series of the exponential map (F. S. Grassia, Practical parameterization
+of rotations using the exponential map, 1998). They take a fifth of the time of sine and cosine.
 """
 
 import math
@@ -10,47 +10,41 @@ import numpy as np
 
 from bulletuav.compiled.functions import atan2
 from bulletuav.compiled.kernel import func
-from bulletuav.geometry.rotation import (
-    Quat4,
-    Vec3,
-    dot,
-    exponential,
-    product,
-    to_body,
-    to_world,
-)
+from bulletuav.geometry.rotation import Quat4, Vec3, dot, exponential, product, to_body, to_world
 from bulletuav.vehicle.wrench import spin_parts
 
-SMALL_TURN = 0.2
-"""Angle by which a drone turns in one step of the midpoint rule, rad"""
-SERIES_TURN = 1.0
+MAX_STEP_ANGLE = 0.2
+"""Maximum rotation in one step of the midpoint rule, rad"""
+MAX_SERIES_ANGLE = 1.0
 """Angle up to which the series are exact to the last digit, rad"""
-TERMS = 8
-"""Terms of these series, see `_series`"""
-HALF_SINE = tuple((-1) ** k / (2 ** (2 * k + 1) * math.factorial(2 * k + 1)) for k in range(TERMS))
-HALF_COSINE = tuple((-1) ** k / (2 ** (2 * k) * math.factorial(2 * k)) for k in range(TERMS))
+NUM_TERMS = 8
+"""Number of terms of the series, see `_evaluate_series`"""
+HALF_SINE = tuple(
+    (-1) ** k / (2 ** (2 * k + 1) * math.factorial(2 * k + 1)) for k in range(NUM_TERMS)
+)
+HALF_COSINE = tuple((-1) ** k / (2 ** (2 * k) * math.factorial(2 * k)) for k in range(NUM_TERMS))
 """Series of sin(a / 2) / a and cos(a / 2) in powers of a^2"""
 
 
 @func
-def _change(before: Quat4, after: Quat4) -> Quat4:
+def _compute_relative_rotation(before: Quat4, after: Quat4) -> Quat4:
     """Return the rotation from one attitude to another, as a quaternion."""
     return product(after, (-before[0], -before[1], -before[2], before[3]))
 
 
 @func
-def angle_at_most(before: Quat4, after: Quat4) -> float:
-    """Return a bound of the angle from one attitude to another, rad; close where it is small."""
-    x, y, z, w = _change(before, after)
+def bound_angle(before: Quat4, after: Quat4) -> float:
+    """Return an upper bound of the angle between two attitudes, rad; tight for small angles."""
+    x, y, z, w = _compute_relative_rotation(before, after)
     sine = math.sqrt(x * x + y * y + z * z)
     # Twice the tangent of half the angle, which is more than the angle
     return 2.0 * sine / abs(w) if sine < abs(w) else math.pi
 
 
 @func
-def rotation_between(before: Quat4, after: Quat4) -> Vec3:
-    """Return the rotation from one attitude to another as axis times angle, the shorter way."""
-    x, y, z, w = _change(before, after)
+def compute_rotation_between(before: Quat4, after: Quat4) -> Vec3:
+    """Return the shorter rotation from one attitude to another, as axis times angle."""
+    x, y, z, w = _compute_relative_rotation(before, after)
     sine = math.sqrt(x * x + y * y + z * z)
     if sine == 0.0:
         return 0.0, 0.0, 0.0
@@ -61,8 +55,8 @@ def rotation_between(before: Quat4, after: Quat4) -> Vec3:
 
 
 @func
-def _series(c: tuple[float, ...], x: float) -> float:
-    """Return c[0] + c[1] x + ... + c[7] x^7, in pairs, so that few terms wait for others."""
+def _evaluate_series(c: tuple[float, ...], x: float) -> float:
+    """Return c[0] + c[1] x + ... + c[7] x^7, in pairs for instruction-level parallelism."""
     square = x * x
     low = (c[0] + c[1] * x) + square * (c[2] + c[3] * x)
     high = (c[4] + c[5] * x) + square * (c[6] + c[7] * x)
@@ -70,34 +64,27 @@ def _series(c: tuple[float, ...], x: float) -> float:
 
 
 @func
-def turned(
-    rotation: Vec3,
-    share: float,
-    quaternion: Quat4,
-) -> Quat4:
-    """Return an attitude after a share of a rotation (axis times angle, world axes).
+def rotate_by_fraction(rotation: Vec3, share: float, quaternion: Quat4) -> Quat4:
+    """Rotate an attitude by a fraction of a rotation (axis times angle, world axes).
 
-    Its length is that of the attitude before, but for rounding.
+    The norm of the quaternion is preserved up to rounding.
     """
-    part = (
-        share * rotation[0],
-        share * rotation[1],
-        share * rotation[2],
-    )
+    part = (share * rotation[0], share * rotation[1], share * rotation[2])
     square = dot(part, part)
-    if square > SERIES_TURN * SERIES_TURN:
+    if square > MAX_SERIES_ANGLE * MAX_SERIES_ANGLE:
         return product(exponential(part), quaternion)
-    scale = _series(HALF_SINE, square)
-    turn = (scale * part[0], scale * part[1], scale * part[2], _series(HALF_COSINE, square))
+    scale = _evaluate_series(HALF_SINE, square)
+    turn = (
+        scale * part[0],
+        scale * part[1],
+        scale * part[2],
+        _evaluate_series(HALF_COSINE, square),
+    )
     return product(turn, quaternion)
 
 
 @func
-def momentum(
-    quaternion: Quat4,
-    spin: Vec3,
-    row: np.record,
-) -> Vec3:
+def compute_angular_momentum(quaternion: Quat4, spin: Vec3, row: np.record) -> Vec3:
     """Return the angular momentum (N m s) of an angular velocity (rad/s), both in world axes."""
     p, q, r = to_body(quaternion, spin)
     inertia = row.inertia
@@ -105,11 +92,7 @@ def momentum(
 
 
 @func
-def spin_of(
-    quaternion: Quat4,
-    angular: Vec3,
-    row: np.record,
-) -> Vec3:
+def compute_angular_velocity(quaternion: Quat4, angular: Vec3, row: np.record) -> Vec3:
     """Return the angular velocity (rad/s) of an angular momentum (N m s), both in world axes."""
     p, q, r = to_body(quaternion, angular)
     inertia = row.inertia
@@ -117,24 +100,23 @@ def spin_of(
 
 
 @func
-def spun(
-    here: Quat4,
-    spin: Vec3,
-    rest: float,
-    row: np.record,
+def integrate_free_rotation(
+    here: Quat4, spin: Vec3, rest: float, row: np.record
 ) -> tuple[Quat4, Vec3]:
-    """Return the attitude after a time without torque, and the rotation to it, axis times angle.
+    """Integrate a torque-free rotation; returns the attitude, and the rotation as axis times angle.
 
-    The rotation takes the angular velocity halfway (midpoint rule), with the angular momentum held.
+    Uses the midpoint rule: the angular velocity halfway, with constant angular momentum.
     """
-    angular = momentum(here, spin, row)
-    # Fast spins in parts, so that their energy stays
-    parts = spin_parts(spin, rest, SMALL_TURN)
+    angular = compute_angular_momentum(here, spin, row)
+    # Subdivide fast rotations, so that their energy is conserved
+    parts = spin_parts(spin, rest, MAX_STEP_ANGLE)
     part = rest / parts
     there = here
     for _ in range(parts):
-        halfway = turned(spin_of(there, angular, row), 0.5 * part, there)
-        spin = spin_of(halfway, angular, row)
-        there = turned(spin, part, there)
+        halfway = rotate_by_fraction(
+            compute_angular_velocity(there, angular, row), 0.5 * part, there
+        )
+        spin = compute_angular_velocity(halfway, angular, row)
+        there = rotate_by_fraction(spin, part, there)
     turn = (rest * spin[0], rest * spin[1], rest * spin[2])
-    return there, turn if parts == 1 else rotation_between(here, there)
+    return there, turn if parts == 1 else compute_rotation_between(here, there)

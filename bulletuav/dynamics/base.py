@@ -13,17 +13,17 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func
 from bulletuav.compiled.program import Program
+from bulletuav.contact.contact_state import make_contact_state
 from bulletuav.contact.contacts import (
-    begin_decision,
-    meet_all,
-    overlaps,
-    remember_all,
-    remembered,
-    see,
-    told,
+    find_overlaps,
+    get_state_arrays,
+    list_contacts,
+    replace_scenery,
+    save_all_start_states,
+    start_decision,
+    step_all_contacts,
 )
-from bulletuav.contact.rest import make_contact
-from bulletuav.contact.start import start
+from bulletuav.contact.reset import reset_contacts
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.setpoint import SetpointLevel, Setpoints
 from bulletuav.dynamics.divergence import any_lost
@@ -146,7 +146,7 @@ class Dynamics(ABC):
             something until the decision ends. "impulse": it is pushed, slides and rests there;
             this needs velocities and rates that are those of the flight.
         sleeps: Whether it leaves drones that rest alone until their forces change, see
-            `bulletuav.contact.rest.bears`.
+            `bulletuav.contact.contact_state.stays_asleep`.
         flight: What it was built from.
         contact: What its contacts need.
         force: (W, N, 3) what pushes drones from outside, world axes, N; zeros unless written to.
@@ -169,7 +169,7 @@ class Dynamics(ABC):
     def __init__(self, flight: Flight) -> None:
         """Keep what the dynamics is built from, and prepare for contacts."""
         self.flight = flight
-        self.contact = make_contact(
+        self.contact = make_contact_state(
             flight.engine.scenery,
             (*flight.engine.shape, flight.engine.obstacle_radius.size),
             flight.contacts == "stop",
@@ -207,11 +207,11 @@ class Dynamics(ABC):
     def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
         """Add to a program that drones start from their state."""
         kept = self.contact
-        program.call(start, mask, kept.budget, kept.asleep, kept.quiet, kept.memory.number)
+        program.call(reset_contacts, mask, kept.budget, kept.asleep, kept.quiet, kept.memory.number)
 
     def kept(self) -> dict[str, np.ndarray]:
         """Tell the arrays (W, ...) by name that flights follow from, beside the swarm."""
-        return remembered(self.contact)
+        return get_state_arrays(self.contact)
 
     def restore(self, swarm: Swarm, mask: np.ndarray) -> None:  # noqa: B027
         """Go on with drones of `mask` (W, N) after `kept` was written; by default nothing to do."""
@@ -267,7 +267,7 @@ class Dynamics(ABC):
         scenery = self.flight.engine.scenery
         if scenery is self.contact.scenery:
             return False
-        self.contact = see(self.contact, scenery)
+        self.contact = replace_scenery(self.contact, scenery)
         return True
 
     def add_to(
@@ -283,7 +283,7 @@ class Dynamics(ABC):
         Where obstacles go stands in `contact.before` and `contact.after`.
         """
         flight = self.flight
-        program.call(begin_decision, self.contact, alive, flight.substeps * flight.dt)
+        program.call(start_decision, self.contact, alive, flight.substeps * flight.dt)
         drones = DroneArrays(swarm, alive, flight.parameters)
         surface = np.full(alive.shape, -np.inf)
         air = Air(wind, surface, flight.gravity, self.force, self.torque, self.supply)
@@ -316,18 +316,18 @@ class Dynamics(ABC):
 
     def touched(self) -> Contacts:
         """Tell what was touched in the last decision."""
-        return told(self.contact)
+        return list_contacts(self.contact)
 
     def overlaps(self, swarm: Swarm, moved: np.ndarray, alive: np.ndarray) -> Contacts:
-        """Find what drones touch that were put somewhere else; see `contacts.overlaps`."""
-        return overlaps(self.contact, DroneArrays(swarm, alive, self.flight.parameters), moved)
+        """Find what drones touch that were put somewhere else; see `contacts.find_overlaps`."""
+        return find_overlaps(self.contact, DroneArrays(swarm, alive, self.flight.parameters), moved)
 
     def _advance_decision(self, decision: Decision) -> None:
         """Fly all substeps of a decision, one by one."""
         drones, setpoints, cascade, air, step = decision
         swarm, contact = drones.swarm, self.contact
         for substep in range(step.substeps):
-            remember_all(contact, swarm)
+            save_all_start_states(contact, swarm)
             before = swarm.copy()
             flying = drones.alive & ~contact.stopped
             moved = drones._replace(alive=flying)
@@ -337,7 +337,7 @@ class Dynamics(ABC):
             for array, old in zip(swarm, before, strict=True):
                 array[~flying] = old[~flying]
             self._require_finite(swarm)
-            meet_all(contact, drones, substep, step)
+            step_all_contacts(contact, drones, substep, step)
 
     def advance_substep(
         self, swarm: Swarm, alive: np.ndarray, setpoint: np.ndarray, air: Air

@@ -15,8 +15,8 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating, in_memory, kernel
 from bulletuav.compiled.program import Program
-from bulletuav.contact.contacts import meet_all, place_obstacles, remember_all
-from bulletuav.contact.rest import Contact, bears, wake
+from bulletuav.contact.contact_state import ContactState, stays_asleep, wake_drone
+from bulletuav.contact.contacts import place_obstacles, save_all_start_states, step_all_contacts
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Decision, Dynamics, Flight
 from bulletuav.dynamics.drive import Scratch, drive
@@ -27,7 +27,7 @@ from bulletuav.vehicle.swarm import Contacts, DroneArrays, Swarm
 
 
 @kernel
-def choose_flying(drones: DroneArrays, contact: Contact, dt: float, scratch: Scratch) -> None:
+def choose_flying(drones: DroneArrays, contact: ContactState, dt: float, scratch: Scratch) -> None:
     """Choose the drones that the engine moves: drones at rest stay while they bear their forces.
 
     Args:
@@ -50,8 +50,8 @@ def choose_flying(drones: DroneArrays, contact: Contact, dt: float, scratch: Scr
                 accelerates = plus((0.0, 0.0, 0.0), 1.0 / row.mass, vec3(force, w, i))
                 spins = (turn[0] / inertia[0], turn[1] / inertia[1], turn[2] / inertia[2])
                 turned = quat4(drones.swarm.quaternion, w, i)
-                if not bears(contact, w, i, turned, accelerates, spins, row, dt):
-                    wake(contact, w, i)
+                if not stays_asleep(contact, w, i, turned, accelerates, spins, row, dt):
+                    wake_drone(contact, w, i)
     # The rest of the pile may have woken with one of its drones
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
@@ -59,7 +59,7 @@ def choose_flying(drones: DroneArrays, contact: Contact, dt: float, scratch: Scr
 
 
 @kernel
-def _choose_driven(alive: np.ndarray, contact: Contact, driven: np.ndarray) -> None:
+def _choose_driven(alive: np.ndarray, contact: ContactState, driven: np.ndarray) -> None:
     """Write whose rotors turn (W, N): all in flight but whom a contact stopped in the decision."""
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
@@ -68,7 +68,7 @@ def _choose_driven(alive: np.ndarray, contact: Contact, driven: np.ndarray) -> N
 
 @allocating
 def advance(
-    decision: Decision, contact: Contact, scratch: Scratch, port: Port, near_ground: bool
+    decision: Decision, contact: ContactState, scratch: Scratch, port: Port, near_ground: bool
 ) -> None:
     """Fly all substeps of one decision in one call, through the C extension.
 
@@ -85,7 +85,7 @@ def advance(
     swarm = drones.swarm
     _choose_driven(drones.alive, contact, driven)
     for piece in range(step.substeps):
-        remember_all(contact, swarm)
+        save_all_start_states(contact, swarm)
         # Wrenches from the state before the substep, then the engine's step
         if near_ground:
             place_obstacles(contact, piece, step)
@@ -94,7 +94,7 @@ def advance(
         choose_flying(drones, contact, step.dt, scratch)
         substep(port, scratch.wrenches, scratch.flying, swarm)
         # What they would have flown into; the engine goes on from there
-        if meet_all(contact, drones, piece, step):
+        if step_all_contacts(contact, drones, piece, step):
             write_states(port, swarm, contact.changed)
             _choose_driven(drones.alive, contact, driven)
 
@@ -161,11 +161,11 @@ class BulletDynamics(Dynamics):
         _choose_driven(drones.alive, contact, driven)
         for piece in range(step.substeps):
             # Contacts need the states before the substep, and where obstacles are then
-            remember_all(contact, drones.swarm)
+            save_all_start_states(contact, drones.swarm)
             place_obstacles(contact, piece, step)
             self._advance_once(decision)
             # States that contacts changed go back to the engine
-            if meet_all(contact, drones, piece, step):
+            if step_all_contacts(contact, drones, piece, step):
                 engine.write_states(drones.swarm, contact.changed)
                 _choose_driven(drones.alive, contact, driven)
 

@@ -20,8 +20,8 @@ import numpy as np
 from bulletuav.compiled.functions import exp
 from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
 from bulletuav.compiled.program import Program
-from bulletuav.contact.contacts import meet, remember
-from bulletuav.contact.rest import Contact
+from bulletuav.contact.contact_state import ContactState
+from bulletuav.contact.contacts import save_start_state, step_contacts
 from bulletuav.control.cascade import command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Decision, Dynamics
@@ -226,7 +226,7 @@ def _pieces(kind: int, levels: np.ndarray, w: int, substeps: int) -> int:
 
 
 @allocating
-def advance(decision: Decision, contact: Contact, kind: int) -> None:
+def advance(decision: Decision, contact: ContactState, kind: int) -> None:
     """Fly all substeps of one decision in all worlds.
 
     Args:
@@ -248,7 +248,7 @@ def advance(decision: Decision, contact: Contact, kind: int) -> None:
         dt = step.dt * (step.substeps // pieces)
         straight = in_memory(TimeStep(pieces, dt))
         for piece in range(pieces):
-            remember(contact, swarm, w)
+            save_start_state(contact, swarm, w)
             for i in range(alive.shape[1]):
                 if not alive[w, i] or contact.stopped[w, i]:
                     continue
@@ -269,7 +269,7 @@ def advance(decision: Decision, contact: Contact, kind: int) -> None:
                 )
                 position = plus(position, 1.0, moved)
                 put(swarm, w, i, (position, quaternion, velocity, rates))
-            meet(contact, drones, w, piece, straight)
+            step_contacts(contact, drones, w, piece, straight)
 
 
 @kernel

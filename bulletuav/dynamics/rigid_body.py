@@ -9,9 +9,9 @@ effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 from bulletuav.compiled.kernel import func, in_memory, kernel
 from bulletuav.compiled.lanes import WIDTH
 from bulletuav.compiled.program import Program
-from bulletuav.contact.contacts import meet, remember
-from bulletuav.contact.rest import Contact, bears
-from bulletuav.contact.rest import wake as rouse
+from bulletuav.contact.contact_state import ContactState, stays_asleep
+from bulletuav.contact.contact_state import wake_drone as rouse
+from bulletuav.contact.contacts import save_start_state, step_contacts
 from bulletuav.control.cascade import command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Decision, Dynamics, surroundings
@@ -36,7 +36,7 @@ from bulletuav.vehicle.wrench import SMALL_TURN, spin_parts
 
 @func
 def _fly_alone(
-    decision: Decision, contact: Contact, blocks: Blocks, first: int, w: int, i: int
+    decision: Decision, contact: ContactState, blocks: Blocks, first: int, w: int, i: int
 ) -> None:
     """Move drone i of world w through a substep by itself; the group's first world is `first`."""
     swarm, row = decision.drones.swarm, decision.drones.parameters[w, i]
@@ -52,7 +52,7 @@ def _fly_alone(
         lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
         slope = slope_of(state, speeds[2], rotors[2], around, lifted, row)
         pull, spinning = slope[2:]
-        if bears(contact, w, i, state[1], pull, spinning, row, dt):
+        if stays_asleep(contact, w, i, state[1], pull, spinning, row, dt):
             return
         rouse(contact, w, i)
     # Fast spins in pieces: their precession is stiff
@@ -64,7 +64,7 @@ def _fly_alone(
 
 @func
 def _mark(
-    drones: DroneArrays, contact: Contact, blocks: Blocks, first: int, last: int, dt: float
+    drones: DroneArrays, contact: ContactState, blocks: Blocks, first: int, last: int, dt: float
 ) -> None:
     """Mark the drones of a group of worlds, from `first` to before `last`, that fly in blocks."""
     # Where arrays are is read once: what is written could be that for all the compiler knows
@@ -87,7 +87,7 @@ def _mark(
 
 
 @kernel
-def advance(decision: Decision, contact: Contact, blocks: Blocks) -> None:
+def advance(decision: Decision, contact: ContactState, blocks: Blocks) -> None:
     """Fly all substeps of one decision in all worlds.
 
     Args:
@@ -118,7 +118,7 @@ def advance(decision: Decision, contact: Contact, blocks: Blocks) -> None:
             if num_drones > 1:
                 sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
             for w in range(first, last):
-                remember(contact, swarm, w)
+                save_start_state(contact, swarm, w)
                 for i in range(num_drones):
                     if alive[w, i] and not contact.stopped[w, i]:
                         drone = (w - first) * num_drones + i
@@ -140,7 +140,7 @@ def advance(decision: Decision, contact: Contact, blocks: Blocks) -> None:
 
             # What they would have flown into
             for w in range(first, last):
-                meet(contact, drones, w, substep, step)
+                step_contacts(contact, drones, w, substep, step)
 
 
 @register("dynamics")

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from bulletuav.compiled.kernel import kernel
-from bulletuav.contact.contacts import overlaps, see
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.contacts import find_overlaps, replace_scenery
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.envs.airspace_inputs import UPRIGHT, YAW
@@ -88,7 +88,7 @@ class AirspaceWorld(Parts):
         state.obstacle[0, k], state.obstacle_turn[0, k] = position, quaternion
         self.set_obstacles()
         # Cached contact pairs are stale
-        see(self.dynamics.contact, scenery)
+        replace_scenery(self.dynamics.contact, scenery)
 
     def max_rotor_speed(self, rows: Any) -> np.ndarray:
         """Return the maximum speeds (M, R) of rotors, rad/s; 0 for rotors that a drone lacks."""
@@ -133,10 +133,10 @@ class AirspaceWorld(Parts):
         contact = self.dynamics.contact._replace(scenery=scenery)
         kept = [array.copy() for array in contact.touches]
         drones = DroneArrays(after, self.state.alive, self.parameters)
-        found = overlaps(contact, drones, moved)
+        found = find_overlaps(contact, drones, moved)
         for array, before in zip(contact.touches, kept, strict=True):
             array[:] = before
-        deep = np.flatnonzero(found.depth > TOUCH)
+        deep = np.flatnonzero(found.depth > CONTACT_DISTANCE)
         if len(deep):
             row = deep[found.depth[deep].argmax()]
             i, other = int(found.drone[row]), int(found.other[row])

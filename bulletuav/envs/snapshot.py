@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from bulletuav.contact.memory import ROWS
-from bulletuav.contact.touches import MOST_TOUCHES
+from bulletuav.contact.contact_log import MAX_LOGGED_CONTACTS
+from bulletuav.contact.warm_start import MAX_CACHED_POINTS
 from bulletuav.dynamics.divergence import FASTEST, FASTEST_SPIN
 from bulletuav.envs.descriptions import canonical_text
 from bulletuav.envs.rows import Rows
@@ -377,9 +377,9 @@ def contact_bounds(scenery: Scenery) -> dict[str, tuple[float, float]]:
     """Return the bounds of counts and of shape indices in the contact cache."""
     shapes = (0, scenery.ground)
     return {
-        **dict.fromkeys(("slept number", "touches number"), (0, MOST_TOUCHES)),
+        **dict.fromkeys(("slept number", "touches number"), (0, MAX_LOGGED_CONTACTS)),
         **dict.fromkeys(("slept other", "touches other"), shapes),
-        "memory number": (0, ROWS),
+        "memory number": (0, MAX_CACHED_POINTS),
         "memory rows.other": shapes,
     }
 

@@ -8,8 +8,8 @@ import numpy as np
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.program import Program
 from bulletuav.conflict.separation import Conflict, fill_conflict, no_conflict
-from bulletuav.contact.contacts import mark
-from bulletuav.contact.rest import Contact
+from bulletuav.contact.contact_state import ContactState
+from bulletuav.contact.contacts import summarize_contacts
 from bulletuav.geometry.closest_approach import fill_distances
 from bulletuav.tasks.frame import (
     MAX_RESTING_SPEED,
@@ -67,7 +67,7 @@ def make_frame_measures(frame: Frame) -> FrameMeasures:
 
 
 def add_frame_measures(
-    program: Program, measures: FrameMeasures, frame: Frame, contact: Contact
+    program: Program, measures: FrameMeasures, frame: Frame, contact: ContactState
 ) -> None:
     """Add steps to a program that fill the measures after a decision.
 
@@ -87,7 +87,7 @@ def add_frame_measures(
     names = (scenery.first_body, scenery.first_piece, scenery.ground, scenery.other)
     given = (touches.number, touches.other, touches.impulse, names, *frame.after[2:4])
     marks = (measures.collision, measures.resting, measures.impulse)
-    program.call(mark, *given, MAX_RESTING_SPEED, MAX_RESTING_SPIN, *marks)
+    program.call(summarize_contacts, *given, MAX_RESTING_SPEED, MAX_RESTING_SPIN, *marks)
 
 
 @kernel

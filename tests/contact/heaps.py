@@ -30,12 +30,7 @@ class Heap(NamedTuple):
 
 
 def drop_heap(
-    drones: int = 100,
-    airframe: str = "cf2x",
-    *,
-    hz: int = 240,
-    seconds: float = 6.0,
-    seed: int = 0,
+    drones: int = 100, airframe: str = "cf2x", *, hz: int = 240, seconds: float = 6.0, seed: int = 0
 ) -> Heap:
     """Drop drones in random attitudes, one above the other in a narrow column."""
     rng = np.random.default_rng(seed)

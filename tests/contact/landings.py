@@ -31,7 +31,7 @@ class Landing(NamedTuple):
     """How W drops ended.
 
     Attributes:
-        touched: (W,) bool, whether a touch was told.
+        touched: (W,) bool, whether a touch was recorded.
         rest: (W,) time from the first touch to lasting rest, s; inf for none.
         speed: (W,) speed against the surface at the end, m/s.
         spin: (W,) rad/s at the end.

@@ -7,7 +7,7 @@ from contact.rig import Rig, random_attitudes, random_directions
 
 KINDS = ("head-on", "oblique", "spinning")
 HEIGHT = 300.0
-"""So high that nobody comes to the ground meanwhile, m"""
+"""So high that no drone reaches the ground meanwhile, m"""
 DEEPEST = 5e-4
 """Greatest overlap, m"""
 
@@ -16,7 +16,7 @@ class Meetings(NamedTuple):
     """What W pairs kept, over the substeps in which they touched.
 
     Attributes:
-        told: (W,) bool, whether both were told of the touch, if there was one.
+        recorded: (W,) bool, whether the contact was recorded for both, if there was one.
         linear: (W,) greatest change of the linear momentum over the sum of m v of both.
         angular: (W,) the same of the angular momentum over the sum of m v r.
         gained: (W,) greatest gain of energy in a substep over the first.
@@ -25,7 +25,7 @@ class Meetings(NamedTuple):
         depth: (W,) greatest overlap, m.
     """
 
-    told: np.ndarray
+    recorded: np.ndarray
     linear: np.ndarray
     angular: np.ndarray
     gained: np.ndarray
@@ -36,7 +36,7 @@ class Meetings(NamedTuple):
     def missed(self) -> dict[str, np.ndarray]:
         """Return the worlds in which each bound was missed."""
         found = {
-            "told": ~self.told,
+            "recorded": ~self.recorded,
             "linear": self.linear > 1e-12,
             "angular": self.angular > 1e-3,
             "energy": self.gained > 1e-5,
@@ -105,14 +105,14 @@ def meet_in_pairs(
         start = tuple(array.copy() for array in swarm)
         passes = np.zeros(worlds, dtype=bool) if kind == "spinning" else _passes(rig, fast, apart)
         met = _follow(rig, fast, way, max(16, int(4 * reach / (speed[0] / hz))))
-        for world in np.flatnonzero(~(met.told | passes)):
+        for world in np.flatnonzero(~(met.recorded | passes)):
             seconds = 2 * apart[world] / fast[world]
             passes[world] = _passes_slowly([array[world] for array in start], airframes, seconds)
-        return met._replace(told=met.told | passes)
+        return met._replace(recorded=met.recorded | passes)
 
 
 def _passes_slowly(start: list[np.ndarray], airframes: tuple[str, str], seconds: float) -> bool:
-    """Tell whether two pass each other within some seconds, in steps of at most 2 mm."""
+    """Check whether two drones pass each other within some seconds, in steps of at most 2 mm."""
     with Rig(airframes, hz=20_000, gravity=0.0) as rig:
         for array, values in zip(rig.swarm, start, strict=True):
             array[0] = values
@@ -124,7 +124,7 @@ def _passes_slowly(start: list[np.ndarray], airframes: tuple[str, str], seconds:
 
 
 def _passes(rig: Rig, fast: np.ndarray, apart: np.ndarray) -> np.ndarray:
-    """Tell in which worlds two that do not turn pass each other, (W,) bool."""
+    """Return in which worlds two drones that do not rotate pass each other, (W,) bool."""
     here = rig.swarm.position.copy()
     reach = sum(one.collision_radius for one in rig.airframes)
     least = np.full(len(fast), np.inf)
@@ -142,7 +142,7 @@ def _follow(rig: Rig, fast: np.ndarray, way: np.ndarray, most: int) -> Meetings:
     worlds = len(rig.alive)
     each = rig.rows["mass"] * np.linalg.norm(swarm.velocity, axis=-1)
     reach = np.array([one.collision_radius for one in rig.airframes])
-    told = np.zeros((worlds, 2), dtype=bool)
+    recorded = np.zeros((worlds, 2), dtype=bool)
     linear, angular, gained, depth = np.zeros((4, worlds))
     rebound = np.zeros(worlds)
     stuck = np.zeros(worlds, dtype=bool)
@@ -155,7 +155,7 @@ def _follow(rig: Rig, fast: np.ndarray, way: np.ndarray, most: int) -> Meetings:
         place = swarm.position.copy()
         contacts = rig.fly()
         touched = contacts.mask(rig.alive.shape)
-        told |= touched
+        recorded |= touched
         met = touched.any(axis=1)
         shift += met[:, None] * (rig.momentum().sum(axis=1) - before)
         turn += met[:, None] * (rig.spin_momentum().sum(axis=1) - spun)
@@ -171,4 +171,4 @@ def _follow(rig: Rig, fast: np.ndarray, way: np.ndarray, most: int) -> Meetings:
         gone = np.linalg.norm(swarm.velocity, axis=-1)
         stuck = (~touched & (np.abs(moved - gone) > 0.01 * fast[:, None])).any(axis=1)
         stuck |= (touched & (gone > 0.1) & (moved < 0.01 * gone)).any(axis=1)
-    return Meetings(told.all(axis=1), linear, angular, gained, rebound, stuck, depth)
+    return Meetings(recorded.all(axis=1), linear, angular, gained, rebound, stuck, depth)

@@ -152,9 +152,12 @@ class Rig:
 
     def fly_for(self, seconds: float) -> Contacts:
         """Fly freely for a time; returns all contacts, merged."""
-        told = [self.fly() for _ in range(round(seconds / (self.substeps * self.dt)))]
+        recorded = [self.fly() for _ in range(round(seconds / (self.substeps * self.dt)))]
         return Contacts.merged(
-            **{name: np.concatenate([getattr(c, name) for c in told]) for name in Contacts._fields}
+            **{
+                name: np.concatenate([getattr(c, name) for c in recorded])
+                for name in Contacts._fields
+            }
         )
 
     def _free(self) -> tuple[SetpointLevel, np.ndarray]:

@@ -7,7 +7,7 @@ from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE
 
@@ -28,7 +28,7 @@ HIGH = np.array([0.0, 0.0, 100.0])
 SEEN = 8
 """Substeps of a shot; it hits within the first half of them, or not at all"""
 UNSURE = 5e-6
-"""Distance from a touch within which a shot may be told either way, m"""
+"""Distance from a touch within which a shot may count either way, m"""
 DEEPEST = 5e-4
 """Greatest overlap, m"""
 MOST_STEPS = 3000
@@ -42,8 +42,8 @@ class Shots(NamedTuple):
         speed: (W,) of the drone against the target, m/s.
         hits: (W,) bool, shots that must touch.
         misses: (W,) bool, shots that must not.
-        told: (W,) bool, shots of which a touch was told.
-        strange: (W,) bool, shots of which something else was told.
+        recorded: (W,) bool, shots of which a touch was recorded.
+        strange: (W,) bool, shots of which something else was recorded.
         beyond: (W,) bool, shots whose drone's centre went through the target.
         depth: (W,) greatest overlap, m.
         gained: (W,) greatest gain of energy in a substep over that of the shot; of targets that
@@ -53,7 +53,7 @@ class Shots(NamedTuple):
     speed: np.ndarray
     hits: np.ndarray
     misses: np.ndarray
-    told: np.ndarray
+    recorded: np.ndarray
     strange: np.ndarray
     beyond: np.ndarray
     depth: np.ndarray
@@ -63,8 +63,8 @@ class Shots(NamedTuple):
         """Return the worlds in which each bound was missed."""
         found = {
             "beyond": self.beyond,
-            "not told": self.hits & ~self.told,
-            "false": (self.misses & self.told) | self.strange,
+            "not recorded": self.hits & ~self.recorded,
+            "false": (self.misses & self.recorded) | self.strange,
             "depth": self.depth > DEEPEST,
             "energy": self.gained > 1e-5,
         }
@@ -88,7 +88,7 @@ def _planes(target: Obstacle) -> np.ndarray:
 
 
 def _goes_through(planes: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Tell (M,) which lines from begin to end (M, 3) enter the polytope of planes (F, 4)."""
+    """Return (M,) which lines from begin to end (M, 3) enter the polytope of planes (F, 4)."""
     height = begin @ planes[:, :3].T + planes[:, 3]
     change = (end - begin) @ planes[:, :3].T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -152,11 +152,11 @@ class Range:
             rates[np.arange(worlds), axis] = rng.uniform(-spin, spin, worlds)
         far = target.radius + rig.airframes[0].collision_radius + 0.01
         start = HIGH + off - way * (far + 1.0)
-        # Who is aimed at a far end would begin within the other
+        # A shot at a far end would start within the other drone
         start -= np.where(np.linalg.norm(start - HIGH, axis=1) < far, 2.0 * far, 0.0)[:, None] * way
         # How the free flight would go, and when it is to begin for a touch within the shot
         time, least = self._flight(k, turn, start, velocity, attitude, rates)
-        hits = least <= TOUCH
+        hits = least <= CONTACT_DISTANCE
         substeps = np.where(hits, rng.uniform(0.05, SEEN / 2, worlds), SEEN / 2)
         begin = time - substeps * rig.dt
         drifts = rng.uniform(0, drift, worlds)[:, None] * random_directions(rng, worlds)
@@ -172,7 +172,7 @@ class Range:
         swarm.quaternion[:, 0] = _turned(attitude, rates, begin)
         swarm.rates[:, 0] = rates
         rig.place()
-        return self._follow(k, fast, hits, least > TOUCH + UNSURE)
+        return self._follow(k, fast, hits, least > CONTACT_DISTANCE + UNSURE)
 
     def _aims(
         self, rng: np.random.Generator, name: str
@@ -241,8 +241,8 @@ class Range:
             nearer = gap < least[open_]
             least[open_[nearer]] = gap[nearer]
             when[open_[nearer]] = now[nearer]
-            time[open_] += np.maximum(gap - TOUCH, 1e-6) / bound[open_]
-            open_ = open_[(gap > TOUCH) & (time[open_] < last[open_])]
+            time[open_] += np.maximum(gap - CONTACT_DISTANCE, 1e-6) / bound[open_]
+            open_ = open_[(gap > CONTACT_DISTANCE) & (time[open_] < last[open_])]
             if not len(open_):
                 return when, least
         least[open_] = np.nan
@@ -254,7 +254,7 @@ class Range:
         planes = _planes(list(TARGETS.values())[k])
         inverse = Rotation.from_quat(rig.turn[:, k]).inv()
         worlds = len(rig.alive)
-        told = np.zeros(worlds, dtype=bool)
+        recorded = np.zeros(worlds, dtype=bool)
         strange = np.zeros(worlds, dtype=bool)
         beyond = np.zeros(worlds, dtype=bool)
         depth = np.zeros(worlds)
@@ -265,7 +265,7 @@ class Range:
         for _ in range(SEEN):
             before = inverse.apply(rig.swarm.position[:, 0] - rig.obstacle[:, k])
             contacts = rig.fly()
-            told[contacts.world] = True
+            recorded[contacts.world] = True
             strange[contacts.world[contacts.other != FIRST_OBSTACLE - k]] = True
             after = inverse.apply(rig.swarm.position[:, 0] - rig.obstacle[:, k])
             beyond |= _goes_through(planes, before, after)
@@ -273,7 +273,7 @@ class Range:
             now = rig.energy()[:, 0]
             gained = np.maximum(gained, still * (now - energy) / full)
             energy = now
-        return Shots(fast, hits, misses, told, strange, beyond, depth, gained)
+        return Shots(fast, hits, misses, recorded, strange, beyond, depth, gained)
 
 
 def _turned(attitude: np.ndarray, rates: np.ndarray, time: np.ndarray) -> np.ndarray:

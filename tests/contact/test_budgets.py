@@ -1,4 +1,4 @@
-"""Who has some budget left touches nothing: looking at it in each substep changes no bit."""
+"""Drones with budget left touch nothing: checking them in each substep changes no bit."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from contact.rig import Rig, random_attitudes
 from bulletuav.geometry.obstacle import Obstacle
 
 
-def hop(anew, dynamics, airframe):
-    """Fly spinning drones low over the ground; tells all states, touches, and how many looks."""
+def hop(recheck, dynamics, airframe):
+    """Fly spinning drones low over the ground; return states, contacts and number of checks."""
     rng = np.random.default_rng(3)
     worlds = 40
     with Rig([airframe] * 2, dynamics=dynamics, worlds=worlds, restitution=0.8) as rig:
@@ -22,12 +22,12 @@ def hop(anew, dynamics, airframe):
         rig.place()
         states, touches, looks = [], [], 0
         for _ in range(150):
-            if anew:
+            if recheck:
                 rig.dynamics.contact.budget[:] = -1.0
             budget = rig.dynamics.contact.budget.copy()
             touches.append(rig.fly())
             states.append([one.copy() for one in rig.swarm])
-            # Only who is looked at gets more
+            # Only a checked drone gets more budget
             looks += (rig.dynamics.contact.budget > budget).sum()
         return states, touches, looks
 
@@ -52,7 +52,7 @@ def test_looking_in_each_substep_changes_nothing(dynamics, airframe):
     assert looks < 0.75 * all_looks
 
 
-def test_who_flies_low_is_seldom_looked_at():
+def test_drones_close_to_the_ground_are_seldom_checked():
     """The sphere about it reaches into the ground all the time."""
     with Rig(["cf2x"], gravity=0.0) as rig:
         rig.swarm.position[..., 2] = 0.04
@@ -70,7 +70,7 @@ def test_who_flies_low_is_seldom_looked_at():
 
 @pytest.mark.parametrize("airframe", ["cf2x", "iris"])
 @pytest.mark.parametrize("stands", ["obstacle", "city"])
-def test_who_comes_down_beside_a_sleeper_on_something_touches_it(stands, airframe):
+def test_a_drone_that_lands_next_to_a_sleeping_one_touches_it(stands, airframe):
     """The budget of a sleeper close by a box is below zero: that is no room for others."""
     obstacles = [Obstacle("box", (6.0, 6.0, 0.2))] if stands == "obstacle" else []
     boxes = [((-3, -3, 0), (3, 3, 0.2))] if stands == "city" else []
@@ -83,12 +83,12 @@ def test_who_comes_down_beside_a_sleeper_on_something_touches_it(stands, airfram
         rig.swarm.position[0] = (0, 0, top + 1e-4), (1.3 * radius, 0, top + 2.5 * radius)
         rig.swarm.quaternion[0, 1] = (np.sqrt(0.5), 0, 0, np.sqrt(0.5))
         rig.place()
-        slept, told, least = False, False, np.inf
+        slept, recorded, least = False, False, np.inf
         for _ in range(400):
             found = rig.fly()
             slept = slept or rig.dynamics.contact.asleep[0, 0]
-            told = told or ((found.drone == 1) & (found.other == 0)).any()
+            recorded = recorded or ((found.drone == 1) & (found.other == 0)).any()
             least = min(least, rig.gaps(0, 1)[0])
     assert slept
-    assert told
+    assert recorded
     assert least > 0

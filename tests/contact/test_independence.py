@@ -35,16 +35,17 @@ def start(rig, world, own, order=None):
 def trace(rig, decisions=16):
     """Fly; return all states and contacts of each world as arrays."""
     rig.place()
-    told = [rig.fly() for _ in range(decisions)]
+    recorded = [rig.fly() for _ in range(decisions)]
     state = np.concatenate(rig.swarm, axis=-1)
-    assert sum(len(one.world) for one in told) > DRONES
-    return state.copy(), told
+    assert sum(len(one.world) for one in recorded) > DRONES
+    return state.copy(), recorded
 
 
-def rows(told, world):
+def rows(recorded, world):
     """Return all columns but the first of one world's contacts."""
     return [
-        np.concatenate([one[k][one.world == world] for one in told]) for k in range(1, len(told[0]))
+        np.concatenate([one[k][one.world == world] for one in recorded])
+        for k in range(1, len(recorded[0]))
     ]
 
 
@@ -53,12 +54,12 @@ def test_other_worlds_do_not_matter(dynamics):
     with build(dynamics) as rig:
         for world in range(3):
             start(rig, world, world)
-        together, told = trace(rig)
+        together, recorded = trace(rig)
     with build(dynamics, worlds=1, first_world=1) as rig:
         start(rig, 0, 1)
-        alone, told_alone = trace(rig)
+        alone, recorded_alone = trace(rig)
     np.testing.assert_array_equal(alone[0], together[1])
-    for one, two in zip(rows(told_alone, 0), rows(told, 1), strict=True):
+    for one, two in zip(rows(recorded_alone, 0), rows(recorded, 1), strict=True):
         np.testing.assert_array_equal(one, two)
 
 
@@ -101,7 +102,7 @@ def test_the_extension_does_not_matter(monkeypatch):
 
 @pytest.mark.parametrize("seed", [2, 19, 23])
 def test_the_order_of_drones_does_not_matter_to_heaps_that_fall_asleep(seed):
-    """Nor to budgets, of which the first takes its share first, nor to who wakes whom."""
+    """Nor to budgets, of which the first takes its share first, nor to the order of waking."""
     count = 12
     rng = np.random.default_rng(seed)
     order = rng.permutation(count)

@@ -40,7 +40,7 @@ def test_landings_with_sideways_speed_come_to_rest(place, dynamics):
 
 
 @pytest.mark.parametrize("hz", [60, 240])
-def test_without_friction_level_ground_pushes_nobody_aside(hz):
+def test_without_friction_level_ground_pushes_no_drone_aside(hz):
     with Rig(["cf2x"], worlds=20, hz=hz, friction=0.0) as rig:
         rng = np.random.default_rng(0)
         rig.swarm.position[:, 0, 2] = 0.1
@@ -60,7 +60,7 @@ def test_a_drone_that_falls_beside_the_roof_reaches_the_ground():
 
 
 @pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
-def test_who_lies_safely_on_a_face_sleeps_soon(dynamics):
+def test_a_drone_that_rests_safely_on_a_face_sleeps_soon(dynamics):
     """On its edge a drone does not: there it may still fall over."""
     with Rig(dynamics=dynamics, worlds=2, hz=240, substeps=24) as rig:
         half = rig.airframes[0].shape.half

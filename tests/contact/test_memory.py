@@ -4,10 +4,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bulletuav.contact.impulses import POINT
-from bulletuav.contact.memory import ROWS, make_memory, note, recall
+from bulletuav.contact.broad_phase import PAIR
+from bulletuav.contact.constraint import CONTACT_POINT
 from bulletuav.contact.motion import MOTION
-from bulletuav.contact.pairs import PAIR
+from bulletuav.contact.warm_start import (
+    MAX_CACHED_POINTS,
+    make_contact_cache,
+    store_impulses,
+    warm_start_impulses,
+)
 
 RADII = np.array([0.1, 0.1, 0.0, 0.0])
 IMPULSES = np.array([[3.0, 0.4, -0.2], [1.0, 0.0, 0.1]])
@@ -15,12 +20,12 @@ IMPULSES = np.array([[3.0, 0.4, -0.2], [1.0, 0.0, 0.1]])
 
 def touching(arms, turn, others=(2, 2), force=9.0):
     """Points of drone 0 with others, after a turn about z; a force acts on the drone, N s."""
-    points = np.zeros(len(arms), dtype=POINT).view(np.recarray)
+    points = np.zeros(len(arms), dtype=CONTACT_POINT).view(np.recarray)
     pairs = np.zeros(len(arms), dtype=PAIR).view(np.recarray)
     motions = np.zeros(2, dtype=MOTION).view(np.recarray)
     motions.quaternion[:] = turn.as_quat()
-    motions.lightness[:] = 0.5
-    motions.push[:] = (0.0, 0.0, 0.5 * force)
+    motions.inverse_mass[:] = 0.5
+    motions.velocity_change[:] = (0.0, 0.0, 0.5 * force)
     points.normal[:] = turn.apply([0, 0, 1])
     points.tangent[:] = turn.apply([1, 0, 0]), turn.apply([0, 1, 0])
     points.arm_a[:] = turn.apply(arms)
@@ -37,16 +42,16 @@ def remembered(rest=1.0, force=9.0):
     """A memory of two points of drone 0 with shape 2."""
     points, pairs, motions = touching(ARMS, Rotation.identity(), force=force)
     points.impulse[:] = IMPULSES
-    memory = make_memory(1, 2)
+    memory = make_contact_cache(1, 2)
     memory = memory._replace(rows=memory.rows.view(np.recarray))
     island = np.array([0])
-    note.py_func(memory, motions, 0, island, 1, points, pairs, 2, rest)
+    store_impulses.py_func(memory, motions, 0, island, 1, points, pairs, 2, rest)
     return memory
 
 
 def taken(memory, points, pairs, motions, rest=1.0):
     """Impulses with which points begin."""
-    recall.py_func(memory, motions, RADII, 0, points, pairs, len(points), rest)
+    warm_start_impulses.py_func(memory, motions, RADII, 0, points, pairs, len(points), rest)
     return points.impulse
 
 
@@ -86,12 +91,12 @@ def test_nothing_is_remembered_of_no_time_and_no_more_than_there_is_room_for():
     assert remembered(rest=0.0).number.tolist() == [[0, 0]]
     assert remembered(rest=1e-5).number.tolist() == [[0, 0]]
     assert remembered(rest=1e-3).number.tolist() == [[2, 0]]
-    many = ROWS + 3
+    many = MAX_CACHED_POINTS + 3
     points, pairs, motions = touching([ARMS[0]] * many, Rotation.identity(), 2)
-    memory = make_memory(1, 2)
+    memory = make_contact_cache(1, 2)
     memory = memory._replace(rows=memory.rows.view(np.recarray))
-    note.py_func(memory, motions, 0, np.array([0]), 1, points, pairs, many, 1.0)
-    assert memory.number[0, 0] == ROWS
+    store_impulses.py_func(memory, motions, 0, np.array([0]), 1, points, pairs, many, 1.0)
+    assert memory.number[0, 0] == MAX_CACHED_POINTS
 
 
 def test_without_friction_nothing_across_the_normal_is_taken_up():

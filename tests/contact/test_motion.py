@@ -6,7 +6,7 @@ from contact.rig import Rig, random_attitudes, random_directions
 from scipy.spatial.transform import Rotation
 
 from bulletuav.compiled.kernel import allocating
-from bulletuav.contact.motion import advance_to, aim, begin
+from bulletuav.contact.motion import advance_motion, start_motion, start_segment
 from bulletuav.vehicle.swarm import Swarm
 
 FASTEST = 400.0
@@ -19,18 +19,18 @@ def _ends(motions, before, after, rows, dt):  # type: ignore[no-untyped-def]
     legs = np.ones(len(motions))
     for w in range(len(motions)):
         motion, row = motions[w], rows[w, 0]
-        begin(motion, before, after, w, 0, row, dt)
-        while motion.until < 1.0:
-            advance_to(motion, motion.until, row)
-            aim(motion, dt, row)
+        start_motion(motion, before, after, w, 0, row, dt)
+        while motion.end_time < 1.0:
+            advance_motion(motion, motion.end_time, row)
+            start_segment(motion, dt, row)
             legs[w] += 1
-        advance_to(motion, 1.0, row)
+        advance_motion(motion, 1.0, row)
     return legs
 
 
 @pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
 def test_ways_end_where_the_dynamics_took_drones(dynamics: str) -> None:
-    """However fast they spin; nobody whose way was clear ends within a wall."""
+    """However fast they spin; no drone whose path was clear ends within a wall."""
     rng = np.random.default_rng(1)
     with Rig(["firefly"], dynamics=dynamics, worlds=100, hz=60) as rig:
         swarm = rig.swarm

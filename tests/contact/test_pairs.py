@@ -5,7 +5,7 @@ import pytest
 from contact.pairs import HEIGHT, KINDS, meet_in_pairs
 from contact.rig import Rig
 
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.6, 1.0])
@@ -29,25 +29,25 @@ def test_restitution_is_as_set(restitution):
 
 
 @pytest.mark.parametrize("late", [1e-2, 1e-3, 1e-4, 3e-6, 1e-7])
-def test_who_meets_at_the_end_of_a_substep_keeps_momentum_in_the_next(late):
+def test_impacts_at_the_end_of_a_substep_keep_momentum_in_the_next(late):
     """The impulse of so short a rest must not be what the next substep begins with."""
     velocity = np.array([1.9, 2.7, 0.0])
     fast = np.linalg.norm(velocity)
     with Rig(["cf2x"] * 2, gravity=0.0) as rig:
-        apart = 2 * rig.airframes[0].shape.half[0] + TOUCH + (2 - late) * fast * rig.dt
+        apart = 2 * rig.airframes[0].shape.half[0] + CONTACT_DISTANCE + (2 - late) * fast * rig.dt
         rig.swarm.position[:] = 0.0, 0.0, HEIGHT
         rig.swarm.position[0, 1] += apart * velocity / fast
         rig.swarm.velocity[0, 0] = velocity
         rig.place()
         before = rig.momentum().sum(axis=1)
-        told = [len(rig.fly().world) for _ in range(4)]
+        recorded = [len(rig.fly().world) for _ in range(4)]
         change = rig.momentum().sum(axis=1) - before
-    assert told[:3] == [0, 2, 2]
+    assert recorded[:3] == [0, 2, 2]
     assert np.abs(change).max() < 1e-12 * np.abs(before).max()
 
 
 def test_a_slow_touch_in_free_fall_keeps_angular_momentum():
-    """These two close slowly, as who rests does; but nothing bears them."""
+    """These two close slowly, like drones at rest, but nothing supports them."""
     with Rig(["cf2p"] * 2, hz=60, gravity=0.0) as rig:
         swarm = rig.swarm
         swarm.position[0] = [(-0.109209117, -0.068116194, 300), (-0.189805881, -0.103775431, 300)]

@@ -5,8 +5,13 @@ import pytest
 from contact.rig import random_attitudes, random_directions
 from scipy.spatial.transform import Rotation
 
-from bulletuav.contact.planes import plane_at_rest, plane_turning, planes_between, safe_time
-from bulletuav.contact.spin import angle_at_most, turned
+from bulletuav.contact.separating_planes import (
+    bound_fixed_plane,
+    bound_planes,
+    bound_rotating_plane,
+    compute_safe_time,
+)
+from bulletuav.contact.spin import bound_angle, rotate_by_fraction
 
 SHARES = np.linspace(0, 1, 1001)
 RADII = (0.07, 0.2)
@@ -35,7 +40,9 @@ def heights(rng, normal, move, turn_a, turn_b, between):
 def test_points_move_against_a_turning_plane_no_faster_than_it_says(seed):
     rng = np.random.default_rng(seed)
     normal, move, turn_a, turn_b, between = ways(rng)
-    bound, growth, bend, turn = plane_turning(RADII[0], normal, move, turn_a, turn_b, between)
+    bound, growth, bend, turn = bound_rotating_plane(
+        RADII[0], normal, move, turn_a, turn_b, between
+    )
     assert turn == turn_b
     assert bend == growth / 8
     height = heights(rng, normal, move, turn_a, turn_b, between)
@@ -50,22 +57,22 @@ def test_points_move_against_a_turning_plane_no_faster_than_it_says(seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_a_pair_that_turns_as_one_does_not_close_against_a_plane_that_does_too(seed):
     normal, move, turn_a, turn_b, between = ways(np.random.default_rng(seed), together=True)
-    planes = planes_between(RADII, normal, move, turn_a, turn_b, between, 3)
+    planes = bound_planes(RADII, normal, move, turn_a, turn_b, between, 3)
     size = np.linalg.norm(turn_b)
     assert planes[0][0] < 1e-15
     # Centres go straight on, which differs from a circle by half the square
     assert planes[0][1] < 4 * size**2
-    still = plane_at_rest(RADII, normal, move, turn_a, turn_b)
+    still = bound_fixed_plane(RADII, normal, move, turn_a, turn_b)
     assert planes[2] == still
     left = 1e-4 * size**2
-    assert safe_time(planes[0], left) > 2 * safe_time(still, left)
+    assert compute_safe_time(planes[0], left) > 2 * compute_safe_time(still, left)
 
 
 def test_a_and_b_may_change_places():
     normal, move, turn_a, turn_b, between = ways(np.random.default_rng(1))
-    there = planes_between(RADII, normal, move, turn_a, turn_b, between, 3)
+    there = bound_planes(RADII, normal, move, turn_a, turn_b, between, 3)
     back = [tuple(-x for x in one) for one in (normal, move, between)]
-    here = planes_between(RADII[::-1], back[0], back[1], turn_b, turn_a, back[2], 3)
+    here = bound_planes(RADII[::-1], back[0], back[1], turn_b, turn_a, back[2], 3)
     np.testing.assert_allclose(there[0][:3], here[1][:3], rtol=1e-14)
     np.testing.assert_allclose(there[1][:3], here[0][:3], rtol=1e-14)
     np.testing.assert_allclose(there[2][:3], here[2][:3], rtol=1e-14)
@@ -78,7 +85,7 @@ def test_attitudes_after_a_turn_are_those_of_scipy():
         turn = size * random_directions(rng, 1)[0]
         attitude = random_attitudes(rng, 1)[0]
         for share in (0.5, 1.0):
-            found = turned(tuple(turn.tolist()), share, tuple(attitude.tolist()))
+            found = rotate_by_fraction(tuple(turn.tolist()), share, tuple(attitude.tolist()))
             expected = Rotation.from_rotvec(share * turn) * Rotation.from_quat(attitude)
             np.testing.assert_allclose(found, expected.as_quat(), atol=2e-15)
 
@@ -90,5 +97,5 @@ def test_angles_are_bounded(angle, most):
     before = Rotation.from_rotvec([0.3, -0.2, 0.9])
     after = Rotation.from_rotvec(angle * np.array([0.6, 0.0, -0.8])) * before
     for one in (after.as_quat(), -after.as_quat()):
-        found = angle_at_most(tuple(before.as_quat().tolist()), tuple(one.tolist()))
+        found = bound_angle(tuple(before.as_quat().tolist()), tuple(one.tolist()))
         assert angle - 1e-12 <= found <= most + 1e-12

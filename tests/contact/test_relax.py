@@ -1,4 +1,4 @@
-"""Impulses at a point obey Coulomb's law, whoever it is that hits whatever."""
+"""Impulses at a point obey Coulomb's law, for any pair of bodies."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,18 @@ from contact.rig import random_attitudes
 from scipy.spatial.transform import Rotation
 
 from bulletuav.compiled.kernel import kernel
-from bulletuav.contact.gain import keep, reopen
-from bulletuav.contact.impulses import POINT, set_ease
+from bulletuav.contact.constraint import CONTACT_POINT, set_inverse_mass
+from bulletuav.contact.energy_limit import accumulate_impulses, reopen_impulses
+from bulletuav.contact.manifold import fill_constraint
 from bulletuav.contact.motion import MOTION
-from bulletuav.contact.points import fill
-from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FROM_BEFORE, FROM_NOTHING, SWEEPS, relax
+from bulletuav.contact.solver import (
+    COLD_START,
+    MAX_ITERATIONS,
+    RESUME,
+    SINGLE_BODY_TOLERANCE,
+    TIGHT_TOLERANCE,
+    solve_constraints,
+)
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
 
@@ -21,9 +28,9 @@ STILL = (0.0, 0.0, 0.0)
 @kernel
 def prepare(motions, points, row, surface):
     """Fill in points of drone 0 as contacts do."""
-    set_ease(motions[0], row)
+    set_inverse_mass(motions[0], row)
     for k in range(points.shape[0]):
-        fill(motions, points[k], surface)
+        fill_constraint(motions, points[k], surface)
 
 
 def touches(friction):
@@ -34,7 +41,7 @@ def touches(friction):
 def tumbling(rng, count):
     """A drone that moves at random, with points that are not filled in; gives its attitude, too."""
     motions = np.zeros(1, dtype=MOTION).view(np.recarray)
-    points = np.zeros(count, dtype=POINT).view(np.recarray)
+    points = np.zeros(count, dtype=CONTACT_POINT).view(np.recarray)
     turn = Rotation.from_quat(random_attitudes(rng, 1)[0])
     motions.quaternion[0] = turn.as_quat()
     motions.velocity[0], motions.spin[0] = rng.normal(0, 1, 3), rng.normal(0, 10, 3)
@@ -51,12 +58,12 @@ def hit(airframe, friction, seed):
     out *= radius / np.linalg.norm(out)
     points.arm_a[0], points.normal[0] = out - half * np.sign(axis[2]) * axis, (0, 0, 1)
     prepare(motions, points, parameter_rows([found], [])[0], touches(friction))
-    sweeps = relax(points, 1, motions, 1 / 240, FIRM, FROM_NOTHING)
+    sweeps = solve_constraints(points, 1, motions, 1 / 240, TIGHT_TOLERANCE, COLD_START)
     return points[0], motions[0], sweeps
 
 
 def outcome(airframe, friction, seed):
-    """Tell how a hit ended, after a check of what Coulomb's law asks for then."""
+    """Return how a hit ended, after a check of Coulomb's law."""
     point, drone, sweeps = hit(airframe, friction, seed)
     slip = drone.velocity + np.cross(drone.spin, point.arm_a)
     pressed, rubbed = point.impulse[0], point.impulse[1:] @ point.tangent
@@ -64,7 +71,7 @@ def outcome(airframe, friction, seed):
         assert slip[2] >= 0.0
         assert not rubbed.any()
         return "parts"
-    if sweeps == SWEEPS:
+    if sweeps == MAX_ITERATIONS:
         return "open"
     assert pressed > 0.0
     assert slip[2] == pytest.approx(0.0, abs=1e-7)
@@ -107,7 +114,7 @@ def test_energy_of_a_drone_that_is_wedged_does_not_grow(friction, count):
 
         prepare(motions, points, row, touches(friction))
         before = energy()
-        relax(points, count, motions, 1 / 240, FIRM_ENOUGH, FROM_NOTHING)
+        solve_constraints(points, count, motions, 1 / 240, SINGLE_BODY_TOLERANCE, COLD_START)
         assert energy() <= 1.001 * before
 
 
@@ -130,14 +137,16 @@ def test_a_point_that_comes_later_takes_its_share_of_what_another_held():
     points.normal[:] = (0, 0, 1)
     points.arm_a[:] = (0.01, 0, 0), (-0.01, 0, 0)
     prepare(motions, points, row, touches(0.0))
-    relax(points, 1, motions, 1 / 240, FIRM, FROM_NOTHING)
-    keep(points, 1)
-    assert points.total[0, 0] == pytest.approx(1 / (1 / row["mass"] + 0.01**2 / row["inertia"][1]))
+    solve_constraints(points, 1, motions, 1 / 240, TIGHT_TOLERANCE, COLD_START)
+    accumulate_impulses(points, 1)
+    assert points.total_impulse[0, 0] == pytest.approx(
+        1 / (1 / row["mass"] + 0.01**2 / row["inertia"][1])
+    )
     assert motions.spin[0, 1] < -1.0
-    reopen(points, 2)
-    relax(points, 2, motions, 1 / 240, FIRM, FROM_BEFORE)
-    keep(points, 2)
-    np.testing.assert_allclose(points.total[:, 0], row["mass"] / 2)
+    reopen_impulses(points, 2)
+    solve_constraints(points, 2, motions, 1 / 240, TIGHT_TOLERANCE, RESUME)
+    accumulate_impulses(points, 2)
+    np.testing.assert_allclose(points.total_impulse[:, 0], row["mass"] / 2)
     np.testing.assert_allclose(motions.velocity[0], 0, atol=1e-9)
     np.testing.assert_allclose(motions.spin[0], 0, atol=1e-7)
 
@@ -160,21 +169,21 @@ def test_passes_together_resist_rolling_no_more_than_the_normal_impulse_allows()
         points.normal[:] = (0, 0, 1)
         points.arm_a[:] = (0, half, -radius), (0, -half, -radius)
         prepare(motions, points, row, surface)
-        relax(points, 1, motions, 1 / 60, FIRM_ENOUGH, FROM_NOTHING)
-        keep(points, 1)
-        acted = points.roll.copy()
+        solve_constraints(points, 1, motions, 1 / 60, SINGLE_BODY_TOLERANCE, COLD_START)
+        accumulate_impulses(points, 1)
+        acted = points.rolling_impulse.copy()
         motions.spin[0] *= 0.7  # as if tipping was damped
-        relax(points, 1, motions, 1 / 60, FIRM_ENOUGH, FROM_NOTHING)
-        keep(points, 1)
-        acted += points.roll
+        solve_constraints(points, 1, motions, 1 / 60, SINGLE_BODY_TOLERANCE, COLD_START)
+        accumulate_impulses(points, 1)
+        acted += points.rolling_impulse
         # A second point is foreseen
-        points.least[1] = rng.uniform(0, 0.5)
-        reopen(points, 2)
-        before = points.roll.copy()
-        relax(points, 2, motions, 1 / 60, FIRM_ENOUGH, FROM_BEFORE)
-        keep(points, 2)
-        again += (points.roll[0] != before[0]).any()
-        acted += points.roll - before
-        most = points.resist * points.total[:, :1]
+        points.target_velocity[1] = rng.uniform(0, 0.5)
+        reopen_impulses(points, 2)
+        before = points.rolling_impulse.copy()
+        solve_constraints(points, 2, motions, 1 / 60, SINGLE_BODY_TOLERANCE, RESUME)
+        accumulate_impulses(points, 2)
+        again += (points.rolling_impulse[0] != before[0]).any()
+        acted += points.rolling_impulse - before
+        most = points.rolling_limit * points.total_impulse[:, :1]
         assert (abs(acted) <= most + 1e-3 * most.max()).all()
     assert again > HITS / 2

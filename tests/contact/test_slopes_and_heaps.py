@@ -7,7 +7,7 @@ from contact.landings import GAIN_OF_FALL, MOST_GAIN
 from contact.rig import Rig, random_attitudes
 from scipy.spatial.transform import Rotation
 
-from bulletuav.contact.motion import MOST_IMPACTS
+from bulletuav.contact.motion import MAX_IMPACTS
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 
@@ -80,7 +80,7 @@ def test_a_heap_on_a_rising_platform_does_not_sink_into_itself(seed):
         deepest, often = 0.0, False
         while rig.time < 1.0:
             rig.fly()
-            often = often or (rig.dynamics.contact.space.motions["impacts"] >= MOST_IMPACTS).any()
+            often = often or (rig.dynamics.contact.space.motions["impacts"] >= MAX_IMPACTS).any()
             gaps = [rig.gaps(i, j)[0] for i in range(14) for j in range(i)]
             deepest = max(deepest, -min(gaps))
     assert often
@@ -88,7 +88,7 @@ def test_a_heap_on_a_rising_platform_does_not_sink_into_itself(seed):
 
 
 def test_a_heap_between_platforms_that_close_does_not_stop_time():
-    """Nobody can obey both: each goes along with one of them, and the flight goes on."""
+    """No drone can obey both: each moves with one of them, and the flight goes on."""
     rng = np.random.default_rng(0)
     box = Obstacle("box", (0.5, 0.5, 0.1))
     with Rig(["cf2x"] * 8, hz=60, obstacles=[box, box]) as rig:

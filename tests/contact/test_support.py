@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from contact.rig import Rig
 
-from bulletuav.contact.support import SUPPORT, pressing
+from bulletuav.contact.resting_support import SUPPORT, compute_support_force
 from bulletuav.control.setpoint import SetpointLevel
 
 MASS = 2.0
@@ -19,9 +19,9 @@ def support(span=0.1, height=0.03, friction=0.5):
 
 
 def pressed(force, torque=(0.0, 0.0, 0.0), **shape):
-    """Tell with which force a load presses, and whether it is borne."""
+    """Return the support force of a load, and whether it is carried."""
     acceleration = tuple(float(one) / MASS for one in force)
-    return pressing.py_func(support(**shape), MASS, acceleration, tuple(torque))
+    return compute_support_force.py_func(support(**shape), MASS, acceleration, tuple(torque))
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_no_base_bears_nothing():
 
 
 @pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
-def test_who_sleeps_is_told_of_the_load_that_rotors_leave(dynamics):
+def test_sleeping_drones_record_the_load_that_rotors_leave(dynamics):
     """Half of the weight presses when rotors carry the other half; then it wakes and flies."""
     with Rig(("cf2x",), dynamics=dynamics, substeps=24) as rig:
         rig.swarm.position[..., 2] = rig.airframes[0].shape.half[2] + 5e-5
@@ -71,7 +71,7 @@ def test_who_sleeps_is_told_of_the_load_that_rotors_leave(dynamics):
 
 
 def test_uneven_rotors_tip_it_over_as_if_it_never_slept():
-    """Two rotors on one side lift that side: both who sleeps and who does not must rise."""
+    """Two rotors on one side lift that side: sleeping drones and others must rise."""
     risen = []
     for wait in (0, 10):
         with Rig(("cf2x",), substeps=24) as rig:

@@ -48,7 +48,7 @@ def scatter(rig, seed):
 
 
 def fly(rig):
-    """Fly; tells in how many decisions each world touched anything."""
+    """Fly; return in how many decisions each world had a contact."""
     rig.place()
     touched = np.zeros(2 * PAIRS, dtype=int)
     for _ in range(SUBSTEPS):

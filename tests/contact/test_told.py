@@ -1,4 +1,4 @@
-"""What is told of a touch: who, where, how fast, how hard, and which way."""
+"""Recorded contacts: bodies, position, velocity, impulse and normal."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ TIGHT = {"rtol": 1e-9, "atol": 1e-12}
 
 
 def first_touch(rig: Rig, most: int = 400) -> Contacts:
-    """Fly until something is told."""
+    """Fly until a contact is recorded."""
     for _ in range(most):
         contacts = rig.fly()
         if len(contacts.world):
@@ -21,7 +21,7 @@ def first_touch(rig: Rig, most: int = 400) -> Contacts:
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 @pytest.mark.parametrize("surface", [GROUND, CITY, FIRST_OBSTACLE - 1])
-def test_a_flat_landing_is_told(surface, restitution):
+def test_a_flat_landing_is_recorded(surface, restitution):
     obstacles = [Obstacle("sphere", (0.2,)), Obstacle("box", (4, 4, 1), restitution=restitution)]
     top = {GROUND: 0.0, CITY: 3.0, FIRST_OBSTACLE - 1: 7.0}[surface]
     boxes = [((-2, -2, 0), (2, 2, 3))] if surface == CITY else []
@@ -33,36 +33,36 @@ def test_a_flat_landing_is_told(surface, restitution):
         mass, half = rig.airframes[0].mass, rig.airframes[0].shape.half
         rig.swarm.position[0, 0] = (0.1, -0.2, top + half[2] + 0.02)
         rig.swarm.velocity[0, 0] = (1.0, 0.5, -4.0)
-        told = first_touch(rig.place())
+        recorded = first_touch(rig.place())
         # Without rebound the last of the approach, half a touch, takes a few substeps more
-        whole = told.impulse.sum() + rig.fly_for(0.1).impulse.sum()
-    assert told.other.tolist() == [surface]
-    np.testing.assert_allclose(told.normal, [[0, 0, 1]], atol=1e-9)
-    np.testing.assert_allclose(told.velocity, [[1.0, 0.5, -4.0]], **TIGHT)
+        whole = recorded.impulse.sum() + rig.fly_for(0.1).impulse.sum()
+    assert recorded.other.tolist() == [surface]
+    np.testing.assert_allclose(recorded.normal, [[0, 0, 1]], atol=1e-9)
+    np.testing.assert_allclose(recorded.velocity, [[1.0, 0.5, -4.0]], **TIGHT)
     np.testing.assert_allclose(whole, 4.0 * (1 + restitution) * mass, rtol=1e-6)
-    assert told.point[0, 2] == pytest.approx(top, abs=1e-4)
+    assert recorded.point[0, 2] == pytest.approx(top, abs=1e-4)
     # Below the drone, which drifts less than a centimetre until the touch
-    assert np.linalg.norm(told.point[0, :2] - (0.1, -0.2)) < half[0] + 0.01
+    assert np.linalg.norm(recorded.point[0, :2] - (0.1, -0.2)) < half[0] + 0.01
 
 
-def test_both_drones_are_told_of_one_touch():
+def test_a_contact_is_recorded_for_both_drones():
     with Rig(["cf2x", "iris"], gravity=0.0, friction=0.0) as rig:
         rig.swarm.position[0] = (0, 0, 10), (0.5, 0, 10.01)
         rig.swarm.velocity[0, 0] = (3, 0, 0)
         before = rig.momentum()[0].copy()
-        told = first_touch(rig.place())
+        recorded = first_touch(rig.place())
         change = rig.momentum()[0] - before
-    assert told.drone.tolist() == [0, 1]
-    assert told.other.tolist() == [1, 0]
-    assert told.impulse[0] == told.impulse[1] > 0
-    np.testing.assert_array_equal(told.normal[0], -told.normal[1])
-    np.testing.assert_array_equal(told.velocity[0], -told.velocity[1])
-    np.testing.assert_array_equal(told.point[0], told.point[1])
-    np.testing.assert_allclose(told.velocity[0], (3, 0, 0), **TIGHT)
-    np.testing.assert_allclose(told.normal[0], (-1, 0, 0), atol=1e-9)
-    np.testing.assert_allclose(told.point[0, 0], 0.5 - 0.384, atol=2e-4)
+    assert recorded.drone.tolist() == [0, 1]
+    assert recorded.other.tolist() == [1, 0]
+    assert recorded.impulse[0] == recorded.impulse[1] > 0
+    np.testing.assert_array_equal(recorded.normal[0], -recorded.normal[1])
+    np.testing.assert_array_equal(recorded.velocity[0], -recorded.velocity[1])
+    np.testing.assert_array_equal(recorded.point[0], recorded.point[1])
+    np.testing.assert_allclose(recorded.velocity[0], (3, 0, 0), **TIGHT)
+    np.testing.assert_allclose(recorded.normal[0], (-1, 0, 0), atol=1e-9)
+    np.testing.assert_allclose(recorded.point[0, 0], 0.5 - 0.384, atol=2e-4)
     # Newton: without friction all momentum goes along the normal
-    np.testing.assert_allclose(change, told.impulse[:, None] * told.normal, atol=1e-9)
+    np.testing.assert_allclose(change, recorded.impulse[:, None] * recorded.normal, atol=1e-9)
 
 
 @pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
@@ -75,28 +75,28 @@ def test_impulses_are_changes_of_momentum(dynamics, hz):
         rig.swarm.velocity[:, 0] = rng.normal(size=(worlds, 3)) * (1.0, 1.0, 2.0)
         rig.swarm.rates[:, 0] = rng.normal(size=(worlds, 3))
         before = rig.momentum()[:, 0, 2].copy()
-        told = rig.place().fly_for(1.5)
+        recorded = rig.place().fly_for(1.5)
         # On level ground all impulses along normals are upright
-        np.testing.assert_allclose(told.normal[:, 2], 1.0, atol=1e-12)
+        np.testing.assert_allclose(recorded.normal[:, 2], 1.0, atol=1e-12)
         fallen = rig.airframes[0].mass * rig.gravity * rig.time
         gained = rig.momentum()[:, 0, 2] - before + fallen
-        np.testing.assert_allclose(told.impulse, gained, rtol=1e-5)
+        np.testing.assert_allclose(recorded.impulse, gained, rtol=1e-5)
 
 
-def test_nothing_is_told_of_flight_nearby():
+def test_flight_nearby_records_no_contact():
     with Rig(gravity=0.0, worlds=2) as rig:
         half = rig.airframes[0].shape.half[2]
         rig.swarm.position[:, 0, 2] = half + np.array([0.9e-4, 1.1e-4])
         rig.swarm.velocity[:, 0, 0] = 5.0
-        told = rig.place().fly_for(0.1)
-    assert 1 not in told.world
+        recorded = rig.place().fly_for(0.1)
+    assert 1 not in recorded.world
 
 
-def test_places_where_drones_are_put_are_told():
+def test_overlaps_of_moved_drones_are_found():
     with Rig(["cf2x", "cf2x"]) as rig:
         rig.swarm.position[0] = (0, 0, 5), (0.1, 0, 5)
         rig.place()
-        told = rig.dynamics.overlaps(rig.swarm, rig.alive, rig.alive)
-    assert told.drone.tolist() == [0, 1]
-    assert told.other.tolist() == [1, 0]
-    assert not told.impulse.any()
+        recorded = rig.dynamics.overlaps(rig.swarm, rig.alive, rig.alive)
+    assert recorded.drone.tolist() == [0, 1]
+    assert recorded.other.tolist() == [1, 0]
+    assert not recorded.impulse.any()

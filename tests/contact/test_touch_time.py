@@ -7,8 +7,14 @@ from contact.shots import TARGETS
 from scipy.spatial.transform import Rotation
 
 from bulletuav.compiled.kernel import allocating
-from bulletuav.contact.planes import is_kept_apart
-from bulletuav.contact.touch import IN_TOUCH, NEARLY, NEVER, TOUCH, touch_time
+from bulletuav.contact.separating_planes import is_separated_by_plane
+from bulletuav.contact.time_of_impact import (
+    CONTACT_DISTANCE,
+    LOOSE_TOI_TOLERANCE,
+    MAX_CONTACT_DISTANCE,
+    NO_IMPACT,
+    find_time_of_impact,
+)
 
 DT = 1 / 240
 SAMPLES = np.linspace(0, 1, 2001)
@@ -20,20 +26,22 @@ def _times(scenery, motions, room):  # type: ignore[no-untyped-def]
     found = np.zeros(len(motions))
     drones = motions.reshape(len(motions), -1)
     for m in range(len(motions)):
-        found[m] = touch_time(
-            scenery, drones[m], 0, 0, 1, 0.0, TOUCH, False, DT, (0.0, 0.0, 0.0), room
+        found[m] = find_time_of_impact(
+            scenery, drones[m], 0, 0, 1, 0.0, CONTACT_DISTANCE, False, DT, (0.0, 0.0, 0.0), room
         )[0]
     return found
 
 
 @allocating
 def _kept_apart(scenery, motions, normals):  # type: ignore[no-untyped-def]
-    """Return whether one plane each tells that drones of `motions` (M,) do not touch the other."""
+    """Return whether a plane separates each drone of `motions` (M,) from the other."""
     found = np.zeros(len(motions), dtype=np.bool_)
     for m in range(len(motions)):
         normal = (normals[m, 0], normals[m, 1], normals[m, 2])
         alone = motions[m : m + 1]
-        found[m] = is_kept_apart(scenery, alone, 0, 0, 1, 0.0, IN_TOUCH, TOUCH, DT, normal)
+        found[m] = is_separated_by_plane(
+            scenery, alone, 0, 0, 1, 0.0, MAX_CONTACT_DISTANCE, CONTACT_DISTANCE, DT, normal
+        )
     return found
 
 
@@ -46,7 +54,7 @@ def _heights(motions: np.ndarray, share: np.ndarray, radius: float, half: float)
 
 
 def test_turning_drones_touch_when_their_lowest_point_does() -> None:
-    """The first touch is found to 1e-12 m, also of who rolls and hardly comes closer."""
+    """The first touch is found to 1e-12 m, also of drones that roll and hardly approach."""
     rng = np.random.default_rng(3)
     with Rig() as rig:
         motions = np.repeat(rig.dynamics.contact.space.motions, 500)
@@ -59,18 +67,18 @@ def test_turning_drones_touch_when_their_lowest_point_does() -> None:
             size=(len(motions), 3)
         )
         motions["position"] = 0.0
-        gap = TOUCH + 10 ** rng.uniform(-7, -3, len(motions))
+        gap = CONTACT_DISTANCE + 10 ** rng.uniform(-7, -3, len(motions))
         start = np.zeros(len(motions))
         motions["position"][:, 2] = gap - _heights(motions, start, radius, half)
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
-    hits = times < NEVER
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
+    hits = times < NO_IMPACT
     assert 100 < hits.sum() < 400
     at_touch = _heights(motions[hits], times[hits], radius, half)
-    assert np.abs(at_touch - TOUCH).max() < 1e-12
+    assert np.abs(at_touch - CONTACT_DISTANCE).max() < 1e-12
     for motion, time in zip(motions, times, strict=True):
         before = SAMPLES[time > SAMPLES]
         heights = _heights(np.repeat(motion, len(before)), before, radius, half)
-        assert heights.min() > TOUCH - 1e-12
+        assert heights.min() > CONTACT_DISTANCE - 1e-12
 
 
 def _poses(motions: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -113,10 +121,10 @@ def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
         motions["quaternion"] = _unit((0.15571, 0.20242, -0.77796, 0.57407))
         motions["move"] = (0.0015, 0.0552, -0.0376)
         motions["turn"] = (-0.0004, -0.0281, 0.0216)
-        assert _gaps(rig, motions, np.zeros(len(motions))).min() > 1.1 * TOUCH
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        assert _gaps(rig, motions, np.zeros(len(motions))).min() > 1.1 * CONTACT_DISTANCE
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
         assert times.max() < 0.5
-        assert np.abs(_gaps(rig, motions, times) - TOUCH).max() < 1e-11
+        assert np.abs(_gaps(rig, motions, times) - CONTACT_DISTANCE).max() < 1e-11
 
 
 def _on_a_way(rig: Rig, way: tuple[tuple[float, ...], ...]) -> np.ndarray:
@@ -146,17 +154,17 @@ GRAZES = {
 
 
 @pytest.mark.parametrize("name", GRAZES)
-def test_nobody_leaps_over_a_graze(name: str) -> None:
+def test_no_search_leaps_over_a_graze(name: str) -> None:
     """By Newton's method alone, where others than the nearest points come closer."""
     with Rig(obstacles=[TARGETS[name]]) as rig:
         rig.obstacle[:] = 0.0
         rig.place()
         motions = _on_a_way(rig, GRAZES[name])
         gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
-        assert gaps[0] > TOUCH > gaps.min()
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        assert gaps[0] > CONTACT_DISTANCE > gaps.min()
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
         assert times[0] < SAMPLES[gaps.argmin()]
-        assert abs(_gaps(rig, motions, times)[0] - TOUCH) < 1e-11
+        assert abs(_gaps(rig, motions, times)[0] - CONTACT_DISTANCE) < 1e-11
 
 
 PASSES_BY = (
@@ -168,16 +176,16 @@ PASSES_BY = (
 """Place, attitude, move and turn of a racer that passes by 0.9 um farther away than a touch"""
 
 
-def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
+def test_slow_searches_that_pass_by_find_no_impact() -> None:
     """After 200 steps the search ended here, 0.2 mm before the least gap, as if that touched."""
     with Rig(["racer"], obstacles=[TARGETS["hull"]]) as rig:
         rig.obstacle[:] = 0.0
         rig.place()
         motions = _on_a_way(rig, PASSES_BY)
         gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
-        assert 0 < gaps.min() - TOUCH < 1e-6
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
-    assert times[0] == NEVER
+        assert 0 < gaps.min() - CONTACT_DISTANCE < 1e-6
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
+    assert times[0] == NO_IMPACT
 
 
 @pytest.mark.parametrize("together", [False, True])
@@ -185,7 +193,7 @@ def test_nobody_is_told_to_touch_what_takes_many_steps_to_pass_by() -> None:
 def test_turning_pairs_touch_when_their_distance_says(
     frames: tuple[str, str], together: bool
 ) -> None:
-    """Also who turn about each other as one, or roll, and hardly come closer."""
+    """Also pairs that rotate about each other as one, or roll, and hardly approach."""
     rng = np.random.default_rng(7)
     count = 150
     with Rig(list(frames)) as rig:
@@ -198,7 +206,7 @@ def test_turning_pairs_touch_when_their_distance_says(
         other = 10 ** rng.uniform(-3, -0.3, (count, 1)) * random_directions(rng, count)
         motions["turn"] = np.stack([turn, turn if together else other], axis=1)
         # As near as they get
-        gap = TOUCH + 10 ** rng.uniform(-6, -3, count)
+        gap = CONTACT_DISTANCE + 10 ** rng.uniform(-6, -3, count)
         motions["position"] = motions["move"] = 0.0
         near, far = np.zeros(count), np.ones(count)
         for _ in range(50):
@@ -210,14 +218,14 @@ def test_turning_pairs_touch_when_their_distance_says(
         drift = 10 ** rng.uniform(-7, -3, (count, 1)) * random_directions(rng, count)
         # About b, so that centres go round each other
         motions["move"][:, 0] = np.cross(turn, far[:, None] * away) + drift
-        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
-        hits = times < NEVER
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
+        hits = times < NO_IMPACT
         assert count / 10 < hits.sum() < count
         at_touch = _gaps(rig, motions, np.where(hits, times, 0.0))
-        assert np.abs(at_touch - TOUCH)[hits].max() < 1e-12
+        assert np.abs(at_touch - CONTACT_DISTANCE)[hits].max() < 1e-12
         for share in np.linspace(0, 1, 101):
             before = np.minimum(share, np.where(hits, times, 1.0))
-            assert (_gaps(rig, motions, before) > TOUCH - 1e-12).all()
+            assert (_gaps(rig, motions, before) > CONTACT_DISTANCE - 1e-12).all()
 
 
 def _grazing(
@@ -235,7 +243,7 @@ def _grazing(
     for _ in range(steps):
         middle = 0.5 * (near + far)
         motions["position"] = middle[:, None] * away
-        apart = _least(rig, motions) > TOUCH
+        apart = _least(rig, motions) > CONTACT_DISTANCE
         near, far = np.where(apart, near, middle), np.where(apart, middle, far)
     motions["position"] = far[:, None] * away
     return motions
@@ -256,7 +264,7 @@ def _least(rig: Rig, motions: np.ndarray) -> np.ndarray:
     return np.minimum(gaps.min(axis=0), _gaps(rig, motions, 0.5 * (begin + end)))
 
 
-def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
+def test_drones_separated_by_a_plane_do_not_touch_on_their_path() -> None:
     """Also where the pair is apart at both ends, and comes together in between."""
     rng = np.random.default_rng(5)
     with Rig(["iris"], obstacles=[TARGETS["wall of 20 cm"]]) as rig:
@@ -268,14 +276,14 @@ def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
         across = side * (1.0, 0.0, 0.0)
         # A little nearer than a touch
         motions["position"] -= 1e-5 * across
-        touches = _least(rig, motions) < TOUCH
+        touches = _least(rig, motions) < CONTACT_DISTANCE
         ends = np.minimum(*(_gaps(rig, motions, np.full(200, share)) for share in (0.0, 1.0)))
-        assert ((ends > 2 * IN_TOUCH) & touches).sum() > 10
+        assert ((ends > 2 * MAX_CONTACT_DISTANCE) & touches).sum() > 10
         assert not (_kept_apart(scenery, motions, across) & touches).any()
         # Well away from one
         motions["position"] += 0.02 * across
         apart = _kept_apart(scenery, motions, across)
-        assert not (apart & (_least(rig, motions) < TOUCH)).any()
+        assert not (apart & (_least(rig, motions) < CONTACT_DISTANCE)).any()
         assert apart.mean() > 0.5
         assert not _kept_apart(scenery, motions, 0.0 * across).any()
 
@@ -283,7 +291,7 @@ def test_who_is_kept_apart_by_a_plane_touches_nothing_on_the_way() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
 @pytest.mark.parametrize("airframe", ["cf2x", "racer", "iris"])
-def test_of_grazes_by_nanometres_none_is_told_wrongly(airframe: str, name: str) -> None:
+def test_grazes_by_nanometres_are_found_correctly(airframe: str, name: str) -> None:
     """Ways are moved until the least gap on them is that of a touch, and then by 1 nm to 0.1 mm."""
     rng = np.random.default_rng(1)
     count = 1000
@@ -295,8 +303,10 @@ def test_of_grazes_by_nanometres_none_is_told_wrongly(airframe: str, name: str) 
         shift = 10 ** rng.uniform(-9, -4, (count, 1)) * rng.choice([-1, 1], (count, 1))
         motions["position"] += shift * away
         least = _least(rig, motions)
-        outside = _gaps(rig, motions, np.zeros(count)) > TOUCH
-        touched = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room) < NEVER
+        outside = _gaps(rig, motions, np.zeros(count)) > CONTACT_DISTANCE
+        touched = (
+            _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch) < NO_IMPACT
+        )
     assert 100 < touched.sum() < count - 100
-    assert not (touched & (least > TOUCH + NEARLY)).any()
-    assert not (~touched & outside & (least < TOUCH - 1e-12)).any()
+    assert not (touched & (least > CONTACT_DISTANCE + LOOSE_TOI_TOLERANCE)).any()
+    assert not (~touched & outside & (least < CONTACT_DISTANCE - 1e-12)).any()

@@ -1,4 +1,4 @@
-"""Nothing passes through anything, and every touch is told."""
+"""Nothing passes through anything, and every contact is recorded."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_no_airframe_passes_the_thinnest_wall(ranges, airframe):
     assert np.any(shots.misses)
 
 
-def test_trains_push_nobody_through_a_wall():
+def test_trains_push_no_drone_through_a_wall():
     train = push("cf2x", hz=240, worlds=6, drones=5)
     assert not train.missed()
 
@@ -69,13 +69,13 @@ def test_energy_does_not_grow_after_a_hit_in_bullet(ranges):
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_nobody_ends_within_what_stands_however_fast_it_spins(ranges, name):
+def test_no_drone_ends_within_a_static_shape_however_fast_it_spins(ranges, name):
     """Bullet turns bodies by pi / 4 a substep at most: that is the way that is looked at."""
     shots = ranges("cf2x", "bullet").shoot(name, spin=600.0)
     assert not {"beyond", "depth"} & set(shots.missed())
 
 
-def test_who_rolls_off_an_obstacle_that_moves_touches_it_once() -> None:
+def test_a_drone_that_rolls_off_a_moving_obstacle_touches_it_once() -> None:
     """This drone leaves the end of a wire that moves at 2 m/s, where searches once gave up."""
     wire = list(TARGETS).index("wire of 2 cm")
     with Rig(["firefly"], hz=60, gravity=0.0, obstacles=list(TARGETS.values())) as rig:
@@ -92,7 +92,7 @@ def test_who_rolls_off_an_obstacle_that_moves_touches_it_once() -> None:
         assert rig.gaps(0, rig.engine.scenery.first_body + wire)[0] > 0.0
 
 
-def test_who_touches_nothing_in_many_looks_is_told_nothing() -> None:
+def test_a_search_of_many_steps_without_contact_records_none() -> None:
     """The search for a touch takes more than 200 steps here, beside the corner of a moving box."""
     box = list(TARGETS).index("corner")
     with Rig(["iris"], hz=60, gravity=0.0, obstacles=list(TARGETS.values())) as rig:

@@ -17,13 +17,13 @@ class Train(NamedTuple):
 
     Attributes:
         beyond: (W, N) bool, drones whose centre got behind the wall.
-        told: (W,) bool, whether the first drone was told of the wall.
+        recorded: (W,) bool, whether the first drone's contact with the wall was recorded.
         depth: (W,) greatest overlap of any two, or with the wall, m.
         gained: (W,) greatest gain of energy in a substep over that of the beginning.
     """
 
     beyond: np.ndarray
-    told: np.ndarray
+    recorded: np.ndarray
     depth: np.ndarray
     gained: np.ndarray
 
@@ -31,7 +31,7 @@ class Train(NamedTuple):
         """Return the worlds in which each bound was missed."""
         found = {
             "beyond": self.beyond.any(axis=1),
-            "not told": ~self.told,
+            "not recorded": ~self.recorded,
             "depth": self.depth > DEEPEST,
             "energy": self.gained > 1e-5,
         }
@@ -76,14 +76,14 @@ def push(
         swarm.quaternion[:] = random_attitudes(rng, worlds, drones)
         rig.place()
         beyond = np.zeros((worlds, drones), dtype=bool)
-        told = np.zeros(worlds, dtype=bool)
+        recorded = np.zeros(worlds, dtype=bool)
         depth, gained = np.zeros((2, worlds))
         energy = rig.energy().sum(axis=1)
         full = energy
         slowest = float(fast.min()) / hz
         for _ in range(max(substeps, int(2 * radius / slowest) + 2)):
             contacts = rig.fly()
-            told[contacts.world[contacts.other == FIRST_OBSTACLE]] = True
+            recorded[contacts.world[contacts.other == FIRST_OBSTACLE]] = True
             beyond |= swarm.position[..., 0] > 0
             now = rig.energy().sum(axis=1)
             gained = np.maximum(gained, (now - energy) / full)
@@ -92,4 +92,4 @@ def push(
                 depth = np.maximum(depth, -rig.gaps(i, rig.engine.scenery.first_body))
                 for j in range(i):
                     depth = np.maximum(depth, -rig.gaps(i, j))
-    return Train(beyond, told, depth, gained)
+    return Train(beyond, recorded, depth, gained)

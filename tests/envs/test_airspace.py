@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav import Airspace, SetpointLevel
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.engine import engine as engine_module
@@ -236,7 +236,7 @@ def test_motors_off_a_drone_falls_rests_is_stood_up_and_flies(dynamics):
     assert airspace.contacts.depth.tolist() == [0.0] * len(airspace.contacts.depth)
     assert not airspace.swarm.velocity.any()
     height = airspace.swarm.position[0, 2]
-    assert height == pytest.approx(CF2X.standing_height, abs=2 * TOUCH)
+    assert height == pytest.approx(CF2X.standing_height, abs=2 * CONTACT_DISTANCE)
     airspace.place(0, (0, 0, CF2X.standing_height))
     airspace.command(0, "position", (0.0, 0, 1))
     steps(airspace, 5 * 48)
@@ -279,7 +279,9 @@ def test_buildings_stand():
         airspace.place(0, (1.5, 0, 1))
     airspace.command(0, "velocity", (1.0, 0, 0))
     steps(airspace, 2 * 240)
-    assert airspace.swarm.position[0, 0] == pytest.approx(1 - CF2X.shape.half[0], abs=2 * TOUCH)
+    assert airspace.swarm.position[0, 0] == pytest.approx(
+        1 - CF2X.shape.half[0], abs=2 * CONTACT_DISTANCE
+    )
 
 
 # Sensors, wind, pictures

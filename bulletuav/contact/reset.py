@@ -1,4 +1,4 @@
-"""Drones that are put somewhere else: what contacts forget of them."""
+"""Reset the contact state of drones that are moved to another place."""
 
 import numpy as np
 
@@ -6,21 +6,21 @@ from bulletuav.compiled.kernel import kernel
 
 
 @kernel
-def start(
+def reset_contacts(
     mask: np.ndarray,
     budget: np.ndarray,
     asleep: np.ndarray,
     quiet: np.ndarray,
     remembered: np.ndarray,
 ) -> None:
-    """Forget what was before of drones that are put somewhere else.
+    """Clear the contact state of drones that are moved to another place.
 
     Args:
-        mask: (W, N) bool, drones that are put somewhere else.
-        budget: Of the contact, changed, as are the others.
-        asleep: (W, N) bool; all who sleep in these worlds wake.
-        quiet: (W, N) s.
-        remembered: (W, N) how many impulses are remembered.
+        mask: (W, N) bool, drones that are moved.
+        budget: (W, N) motion budgets, m; changed.
+        asleep: (W, N) bool, changed: all drones in the worlds of moved drones wake.
+        quiet: (W, N) time at rest, s; changed.
+        remembered: (W, N) number of cached impulses; changed.
     """
     for w in range(mask.shape[0]):
         any_moved = False

@@ -1,4 +1,4 @@
-"""Order of the drones of a world by place, so that their numbers do not matter."""
+"""Sort the drones of a world by position, so that results do not depend on their indices."""
 
 import numpy as np
 
@@ -6,13 +6,8 @@ from bulletuav.compiled.kernel import func
 
 
 @func
-def _is_before(
-    position: np.ndarray,
-    w: int,
-    i: int,
-    j: int,
-) -> bool:
-    """Tell whether drone i comes before drone j by x, then y, then z."""
+def _is_before(position: np.ndarray, w: int, i: int, j: int) -> bool:
+    """Check whether drone i comes before drone j by x, then y, then z."""
     for k in range(3):
         one = float(position[w, i, k])
         other = float(position[w, j, k])
@@ -22,12 +17,8 @@ def _is_before(
 
 
 @func
-def set_order(
-    order: np.ndarray,
-    position: np.ndarray,
-    w: int,
-) -> None:
-    """Write the drones (N,) of a world in the order of x, then y, then z."""
+def sort_drones(order: np.ndarray, position: np.ndarray, w: int) -> None:
+    """Write the indices (N,) of the drones of a world, sorted by x, then y, then z."""
     for last in range(order.shape[0]):
         i = last
         k = last

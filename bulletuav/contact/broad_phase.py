@@ -1,70 +1,66 @@
-"""Broad phase: which pairs may touch within a substep.
+"""Broad phase: find the pairs that may touch within a substep.
 
-Whoever a pair is, it is told by the numbers of its shapes, see `Scenery`.
+A pair is given by the indices of its two shapes, see `Scenery`.
 """
 
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func
 from bulletuav.compiled.plain import record_type
-from bulletuav.contact.motion import put_vector, vector
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.motion import read_vec3, write_vec3
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
 from bulletuav.geometry.closest_approach import closest_squared
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
 
-SLACK = 2e-3
-"""Metres beyond its way within which a drone's pairs are collected"""
+PAIR_MARGIN = 2e-3
+"""Distance beyond the path of a drone within which its pairs are collected, m"""
 ORIGIN = (0.0, 0.0, 0.0)
 
 PAIR = record_type(
     [
         ("a", "i8"),
         ("b", "i8"),
-        ("time", "f8"),
+        ("impact_time", "f8"),
         ("normal", "f8", 3),
-        ("floor", "f8"),
-        ("held", "?"),
-        ("near", "?"),
-        ("knot", "?"),
-        ("leans", "?"),
-        ("joins", "?"),
+        ("target_distance", "f8"),
+        ("has_touched", "?"),
+        ("in_contact", "?"),
+        ("is_segment_end", "?"),
+        ("is_on_sleeper", "?"),
+        ("in_impact", "?"),
     ],
     align=True,
 )
 """A pair of shapes in one world.
 
 Attributes:
-    a: Number of a drone.
-    b: Number of the other shape.
-    time: Share of the substep at which they touch next; NEVER for not.
-    normal: Direction of their last separation, or zeros.
-    floor: Distance at which they count as touching next, m.
-    held: Whether they touched already in this substep.
-    near: Whether they were in touch when this time was found, even if they do not come closer.
-    knot: Whether they do not touch at `time`, but one of them flies on about another axis.
-    leans: Whether a lies on b, who sleeps and bears it.
-    joins: Whether it is in touch in the present impact.
+    a: Shape index of a drone.
+    b: Index of the other shape.
+    impact_time: Fraction of the substep of the next impact; `NO_IMPACT` for none.
+    normal: Direction of the last separation, or zeros.
+    target_distance: Distance at which the pair counts as touching next, m.
+    has_touched: Whether the pair touched already in this substep.
+    in_contact: Whether the pair was in contact when this time was found, even if it does not
+        approach.
+    is_segment_end: Whether there is no impact at `impact_time`, but the end of a path segment of
+        a drone that rotates fast.
+    is_on_sleeper: Whether a rests on b, a sleeping drone that acts as a static body.
+    in_impact: Whether the pair is in contact in the present impact.
 """
 
 
 @allocating
-def _with_pair(
-    pairs: np.ndarray,
-    count: int,
-    first: int,
-    a: int,
-    b: int,
-) -> tuple[np.ndarray, int]:
+def _add_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tuple[np.ndarray, int]:
     """Add a pair unless it is among those from `first` on; returns the pairs and their number."""
     for p in range(first, count):
         same = pairs[p].a == a and pairs[p].b == b
         if same or (pairs[p].b == a and pairs[p].a == b):
             return pairs, count
     if count == pairs.shape[0]:
-        # One by one, which compiles in a quarter of the time
+        # A loop over rows compiles in a quarter of the time
         wider = np.empty(2 * count, dtype=PAIR)
         for p in range(count):
             wider[p] = pairs[p]
@@ -72,25 +68,20 @@ def _with_pair(
     pair = pairs[count]
     pair.a = a
     pair.b = b
-    pair.time = 0.0
-    put_vector(pair.normal, ORIGIN)
-    pair.floor = TOUCH
-    pair.held = False
-    pair.near = False
-    pair.knot = False
-    pair.leans = False
-    pair.joins = False
+    pair.impact_time = 0.0
+    write_vec3(pair.normal, ORIGIN)
+    pair.target_distance = CONTACT_DISTANCE
+    pair.has_touched = False
+    pair.in_contact = False
+    pair.is_segment_end = False
+    pair.is_on_sleeper = False
+    pair.in_impact = False
     return pairs, count + 1
 
 
 @func
-def body_distance(
-    scenery: Scenery,
-    w: int,
-    k: int,
-    place: Vec3,
-) -> float:
-    """Return a lower bound of the distance of a point from body piece k of a world, m."""
+def bound_body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
+    """Return a lower bound of the distance of a point from body k of a world, m."""
     table = scenery.table
     s = scenery.first_body + k
     here = to_body(quat4(scenery.quaternion, w, k), minus(place, vec3(scenery.place, w, k)))
@@ -99,17 +90,13 @@ def body_distance(
 
 
 @func
-def piece_distance(
-    city_grid: CityGrid,
-    p: int,
-    place: Vec3,
-) -> float:
-    """Return the distance of a point from the bounding box of a city's piece, m."""
+def compute_piece_distance(city_grid: CityGrid, p: int, place: Vec3) -> float:
+    """Return the distance of a point from the bounding box of a building piece, m."""
     return distance_from_box(place, point(city_grid.low, p), point(city_grid.high, p))
 
 
 @allocating
-def collect(
+def collect_pairs(
     scenery: Scenery,
     motions: np.ndarray,
     alive: np.ndarray,
@@ -121,33 +108,33 @@ def collect(
     pairs: np.ndarray,
     count: int,
 ) -> tuple[np.ndarray, int]:
-    """Add the pairs of a drone with all that is within its reach.
+    """Add the pairs of a drone with all shapes within its reach.
 
     Args:
-        scenery: What stands.
-        motions: (N,) rows of `MOTION`; start, reach and due are read.
+        scenery: All shapes.
+        motions: (N,) rows of `MOTION`; `start_position`, `reach` and `is_due` are read.
         alive: (W, N) bool, drones that can be touched.
-        w: The world.
-        order: (N,) drones of the world by x, then y, then z.
-        rank: Place of the drone in `order`. Drones of lower rank that are due met it in their turn.
-        again: Whether it was its turn before in this substep.
-        speed: How far the fastest obstacle gets in the substep, m.
+        w: Index of the world.
+        order: (N,) drones of the world sorted by x, then y, then z.
+        rank: Position of the drone in `order`. Pairs with due drones of lower rank exist already.
+        again: True if pairs of the drone were collected before in this substep.
+        speed: Displacement of the fastest obstacle in the substep, m.
         pairs: Rows of `PAIR` that were found before.
-        count: Their number.
+        count: Number of these pairs.
 
     Returns:
         The pairs, perhaps in a larger array, and their number.
     """
     i = order[rank]
-    here = vector(motions[i].start)
-    far = scenery.table.radius[i] + motions[i].reach + TOUCH
+    here = read_vec3(motions[i].start_position)
+    far = scenery.table.radius[i] + motions[i].reach + CONTACT_DISTANCE
     known = 0 if again else count
-    # What does not fly: ground, bodies and pieces of the city
+    # Static shapes: ground, bodies and building pieces
     if here[2] < far:
-        pairs, count = _with_pair(pairs, count, known, i, scenery.ground)
+        pairs, count = _add_pair(pairs, count, known, i, scenery.ground)
     for k in range(scenery.place.shape[1]):
-        if body_distance(scenery, w, k, here) < far + speed:
-            pairs, count = _with_pair(pairs, count, known, i, scenery.first_body + k)
+        if bound_body_distance(scenery, w, k, here) < far + speed:
+            pairs, count = _add_pair(pairs, count, known, i, scenery.first_body + k)
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
     if layout != NO_LAYOUT:
@@ -159,44 +146,39 @@ def collect(
                 cell = column * city_grid.cells + row
                 for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
                     p = city_grid.item[m]
-                    if piece_distance(city_grid, p, here) < far:
+                    if compute_piece_distance(city_grid, p, here) < far:
                         other = scenery.first_piece + p
-                        pairs, count = _with_pair(pairs, count, known, i, other)
-    # Drones in the order of their places, the lower one first
+                        pairs, count = _add_pair(pairs, count, known, i, other)
+    # Other drones in sorted order; the drone of lower rank is a
     for place in range(order.shape[0]):
         j = order[place]
-        met = motions[j].due and place < rank and not again
-        if j == i or not alive[w, j] or met:
+        is_paired = motions[j].is_due and place < rank and not again
+        if j == i or not alive[w, j] or is_paired:
             continue
-        gap = minus(vector(motions[j].start), here)
+        between = minus(read_vec3(motions[j].start_position), here)
         within = far + scenery.table.radius[j] + motions[j].reach
-        if dot(gap, gap) < within * within:
+        if dot(between, between) < within * within:
             if place < rank:
-                pairs, count = _with_pair(pairs, count, known, j, i)
+                pairs, count = _add_pair(pairs, count, known, j, i)
             else:
-                pairs, count = _with_pair(pairs, count, known, i, j)
+                pairs, count = _add_pair(pairs, count, known, i, j)
     return pairs, count
 
 
 @func
-def sweeps_apart(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    a: int,
-    b: int,
-    dt: float,
+def are_swept_bounds_apart(
+    scenery: Scenery, motions: np.ndarray, w: int, a: int, b: int, dt: float
 ) -> bool:
-    """Tell whether the bounding volumes of a pair stay apart on their ways."""
+    """Check whether the bounding volumes of a pair stay apart along their paths."""
     table = scenery.table
-    here = vector(motions[a].position)
-    move = vector(motions[a].move)
-    margin = table.radius[a] + TOUCH
+    here = read_vec3(motions[a].position)
+    move = read_vec3(motions[a].displacement)
+    margin = table.radius[a] + CONTACT_DISTANCE
     if b < scenery.first_body:
-        # Both move straight, but from times of their own: take the boxes of their ways
-        there = vector(motions[b].position)
-        other = vector(motions[b].move)
-        if motions[a].time == motions[b].time and motions[a].until == motions[b].until:
+        # Both move straight; if their segments start at different times, use bounding boxes
+        there = read_vec3(motions[b].position)
+        other = read_vec3(motions[b].displacement)
+        if motions[a].time == motions[b].time and motions[a].end_time == motions[b].end_time:
             before = minus(there, here)
             after = (
                 before[0] + other[0] - move[0],
@@ -221,19 +203,15 @@ def sweeps_apart(
         where = vec3(scenery.place, w, k)
         drift = vec3(scenery.velocity, w, k)
         begun = motions[a].time * dt
-        rest = (motions[a].until - motions[a].time) * dt
+        rest = (motions[a].end_time - motions[a].time) * dt
         before = (
             here[0] - where[0] - begun * drift[0],
             here[1] - where[1] - begun * drift[1],
             here[2] - where[2] - begun * drift[2],
         )
-        change = (
-            move[0] - rest * drift[0],
-            move[1] - rest * drift[1],
-            move[2] - rest * drift[2],
-        )
+        change = (move[0] - rest * drift[0], move[1] - rest * drift[1], move[2] - rest * drift[2])
         turn = quat4(scenery.quaternion, w, k)
-        return _passes_box(table.middle[b], table.half[b], margin, turn, before, change)
+        return _is_sweep_clear_of_box(table.middle[b], table.half[b], margin, turn, before, change)
     p = b - scenery.first_piece
     city_grid = scenery.city_grid
     for k in range(3):
@@ -245,7 +223,7 @@ def sweeps_apart(
 
 
 @func
-def _passes_box(
+def _is_sweep_clear_of_box(
     middle: np.ndarray,
     half: np.ndarray,
     margin: float,
@@ -253,7 +231,7 @@ def _passes_box(
     start: Vec3,
     change: Vec3,
 ) -> bool:
-    """Tell whether the box about a straight way, in body axes, stays off a box by a margin."""
+    """Check whether the box around a straight path, in body axes, keeps a margin to a box."""
     begin = to_body(turn, start)
     moved = to_body(turn, change)
     for k in range(3):

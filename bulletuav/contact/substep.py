@@ -1,0 +1,353 @@
+"""Contacts of one world within a substep, in order of time.
+
+A substep is flown without contacts first. Drones that would touch something are then advanced to
+the time of impact; all drones that are connected by contacts at that time (an island) are solved
+together; and they move on for the rest of the substep. Shapes closer than `CONTACT_DISTANCE` are in
+contact, so that they do not overlap.
+"""
+
+import math
+
+import numpy as np
+from numba import types
+
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import allocating, func, kernel
+from bulletuav.contact.broad_phase import PAIR_MARGIN, are_swept_bounds_apart, collect_pairs
+from bulletuav.contact.clamping import stop_at_contact
+from bulletuav.contact.contact_log import ContactLog
+from bulletuav.contact.impact import apply_forces, resolve_impact
+from bulletuav.contact.islands import add_to_island
+from bulletuav.contact.manifold import ContactWorkspace, ContactWorld
+from bulletuav.contact.motion import (
+    compute_path_rates,
+    get_segment_end,
+    is_at_impact_limit,
+    read_vec3,
+    start_motion,
+    start_segment,
+    write_end_state,
+    write_vec3,
+)
+from bulletuav.contact.motion_bounds import are_bounds_clear, compute_budget, share_budgets
+from bulletuav.contact.sorting import sort_drones
+from bulletuav.contact.time_of_impact import CONTACT_DISTANCE, NO_IMPACT, find_time_of_impact
+from bulletuav.geometry.rotation import dot, minus, plus, vec3
+from bulletuav.vehicle.swarm import Swarm
+
+
+@deferred(types.none)
+@kernel
+def _start_drone_motion(space: ContactWorkspace, world: ContactWorld, end: Swarm, i: int) -> None:
+    """Start the motion of a drone that may touch something, unless it is started already."""
+    if i < world.scenery.first_body and not space.motions[i].is_started:
+        row = world.parameters[world.w, i]
+        start_motion(space.motions[i], world.start, end, world.w, i, row, world.dt)
+        space.motions[i].is_static = world.asleep[world.w, i]
+        for k in range(3):
+            space.motions[i].load[0, k] = space.motions[i].load[1, k] = 0.0
+
+
+@func
+def _is_pair_finished(space: ContactWorkspace, world: ContactWorld, pair: np.record) -> bool:
+    """Check whether a pair needs no further time of impact in this substep.
+
+    Drones at the impact limit are clamped, or move with an obstacle, and take along other such
+    drones that they come to. Pairs of such bodies are finished unless one moves relative to the
+    other. A drone that moves with an obstacle is not tested against other obstacles.
+    """
+    motions = space.motions
+    if not is_at_impact_limit(motions[pair.a]):
+        return False
+    if pair.b < motions.shape[0] and not is_at_impact_limit(motions[pair.b]):
+        return False
+    if world.stops:
+        return True
+    way, _ = compute_path_rates(world.scenery, motions, world.w, pair.a, world.dt)
+    other, _ = compute_path_rates(world.scenery, motions, world.w, pair.b, world.dt)
+    relative = minus(way, other)
+    is_carried = pair.b >= motions.shape[0] and way != (0.0, 0.0, 0.0)
+    return is_carried or dot(relative, relative) < CONTACT_DISTANCE * CONTACT_DISTANCE
+
+
+@kernel
+def _update_time_of_impact(
+    space: ContactWorkspace, world: ContactWorld, pair: np.record, start: float
+) -> None:
+    """Find the next time of impact of a pair."""
+    motions = space.motions
+    pair.impact_time = NO_IMPACT
+    pair.is_segment_end = False
+    pair.in_contact = False
+    if _is_pair_finished(space, world, pair):
+        return
+    if not are_swept_bounds_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
+        pair.impact_time, normal, pair.in_contact = find_time_of_impact(
+            world.scenery,
+            motions,
+            world.w,
+            pair.a,
+            pair.b,
+            start,
+            pair.target_distance,
+            pair.has_touched,
+            world.dt,
+            read_vec3(pair.normal),
+            space.scratch,
+            world.stops,
+        )
+        write_vec3(pair.normal, normal)
+    if pair.impact_time == NO_IMPACT:
+        end = get_segment_end(world.scenery, motions, pair.a)
+        end = min(end, get_segment_end(world.scenery, motions, pair.b))
+        if end < 1.0:
+            pair.impact_time = end
+            pair.is_segment_end = True
+
+
+@func
+def _find_first_pair(pairs: np.ndarray, count: int) -> int:
+    """Return the pair with the earliest event (the first of several), or -1 if there is none."""
+    first = -1
+    time = NO_IMPACT
+    for p in range(count):
+        if pairs[p].impact_time < time:
+            first = p
+            time = pairs[p].impact_time
+    return first
+
+
+@func
+def _compute_distance(one: np.ndarray, two: np.ndarray, w: int, i: int) -> float:
+    """Return the distance of drone i in one array (W, N, 3) from its position in another, m."""
+    way = minus(vec3(one, w, i), vec3(two, w, i))
+    return math.sqrt(dot(way, way))
+
+
+@func
+def _set_reach(
+    space: ContactWorkspace, world: ContactWorld, end: Swarm, budget: np.ndarray
+) -> None:
+    """Set how far drones move in the substep, and which of them are due.
+
+    A drone is due if its budget is used up, or would be after one more such substep: one check then
+    serves both.
+    """
+    w = world.w
+    for i in range(budget.shape[1]):
+        motion = space.motions[i]
+        motion.is_started = False
+        motion.is_due = False
+        motion.reach = PAIR_MARGIN
+        if world.alive[w, i] and not world.asleep[w, i]:
+            motion.reach += _compute_distance(end.position, world.start.position, w, i)
+            motion.is_due = budget[w, i] < motion.reach
+
+
+@allocating
+def _collect_drone_pairs(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    end: Swarm,
+    order: np.ndarray,
+    rank: int,
+    again: bool,
+    pairs: np.ndarray,
+    count: int,
+) -> tuple[np.ndarray, int]:
+    """Collect the pairs of one drone and start the motions of their drones; see `collect_pairs`."""
+    old = count
+    pairs, count = collect_pairs(
+        world.scenery,
+        space.motions,
+        world.alive,
+        world.w,
+        order,
+        rank,
+        again,
+        world.speed,
+        pairs,
+        count,
+    )
+    for p in range(old, count):
+        _start_drone_motion(space, world, end, pairs[p].a)
+        _start_drone_motion(space, world, end, pairs[p].b)
+    return pairs, count
+
+
+@allocating
+def find_pairs(
+    space: ContactWorkspace, world: ContactWorld, end: Swarm, order: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Collect the pairs of all due drones, and of sleeping drones within their reach."""
+    motions = space.motions
+    for i in range(order.shape[0]):
+        motions[i].in_island = False
+        write_vec3(motions[i].start_position, vec3(world.start.position, world.w, i))
+    pairs = space.pairs
+    count = 0
+    for rank in range(order.shape[0]):
+        if motions[order[rank]].is_due:
+            pairs, count = _collect_drone_pairs(space, world, end, order, rank, False, pairs, count)
+    # A touched sleeping drone is held by its support, which may be another sleeping drone
+    grown = True
+    while grown:
+        grown = False
+        for rank in range(order.shape[0]):
+            motion = motions[order[rank]]
+            if motion.is_started and not motion.is_due and world.asleep[world.w, order[rank]]:
+                motion.is_due = True
+                pairs, count = _collect_drone_pairs(
+                    space, world, end, order, rank, True, pairs, count
+                )
+                grown = True
+    return pairs, count
+
+
+@allocating
+def _extend_pairs(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    end: Swarm,
+    order: np.ndarray,
+    pairs: np.ndarray,
+    count: int,
+) -> tuple[np.ndarray, int]:
+    """Collect pairs again for drones whose new path leaves the distance that was searched."""
+    for rank in range(order.shape[0]):
+        motion = space.motions[order[rank]]
+        if not motion.in_island:
+            continue
+        here = minus(read_vec3(motion.position), read_vec3(motion.start_position))
+        there = plus(here, 1.0, read_vec3(motion.displacement))
+        way = math.sqrt(max(dot(here, here), dot(there, there)))
+        if way > motion.reach or not motion.is_due:
+            motion.reach = max(motion.reach, 1.5 * way + PAIR_MARGIN)
+            motion.is_due = True
+            pairs, count = _collect_drone_pairs(space, world, end, order, rank, True, pairs, count)
+    return pairs, count
+
+
+@func
+def _start_next_segment(space: ContactWorkspace, world: ContactWorld, pair: np.record) -> int:
+    """Start the next path segment of the drones of a pair whose segment ends.
+
+    Returns the number of these drones; their indices are in `space.island`.
+    """
+    members = 0
+    for shape in (pair.a, pair.b):
+        if get_segment_end(world.scenery, space.motions, shape) <= pair.impact_time:
+            members = add_to_island(space, world, members, shape, pair.impact_time)
+    apply_forces(space, members, pair.impact_time, 1.0)
+    for m in range(members):
+        i = space.island[m]
+        start_segment(space.motions[i], world.dt, world.parameters[world.w, i])
+    apply_forces(space, members, pair.impact_time, -1.0)
+    return members
+
+
+@allocating
+def _resolve_due_drones(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    end: Swarm,
+    stopped: np.ndarray,
+    changed: np.ndarray,
+    touches: ContactLog,
+) -> bool:
+    """Find the pairs of due drones and resolve their impacts in order of time."""
+    order = space.order
+    pairs, count = find_pairs(space, world, end, order)
+    if count == 0:
+        return False
+    return _resolve_pairs(space, world, end, pairs, count, stopped, changed, touches)
+
+
+@deferred(types.boolean)
+@allocating
+def _resolve_pairs(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    end: Swarm,
+    pairs: np.ndarray,
+    count: int,
+    stopped: np.ndarray,
+    changed: np.ndarray,
+    touches: ContactLog,
+) -> bool:
+    """Resolve the impacts of pairs in order of time; returns whether there was any."""
+    w = world.w
+    motions = space.motions
+    order = space.order
+    for p in range(count):
+        _update_time_of_impact(space, world, pairs[p], 0.0)
+    any_impact = False
+    while True:
+        first = _find_first_pair(pairs, count)
+        if first < 0:
+            break
+        time = pairs[first].impact_time
+        knot = pairs[first].is_segment_end
+        if knot:
+            members = _start_next_segment(space, world, pairs[first])
+        elif world.stops:
+            members = stop_at_contact(space, world, pairs[first], time, touches, stopped)
+        else:
+            members = resolve_impact(space, world, pairs, count, first, time, touches)
+        pairs, count = _extend_pairs(space, world, end, order, pairs, count)
+        for p in range(count):
+            b = pairs[p].b
+            if motions[pairs[p].a].in_island or (b < motions.shape[0] and motions[b].in_island):
+                _update_time_of_impact(space, world, pairs[p], time)
+        for m in range(members):
+            i = space.island[m]
+            motions[i].in_island = False
+            changed[w, i] = changed[w, i] or not knot
+        any_impact = any_impact or not knot
+    return any_impact
+
+
+@kernel
+def resolve_contacts(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    end: Swarm,
+    budget: np.ndarray,
+    turns: np.ndarray,
+    stopped: np.ndarray,
+    changed: np.ndarray,
+    touches: ContactLog,
+) -> bool:
+    """Detect and resolve the contacts of one world in a substep.
+
+    Args:
+        space: Arrays to work on.
+        world: The world, with the state at the beginning of the substep.
+        end: State at the end of the substep as flown without contacts; changed.
+        budget: (W, N) distance that each drone may move before it is checked, m; changed.
+        turns: (W, N) bool, drones whose rotation uses up their budget; changed.
+        stopped: (W, N) bool, drones that stopped; changed.
+        changed: (W, N) bool, drones whose state was changed; changed.
+        touches: Contacts of the decision; added to.
+
+    Returns:
+        True if there was any impact.
+    """
+    w = world.w
+    order = space.order
+    _set_reach(space, world, end, budget)
+    sort_drones(order, world.start.position, w)
+    any_impact = False
+    if not are_bounds_clear(space, world, end, budget, turns):
+        any_impact = _resolve_due_drones(space, world, end, stopped, changed, touches)
+        for i in range(changed.shape[1]):
+            if changed[w, i]:
+                write_end_state(space.motions[i], end, w, i, world.parameters[w, i])
+            if space.motions[i].is_due and world.alive[w, i]:
+                budget[w, i] = compute_budget(world.scenery, end, turns, w, i)
+    for rank in range(order.shape[0]):
+        i = order[rank]
+        if space.motions[i].is_due and world.alive[w, i]:
+            share_budgets(world.scenery, end, world.alive, budget, order, w, i)
+            budget[w, i] -= world.speed
+    return any_impact
