@@ -35,11 +35,7 @@ def offsets(position: np.ndarray) -> np.ndarray:
     return difference
 
 
-def in_cylinder(
-    offset: np.ndarray,
-    horizontal: float,
-    vertical: float,
-) -> np.ndarray:
+def in_cylinder(offset: np.ndarray, horizontal: float, vertical: float) -> np.ndarray:
     """Tell whether both separations are below their limits, as air traffic counts conflicts.
 
     Args:
@@ -76,11 +72,7 @@ def closest_point_of_approach(
     return time, np.linalg.norm(offset + velocity * time[..., None], axis=-1)
 
 
-def time_to_conflict(
-    offset: np.ndarray,
-    velocity: np.ndarray,
-    d_safe: float,
-) -> np.ndarray:
+def time_to_conflict(offset: np.ndarray, velocity: np.ndarray, d_safe: float) -> np.ndarray:
     """Return when the distance of two drones that fly straight on falls below `d_safe`.
 
     Args:
@@ -105,9 +97,7 @@ def time_to_conflict(
 
 
 def conflict_probability(
-    offset: np.ndarray,
-    sigma: np.ndarray | float,
-    d_safe: float,
+    offset: np.ndarray, sigma: np.ndarray | float, d_safe: float
 ) -> np.ndarray:
     """Return the probability that two drones are closer than `d_safe`.
 
@@ -144,10 +134,7 @@ def conflict_probability(
 
 
 def conflict_probability_of(
-    offset: np.ndarray,
-    covariance: np.ndarray,
-    d_safe: float,
-    tolerance: float = 1e-9,
+    offset: np.ndarray, covariance: np.ndarray, d_safe: float, tolerance: float = 1e-9
 ) -> np.ndarray:
     """Return the probability that two drones are closer than `d_safe`, for any normal error.
 
@@ -219,10 +206,7 @@ def _refuse_unless_positive(name: str, value: np.ndarray | float) -> None:
 
 @kernel
 def _fill_ball_probability(
-    mean: np.ndarray,
-    variance: np.ndarray,
-    tolerance: float,
-    out: np.ndarray,
+    mean: np.ndarray, variance: np.ndarray, tolerance: float, out: np.ndarray
 ) -> None:
     """Fill `out` (M,) for means (M, 3) and variances (M, 3) along the principal axes."""
     for k in range(len(out)):
@@ -231,11 +215,7 @@ def _fill_ball_probability(
 
 
 @func
-def _ball_probability(
-    square: Vec3,
-    variance: Vec3,
-    tolerance: float,
-) -> float:
+def _ball_probability(square: Vec3, variance: Vec3, tolerance: float) -> float:
     """Return the probability of the unit ball under a normal distribution.
 
     Given are its squared means and its variances along the principal axes. NaN if no two sums
@@ -290,13 +270,7 @@ def _saddle(square: Vec3, variance: Vec3) -> tuple[float, float]:
 
 
 @func
-def _term(
-    t: float,
-    saddle: float,
-    width: float,
-    square: Vec3,
-    variance: Vec3,
-) -> complex:
+def _term(t: float, saddle: float, width: float, square: Vec3, variance: Vec3) -> complex:
     """Return the integrand at z(t) on the hyperbola; its real part counts.
 
     It is exp(z) E exp(-z Q) / z dz/dt / (pi i), where Q is the squared distance.

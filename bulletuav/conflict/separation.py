@@ -86,11 +86,7 @@ def fill_conflict(
 
 
 def conflict(
-    before: np.ndarray,
-    after: np.ndarray,
-    alive: np.ndarray,
-    d_safe: float,
-    zone: float,
+    before: np.ndarray, after: np.ndarray, alive: np.ndarray, d_safe: float, zone: float
 ) -> Conflict:
     """Measure separations while all drones go straight from one position to the next.
 

@@ -7,11 +7,7 @@ from bulletuav.errors import numbers_of
 
 
 def values_of(
-    name: str,
-    value: ArrayLike,
-    unit: str,
-    least: float = -np.inf,
-    most: float = np.inf,
+    name: str, value: ArrayLike, unit: str, least: float = -np.inf, most: float = np.inf
 ) -> np.ndarray:
     """Check that a value is finite numbers within bounds.
 
@@ -37,11 +33,7 @@ def values_of(
     return array
 
 
-def vectors_of(
-    name: str,
-    value: ArrayLike,
-    entries: str,
-) -> np.ndarray:
+def vectors_of(name: str, value: ArrayLike, entries: str) -> np.ndarray:
     """Check that a value is finite vectors along its last axis.
 
     Args:

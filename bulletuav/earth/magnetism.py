@@ -163,10 +163,7 @@ def magnetic_field(
 
 
 def _geocentric_field(
-    latitude: np.ndarray,
-    longitude: np.ndarray,
-    radius: np.ndarray,
-    years: float,
+    latitude: np.ndarray, longitude: np.ndarray, radius: np.ndarray, years: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add up the harmonics: minus the gradient of the potential of Alken et al., equation 1.
 
@@ -222,11 +219,7 @@ def _at(
 
 
 def _next_legendre(
-    degree: int,
-    sine: np.ndarray,
-    cosine: np.ndarray,
-    last: np.ndarray,
-    before: np.ndarray,
+    degree: int, sine: np.ndarray, cosine: np.ndarray, last: np.ndarray, before: np.ndarray
 ) -> np.ndarray:
     """Find Schmidt's semi-normalised Legendre functions from those of the two degrees below.
 

@@ -95,11 +95,7 @@ def _height_range(solids: Solids) -> tuple[float, float]:
 
 @func
 def reached(
-    city_grid: CityGrid,
-    west: float,
-    east: float,
-    south: float,
-    north: float,
+    city_grid: CityGrid, west: float, east: float, south: float, north: float
 ) -> tuple[int, int, int, int]:
     """Return the cells that a rectangle touches; none where it lies outside the grid.
 
@@ -124,12 +120,7 @@ def reached(
 
 
 @func
-def _is_apart(
-    city_grid: CityGrid,
-    p: int,
-    low: Vec3Like,
-    high: Vec3Like,
-) -> bool:
+def _is_apart(city_grid: CityGrid, p: int, low: Vec3Like, high: Vec3Like) -> bool:
     """Tell whether the bounding box of piece p and the box between two corners do not overlap."""
     # Boxes are apart if they are along any of the axes
     apart: bool = (
@@ -144,12 +135,7 @@ def _is_apart(
 
 
 @func
-def meets(
-    city_grid: CityGrid,
-    w: int,
-    low: Vec3Like,
-    high: Vec3Like,
-) -> bool:
+def meets(city_grid: CityGrid, w: int, low: Vec3Like, high: Vec3Like) -> bool:
     """Tell whether a box overlaps the bounding box of a piece that stands in a world.
 
     Args:

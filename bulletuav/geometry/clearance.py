@@ -16,12 +16,7 @@ NO_GUESS = (0.0, 0.0, 0.0)
 
 @func
 def _is_first_cell(
-    city_grid: CityGrid,
-    p: int,
-    left: int,
-    bottom: int,
-    column: int,
-    row: int,
+    city_grid: CityGrid, p: int, left: int, bottom: int, column: int, row: int
 ) -> bool:
     """Tell whether a cell is the first one of piece p among those from `left` and `bottom` on."""
     low = point(city_grid.low, p)

@@ -10,24 +10,13 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, minus, vec3
 
 
 @func
-def offset(
-    position: np.ndarray,
-    w: int,
-    i: int,
-    j: int,
-) -> Vec3:
+def offset(position: np.ndarray, w: int, i: int, j: int) -> Vec3:
     """Return the vector from point i to point j of world w of `position` (W, N, 3)."""
     return minus(vec3(position, w, j), vec3(position, w, i))
 
 
 @func
-def keep_nearest(
-    near: np.ndarray,
-    distance: np.ndarray,
-    found: int,
-    j: int,
-    gap: float,
-) -> int:
+def keep_nearest(near: np.ndarray, distance: np.ndarray, found: int, j: int, gap: float) -> int:
     """Insert a point into a list of the nearest ones, if there is room for it.
 
     Args:
@@ -66,11 +55,7 @@ def distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def fill_distances(
-    one: np.ndarray,
-    two: np.ndarray,
-    result: np.ndarray,
-) -> None:
+def fill_distances(one: np.ndarray, two: np.ndarray, result: np.ndarray) -> None:
     """Write what `distances` returns to `result` (W, N)."""
     for w in range(one.shape[0]):
         for i in range(one.shape[1]):

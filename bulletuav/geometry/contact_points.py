@@ -78,12 +78,7 @@ def _cut(
 
 @func
 def _clip(
-    room: np.ndarray,
-    count: int,
-    column: int,
-    sides: int,
-    others: int,
-    sign: float,
+    room: np.ndarray, count: int, column: int, sides: int, others: int, sign: float
 ) -> tuple[int, int]:
     """Keep the part of a polygon or line over or under another polygon.
 
@@ -150,12 +145,7 @@ def _lines_meet(room: np.ndarray, beside: float) -> int:
 
 @func
 def _heights(
-    room: np.ndarray,
-    count: int,
-    source: int,
-    corner: Vec3,
-    normal: Vec3,
-    axes: Turn,
+    room: np.ndarray, count: int, source: int, corner: Vec3, normal: Vec3, axes: Turn
 ) -> None:
     """Put how high a face is at the corners of a polygon into scratch."""
     along = dot(normal, axes[2])
@@ -168,11 +158,7 @@ def _heights(
 
 
 @func
-def _is_new(
-    points: np.ndarray,
-    count: int,
-    place: Vec3,
-) -> bool:
+def _is_new(points: np.ndarray, count: int, place: Vec3) -> bool:
     """Return whether a place is none of those that are already there."""
     for m in range(count):
         way = minus(place, point(points, m))
@@ -183,12 +169,7 @@ def _is_new(
 
 @func
 def _overlay(
-    room: np.ndarray,
-    count_a: int,
-    count_b: int,
-    face_a: Vec3,
-    face_b: Vec3,
-    axes: Turn,
+    room: np.ndarray, count_a: int, count_b: int, face_a: Vec3, face_b: Vec3, axes: Turn
 ) -> tuple[int, int, float]:
     """Clip two features against each other, of which one at least is a polygon.
 
@@ -206,12 +187,7 @@ def _overlay(
 
 
 @func
-def _put_point(
-    points: np.ndarray,
-    count: int,
-    place: Vec3,
-    distance: float,
-) -> int:
+def _put_point(points: np.ndarray, count: int, place: Vec3, distance: float) -> int:
     """Add a point unless it is already there; return how many there are."""
     if not _is_new(points, count, place):
         return count

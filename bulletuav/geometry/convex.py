@@ -99,11 +99,7 @@ def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, 
     ]
 
 
-def _turning_left(
-    corners: np.ndarray,
-    normal: np.ndarray,
-    face: list[int],
-) -> list[int]:
+def _turning_left(corners: np.ndarray, normal: np.ndarray, face: list[int]) -> list[int]:
     """Order the corners of a face so that they turn left, seen from where its normal points."""
     middle = corners[face].mean(axis=0)
     offset = [corners[k] - middle for k in face]
@@ -191,11 +187,7 @@ def holds_origin(hull: Shape) -> bool:
     return min(float(plane[3]) for plane, _ in faces) > 0
 
 
-def insert_shapes(
-    table: ShapeTable,
-    at: int,
-    new: ShapeTable,
-) -> ShapeTable:
+def insert_shapes(table: ShapeTable, at: int, new: ShapeTable) -> ShapeTable:
     """Put the shapes of a table into another one.
 
     Args:
@@ -211,13 +203,7 @@ def insert_shapes(
     plane = int(table.planes[at, 0])
     ring = int(table.rings[plane, 0]) if plane < len(table.rings) else len(table.ring)
 
-    def join(
-        old: np.ndarray,
-        cut: int,
-        inner: np.ndarray,
-        low: int = 0,
-        by: int = 0,
-    ) -> np.ndarray:
+    def join(old: np.ndarray, cut: int, inner: np.ndarray, low: int = 0, by: int = 0) -> np.ndarray:
         return np.concatenate([old[:cut], inner + low, old[cut:] + by])
 
     corners, planes, rings = len(new.corner), len(new.plane), len(new.ring)
@@ -236,11 +222,7 @@ def insert_shapes(
 
 
 @func
-def _farthest(
-    table: ShapeTable,
-    s: int,
-    d: Vec3Like,
-) -> Vec3:
+def _farthest(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
     """Return the corner of a hull that is farthest along a direction, the first of several."""
     best = table.corners[s, 0]
     most = -np.inf
@@ -253,11 +235,7 @@ def _farthest(
 
 
 @kernel
-def support(
-    table: ShapeTable,
-    s: int,
-    d: Vec3Like,
-) -> Vec3:
+def support(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
     """Return a point of shape s that is farthest along a direction.
 
     Args:

@@ -30,12 +30,7 @@ Feature = tuple[bool, Vec3, Vec3, float]
 
 
 @func
-def _feature(
-    table: ShapeTable,
-    s: int,
-    turn: Turn,
-    place: Vec3,
-) -> Feature:
+def _feature(table: ShapeTable, s: int, turn: Turn, place: Vec3) -> Feature:
     """Tell on which feature of a shape a point lies, both from its position, world axes."""
     kind = table.kind[s]
     # A sphere is a point, swollen: no edge and no rim
@@ -73,11 +68,7 @@ def off(edge: Vec3, v: Vec3) -> Vec3:
 
 
 @func
-def _bend(
-    feature: Feature,
-    d: Vec3,
-    moved: Vec3,
-) -> Vec3:
+def _bend(feature: Feature, d: Vec3, moved: Vec3) -> Vec3:
     """Return how the farthest point of a rim along d moves when d changes by `moved`."""
     _, _, axis, radius = feature
     if radius == 0.0:
@@ -100,13 +91,7 @@ def _flat(feature: Feature, d: Vec3) -> bool:
 
 @func
 def ends(
-    table: ShapeTable,
-    a: int,
-    turn_a: Turn,
-    b: int,
-    turn_b: Turn,
-    offset: Vec3,
-    d: Vec3,
+    table: ShapeTable, a: int, turn_a: Turn, b: int, turn_b: Turn, offset: Vec3, d: Vec3
 ) -> tuple[Vec3, Vec3, Vec3]:
     """Return the points of a and b that are nearest along a direction, and the way from b's to a's.
 
@@ -119,13 +104,7 @@ def ends(
 
 @func
 def _reach(
-    table: ShapeTable,
-    a: int,
-    turn_a: Turn,
-    b: int,
-    turn_b: Turn,
-    offset: Vec3,
-    d: Vec3,
+    table: ShapeTable, a: int, turn_a: Turn, b: int, turn_b: Turn, offset: Vec3, d: Vec3
 ) -> tuple[float, Vec3]:
     """Return how far shapes are apart along a direction, and the way between their points, m."""
     _, _, way = ends(table, a, turn_a, b, turn_b, offset, d)
@@ -133,12 +112,7 @@ def _reach(
 
 
 @func
-def along_crossing(
-    one: Vec3,
-    two: Vec3,
-    square: float,
-    way: Vec3,
-) -> tuple[float, float]:
+def along_crossing(one: Vec3, two: Vec3, square: float, way: Vec3) -> tuple[float, float]:
     """Return how far points on two lines that cross are from where the lines are nearest, m.
 
     Args:
@@ -337,14 +311,7 @@ def sharpened(
 
 
 @func
-def turning(
-    one: Feature,
-    two: Feature,
-    edge: Vec3,
-    d: Vec3,
-    moved: Vec3,
-    size: float,
-) -> Vec3:
+def turning(one: Feature, two: Feature, edge: Vec3, d: Vec3, moved: Vec3, size: float) -> Vec3:
     """Return how the direction of the way between two features turns when d changes."""
     back = (-d[0], -d[1], -d[2])
     against = (-moved[0], -moved[1], -moved[2])

@@ -48,11 +48,7 @@ def _least_axis(v: Vec3) -> Vec3:
 
 
 @func
-def _spread(
-    room: np.ndarray,
-    count: int,
-    w: Vec3,
-) -> float:
+def _spread(room: np.ndarray, count: int, w: Vec3) -> float:
     """Return how far a point is from the line or the plane of others, times their size."""
     base = row_point(room, 0, 0)
     new = minus(w, base)
@@ -66,11 +62,7 @@ def _spread(
 
 
 @func
-def _way_out(
-    room: np.ndarray,
-    count: int,
-    m: int,
-) -> Vec3:
+def _way_out(room: np.ndarray, count: int, m: int) -> Vec3:
     """Return the m-th direction in which to look for a point off the first 1 to 3."""
     sign = 1.0 if m % 2 == 0 else -1.0
     if count == 1:
@@ -123,13 +115,7 @@ def _widen(
 
 
 @func
-def _put_face(
-    room: np.ndarray,
-    row: int,
-    i: int,
-    j: int,
-    k: int,
-) -> None:
+def _put_face(room: np.ndarray, row: int, i: int, j: int, k: int) -> None:
     """Put a triangle into a row: its points turn left seen from outside."""
     base = row_point(room, i, 0)
     normal = cross(minus(row_point(room, j, 0), base), minus(row_point(room, k, 0), base))
@@ -146,12 +132,7 @@ def _put_face(
 
 
 @func
-def _put_edge(
-    room: np.ndarray,
-    edges: int,
-    i: float,
-    j: float,
-) -> int:
+def _put_edge(room: np.ndarray, edges: int, i: float, j: float) -> int:
     """Add an edge of a hole, or cancel it against that of the triangle beyond."""
     for row in range(EDGES, EDGES + edges):
         if room[row, 0] == j and room[row, 1] == i:
@@ -165,11 +146,7 @@ def _put_edge(
 
 
 @func
-def _grow(
-    room: np.ndarray,
-    faces: int,
-    new: int,
-) -> int:
+def _grow(room: np.ndarray, faces: int, new: int) -> int:
     """Replace the triangles that see a new point by those to it.
 
     Returns:
@@ -223,13 +200,7 @@ def _nearest_face(room: np.ndarray, faces: int) -> int:
 
 
 @func
-def _shares(
-    room: np.ndarray,
-    i: int,
-    j: int,
-    k: int,
-    foot: Vec3,
-) -> Vec3:
+def _shares(room: np.ndarray, i: int, j: int, k: int, foot: Vec3) -> Vec3:
     """Return the weights of the corners of a triangle at a point of its plane, none negative."""
     p = row_point(room, i, 0)
     q = row_point(room, j, 0)
@@ -245,14 +216,7 @@ def _shares(
 
 
 @func
-def _mean(
-    room: np.ndarray,
-    i: int,
-    j: int,
-    k: int,
-    shares: Vec3,
-    column: int,
-) -> Vec3:
+def _mean(room: np.ndarray, i: int, j: int, k: int, shares: Vec3, column: int) -> Vec3:
     """Return a weighted mean of three columns of three rows."""
     mean = plus((0.0, 0.0, 0.0), shares[0], row_point(room, i, column))
     mean = plus(mean, shares[1], row_point(room, j, column))
@@ -260,11 +224,7 @@ def _mean(
 
 
 @func
-def _foot_face(
-    room: np.ndarray,
-    faces: int,
-    face: int,
-) -> int:
+def _foot_face(room: np.ndarray, faces: int, face: int) -> int:
     """Return the row of the triangle that the foot of the origin on the plane of one is in.
 
     Triangles of one flat face of the difference lie in one plane: any of them may come first.

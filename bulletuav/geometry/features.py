@@ -28,13 +28,7 @@ RIM_SIN = np.array([sin(2 * math.pi / RIM * k) for k in range(RIM)])
 
 
 @func
-def _put(
-    room: np.ndarray,
-    row: int,
-    column: int,
-    axes: Turn,
-    place: Vec3,
-) -> None:
+def _put(room: np.ndarray, row: int, column: int, axes: Turn, place: Vec3) -> None:
     """Put a place, m from the nearest point on a, into scratch in axes of the contact."""
     room[row, column] = dot(place, axes[0])
     room[row, column + 1] = dot(place, axes[1])
@@ -43,13 +37,7 @@ def _put(
 
 @func
 def _box_face(
-    half: Vec3,
-    turn: Turn,
-    d: Vec3,
-    start: Vec3,
-    axes: Turn,
-    room: np.ndarray,
-    column: int,
+    half: Vec3, turn: Turn, d: Vec3, start: Vec3, axes: Turn, room: np.ndarray, column: int
 ) -> tuple[int, Vec3]:
     """Put the corners of the face of a box that looks most along d; as `put_feature`."""
     local = turned_back(turn, d)

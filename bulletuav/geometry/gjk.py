@@ -37,11 +37,7 @@ def _solve_line(base: Vec3, edge: Vec3) -> float:
 
 
 @func
-def _solve_plane(
-    base: Vec3,
-    one: Vec3,
-    two: Vec3,
-) -> tuple[float, float]:
+def _solve_plane(base: Vec3, one: Vec3, two: Vec3) -> tuple[float, float]:
     """Return the shares of two edges from one point at which their plane is nearest to the origin.
 
     The longer edge comes first (Gram and Schmidt), which keeps thin triangles exact.
@@ -86,11 +82,7 @@ def _solve(room: np.ndarray, count: int) -> None:
 
 
 @func
-def _drop(
-    room: np.ndarray,
-    row: int,
-    last: int,
-) -> None:
+def _drop(room: np.ndarray, row: int, last: int) -> None:
     """Put the last point of a simplex into the row of one that leaves."""
     for k in range(10):
         room[row, k] = room[last, k]
@@ -138,11 +130,7 @@ def _nearest(room: np.ndarray, count: int) -> int:
 
 
 @func
-def _is_there(
-    room: np.ndarray,
-    count: int,
-    w: Vec3,
-) -> bool:
+def _is_there(room: np.ndarray, count: int, w: Vec3) -> bool:
     """Return whether a point is one of the first rows of scratch."""
     for k in range(count):
         if room[k, 0] == w[0] and room[k, 1] == w[1] and room[k, 2] == w[2]:
@@ -151,11 +139,7 @@ def _is_there(
 
 
 @func
-def _weighted(
-    room: np.ndarray,
-    count: int,
-    column: int,
-) -> Vec3:
+def _weighted(room: np.ndarray, count: int, column: int) -> Vec3:
     """Return the weighted mean of the points of a simplex, of three columns from one on."""
     mean = (0.0, 0.0, 0.0)
     for k in range(count):
@@ -164,11 +148,7 @@ def _weighted(
 
 
 @func
-def _facing(
-    room: np.ndarray,
-    count: int,
-    v: Vec3,
-) -> Vec3:
+def _facing(room: np.ndarray, count: int, v: Vec3) -> Vec3:
     """Return the direction of the nearest point of a simplex, also where it is almost the origin.
 
     Rounding bends a short v. The line or plane that it is across is known much better.
@@ -203,11 +183,7 @@ def _facing(
 
 @func
 def _over_plane(
-    table: ShapeTable,
-    a: int,
-    turn_a: Turn,
-    turn_b: Turn,
-    offset: Vec3Like,
+    table: ShapeTable, a: int, turn_a: Turn, turn_b: Turn, offset: Vec3Like
 ) -> tuple[float, Vec3, Vec3, Vec3]:
     """Return `gap` above the half space below the plane across the third axis of b."""
     up = turn_b[2]

@@ -53,12 +53,7 @@ def turned_back(turn: Turn, v: Vec3Like) -> Vec3:
 
 
 @func
-def far_point(
-    table: ShapeTable,
-    s: int,
-    turn: Turn,
-    d: Vec3Like,
-) -> Vec3:
+def far_point(table: ShapeTable, s: int, turn: Turn, d: Vec3Like) -> Vec3:
     """Return a point of a shape that is farthest along a direction, both in world axes."""
     return turned(turn, support(table, s, turned_back(turn, d)))
 
@@ -112,10 +107,6 @@ def put_difference(
 
 
 @func
-def row_point(
-    room: np.ndarray,
-    row: int,
-    column: int,
-) -> Vec3:
+def row_point(room: np.ndarray, row: int, column: int) -> Vec3:
     """Return three columns of a row of scratch, from one on."""
     return room[row, column], room[row, column + 1], room[row, column + 2]

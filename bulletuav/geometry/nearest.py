@@ -42,12 +42,7 @@ Answer = tuple[float, Vec3, Vec3, Vec3]
 
 
 @func
-def _face_along(
-    table: ShapeTable,
-    s: int,
-    turn: Turn,
-    d: Vec3,
-) -> tuple[int, Vec3]:
+def _face_along(table: ShapeTable, s: int, turn: Turn, d: Vec3) -> tuple[int, Vec3]:
     """Return the number of the axis across the face that looks along d, and it; -1 for none."""
     local = turned_back(turn, d)
     if table.kind[s] == CYLINDER:
@@ -63,13 +58,7 @@ def _face_along(
 
 
 @func
-def _is_beside(
-    table: ShapeTable,
-    s: int,
-    turn: Turn,
-    face: int,
-    place: Vec3,
-) -> bool:
+def _is_beside(table: ShapeTable, s: int, turn: Turn, face: int, place: Vec3) -> bool:
     """Tell whether a place from the position of a shape lies over one of its faces."""
     local = turned_back(turn, place)
     if table.kind[s] == CYLINDER:
@@ -84,13 +73,7 @@ def _is_beside(
 
 @func
 def _over_face(
-    table: ShapeTable,
-    s: int,
-    turn: Turn,
-    other: int,
-    other_turn: Turn,
-    offset: Vec3,
-    d: Vec3,
+    table: ShapeTable, s: int, turn: Turn, other: int, other_turn: Turn, offset: Vec3, d: Vec3
 ) -> tuple[float, Vec3, Vec3]:
     """Measure a shape over a face of another one.
 
@@ -120,11 +103,7 @@ def _over_face(
 
 @func
 def _feature_along(
-    table: ShapeTable,
-    s: int,
-    turn: Turn,
-    d: Vec3,
-    edges: bool,
+    table: ShapeTable, s: int, turn: Turn, d: Vec3, edges: bool
 ) -> tuple[Feature, float]:
     """Return the edge, rim or corner that looks along d, and half the length of an edge, m."""
     if table.kind[s] == SPHERE:
@@ -196,13 +175,7 @@ def _towards(
 
 @func
 def _along_edges(
-    one: Feature,
-    long_a: float,
-    two: Feature,
-    long_b: float,
-    on_a: Vec3,
-    on_b: Vec3,
-    offset: Vec3,
+    one: Feature, long_a: float, two: Feature, long_b: float, on_a: Vec3, on_b: Vec3, offset: Vec3
 ) -> tuple[bool, Vec3, Vec3]:
     """Move points along their edges to where they are nearest; tells whether that is on them."""
     way = minus(minus(on_a, on_b), offset)
@@ -272,13 +245,7 @@ def _between(
 @deferred(ANSWER)
 @kernel
 def direct(
-    table: ShapeTable,
-    a: int,
-    turn_a: Turn,
-    b: int,
-    turn_b: Turn,
-    offset: Vec3,
-    d: Vec3,
+    table: ShapeTable, a: int, turn_a: Turn, b: int, turn_b: Turn, offset: Vec3, d: Vec3
 ) -> Answer:
     """Return what `gap` does, if a direction leads to it at once.
 

@@ -41,10 +41,7 @@ class Poses(Protocol):
 
 @func
 def _inside_hull(
-    table: ShapeTable,
-    s: int,
-    start: Vec3Like,
-    change: Vec3Like,
+    table: ShapeTable, s: int, start: Vec3Like, change: Vec3Like
 ) -> tuple[float, float]:
     """Return the shares between which a line is in hull s, in its axes; see `inside`."""
     enters = -np.inf
@@ -68,10 +65,7 @@ def _inside_hull(
 
 @func
 def inside_shape(
-    table: ShapeTable,
-    s: int,
-    start: Vec3Like,
-    change: Vec3Like,
+    table: ShapeTable, s: int, start: Vec3Like, change: Vec3Like
 ) -> tuple[float, float]:
     """Return the shares between which a line is inside shape s of a table, no half space.
 
@@ -147,13 +141,7 @@ def _step_of(change: float) -> int:
 
 
 @func
-def _next_line(
-    start: float,
-    change: float,
-    cell: int,
-    step: int,
-    city_grid: CityGrid,
-) -> float:
+def _next_line(start: float, change: float, cell: int, step: int, city_grid: CityGrid) -> float:
     """Return the share at which a ray passes from a column (or row) to the next, inf if never."""
     if step == 0:
         return np.inf
@@ -163,10 +151,7 @@ def _next_line(
 
 @func
 def _over_grid(
-    city_grid: CityGrid,
-    layout: int,
-    start: Vec3Like,
-    change: Vec3Like,
+    city_grid: CityGrid, layout: int, start: Vec3Like, change: Vec3Like
 ) -> tuple[float, float]:
     """Return the shares between which a ray is over the grid and no higher than the roofs."""
     # Between the lowest underside and the highest roof
@@ -244,11 +229,7 @@ def _inside_placed(
 
 @allocating
 def walk(
-    scenery: Scenery,
-    start: np.ndarray,
-    end: np.ndarray,
-    world: np.ndarray,
-    compiled: bool,
+    scenery: Scenery, start: np.ndarray, end: np.ndarray, world: np.ndarray, compiled: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cast rays at all but drones, as `Engine.cast_rays` does.
 

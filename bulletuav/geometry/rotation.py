@@ -25,21 +25,13 @@ Quat4Like = Quat4 | np.ndarray
 
 
 @func
-def vec3(
-    array: np.ndarray,
-    w: int,
-    i: int,
-) -> Vec3:
+def vec3(array: np.ndarray, w: int, i: int) -> Vec3:
     """Return array[w, i] (3,) as a tuple: unlike a view it costs nothing."""
     return array[w, i, 0], array[w, i, 1], array[w, i, 2]
 
 
 @func
-def quat4(
-    array: np.ndarray,
-    w: int,
-    i: int,
-) -> Quat4:
+def quat4(array: np.ndarray, w: int, i: int) -> Quat4:
     """Return array[w, i] (4,) as a tuple: unlike a view it costs nothing."""
     return array[w, i, 0], array[w, i, 1], array[w, i, 2], array[w, i, 3]
 
@@ -57,11 +49,7 @@ def minus(a: Vec3Like, b: Vec3Like) -> Vec3:
 
 
 @func
-def plus(
-    a: Vec3Like,
-    scale: float,
-    b: Vec3Like,
-) -> Vec3:
+def plus(a: Vec3Like, scale: float, b: Vec3Like) -> Vec3:
     """Return a + scale b."""
     return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
 
@@ -145,11 +133,7 @@ def exponential(v: Vec3Like) -> Quat4:
 
 
 @func
-def from_euler(
-    roll: float,
-    pitch: float,
-    yaw: float,
-) -> Quat4:
+def from_euler(roll: float, pitch: float, yaw: float) -> Quat4:
     """Return the quaternion of Euler angles in the aerospace order.
 
     Args:

@@ -112,11 +112,7 @@ def make_scenery(
     )
 
 
-def _city_shapes(
-    layouts: Sequence[Solids],
-    place: np.ndarray,
-    half: np.ndarray,
-) -> list[Shape]:
+def _city_shapes(layouts: Sequence[Solids], place: np.ndarray, half: np.ndarray) -> list[Shape]:
     """Make the shapes of all pieces of layouts, about their places (T, 3); half extents (T, 3)."""
     shapes: list[Shape] = []
     for solids in layouts:

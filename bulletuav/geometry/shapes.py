@@ -32,12 +32,7 @@ class Shape(NamedTuple):
 
 
 @func
-def slab(
-    start: float,
-    change: float,
-    low: float,
-    high: float,
-) -> tuple[float, float]:
+def slab(start: float, change: float, low: float, high: float) -> tuple[float, float]:
     """Return the shares t at which a line enters and leaves a slab.
 
     Args:
@@ -59,10 +54,7 @@ def slab(
 
 @func
 def inside_box(
-    start: Vec3Like,
-    change: Vec3Like,
-    low: Vec3Like,
-    high: Vec3Like,
+    start: Vec3Like, change: Vec3Like, low: Vec3Like, high: Vec3Like
 ) -> tuple[float, float]:
     """Return the shares t between which a line is in the box between two corners.
 
@@ -86,11 +78,7 @@ def inside_box(
 
 
 @func
-def distance_from_box(
-    place: Vec3Like,
-    low: Vec3Like,
-    high: Vec3Like,
-) -> float:
+def distance_from_box(place: Vec3Like, low: Vec3Like, high: Vec3Like) -> float:
     """Return the distance of a point from the box between two corners, 0 inside, m."""
     square = 0.0
     for k in range(3):
@@ -100,11 +88,7 @@ def distance_from_box(
 
 
 @func
-def _inside_round(
-    along: float,
-    square: float,
-    outside: float,
-) -> tuple[float, float]:
+def _inside_round(along: float, square: float, outside: float) -> tuple[float, float]:
     """Return the roots t of t^2 square + 2 t along + outside, or (inf, -inf) for none.
 
     This is the squared distance from a centre or an axis less the squared radius.
@@ -120,12 +104,7 @@ def _inside_round(
 
 
 @func
-def inside(
-    kind: int,
-    half: Vec3Like,
-    start: Vec3Like,
-    change: Vec3Like,
-) -> tuple[float, float]:
+def inside(kind: int, half: Vec3Like, start: Vec3Like, change: Vec3Like) -> tuple[float, float]:
     """Return the shares t between which a line is inside a collision shape.
 
     Args:

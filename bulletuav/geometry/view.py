@@ -45,9 +45,7 @@ class Shot(NamedTuple):
 
 
 def view_matrix(
-    eye: np.ndarray,
-    target: np.ndarray,
-    up: Sequence[float] = (0.0, 0.0, 1.0),
+    eye: np.ndarray, target: np.ndarray, up: Sequence[float] = (0.0, 0.0, 1.0)
 ) -> np.ndarray:
     """Return the view matrix of a camera that looks at a point.
 
@@ -69,11 +67,7 @@ def view_matrix(
     return matrix
 
 
-def projection_matrix(
-    aspect: float,
-    field_of_view: float,
-    far: float = FAR,
-) -> np.ndarray:
+def projection_matrix(aspect: float, field_of_view: float, far: float = FAR) -> np.ndarray:
     """Return the perspective projection from NEAR on.
 
     Args:

@@ -12,10 +12,7 @@ from bulletuav.vehicle.parameters import ParameterRow
 
 @func
 def drag(
-    quaternion: Quat4Like,
-    air_velocity: Vec3Like,
-    total_speed: float,
-    row: ParameterRow,
+    quaternion: Quat4Like, air_velocity: Vec3Like, total_speed: float, row: ParameterRow
 ) -> tuple[Vec3, Vec3]:
     """Return the drag of the spinning rotors and of the body.
 
@@ -42,11 +39,7 @@ def drag(
 
 @func
 def force_of_air(
-    v: Vec3Like,
-    up: Vec3Like,
-    thrust: float,
-    total_speed: float,
-    row: ParameterRow,
+    v: Vec3Like, up: Vec3Like, thrust: float, total_speed: float, row: ParameterRow
 ) -> Vec3:
     """Return thrust and drag, world axes, N.
 
@@ -75,11 +68,7 @@ def force_of_air(
 
 
 @func
-def torque_of_drag(
-    along: Vec3Like,
-    total_speed: float,
-    row: ParameterRow,
-) -> Vec3:
+def torque_of_drag(along: Vec3Like, total_speed: float, row: ParameterRow) -> Vec3:
     """Return the torque of the rotors' drag, which acts above the centre of mass, body axes, N m.
 
     Args:
@@ -117,12 +106,7 @@ def _nearness(left: float) -> float:
 
 
 @func
-def is_near_surface(
-    height: float,
-    climb: float,
-    dt: float,
-    row: ParameterRow,
-) -> bool:
+def is_near_surface(height: float, climb: float, dt: float, row: ParameterRow) -> bool:
     """Tell whether a surface below may lift rotors within a step.
 
     Args:
@@ -138,23 +122,14 @@ def is_near_surface(
 
 
 @func
-def lifted_rotors(
-    height: float,
-    climb: float,
-    dt: float,
-    row: ParameterRow,
-) -> int:
+def lifted_rotors(height: float, climb: float, dt: float, row: ParameterRow) -> int:
     """Return how many rotors a surface below may lift: all, or none; see `is_near_surface`."""
     return row.num_rotors if is_near_surface(height, climb, dt, row) else 0
 
 
 @func
 def ground_wrench(
-    height: float,
-    lean: Vec3Like,
-    speed: np.ndarray,
-    lifted: int,
-    row: ParameterRow,
+    height: float, lean: Vec3Like, speed: np.ndarray, lifted: int, row: ParameterRow
 ) -> Vec3:
     """Return what a surface below adds to the rotors: each gains by its own height.
 

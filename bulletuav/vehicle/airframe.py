@@ -51,11 +51,7 @@ DENSITY = 1.225
 """Density of the air, kg/m^3: standard atmosphere at sea level."""
 
 
-def hover_speed(
-    weight: float,
-    num_rotors: int,
-    thrust_coefficient: float,
-) -> float:
+def hover_speed(weight: float, num_rotors: int, thrust_coefficient: float) -> float:
     """Compute the rotor speed at which thrust k_f w^2 of all rotors equals a weight (N), rad/s."""
     return math.sqrt(weight / (num_rotors * thrust_coefficient))
 

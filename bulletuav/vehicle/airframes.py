@@ -221,21 +221,12 @@ def _refuse_unknown_tags(urdf: UrdfFile) -> None:
             raise urdf.refusal(f"airframe/{element.tag}", "unknown", reason)
 
 
-def _positive(
-    urdf: UrdfFile,
-    tag: str,
-    most: float,
-) -> float:
+def _positive(urdf: UrdfFile, tag: str, most: float) -> float:
     """Read the value of a tag within `<airframe>` that must be above 0."""
     return urdf.number(urdf.element(f"airframe/{tag}"), "value", low=0, most=most)
 
 
-def _not_negative(
-    urdf: UrdfFile,
-    tag: str,
-    attribute: str,
-    most: float,
-) -> float:
+def _not_negative(urdf: UrdfFile, tag: str, attribute: str, most: float) -> float:
     """Read an attribute of a tag within `<airframe>` that must be at least 0."""
     element = urdf.element(f"airframe/{tag}")
     return urdf.number(element, attribute, low=0, strict=False, most=most)
@@ -326,12 +317,7 @@ def _pwm(urdf: UrdfFile) -> Pwm | None:
     )
 
 
-def _contact(
-    urdf: UrdfFile,
-    attribute: str,
-    default: float,
-    most: float,
-) -> float:
+def _contact(urdf: UrdfFile, attribute: str, default: float, most: float) -> float:
     """Read a number of the tag `<contact>` within `<airframe>`, where it is there."""
     element = urdf.root.find("airframe/contact")
     if element is None or attribute not in element.attrib:

@@ -30,11 +30,7 @@ def resting_voltage(charge: float) -> float:
 
 
 @func
-def loaded_voltage(
-    rest: float,
-    power: float,
-    resistance: float,
-) -> float:
+def loaded_voltage(rest: float, power: float, resistance: float) -> float:
     """Return the voltage of a battery that gives a power: V = E - R P / V.
 
     Args:
@@ -105,12 +101,7 @@ class Battery:
             raise ValueError(f"charge is {charge!r}: a share above 0 and at most 1 is needed")
         self.charge[k] = given
 
-    def drain(
-        self,
-        power: np.ndarray,
-        seconds: float,
-        flying: np.ndarray,
-    ) -> None:
+    def drain(self, power: np.ndarray, seconds: float, flying: np.ndarray) -> None:
         """Take energy out, down to empty.
 
         Args:
@@ -123,11 +114,7 @@ class Battery:
 
 @kernel
 def drain(
-    power: np.ndarray,
-    seconds: float,
-    flying: np.ndarray,
-    energy: np.ndarray,
-    charge: np.ndarray,
+    power: np.ndarray, seconds: float, flying: np.ndarray, energy: np.ndarray, charge: np.ndarray
 ) -> None:
     """Do what `Battery.drain` does, with batteries of an energy (W, N), J, to their charge."""
     for w in range(charge.shape[0]):

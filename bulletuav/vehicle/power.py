@@ -265,11 +265,7 @@ def propulsion(velocity: np.ndarray, wings: np.ndarray) -> np.ndarray:
     return power
 
 
-def actuator_power(
-    before: np.ndarray,
-    after: np.ndarray,
-    parameters: np.ndarray,
-) -> np.ndarray:
+def actuator_power(before: np.ndarray, after: np.ndarray, parameters: np.ndarray) -> np.ndarray:
     """Return the mean power of the rotors against their torque k_m w^2 over a decision.
 
     The mean is taken by the trapezium rule.
@@ -289,10 +285,7 @@ def actuator_power(
 
 @kernel
 def fill_actuator_power(
-    before: np.ndarray,
-    after: np.ndarray,
-    parameters: np.ndarray,
-    power: np.ndarray,
+    before: np.ndarray, after: np.ndarray, parameters: np.ndarray, power: np.ndarray
 ) -> None:
     """Write what `actuator_power` returns to `power` (W, N)."""
     for w in range(power.shape[0]):

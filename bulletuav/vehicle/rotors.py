@@ -42,11 +42,7 @@ def lag_decay(elapsed: float, row: ParameterRow) -> tuple[float, float]:
 
 
 @func
-def lagged(
-    speed: float,
-    command: float,
-    decay: tuple[float, float],
-) -> float:
+def lagged(speed: float, command: float, decay: tuple[float, float]) -> float:
     """Return the speed of a rotor on its way to a command, exact while the command is constant.
 
     Args:
@@ -70,11 +66,7 @@ def lag_rates(row: ParameterRow) -> tuple[float, float]:
 
 
 @func
-def spin_up(
-    speed: float,
-    command: float,
-    rate: tuple[float, float],
-) -> float:
+def spin_up(speed: float, command: float, rate: tuple[float, float]) -> float:
     """Return how fast a rotor speeds up towards a command, rad/s^2; 0 without lag.
 
     Args:
@@ -87,11 +79,7 @@ def spin_up(
 
 
 @func
-def rotor_wrench(
-    speed: np.ndarray,
-    winding: float,
-    row: ParameterRow,
-) -> Rotors:
+def rotor_wrench(speed: np.ndarray, winding: float, row: ParameterRow) -> Rotors:
     """Return what the rotors do to the body.
 
     Args:

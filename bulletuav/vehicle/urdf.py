@@ -102,12 +102,7 @@ class UrdfFile:
         paths = [folder / local for folder in (Path(), *self.path.resolve().parents)]
         return [path for path in paths if _is_file(path)]
 
-    def refusal(
-        self,
-        tag: str,
-        value: object,
-        reason: str,
-    ) -> ValueError:
+    def refusal(self, tag: str, value: object, reason: str) -> ValueError:
         """Make the error for a value, for the caller to raise."""
         text = value if isinstance(value, str) and len(value) < LONGEST else shown(value)
         return ValueError(f"{self.path}: <{tag}> is {text}: {reason}")
@@ -267,10 +262,7 @@ class UrdfFile:
         return np.array(place), np.array(from_euler(roll, pitch, yaw))
 
     def _three(
-        self,
-        element: ElementTree.Element,
-        attribute: str,
-        default: str = "",
+        self, element: ElementTree.Element, attribute: str, default: str = ""
     ) -> tuple[float, float, float]:
         """Read three finite numbers from an attribute."""
         text = element.get(attribute, default)

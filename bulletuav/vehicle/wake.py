@@ -23,11 +23,7 @@ def wake_width_squared(drop: float, row: ParameterRow) -> float:
 
 
 @func
-def is_in_wake(
-    horizontal_squared: float,
-    drop: float,
-    row: ParameterRow,
-) -> bool:
+def is_in_wake(horizontal_squared: float, drop: float, row: ParameterRow) -> bool:
     """Tell whether a place is in a drone's wake; see `downwash` for the arguments."""
     if drop <= 0.0 or row.wake_share <= 0.0:
         return False
@@ -36,10 +32,7 @@ def is_in_wake(
 
 @func
 def downwash(
-    horizontal_squared: float,
-    drop: float,
-    thrust: float,
-    row: ParameterRow,
+    horizontal_squared: float, drop: float, thrust: float, row: ParameterRow
 ) -> tuple[float, float]:
     """Return what a drone's wake does to a drone below: it pushes it, and tips it to the axis.
 
@@ -65,11 +58,7 @@ def downwash(
 
 
 @func
-def jet(
-    horizontal_squared: float,
-    width_squared: float,
-    strength: float,
-) -> tuple[float, float]:
+def jet(horizontal_squared: float, width_squared: float, strength: float) -> tuple[float, float]:
     """Return what a wake does within its edge, of one drone or in lanes of several.
 
     Args:

@@ -90,12 +90,7 @@ def _widest_squared(drop: float, row: ParameterRow) -> float:
 
 
 @func
-def _has_company(
-    position: np.ndarray,
-    w: int,
-    i: int,
-    edge: float,
-) -> bool:
+def _has_company(position: np.ndarray, w: int, i: int, edge: float) -> bool:
     """Tell whether a drone of higher index is within a squared horizontal distance of drone i."""
     # A sum without branches, which compiles to several pairs at once
     far = 0

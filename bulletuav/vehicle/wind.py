@@ -86,11 +86,7 @@ def as_profile(given: object) -> Profile | None:
 
 
 @func
-def speed_share(
-    altitude: float,
-    is_log: bool,
-    number: float,
-) -> float:
+def speed_share(altitude: float, is_log: bool, number: float) -> float:
     """Return the share of the speed at `REFERENCE` that a steady wind has at a height.
 
     Args:
@@ -119,11 +115,7 @@ def _spread(steady: np.ndarray, wind: np.ndarray) -> None:
 
 @kernel
 def _spread_by_height(
-    steady: np.ndarray,
-    position: np.ndarray,
-    is_log: bool,
-    number: float,
-    wind: np.ndarray,
+    steady: np.ndarray, position: np.ndarray, is_log: bool, number: float, wind: np.ndarray
 ) -> None:
     """Write the steady wind (W, 3) to drones at `position` (W, N, 3); its level part by a profile.
 
@@ -189,11 +181,7 @@ class Wind:
             draw_waves(rng.random(DRAWS), self._waves[world])
 
     def add_to(
-        self,
-        program: Program,
-        position: np.ndarray,
-        time: np.ndarray,
-        wind: np.ndarray,
+        self, program: Program, position: np.ndarray, time: np.ndarray, wind: np.ndarray
     ) -> None:
         """Add to a program that the wind is written.
 
@@ -232,12 +220,7 @@ class Wind:
         program.interpret()
         return wind
 
-    def _add_field(
-        self,
-        position: np.ndarray,
-        time: np.ndarray,
-        wind: np.ndarray,
-    ) -> None:
+    def _add_field(self, position: np.ndarray, time: np.ndarray, wind: np.ndarray) -> None:
         """Add what the wind field gives to the wind."""
         assert self._field is not None
         wind += self._checked(self._field(position.copy(), time.copy()), position.shape)

@@ -35,12 +35,7 @@ class Wrenches(NamedTuple):
 
 @func
 def with_wake(
-    wind: Vec3,
-    surface: float,
-    gravity: float,
-    force: Vec3,
-    torque: Vec3,
-    wake: Quat4,
+    wind: Vec3, surface: float, gravity: float, force: Vec3, torque: Vec3, wake: Quat4
 ) -> Around:
     """Return what surrounds a drone.
 
@@ -109,11 +104,7 @@ def wrench(
 
 
 @func
-def damping_torque(
-    rates: Vec3Like,
-    total_speed: float,
-    row: ParameterRow,
-) -> Vec3:
+def damping_torque(rates: Vec3Like, total_speed: float, row: ParameterRow) -> Vec3:
     """Return the torque c w by which spinning rotors slow a turning body down, N m.
 
     Args:
@@ -130,11 +121,7 @@ def damping_torque(
 
 @func
 def body_acceleration(
-    rates: Vec3Like,
-    torque: Vec3Like,
-    total_speed: float,
-    momentum: float,
-    row: ParameterRow,
+    rates: Vec3Like, torque: Vec3Like, total_speed: float, momentum: float, row: ParameterRow
 ) -> Vec3:
     """Return the angular acceleration by Euler's equation, J^-1 (M - w x (J w + h) - c w).
 
@@ -169,12 +156,7 @@ def body_acceleration(
 
 @func
 def rate_slopes(
-    rates: Vec3,
-    torque: Vec3,
-    total_speed: float,
-    momentum: float,
-    dt: float,
-    row: ParameterRow,
+    rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: ParameterRow
 ) -> Vec3:
     """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
     # At the start, twice in the middle, and at the end of the step
@@ -191,11 +173,7 @@ def rate_slopes(
 
 
 @func
-def free_rates(
-    rates: Vec3,
-    dt: float,
-    row: ParameterRow,
-) -> Vec3:
+def free_rates(rates: Vec3, dt: float, row: ParameterRow) -> Vec3:
     """Return the body rates after a time in which no torque acts, rad/s."""
     parts = spin_parts(rates, dt, SMALL_TURN)
     step = dt / parts
@@ -206,11 +184,7 @@ def free_rates(
 
 
 @func
-def spin_parts(
-    spin: Vec3Like,
-    dt: float,
-    small: float,
-) -> int:
+def spin_parts(spin: Vec3Like, dt: float, small: float) -> int:
     """Return into how many parts a step is cut so that precession is followed, 1 to MOST_PARTS.
 
     Args:
