@@ -12,7 +12,7 @@ from bulletuav.bridges.airsim_values import flag, pose_of, words
 from bulletuav.bridges.airsim_world import World
 from bulletuav.errors import as_int, shown, unknown
 from bulletuav.geometry.rotation import Quat4, from_euler, product, to_world
-from bulletuav.geometry.view import Picture, Shot
+from bulletuav.geometry.view import CameraMatrices, Picture
 
 SIZE = (256, 144)
 """Width and height, pixels, as in AirSim's default settings"""
@@ -106,7 +106,7 @@ class Sight(NamedTuple):
         time_stamp: ns.
     """
 
-    shot: Shot
+    shot: CameraMatrices
     pose: dict[str, Any]
     time_stamp: int
 

@@ -1,6 +1,6 @@
 """Measures of conflict between two drones, from their offset and relative velocity.
 
-Arrays end in 3 and broadcast; for all pairs of a swarm with positions (..., N, 3) use `offsets`.
+Arrays end in 3 and broadcast; for all pairs of a swarm with positions (..., N, 3) use `pair_offsets`.
 SI units.
 """
 
@@ -22,7 +22,7 @@ _HALVINGS = 4
 """How many times the step is halved at most."""
 
 
-def offsets(position: np.ndarray) -> np.ndarray:
+def pair_offsets(position: np.ndarray) -> np.ndarray:
     """Return the offsets of all pairs of a swarm.
 
     Args:
@@ -119,8 +119,8 @@ def conflict_probability(
     """
     from scipy.special import exprel, ndtr  # which takes long to import
 
-    _refuse_unless_positive("sigma", sigma)
-    _refuse_unless_positive("d_safe", d_safe)
+    _require_positive("sigma", sigma)
+    _require_positive("d_safe", d_safe)
     # All lengths in standard deviations.
     radius = d_safe / np.asarray(sigma, dtype=float)
     distance = np.linalg.norm(offset, axis=-1) / sigma
@@ -163,7 +163,7 @@ def conflict_probability_of(
             rounding, a sigma below 1e-8 of d_safe right at the edge, and an offset that is not
             finite.
     """
-    _refuse_unless_positive("d_safe", d_safe)
+    _require_positive("d_safe", d_safe)
     offset = np.asarray(offset, dtype=float)
     covariance = np.asarray(covariance, dtype=float)
     variance, axes = _principal_axes(covariance)
@@ -197,7 +197,7 @@ def _principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return variance, axes
 
 
-def _refuse_unless_positive(name: str, value: np.ndarray | float) -> None:
+def _require_positive(name: str, value: np.ndarray | float) -> None:
     """Raise ValueError unless lengths are positive and finite."""
     wrong = np.extract(~((np.asarray(value) > 0) & np.isfinite(value)), value)
     if wrong.size:

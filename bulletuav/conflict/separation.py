@@ -11,7 +11,7 @@ import numpy as np
 from bulletuav.compiled.gather import gathered, lane_numbers, scatter, three
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.lanes import WIDTH, is_any, where
-from bulletuav.geometry.closest_approach import closest_squared
+from bulletuav.geometry.closest_approach import closest_squared_distances
 from bulletuav.geometry.rotation import minus, vec3
 
 
@@ -50,7 +50,7 @@ def fill_conflict(
     onsets: np.ndarray,
     nearness: np.ndarray,
 ) -> None:
-    """Fill the arrays of a `Conflict`; see `conflict` for the arguments."""
+    """Fill the arrays of a `Conflict`; see `measure_conflict` for the arguments."""
     num_drones = alive.shape[1]
     # Farther pairs are outside of the zone, however their squares are rounded
     far = (1.0 + 1e-9) * zone * zone
@@ -71,7 +71,7 @@ def fill_conflict(
                 others = (where(itself != j, x, math.nan), here[1], here[2])
                 at_start = minus(vec3(before, w, j), others)
                 at_end = minus(vec3(after, w, j), there)
-                start_squared, least_squared = closest_squared(at_start, at_end)
+                start_squared, least_squared = closest_squared_distances(at_start, at_end)
                 closest = min(closest, least_squared)
                 if is_any(least_squared < far):
                     start = math.sqrt(start_squared)
@@ -85,7 +85,7 @@ def fill_conflict(
             scatter(nearness, first, count, depths)
 
 
-def conflict(
+def measure_conflict(
     before: np.ndarray, after: np.ndarray, alive: np.ndarray, d_safe: float, zone: float
 ) -> Conflict:
     """Measure separations while all drones go straight from one position to the next.

@@ -17,9 +17,9 @@ from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.rest import Contact
 from bulletuav.contact.spin import angle_at_most
 from bulletuav.contact.touch import TOUCH
-from bulletuav.geometry.city_grid import NO_LAYOUT, reached
-from bulletuav.geometry.closest_approach import closest_squared, offset
-from bulletuav.geometry.minkowski import far_point, swell
+from bulletuav.geometry.city_grid import NO_LAYOUT, cells_in_rectangle
+from bulletuav.geometry.closest_approach import closest_squared_distances, offset
+from bulletuav.geometry.minkowski import shape_margin, support_point
 from bulletuav.geometry.rotation import axes, dot, minus, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
@@ -80,7 +80,9 @@ def _pace(
 def _height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> float:
     """Return how high the lowest point of drone i of world w is above the ground, m."""
     turn = axes(quat4(swarm.quaternion, w, i))
-    lowest = far_point(scenery.table, i, turn, (0.0, 0.0, -1.0))[2] - swell(scenery.table, i)
+    lowest = support_point(scenery.table, i, turn, (0.0, 0.0, -1.0))[2] - shape_margin(
+        scenery.table, i
+    )
     return float(swarm.position[w, i, 2] + lowest)
 
 
@@ -116,7 +118,7 @@ def free_way(
     if layout != NO_LAYOUT and least > 0.0:
         far = min(VIEW, least) + own
         least = min(least, VIEW)
-        left, right, bottom, top = reached(
+        left, right, bottom, top = cells_in_rectangle(
             city_grid, here[0] - far, here[0] + far, here[1] - far, here[1] + far
         )
         for column in range(left, right):
@@ -164,7 +166,7 @@ def are_clear(
                 continue
             within = radius[i] + radius[j] + TOUCH + SPARE
             before, after = offset(world.start.position, w, i, j), offset(end.position, w, i, j)
-            if closest_squared(before, after)[1] < within * within:
+            if closest_squared_distances(before, after)[1] < within * within:
                 return False
     return True
 

@@ -32,7 +32,7 @@ from bulletuav.contact.relax import (
 from bulletuav.contact.staying import STILL, carried, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
-from bulletuav.geometry.contact_points import MOST_POINTS
+from bulletuav.geometry.contact_points import MAX_POINTS
 from bulletuav.geometry.rotation import cross, plus
 
 SLOW = 0.02
@@ -303,7 +303,7 @@ def push_apart(
     for p in range(count):
         pairs[p].joins = in_island(motions, pairs[p]) and touching(pairs[p], time)
         if pairs[p].joins:
-            most += MOST_POINTS + FORESIGHT
+            most += MAX_POINTS + FORESIGHT
     points = np.empty(most, dtype=POINT)
     size = 0
     for p in range(count):

@@ -18,7 +18,7 @@ from bulletuav.geometry.rotation import (
     Vec3Like,
     dot,
     minus,
-    normalised,
+    normalise_quaternion,
     plus,
     point,
     quat4,
@@ -148,7 +148,7 @@ def begin(
     """
     position = vec3(before.position, w, i)
     # States that are set may be off by a millionth
-    quaternion = normalised(quat4(before.quaternion, w, i))
+    quaternion = normalise_quaternion(quat4(before.quaternion, w, i))
     later = quat4(after.quaternion, w, i)
     velocity = vec3(before.velocity, w, i)
     spin = to_world(quaternion, vec3(before.rates, w, i))
@@ -191,7 +191,7 @@ def advance_to(
     share = _share(motion, time)
     elapsed = time - motion.time
     here = quaternion_of(motion)
-    there = normalised(turned(vector(motion.turn), share, here))
+    there = normalise_quaternion(turned(vector(motion.turn), share, here))
     spin = vector(motion.spin)
     angular = momentum(here, spin, row)
     held = spin_of(there, angular, row)

@@ -18,9 +18,9 @@ from bulletuav.contact.motion import (
 )
 from bulletuav.contact.pairs import PAIR
 from bulletuav.contact.touch import IN_TOUCH, TOUCH, gap_at
-from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
-from bulletuav.geometry.direction import sharpened
-from bulletuav.geometry.gjk import make_room
+from bulletuav.geometry.contact_points import MAX_POINTS, contact_points
+from bulletuav.geometry.gjk import make_scratch
+from bulletuav.geometry.normal_refinement import refine_normal
 from bulletuav.geometry.rotation import Vec3, axes, dot, minus
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import CYLINDER, SPHERE
@@ -80,8 +80,8 @@ def make_workspace(num_drones: int) -> Workspace:
         island=np.zeros(num_drones, dtype=np.int64),
         order=np.zeros(num_drones, dtype=np.int64),
         pairs=np.zeros(ROOM, dtype=PAIR),
-        room=make_room(),
-        found=np.zeros((MOST_POINTS, 4)),
+        room=make_scratch(),
+        found=np.zeros((MAX_POINTS, 4)),
     )
 
 
@@ -141,7 +141,7 @@ def measure(
     if world.stops and pair.b != world.scenery.ground and distance > 0.0:
         position_a, turn_a = pose_at(world.scenery, space.motions, world.w, pair.a, time, world.dt)
         position_b, turn_b = pose_at(world.scenery, space.motions, world.w, pair.b, time, world.dt)
-        normal, on_a, on_b = sharpened(
+        normal, on_a, on_b = refine_normal(
             world.scenery.table,
             pair.a,
             axes(turn_a),

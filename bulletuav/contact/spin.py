@@ -14,12 +14,12 @@ from bulletuav.geometry.rotation import (
     Quat4,
     Vec3,
     dot,
-    exponential,
+    exp_map,
     product,
     to_body,
     to_world,
 )
-from bulletuav.vehicle.wrench import spin_parts
+from bulletuav.vehicle.wrench import num_spin_steps
 
 SMALL_TURN = 0.2
 """Angle by which a drone turns in one step of the midpoint rule, rad"""
@@ -86,7 +86,7 @@ def turned(
     )
     square = dot(part, part)
     if square > SERIES_TURN * SERIES_TURN:
-        return product(exponential(part), quaternion)
+        return product(exp_map(part), quaternion)
     scale = _series(HALF_SINE, square)
     turn = (scale * part[0], scale * part[1], scale * part[2], _series(HALF_COSINE, square))
     return product(turn, quaternion)
@@ -129,7 +129,7 @@ def spun(
     """
     angular = momentum(here, spin, row)
     # Fast spins in parts, so that their energy stays
-    parts = spin_parts(spin, rest, SMALL_TURN)
+    parts = num_spin_steps(spin, rest, SMALL_TURN)
     part = rest / parts
     there = here
     for _ in range(parts):

@@ -12,7 +12,7 @@ from bulletuav.contact.island import join, touching
 from bulletuav.contact.motion import MOST_IMPACTS, change_rates, is_spent, put_vector, stay, vector
 from bulletuav.contact.points import Workspace, World, add_points
 from bulletuav.contact.touches import Touches, tell
-from bulletuav.geometry.contact_points import MOST_POINTS
+from bulletuav.geometry.contact_points import MAX_POINTS
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus
 
 STILL = 1e-9
@@ -116,7 +116,7 @@ def halt(
     w = world.w
     members = join(space, world, 0, pair.a, time)
     members = join(space, world, members, pair.b, time)
-    points = np.empty(MOST_POINTS, dtype=POINT)
+    points = np.empty(MAX_POINTS, dtype=POINT)
     if add_points(space, world, pair, time, points, 0) == 0:
         return members
     point = points[0]

@@ -15,7 +15,7 @@ from bulletuav.compiled.plain import record_type
 from bulletuav.contact.motion import pose_at, put_vector, vector
 from bulletuav.contact.points import Workspace, World, coefficients
 from bulletuav.geometry.contact_points import contact_points
-from bulletuav.geometry.gjk import gap
+from bulletuav.geometry.gjk import gjk_distance
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, point, quat4, vec3
 from bulletuav.vehicle.swarm import Swarm
 
@@ -69,7 +69,7 @@ def find_support(
     own = axes(quat4(swarm.quaternion, world.w, i))
     offset = minus(place, vec3(swarm.position, world.w, i))
     nowhere = (0.0, 0.0, 0.0)
-    _, normal, on_a, on_b = gap(table, i, own, other, turn, offset, nowhere, space.room)
+    _, normal, on_a, on_b = gjk_distance(table, i, own, other, turn, offset, nowhere, space.room)
     found = contact_points(
         table, i, own, other, turn, offset, normal, on_a, on_b, BENEATH, space.found, space.room
     )

@@ -24,8 +24,8 @@ from bulletuav.contact.planes import (
     separation_along,
     time_apart,
 )
-from bulletuav.geometry.gjk import gap
-from bulletuav.geometry.nearest import nearest
+from bulletuav.geometry.closest_features import closest_features
+from bulletuav.geometry.gjk import gjk_distance
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
 
@@ -62,15 +62,15 @@ def gap_at(
     room: np.ndarray,
     plain: bool = False,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Measure a pair at a time in the substep, with `nearest`, or `gap` if it is to be plain."""
+    """Measure a pair at a time in the substep, by `gjk_distance` if plain or `closest_features`."""
     position_a, quaternion_a = pose_at(scenery, motions, w, a, time, dt)
     position_b, quaternion_b = pose_at(scenery, motions, w, b, time, dt)
     offset = minus(position_b, position_a)
     turn_a = axes(quaternion_a)
     turn_b = axes(quaternion_b)
     if plain:
-        return gap(scenery.table, a, turn_a, b, turn_b, offset, guess, room)
-    return nearest(scenery.table, a, turn_a, b, turn_b, offset, guess, room)
+        return gjk_distance(scenery.table, a, turn_a, b, turn_b, offset, guess, room)
+    return closest_features(scenery.table, a, turn_a, b, turn_b, offset, guess, room)
 
 
 @kernel
@@ -102,7 +102,7 @@ def touch_time(
         dt: Length of the substep, s.
         guess: Direction of an earlier separation, or zeros.
         room: See `bulletuav.geometry.gjk.make_room`.
-        plain: Whether `gap` measures, with bits that kinematic flights keep.
+        plain: Whether `gjk_distance` measures, with bits that kinematic flights keep.
 
     Returns:
         Share of the substep, `start` where they are as close already and may come closer, NEVER

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 from bulletuav.errors import numbers_of
 
 
-def values_of(
+def check_values(
     name: str, value: ArrayLike, unit: str, least: float = -np.inf, most: float = np.inf
 ) -> np.ndarray:
     """Check that a value is finite numbers within bounds.
@@ -33,7 +33,7 @@ def values_of(
     return array
 
 
-def vectors_of(name: str, value: ArrayLike, entries: str) -> np.ndarray:
+def check_vectors(name: str, value: ArrayLike, entries: str) -> np.ndarray:
     """Check that a value is finite vectors along its last axis.
 
     Args:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletuav.compiled.functions import exp, log, power
-from bulletuav.earth.arrays import values_of
+from bulletuav.earth.arrays import check_values
 from bulletuav.errors import finite
 
 SEA_LEVEL_PRESSURE = 101325.0
@@ -26,26 +26,26 @@ GRAVITY = 9.80665
 """Standard gravity, m/s^2."""
 GAS_CONSTANT = 287.05287
 """Gas constant of dry air, J/(kg K)."""
-LAPSE = 0.0065
+LAPSE_RATE = 0.0065
 """How much the air of the troposphere cools with geopotential height, K/m."""
 TROPOPAUSE = 11000.0
 """Geopotential height of the end of the troposphere, m."""
 EARTH_RADIUS = 6356766.0
 """Radius of the Earth in the standards' gravity, m."""
-EXPONENT = GRAVITY / (GAS_CONSTANT * LAPSE)
+EXPONENT = GRAVITY / (GAS_CONSTANT * LAPSE_RATE)
 """Power of the temperature that the pressure of the troposphere follows."""
 
 LAYER_END = 20000.0
 """Geopotential height up to which the temperature stays, m."""
-LOWEST = -5000.0
+MIN_HEIGHT = -5000.0
 """Least height, m."""
-HIGHEST = EARTH_RADIUS * LAYER_END / (EARTH_RADIUS - LAYER_END)
+MAX_HEIGHT = EARTH_RADIUS * LAYER_END / (EARTH_RADIUS - LAYER_END)
 """Greatest height, m: 20063."""
-ROUNDING = 1e-12
+ROUNDING_TOLERANCE = 1e-12
 """Share by which what was computed from these may lie beyond."""
-PRESSURES = (80000.0, 120000.0)
+PRESSURE_BOUNDS = (80000.0, 120000.0)
 """Least and greatest pressure at sea level, Pa; weather has been within 87000 and 108500."""
-TEMPERATURES = (180.0, 340.0)
+TEMPERATURE_BOUNDS = (180.0, 340.0)
 """Least and greatest temperature at sea level, K."""
 
 
@@ -59,9 +59,9 @@ def geopotential_height(height: ArrayLike) -> np.ndarray:
         Geopotential height, m.
 
     Raises:
-        ValueError: A height is not finite, or not from `LOWEST` to `HIGHEST`.
+        ValueError: A height is not finite, or not from `MIN_HEIGHT` to `MAX_HEIGHT`.
     """
-    array = values_of("height", height, "m", LOWEST, HIGHEST)
+    array = check_values("height", height, "m", MIN_HEIGHT, MAX_HEIGHT)
     return np.asarray(EARTH_RADIUS * array / (EARTH_RADIUS + array))
 
 
@@ -75,10 +75,10 @@ def geometric_height(geopotential: ArrayLike) -> np.ndarray:
         Geometric height, m.
 
     Raises:
-        ValueError: A height is not finite, or not of those from `LOWEST` to `HIGHEST`.
+        ValueError: A height is not finite, or not of those from `MIN_HEIGHT` to `MAX_HEIGHT`.
     """
-    least, most = geopotential_height((LOWEST, HIGHEST)) * (1.0 + ROUNDING)
-    array = values_of("geopotential", geopotential, "m", least, most)
+    least, most = geopotential_height((MIN_HEIGHT, MAX_HEIGHT)) * (1.0 + ROUNDING_TOLERANCE)
+    array = check_values("geopotential", geopotential, "m", least, most)
     return _geometric(array)
 
 
@@ -97,8 +97,8 @@ def temperature(
     Raises:
         ValueError: A height or the temperature is out of bounds.
     """
-    base = finite("sea_level_temperature", sea_level_temperature, *TEMPERATURES)
-    return np.asarray(base - LAPSE * np.minimum(geopotential_height(height), TROPOPAUSE))
+    base = finite("sea_level_temperature", sea_level_temperature, *TEMPERATURE_BOUNDS)
+    return np.asarray(base - LAPSE_RATE * np.minimum(geopotential_height(height), TROPOPAUSE))
 
 
 def pressure(
@@ -119,7 +119,7 @@ def pressure(
     Raises:
         ValueError: A height, the pressure or the temperature is out of bounds.
     """
-    base = finite("sea_level_pressure", sea_level_pressure, *PRESSURES)
+    base = finite("sea_level_pressure", sea_level_pressure, *PRESSURE_BOUNDS)
     kelvin = temperature(height, sea_level_temperature)
     troposphere = base * power(kelvin / sea_level_temperature, EXPONENT)
     # Above the tropopause the pressure falls from there on, at its constant temperature.
@@ -168,18 +168,22 @@ def pressure_altitude(
         Geometric height above sea level, m.
 
     Raises:
-        ValueError: A pressure is not one of heights from `LOWEST` to `HIGHEST`, or what is given
+        ValueError: A pressure is not one of heights from `MIN_HEIGHT` to `MAX_HEIGHT`, or what is given
             for sea level is out of bounds.
     """
-    least, most = pressure((HIGHEST, LOWEST), sea_level_pressure, sea_level_temperature)
-    pascal = values_of(
-        "static_pressure", static_pressure, "Pa", least * (1.0 - ROUNDING), most * (1.0 + ROUNDING)
+    least, most = pressure((MAX_HEIGHT, MIN_HEIGHT), sea_level_pressure, sea_level_temperature)
+    pascal = check_values(
+        "static_pressure",
+        static_pressure,
+        "Pa",
+        least * (1.0 - ROUNDING_TOLERANCE),
+        most * (1.0 + ROUNDING_TOLERANCE),
     )
-    top = sea_level_temperature - LAPSE * TROPOPAUSE
+    top = sea_level_temperature - LAPSE_RATE * TROPOPAUSE
     tropopause = sea_level_pressure * power(top / sea_level_temperature, EXPONENT)
     # The troposphere up to the height or to its end, and what is above.
     ratio = np.maximum(pascal, tropopause) / sea_level_pressure
-    below = sea_level_temperature / LAPSE * (1.0 - power(ratio, 1.0 / EXPONENT))
+    below = sea_level_temperature / LAPSE_RATE * (1.0 - power(ratio, 1.0 / EXPONENT))
     above = GAS_CONSTANT * top / GRAVITY * log(tropopause / np.minimum(pascal, tropopause))
     return _geometric(below + above)
 

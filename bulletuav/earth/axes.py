@@ -11,7 +11,7 @@ Each conversion is its own inverse; both have names, so that calls tell what the
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bulletuav.earth.arrays import vectors_of
+from bulletuav.earth.arrays import check_vectors
 
 HALF_ROOT = 0.5**0.5
 
@@ -28,7 +28,7 @@ def enu_to_ned(vector: ArrayLike) -> np.ndarray:
     Raises:
         ValueError: The last axis is no triple, or a number is not finite.
     """
-    return _swap_world(vectors_of("vector", vector, "east, north, up"))
+    return _swap_world(check_vectors("vector", vector, "east, north, up"))
 
 
 def ned_to_enu(vector: ArrayLike) -> np.ndarray:
@@ -43,7 +43,7 @@ def ned_to_enu(vector: ArrayLike) -> np.ndarray:
     Raises:
         ValueError: The last axis is no triple, or a number is not finite.
     """
-    return _swap_world(vectors_of("vector", vector, "north, east, down"))
+    return _swap_world(check_vectors("vector", vector, "north, east, down"))
 
 
 def flu_to_frd(vector: ArrayLike) -> np.ndarray:
@@ -58,7 +58,7 @@ def flu_to_frd(vector: ArrayLike) -> np.ndarray:
     Raises:
         ValueError: The last axis is no triple, or a number is not finite.
     """
-    return _turn_over(vectors_of("vector", vector, "forward, left, up"))
+    return _flip_yz(check_vectors("vector", vector, "forward, left, up"))
 
 
 def frd_to_flu(vector: ArrayLike) -> np.ndarray:
@@ -73,7 +73,7 @@ def frd_to_flu(vector: ArrayLike) -> np.ndarray:
     Raises:
         ValueError: The last axis is no triple, or a number is not finite.
     """
-    return _turn_over(vectors_of("vector", vector, "forward, right, down"))
+    return _flip_yz(check_vectors("vector", vector, "forward, right, down"))
 
 
 def attitude_to_ned(quaternion: ArrayLike, scalar_first: bool = False) -> np.ndarray:
@@ -91,7 +91,7 @@ def attitude_to_ned(quaternion: ArrayLike, scalar_first: bool = False) -> np.nda
     Raises:
         ValueError: The last axis is not of four, or a number is not finite.
     """
-    attitude = _swap_attitude(vectors_of("quaternion", quaternion, "x, y, z, w"))
+    attitude = _swap_attitude(check_vectors("quaternion", quaternion, "x, y, z, w"))
     return np.roll(attitude, 1, axis=-1) if scalar_first else attitude
 
 
@@ -111,7 +111,7 @@ def attitude_to_enu(quaternion: ArrayLike, scalar_first: bool = False) -> np.nda
         ValueError: The last axis is not of four, or a number is not finite.
     """
     entries = "w, x, y, z" if scalar_first else "x, y, z, w"
-    attitude = vectors_of("quaternion", quaternion, entries)
+    attitude = check_vectors("quaternion", quaternion, entries)
     return _swap_attitude(np.roll(attitude, -1, axis=-1) if scalar_first else attitude)
 
 
@@ -120,7 +120,7 @@ def _swap_world(vector: np.ndarray) -> np.ndarray:
     return np.stack([vector[..., 1], vector[..., 0], -vector[..., 2]], axis=-1)
 
 
-def _turn_over(vector: np.ndarray) -> np.ndarray:
+def _flip_yz(vector: np.ndarray) -> np.ndarray:
     """Turn the last two entries (..., 3) around."""
     return np.stack([vector[..., 0], -vector[..., 1], -vector[..., 2]], axis=-1)
 

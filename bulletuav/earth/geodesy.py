@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletuav.compiled.functions import atan2, cos, hypot, sin
-from bulletuav.earth.arrays import values_of, vectors_of
+from bulletuav.earth.arrays import check_values, check_vectors
 from bulletuav.errors import finite
 
 SEMI_MAJOR_AXIS = 6378137.0
@@ -29,9 +29,9 @@ SEMI_MINOR_AXIS = SEMI_MAJOR_AXIS * (1.0 - FLATTENING)
 """Distance of the poles from the centre, m."""
 ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
 """First eccentricity, squared."""
-LEAST_RADIUS = 6.0e6
+MIN_RADIUS = 6.0e6
 """Least distance from the centre at which a latitude is told, m; local positions lie below it."""
-ITERATIONS = 2
+NUM_ITERATIONS = 2
 """Rounds of Bowring's formula: a third one changes no digit, even at 40,000 km."""
 
 
@@ -82,12 +82,12 @@ def ecef_to_geodetic(position: ArrayLike) -> np.ndarray:
         ValueError: The last axis is no triple, a number is not finite, or a position lies deep
             inside of the Earth, as local ones do.
     """
-    array = vectors_of("position", position, "x, y, z")
+    array = check_vectors("position", position, "x, y, z")
     radius = np.linalg.norm(array, axis=-1)
-    if (radius < LEAST_RADIUS).any():
+    if (radius < MIN_RADIUS).any():
         raise ValueError(
             f"position is {radius.min():.10g} m from the Earth's centre: ECEF coordinates of at "
-            f"least {LEAST_RADIUS:g} m are needed; local ones are converted by an Origin"
+            f"least {MIN_RADIUS:g} m are needed; local ones are converted by an Origin"
         )
     x, y, z = np.moveaxis(array, -1, 0)
     from_axis = hypot(x, y)
@@ -95,7 +95,7 @@ def ecef_to_geodetic(position: ArrayLike) -> np.ndarray:
     # The first guess of the parametric latitude is exact on the ellipsoid.
     reduced = atan2(z, (1.0 - FLATTENING) * from_axis)
     latitude = reduced
-    for _ in range(ITERATIONS):
+    for _ in range(NUM_ITERATIONS):
         latitude = atan2(
             z + second * SEMI_MINOR_AXIS * sin(reduced) ** 3,
             from_axis - ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS * cos(reduced) ** 3,
@@ -146,7 +146,7 @@ class Origin:
         Raises:
             ValueError: The last axis is no triple, or a number is not finite.
         """
-        local = vectors_of("position", position, "east, north, up")
+        local = check_vectors("position", position, "east, north, up")
         return ecef_to_geodetic(self._ecef() + local @ self._axes())
 
     def to_local(self, geodetic: ArrayLike) -> np.ndarray:
@@ -201,6 +201,6 @@ def degree_lengths(latitude: float) -> tuple[float, float]:
 
 def _split_geodetic(geodetic: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Check geodetic coordinates (..., 3); return latitude, rad, longitude, rad, altitude, m."""
-    array = vectors_of("geodetic", geodetic, "latitude, longitude, altitude")
-    latitude = values_of("latitude", array[..., 0], "degrees", -90.0, 90.0)
+    array = check_vectors("geodetic", geodetic, "latitude, longitude, altitude")
+    latitude = check_values("latitude", array[..., 0], "degrees", -90.0, 90.0)
     return np.radians(latitude), np.radians(array[..., 1]), array[..., 2]

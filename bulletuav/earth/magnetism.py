@@ -19,21 +19,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletuav.compiled.functions import atan2, cos, hypot, sin
-from bulletuav.earth.arrays import values_of
+from bulletuav.earth.arrays import check_values
 from bulletuav.earth.geodesy import geodetic_to_ecef
 from bulletuav.errors import finite
 
 REFERENCE_RADIUS = 6371200.0
 """Radius that the coefficients belong to, m."""
-DEGREE = 13
+MAX_DEGREE = 13
 """Greatest degree of the coefficients."""
-LOWEST = -10e3
+MIN_ALTITUDE = -10e3
 """Least altitude, m."""
-HIGHEST = 1000e3
+MAX_ALTITUDE = 1000e3
 """Greatest altitude, m; above it currents of the magnetosphere have their share."""
 EPOCH = 2025.0
 """Decimal year of the coefficients."""
-LAST = 2030.0
+LAST_YEAR = 2030.0
 """Decimal year up to which their change is foreseen."""
 TESLA = 1e-9
 """Teslas in a nanotesla, the unit of the coefficients."""
@@ -102,7 +102,7 @@ def decimal_year(date: float | datetime.date) -> float:
         date: A decimal year, or the day at whose beginning the field is asked for.
 
     Returns:
-        The decimal year, from `EPOCH` to `LAST`.
+        The decimal year, from `EPOCH` to `LAST_YEAR`.
 
     Raises:
         ValueError: It is no such date.
@@ -111,7 +111,7 @@ def decimal_year(date: float | datetime.date) -> float:
     if isinstance(date, datetime.date):
         days = 366 if calendar.isleap(date.year) else 365
         year = date.year + (date.timetuple().tm_yday - 1) / days
-    return finite("date", year, EPOCH, LAST)
+    return finite("date", year, EPOCH, LAST_YEAR)
 
 
 def magnetic_field(
@@ -140,9 +140,9 @@ def magnetic_field(
         ValueError: A number is not finite or out of bounds.
     """
     degrees, meridian, height = np.broadcast_arrays(
-        values_of("latitude", latitude, "degrees", -90.0, 90.0),
-        values_of("longitude", longitude, "degrees"),
-        values_of("altitude", altitude, "m", LOWEST, HIGHEST),
+        check_values("latitude", latitude, "degrees", -90.0, 90.0),
+        check_values("longitude", longitude, "degrees"),
+        check_values("altitude", altitude, "m", MIN_ALTITUDE, MAX_ALTITUDE),
     )
     years = decimal_year(date) - EPOCH
     position = geodetic_to_ecef(np.stack([degrees, meridian, height], axis=-1))
@@ -180,14 +180,14 @@ def _geocentric_field(
     cosine = cos(latitude)[..., None]
     ratio = REFERENCE_RADIUS / radius
     scale = ratio * ratio
-    turns = np.arange(DEGREE + 1) * longitude[..., None]
+    turns = np.arange(MAX_DEGREE + 1) * longitude[..., None]
     cosines, sines = cos(turns), sin(turns)
     east, north, up = np.zeros((3, *np.shape(radius)))
     # Legendre functions of one degree and the one before, for all orders (..., 14). Those of
     # orders above 0 are divided by the cosine of the latitude, so that poles need no division.
     before, legendre = np.zeros((2, *turns.shape))
     legendre[..., 0] = 1.0
-    for degree in range(1, DEGREE + 1):
+    for degree in range(1, MAX_DEGREE + 1):
         before, legendre = legendre, _next_legendre(degree, sine, cosine, legendre, before)
         order = np.arange(degree + 1)
         g = _at(years, COSINES, COSINE_RATES, degree)

@@ -75,7 +75,9 @@ def make_city_grid(layouts: Sequence[Solids], num_worlds: int) -> CityGrid:
         # Put each piece into all cells that its bounding box touches.
         cells: list[list[int]] = [[] for _ in range(count**2)]
         for low, high in solids.bounds:
-            left, right, bottom, top = reached(city_grid, low[0], high[0], low[1], high[1])
+            left, right, bottom, top = cells_in_rectangle(
+                city_grid, low[0], high[0], low[1], high[1]
+            )
             for i in range(left, right):
                 for j in range(bottom, top):
                     cells[i * count + j].append(piece)
@@ -94,7 +96,7 @@ def _height_range(solids: Solids) -> tuple[float, float]:
 
 
 @func
-def reached(
+def cells_in_rectangle(
     city_grid: CityGrid, west: float, east: float, south: float, north: float
 ) -> tuple[int, int, int, int]:
     """Return the cells that a rectangle touches; none where it lies outside the grid.
@@ -120,7 +122,7 @@ def reached(
 
 
 @func
-def _is_apart(city_grid: CityGrid, p: int, low: Vec3Like, high: Vec3Like) -> bool:
+def _is_separated(city_grid: CityGrid, p: int, low: Vec3Like, high: Vec3Like) -> bool:
     """Tell whether the bounding box of piece p and the box between two corners do not overlap."""
     # Boxes are apart if they are along any of the axes
     apart: bool = (
@@ -135,7 +137,7 @@ def _is_apart(city_grid: CityGrid, p: int, low: Vec3Like, high: Vec3Like) -> boo
 
 
 @func
-def meets(city_grid: CityGrid, w: int, low: Vec3Like, high: Vec3Like) -> bool:
+def overlaps_piece(city_grid: CityGrid, w: int, low: Vec3Like, high: Vec3Like) -> bool:
     """Tell whether a box overlaps the bounding box of a piece that stands in a world.
 
     Args:
@@ -148,11 +150,11 @@ def meets(city_grid: CityGrid, w: int, low: Vec3Like, high: Vec3Like) -> bool:
     if layout == NO_LAYOUT:
         return False
     # Only pieces in the cells that the box touches can overlap it.
-    left, right, bottom, top = reached(city_grid, low[0], high[0], low[1], high[1])
+    left, right, bottom, top = cells_in_rectangle(city_grid, low[0], high[0], low[1], high[1])
     for i in range(left, right):
         for j in range(bottom, top):
             cell = i * city_grid.cells + j
             for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
-                if not _is_apart(city_grid, city_grid.item[m], low, high):
+                if not _is_separated(city_grid, city_grid.item[m], low, high):
                     return True
     return False

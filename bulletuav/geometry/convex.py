@@ -15,11 +15,11 @@ from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3, Vec3Like
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE, Shape
 
-RIM = 4
+NUM_RIM_POINTS = 4
 """Points that stand for the rim of a cylinder's flat side"""
-MOST_CORNERS = 256
+MAX_FACE_CORNERS = 256
 """Most corners of a face of a hull; scratch holds those of two faces, see `minkowski.ROWS`"""
-COPLANAR = 1e-9
+COPLANARITY_TOLERANCE = 1e-9
 """Difference of the planes of two triangles of one face"""
 
 
@@ -41,25 +41,25 @@ class ShapeTable(NamedTuple):
 
     kind: np.ndarray
     half: np.ndarray
-    middle: np.ndarray
+    centre: np.ndarray
     radius: np.ndarray
-    corner: np.ndarray
-    corners: np.ndarray
-    plane: np.ndarray
-    planes: np.ndarray
-    ring: np.ndarray
-    rings: np.ndarray
+    vertices: np.ndarray
+    vertex_range: np.ndarray
+    face_planes: np.ndarray
+    face_range: np.ndarray
+    face_vertices: np.ndarray
+    face_vertex_range: np.ndarray
 
 
-def hull_shape(points: np.ndarray) -> Shape:
+def make_hull_shape(points: np.ndarray) -> Shape:
     """Make the convex hull of points (V, 3), m.
 
     Raises:
         ValueError: The points span no volume, or a face has too many corners.
     """
     corners, faces = _hull_faces(points)
-    if max(len(ring) for _, ring in faces) > MOST_CORNERS:
-        raise ValueError(f"a face of a hull has more than {MOST_CORNERS} corners: simplify it")
+    if max(len(ring) for _, ring in faces) > MAX_FACE_CORNERS:
+        raise ValueError(f"a face of a hull has more than {MAX_FACE_CORNERS} corners: simplify it")
     half = np.abs(corners).max(axis=0)
     return Shape(HULL, tuple(half.tolist()), tuple(map(tuple, corners.tolist())))
 
@@ -86,20 +86,20 @@ def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, 
     for triangle, equation in zip(hull.simplices, hull.equations, strict=True):
         new = {number[int(k)] for k in triangle}
         for plane, face in zip(planes, members, strict=True):
-            turned = np.abs(plane[:3] - equation[:3]).max() <= COPLANAR
-            if turned and abs(plane[3] - equation[3]) <= COPLANAR * size:
+            is_parallel = np.abs(plane[:3] - equation[:3]).max() <= COPLANARITY_TOLERANCE
+            if is_parallel and abs(plane[3] - equation[3]) <= COPLANARITY_TOLERANCE * size:
                 face |= new
                 break
         else:
             planes.append(equation)
             members.append(new)
     return corners, [
-        (plane * [1, 1, 1, -1], _turning_left(corners, plane[:3], sorted(face)))
+        (plane * [1, 1, 1, -1], _order_counterclockwise(corners, plane[:3], sorted(face)))
         for plane, face in zip(planes, members, strict=True)
     ]
 
 
-def _turning_left(corners: np.ndarray, normal: np.ndarray, face: list[int]) -> list[int]:
+def _order_counterclockwise(corners: np.ndarray, normal: np.ndarray, face: list[int]) -> list[int]:
     """Order the corners of a face so that they turn left, seen from where its normal points."""
     middle = corners[face].mean(axis=0)
     offset = [corners[k] - middle for k in face]
@@ -115,7 +115,7 @@ def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
     """Put shapes into one table, in their order."""
     half = np.array([shape.half for shape in shapes], dtype=float).reshape(-1, 3)
     middle = np.zeros(half.shape)
-    radius = np.array([reach(shape) for shape in shapes], dtype=float)
+    radius = np.array([bounding_radius(shape) for shape in shapes], dtype=float)
     corner: list[np.ndarray] = []
     plane: list[np.ndarray] = []
     ring: list[int] = []
@@ -145,18 +145,18 @@ def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
     return ShapeTable(
         kind=np.array([shape.kind for shape in shapes], dtype=np.int64),
         half=half,
-        middle=middle,
+        centre=middle,
         radius=radius,
-        corner=np.concatenate([np.zeros((0, 3)), *corner]),
-        corners=corners,
-        plane=np.array(plane).reshape(-1, 4),
-        planes=planes,
-        ring=np.array(ring, dtype=np.int64),
-        rings=np.array(rings, dtype=np.int64).reshape(-1, 2),
+        vertices=np.concatenate([np.zeros((0, 3)), *corner]),
+        vertex_range=corners,
+        face_planes=np.array(plane).reshape(-1, 4),
+        face_range=planes,
+        face_vertices=np.array(ring, dtype=np.int64),
+        face_vertex_range=np.array(rings, dtype=np.int64).reshape(-1, 2),
     )
 
 
-def reach(shape: Shape) -> float:
+def bounding_radius(shape: Shape) -> float:
     """Return the distance of a shape's farthest point from its origin, m."""
     if shape.kind == HALF_SPACE:
         return math.inf
@@ -181,7 +181,7 @@ def inscribed_radius(shape: Shape) -> float:
     return min(float(plane[3] - plane[:3] @ middle) for plane, _ in faces)
 
 
-def holds_origin(hull: Shape) -> bool:
+def contains_origin(hull: Shape) -> bool:
     """Tell whether the origin is within a hull, and not on its surface."""
     _, faces = _hull_faces(np.array(hull.corners))
     return min(float(plane[3]) for plane, _ in faces) > 0
@@ -199,43 +199,49 @@ def insert_shapes(table: ShapeTable, at: int, new: ShapeTable) -> ShapeTable:
         All shapes.
     """
     # Corners, faces and rings are in the order of their shapes, so there is one cut in each.
-    corner = int(table.corners[at, 0])
-    plane = int(table.planes[at, 0])
-    ring = int(table.rings[plane, 0]) if plane < len(table.rings) else len(table.ring)
+    corner = int(table.vertex_range[at, 0])
+    plane = int(table.face_range[at, 0])
+    ring = (
+        int(table.face_vertex_range[plane, 0])
+        if plane < len(table.face_vertex_range)
+        else len(table.face_vertices)
+    )
 
     def join(old: np.ndarray, cut: int, inner: np.ndarray, low: int = 0, by: int = 0) -> np.ndarray:
         return np.concatenate([old[:cut], inner + low, old[cut:] + by])
 
-    corners, planes, rings = len(new.corner), len(new.plane), len(new.ring)
+    corners, planes, rings = len(new.vertices), len(new.face_planes), len(new.face_vertices)
     return ShapeTable(
         kind=join(table.kind, at, new.kind),
         half=join(table.half, at, new.half),
-        middle=join(table.middle, at, new.middle),
+        centre=join(table.centre, at, new.centre),
         radius=join(table.radius, at, new.radius),
-        corner=join(table.corner, corner, new.corner),
-        corners=join(table.corners, at, new.corners, corner, corners),
-        plane=join(table.plane, plane, new.plane),
-        planes=join(table.planes, at, new.planes, plane, planes),
-        ring=join(table.ring, ring, new.ring, corner, corners),
-        rings=join(table.rings, plane, new.rings, ring, rings),
+        vertices=join(table.vertices, corner, new.vertices),
+        vertex_range=join(table.vertex_range, at, new.vertex_range, corner, corners),
+        face_planes=join(table.face_planes, plane, new.face_planes),
+        face_range=join(table.face_range, at, new.face_range, plane, planes),
+        face_vertices=join(table.face_vertices, ring, new.face_vertices, corner, corners),
+        face_vertex_range=join(table.face_vertex_range, plane, new.face_vertex_range, ring, rings),
     )
 
 
 @func
-def _farthest(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
+def _hull_support(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
     """Return the corner of a hull that is farthest along a direction, the first of several."""
-    best = table.corners[s, 0]
+    best = table.vertex_range[s, 0]
     most = -np.inf
-    for k in range(table.corners[s, 0], table.corners[s, 1]):
-        along = table.corner[k, 0] * d[0] + table.corner[k, 1] * d[1] + table.corner[k, 2] * d[2]
+    for k in range(table.vertex_range[s, 0], table.vertex_range[s, 1]):
+        along = (
+            table.vertices[k, 0] * d[0] + table.vertices[k, 1] * d[1] + table.vertices[k, 2] * d[2]
+        )
         if along > most:
             best = k
             most = along
-    return table.corner[best, 0], table.corner[best, 1], table.corner[best, 2]
+    return table.vertices[best, 0], table.vertices[best, 1], table.vertices[best, 2]
 
 
 @kernel
-def support(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
+def local_support_point(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
     """Return a point of shape s that is farthest along a direction.
 
     Args:
@@ -262,4 +268,4 @@ def support(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
             return 0.0, 0.0, rise
         scale = table.half[s, 0] / across
         return scale * d[0], scale * d[1], rise
-    return _farthest(table, s, d)
+    return _hull_support(table, s, d)

@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.errors import read_file, require_file, shown
 from bulletuav.parsing import parse_number, plain_digits
 
-MOST_LINES = 1_000_000
+MAX_LINES = 1_000_000
 """Most lines of a file"""
 WORD = re.compile("[^ \t]+")
 
@@ -33,8 +33,8 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
     path = require_file("mesh", path, "pass the path of a Wavefront OBJ file")
     # Lines and words end where the engine takes them to end: it must count the same corners
     lines = read_file(path, newline="").split("\n")
-    if len(lines) > MOST_LINES:
-        raise ValueError(f"{path}: {len(lines)} lines, at most {MOST_LINES} are read: simplify it")
+    if len(lines) > MAX_LINES:
+        raise ValueError(f"{path}: {len(lines)} lines, at most {MAX_LINES} are read: simplify it")
     corners: list[tuple[float, ...]] = []
     objects: list[set[int]] = [set()]
     for number, line in enumerate(lines, start=1):
@@ -44,9 +44,9 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
             if word == "o":
                 objects.append(set())
             elif word == "v":
-                corners.append(_point(values))
+                corners.append(_parse_vertex(values))
             elif word == "f":
-                objects[-1].update(_corner(value, len(corners)) for value in values)
+                objects[-1].update(_parse_index(value, len(corners)) for value in values)
         except ValueError:
             raise ValueError(f"{path}: line {number} is {shown(line)}: it cannot be read") from None
     # Objects without faces have no corners to take
@@ -57,7 +57,7 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
     return found
 
 
-def _point(values: list[str]) -> tuple[float, ...]:
+def _parse_vertex(values: list[str]) -> tuple[float, ...]:
     """Read the coordinates of a corner.
 
     Raises:
@@ -67,7 +67,7 @@ def _point(values: list[str]) -> tuple[float, ...]:
     return x, y, z
 
 
-def _corner(text: str, count: int) -> int:
+def _parse_index(text: str, count: int) -> int:
     """Read the index of a corner, such as 3, 3/1/2 or -1 (the last one), of those so far.
 
     Raises:

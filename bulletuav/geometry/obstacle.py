@@ -5,20 +5,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletuav.errors import as_sequence, choose, finite, points_of, shown
-from bulletuav.geometry.convex import hull_shape, reach
+from bulletuav.geometry.convex import bounding_radius, make_hull_shape
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 
-SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "hull": 0}
+NUM_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "hull": 0}
 """Kinds of obstacles, and how many numbers tell their size."""
-LARGEST = 4096.0
+MAX_SIZE = 4096.0
 """Greatest edge or radius of an obstacle, m."""
-BAR = 2.5
+MIN_BAR_RATIO = 2.5
 """How many times as long as wide a box is at least that is a bar"""
-MOST_CORNERS = 256
+MAX_CORNERS = 256
 """Most corners of a hull."""
-MOST_FRICTION = 10.0
+MAX_FRICTION = 10.0
 """Greatest coefficient of friction."""
-FRICTION = 0.5
+DEFAULT_FRICTION = 0.5
 """Coefficient of friction of what tells none."""
 
 Corners = tuple[tuple[float, float, float], ...]
@@ -47,19 +47,19 @@ class Obstacle:
     size: tuple[float, ...] = ()
     colour: tuple[float, float, float, float] = (0.55, 0.57, 0.62, 1.0)
     corners: Corners = ()
-    friction: float = FRICTION
+    friction: float = DEFAULT_FRICTION
     restitution: float = 0.0
 
     def __post_init__(self) -> None:
-        choose("kind of obstacle", self.kind, SIZES)
-        size = as_sequence("size of an obstacle", self.size, SIZES[self.kind])
-        if min((finite("size of an obstacle", one, most=LARGEST) for one in size), default=1) <= 0:
+        choose("kind of obstacle", self.kind, NUM_SIZES)
+        size = as_sequence("size of an obstacle", self.size, NUM_SIZES[self.kind])
+        if min((finite("size of an obstacle", one, most=MAX_SIZE) for one in size), default=1) <= 0:
             raise ValueError(
                 f"size of an obstacle is {shown(self.size)}: metres above 0 are needed"
             )
         for share in as_sequence("colour", self.colour, 4):
             finite("colour of an obstacle", share, 0, 1)
-        finite("friction of an obstacle", self.friction, 0, MOST_FRICTION)
+        finite("friction of an obstacle", self.friction, 0, MAX_FRICTION)
         finite("restitution of an obstacle", self.restitution, 0, 1)
         self._check_corners()
 
@@ -69,7 +69,7 @@ class Obstacle:
             if len(self.corners):
                 raise ValueError(f"an obstacle of kind {self.kind!r} has no corners: use 'hull'")
             return
-        corners = hull_of("corners of an obstacle", self.corners).corners
+        corners = hull_from_points("corners of an obstacle", self.corners).corners
         object.__setattr__(self, "corners", corners)
 
     @property
@@ -90,7 +90,7 @@ class Obstacle:
     def long_axis(self) -> tuple[float, float, float]:
         """From the middle of a bar to its end, m; zeros of what is no box as long as a bar."""
         across, along = sorted(self.size)[-2:] if self.kind == "box" else (1.0, 1.0)
-        if along < BAR * across:
+        if along < MIN_BAR_RATIO * across:
             return 0.0, 0.0, 0.0
         x, y, z = (0.5 * edge if edge == along else 0.0 for edge in self.size)
         return x, y, z
@@ -98,10 +98,10 @@ class Obstacle:
     @property
     def radius(self) -> float:
         """Radius of the bounding sphere about the obstacle's position, m."""
-        return reach(self.shape)
+        return bounding_radius(self.shape)
 
 
-def hull_of(name: str, points: object) -> Shape:
+def hull_from_points(name: str, points: object) -> Shape:
     """Make the convex hull of points that a user gave.
 
     Args:
@@ -116,15 +116,15 @@ def hull_of(name: str, points: object) -> Shape:
             corners.
     """
     corners = points_of(name, points)
-    if np.abs(corners).max(initial=0.0) > LARGEST:
-        raise ValueError(f"{name}: one is farther out than {LARGEST:g} m")
+    if np.abs(corners).max(initial=0.0) > MAX_SIZE:
+        raise ValueError(f"{name}: one is farther out than {MAX_SIZE:g} m")
     try:
-        shape = hull_shape(corners)
+        shape = make_hull_shape(corners)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-    if len(shape.corners) > MOST_CORNERS:
+    if len(shape.corners) > MAX_CORNERS:
         raise ValueError(
             f"{name}: the hull has {len(shape.corners)} corners, "
-            f"at most {MOST_CORNERS} are possible: simplify it"
+            f"at most {MAX_CORNERS} are possible: simplify it"
         )
     return shape

@@ -20,11 +20,11 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid
-from bulletuav.geometry.closest_approach import closest_squared
+from bulletuav.geometry.closest_approach import closest_squared_distances
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.rotation import Quat4Like, Vec3Like, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.geometry.shapes import HULL, inside, inside_box, slab
+from bulletuav.geometry.shapes import HULL, intersect_box, intersect_primitive, intersect_slab
 
 
 class Poses(Protocol):
@@ -40,18 +40,18 @@ class Poses(Protocol):
 
 
 @func
-def _inside_hull(
+def _intersect_hull(
     table: ShapeTable, s: int, start: Vec3Like, change: Vec3Like
 ) -> tuple[float, float]:
-    """Return the shares between which a line is in hull s, in its axes; see `inside`."""
+    """Return the shares between which a line is in hull s, in its axes; see `intersect_primitive`."""
     enters = -np.inf
     leaves = np.inf
-    for f in range(table.planes[s, 0], table.planes[s, 1]):
+    for f in range(table.face_range[s, 0], table.face_range[s, 1]):
         along = 0.0
-        above = -table.plane[f, 3]
+        above = -table.face_planes[f, 3]
         for k in range(3):
-            along += table.plane[f, k] * change[k]
-            above += table.plane[f, k] * start[k]
+            along += table.face_planes[f, k] * change[k]
+            above += table.face_planes[f, k] * start[k]
         # A line along a face is behind it all the way or never.
         if along == 0.0:
             if above > 0.0:
@@ -64,7 +64,7 @@ def _inside_hull(
 
 
 @func
-def inside_shape(
+def intersect_shape(
     table: ShapeTable, s: int, start: Vec3Like, change: Vec3Like
 ) -> tuple[float, float]:
     """Return the shares between which a line is inside shape s of a table, no half space.
@@ -79,12 +79,12 @@ def inside_shape(
         The shares of entry and exit; the first is larger where the line never is inside.
     """
     if table.kind[s] == HULL:
-        return _inside_hull(table, s, start, change)
-    return inside(table.kind[s], point(table.half, s), start, change)
+        return _intersect_hull(table, s, start, change)
+    return intersect_primitive(table.kind[s], point(table.half, s), start, change)
 
 
 @func
-def _crossing(enters: float, leaves: float) -> float:
+def _first_hit(enters: float, leaves: float) -> float:
     """Return the share at which a ray first crosses a surface, inf if it does not.
 
     Args:
@@ -100,7 +100,7 @@ def _crossing(enters: float, leaves: float) -> float:
 
 
 @func
-def _nearest_surface(
+def _cast_in_cell(
     city_grid: CityGrid,
     table: ShapeTable,
     piece_place: np.ndarray,
@@ -116,24 +116,24 @@ def _nearest_surface(
         p = city_grid.item[m]
         low = point(city_grid.low, p)
         high = point(city_grid.high, p)
-        enters, leaves = inside_box(start, change, low, high)
+        enters, leaves = intersect_box(start, change, low, high)
         # Of a hull, this was the bounding box.
         if not city_grid.boxes[layout] and enters <= leaves and table.kind[first_piece + p] == HULL:
             here = minus(start, point(piece_place, p))
-            enters, leaves = _inside_hull(table, first_piece + p, here, change)
-        found = min(found, _crossing(enters, leaves))
+            enters, leaves = _intersect_hull(table, first_piece + p, here, change)
+        found = min(found, _first_hit(enters, leaves))
     return found
 
 
 @func
-def _cell_of(place: float, city_grid: CityGrid) -> int:
+def _cell_index(place: float, city_grid: CityGrid) -> int:
     """Return the column (or row) of a coordinate (m), the nearest one where it is outside."""
     scale = 0.5 * city_grid.cells / city_grid.reach
     return min(max(math.floor((place + city_grid.reach) * scale), 0), city_grid.cells - 1)
 
 
 @func
-def _step_of(change: float) -> int:
+def _cell_step(change: float) -> int:
     """Return the direction in which a ray passes columns (or rows): 1, -1, or 0 for none."""
     if change > 0.0:
         return 1
@@ -141,7 +141,7 @@ def _step_of(change: float) -> int:
 
 
 @func
-def _next_line(start: float, change: float, cell: int, step: int, city_grid: CityGrid) -> float:
+def _next_boundary(start: float, change: float, cell: int, step: int, city_grid: CityGrid) -> float:
     """Return the share at which a ray passes from a column (or row) to the next, inf if never."""
     if step == 0:
         return np.inf
@@ -150,26 +150,26 @@ def _next_line(start: float, change: float, cell: int, step: int, city_grid: Cit
 
 
 @func
-def _over_grid(
+def _clip_to_grid(
     city_grid: CityGrid, layout: int, start: Vec3Like, change: Vec3Like
 ) -> tuple[float, float]:
     """Return the shares between which a ray is over the grid and no higher than the roofs."""
     # Between the lowest underside and the highest roof
     lowest = city_grid.heights[layout, 0]
     highest = city_grid.heights[layout, 1]
-    least, last = slab(start[2], change[2], lowest, highest)
-    least = max(least, 0.0)
+    entry, last = intersect_slab(start[2], change[2], lowest, highest)
+    entry = max(entry, 0.0)
     last = min(last, 1.0)
     # And within the square that the grid covers
     for k in range(2):
-        one, two = slab(start[k], change[k], -city_grid.reach, city_grid.reach)
-        least = max(least, one)
+        one, two = intersect_slab(start[k], change[k], -city_grid.reach, city_grid.reach)
+        entry = max(entry, one)
         last = min(last, two)
-    return least, last
+    return entry, last
 
 
 @func
-def _buildings(
+def _cast_city(
     city_grid: CityGrid,
     table: ShapeTable,
     piece_place: np.ndarray,
@@ -180,23 +180,23 @@ def _buildings(
 ) -> float:
     """Return the share at which a ray meets the first piece of a layout, 1 if none."""
     # Over the roofs or beside the city nothing is met
-    least, last = _over_grid(city_grid, layout, start, change)
-    if least > last:
+    entry, last = _clip_to_grid(city_grid, layout, start, change)
+    if entry > last:
         return 1.0
     # Begin in the cell where the ray comes over the grid.
-    column = _cell_of(start[0] + least * change[0], city_grid)
-    row = _cell_of(start[1] + least * change[1], city_grid)
-    east = _step_of(change[0])
-    north = _step_of(change[1])
+    column = _cell_index(start[0] + entry * change[0], city_grid)
+    row = _cell_index(start[1] + entry * change[1], city_grid)
+    east = _cell_step(change[0])
+    north = _cell_step(change[1])
     found = np.inf
     while 0 <= column < city_grid.cells and 0 <= row < city_grid.cells:
         cell = column * city_grid.cells + row
-        found = _nearest_surface(
+        found = _cast_in_cell(
             city_grid, table, piece_place, first_piece, layout, cell, start, change, found
         )
         # Go on to the cell whose line comes first, unless the ray has ended or met a piece by then.
-        across = _next_line(start[0], change[0], column, east, city_grid)
-        along = _next_line(start[1], change[1], row, north, city_grid)
+        across = _next_boundary(start[0], change[0], column, east, city_grid)
+        along = _next_boundary(start[1], change[1], row, north, city_grid)
         if min(across, along) >= min(last, found):
             break
         if across <= along:
@@ -207,7 +207,7 @@ def _buildings(
 
 
 @func
-def _inside_placed(
+def _intersect_posed_shape(
     table: ShapeTable,
     s: int,
     place: Vec3Like,
@@ -215,20 +215,20 @@ def _inside_placed(
     start: Vec3Like,
     end: Vec3Like,
 ) -> tuple[float, float]:
-    """Return the shares between which a ray is inside a shape at a pose; see `inside_shape`."""
+    """Return the shares between which a ray is inside a shape at a pose; see `intersect_shape`."""
     # Most rays pass outside the bounding sphere: these are sorted out first.
     here = minus(start, place)
     there = minus(end, place)
-    if closest_squared(here, there)[1] > table.radius[s] * table.radius[s]:
+    if closest_squared_distances(here, there)[1] > table.radius[s] * table.radius[s]:
         return np.inf, -np.inf
     # The others meet the shape in its own axes.
     body_here = to_body(quaternion, here)
     body_change = to_body(quaternion, minus(there, here))
-    return inside_shape(table, s, body_here, body_change)
+    return intersect_shape(table, s, body_here, body_change)
 
 
 @allocating
-def walk(
+def cast_scenery_rays(
     scenery: Scenery, start: np.ndarray, end: np.ndarray, world: np.ndarray, compiled: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cast rays at all but drones, as `Engine.cast_rays` does.
@@ -250,7 +250,7 @@ def walk(
     table = scenery.table
     piece_place = scenery.piece_place
     body_place = scenery.place
-    body_turn = scenery.quaternion
+    body_quaternion = scenery.quaternion
     first_piece = scenery.first_piece
     first_body = scenery.first_body
     bodies = body_place.shape[1]
@@ -273,19 +273,23 @@ def walk(
             found = min(1.0, -here[2] / change[2])
         # The nearest of ground, buildings and bodies
         if layout != NO_LAYOUT:
-            share = _buildings(city_grid, table, piece_place, first_piece, layout, here, change)
-            found = min(found, share)
+            hit = _cast_city(
+                city_grid, table, piece_place, first_piece, layout, here, change
+            )
+            found = min(found, hit)
         for r in range(bodies):
             place = vec3(body_place, w, r)
-            turn = quat4(body_turn, w, r)
-            enters, leaves = _inside_placed(table, first_body + r, place, turn, here, there)
-            found = min(found, _crossing(enters, leaves))
+            quaternion = quat4(body_quaternion, w, r)
+            enters, leaves = _intersect_posed_shape(
+                table, first_body + r, place, quaternion, here, there
+            )
+            found = min(found, _first_hit(enters, leaves))
         fraction[m] = found
     return fraction, np.array(left, dtype=np.int64)
 
 
 @kernel
-def meet_drones(
+def cast_drone_rays(
     fraction: np.ndarray,
     start: np.ndarray,
     end: np.ndarray,
@@ -316,7 +320,7 @@ def meet_drones(
                 # The ray in share of its length: where it enters and leaves the shape
                 place = vec3(swarm.position, w, i)
                 attitude = quat4(swarm.quaternion, w, i)
-                enters, leaves = _inside_placed(table, i, place, attitude, here, there)
+                enters, leaves = _intersect_posed_shape(table, i, place, attitude, here, there)
                 # A negative entry is a ray that starts inside
                 if 0.0 <= enters <= leaves:
                     fraction[m] = min(fraction[m], enters)

@@ -71,7 +71,7 @@ def dot(a: Vec3Like, b: Vec3Like) -> float:
 
 
 @func
-def normalised(q: Quat4Like) -> Quat4:
+def normalise_quaternion(q: Quat4Like) -> Quat4:
     """Return the unit quaternion q / |q|."""
     scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
@@ -124,7 +124,7 @@ def product(p: Quat4Like, q: Quat4Like) -> Quat4:
 
 
 @func
-def exponential(v: Vec3Like) -> Quat4:
+def exp_map(v: Vec3Like) -> Quat4:
     """Return the quaternion of the rotation by |v| radians about v (the exponential map)."""
     angle = math.sqrt(dot(v, v))
     # Below the limit sin(angle / 2) / angle is 1/2 to the last digit, and 0 / 0 is avoided.

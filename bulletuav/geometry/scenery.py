@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.geometry.city_grid import CityGrid
-from bulletuav.geometry.convex import ShapeTable, hull_shape, insert_shapes, make_shape_table
+from bulletuav.geometry.convex import ShapeTable, insert_shapes, make_hull_shape, make_shape_table
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import BOX, HALF_SPACE, Shape
 from bulletuav.geometry.solids import Solids
@@ -55,7 +55,7 @@ class Scenery(NamedTuple):
     city_grid: CityGrid
 
 
-class Piece(NamedTuple):
+class BodyPiece(NamedTuple):
     """One convex piece of a body.
 
     Attributes:
@@ -121,7 +121,7 @@ def _city_shapes(layouts: Sequence[Solids], place: np.ndarray, half: np.ndarray)
             width, depth, height = half[len(shapes)].tolist()
             shapes.append(Shape(BOX, (width, depth, height)))
         for hull in solids.hulls:
-            shapes.append(hull_shape(hull - place[len(shapes)]))
+            shapes.append(make_hull_shape(hull - place[len(shapes)]))
     return shapes
 
 

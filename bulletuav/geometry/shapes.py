@@ -32,7 +32,7 @@ class Shape(NamedTuple):
 
 
 @func
-def slab(start: float, change: float, low: float, high: float) -> tuple[float, float]:
+def intersect_slab(start: float, change: float, low: float, high: float) -> tuple[float, float]:
     """Return the shares t at which a line enters and leaves a slab.
 
     Args:
@@ -53,7 +53,7 @@ def slab(start: float, change: float, low: float, high: float) -> tuple[float, f
 
 
 @func
-def inside_box(
+def intersect_box(
     start: Vec3Like, change: Vec3Like, low: Vec3Like, high: Vec3Like
 ) -> tuple[float, float]:
     """Return the shares t between which a line is in the box between two corners.
@@ -71,7 +71,7 @@ def inside_box(
     enters = -np.inf
     leaves = np.inf
     for k in range(3):
-        one, two = slab(start[k], change[k], low[k], high[k])
+        one, two = intersect_slab(start[k], change[k], low[k], high[k])
         enters = max(enters, one)
         leaves = min(leaves, two)
     return enters, leaves
@@ -88,7 +88,7 @@ def distance_from_box(place: Vec3Like, low: Vec3Like, high: Vec3Like) -> float:
 
 
 @func
-def _inside_round(along: float, square: float, outside: float) -> tuple[float, float]:
+def _intersect_round(along: float, square: float, outside: float) -> tuple[float, float]:
     """Return the roots t of t^2 square + 2 t along + outside, or (inf, -inf) for none.
 
     This is the squared distance from a centre or an axis less the squared radius.
@@ -104,7 +104,9 @@ def _inside_round(along: float, square: float, outside: float) -> tuple[float, f
 
 
 @func
-def inside(kind: int, half: Vec3Like, start: Vec3Like, change: Vec3Like) -> tuple[float, float]:
+def intersect_primitive(
+    kind: int, half: Vec3Like, start: Vec3Like, change: Vec3Like
+) -> tuple[float, float]:
     """Return the shares t between which a line is inside a collision shape.
 
     Args:
@@ -118,13 +120,13 @@ def inside(kind: int, half: Vec3Like, start: Vec3Like, change: Vec3Like) -> tupl
     """
     if kind == SPHERE:
         outside = dot(start, start) - half[0] ** 2
-        return _inside_round(dot(start, change), dot(change, change), outside)
+        return _intersect_round(dot(start, change), dot(change, change), outside)
     if kind == BOX:
-        return inside_box(start, change, (-half[0], -half[1], -half[2]), half)
+        return intersect_box(start, change, (-half[0], -half[1], -half[2]), half)
     # A cylinder is where a slab along z and a round column about it overlap.
-    enters, leaves = slab(start[2], change[2], -half[2], half[2])
+    enters, leaves = intersect_slab(start[2], change[2], -half[2], half[2])
     along = start[0] * change[0] + start[1] * change[1]
     square = change[0] ** 2 + change[1] ** 2
     outside = start[0] ** 2 + start[1] ** 2 - half[0] ** 2
-    one, two = _inside_round(along, square, outside)
+    one, two = _intersect_round(along, square, outside)
     return max(enters, one), min(leaves, two)

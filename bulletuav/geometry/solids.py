@@ -104,7 +104,7 @@ def _hull_faces(corners: np.ndarray) -> Mesh:
     return corners, faces
 
 
-def obj_lines(pieces: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Iterator[str]:
+def format_obj_lines(pieces: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Iterator[str]:
     """Write pieces as a Wavefront OBJ file, one object each, with all digits.
 
     Args:
@@ -121,7 +121,7 @@ def obj_lines(pieces: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Iterator[
         first += len(corners)
 
 
-def apart_groups(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
+def group_separated(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
     """Group pieces so that the members of a group keep a distance from each other.
 
     Greedy graph colouring: few groups, and the same for the same pieces.

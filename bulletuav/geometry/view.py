@@ -10,7 +10,7 @@ NEAR = 0.05
 FAR = 2000.0
 """Distance along the view axis to which cameras of drones see, m."""
 
-AIR = (206, 224, 240)
+SKY_COLOUR = (206, 224, 240)
 """Colour of the sky: red, green, blue, from 0 to 255."""
 SKY, LAND, BUILDING, OBSTACLE, DRONE = range(5)
 """Labels of what a pixel shows."""
@@ -30,7 +30,7 @@ class Picture(NamedTuple):
     labels: np.ndarray
 
 
-class Shot(NamedTuple):
+class CameraMatrices(NamedTuple):
     """What a camera sees, before anything is drawn.
 
     Attributes:
@@ -73,7 +73,7 @@ def projection_matrix(aspect: float, field_of_view: float, far: float = FAR) -> 
     Args:
         aspect: Width of the image over its height.
         field_of_view: Vertical angle of view, degrees.
-        far: Distance along the view axis to which the camera sees, m. `metres` is for FAR.
+        far: Distance along the view axis to which the camera sees, m. `linearise_depth` is for FAR.
 
     Returns:
         (4, 4) matrix from the camera to clip space.
@@ -85,12 +85,12 @@ def projection_matrix(aspect: float, field_of_view: float, far: float = FAR) -> 
     return matrix
 
 
-def refocused(depth: np.ndarray, far: float) -> np.ndarray:
-    """Correct depths that `metres` gave for a projection that sees to `far`, m."""
+def rescale_depth(depth: np.ndarray, far: float) -> np.ndarray:
+    """Correct depths that `linearise_depth` gave for a projection that sees to `far`, m."""
     buffer = (FAR - NEAR * FAR / depth) / (FAR - NEAR)
     return NEAR * far / (far - (far - NEAR) * buffer)
 
 
-def metres(buffer: np.ndarray) -> np.ndarray:
+def linearise_depth(buffer: np.ndarray) -> np.ndarray:
     """Turn a depth buffer in [0, 1], of a projection to FAR, into depth along the view axis, m."""
     return NEAR * FAR / (FAR - (FAR - NEAR) * buffer)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bulletuav.geometry.rotation import exponential
+from bulletuav.geometry.rotation import exp_map
 from bulletuav.identification.constants import Constant
 from bulletuav.identification.flight import Flight
 from bulletuav.identification.rollout import STATE, Legs, follow, roll_out
@@ -136,7 +136,7 @@ def _predict(
 
 def tilt_of(offsets: np.ndarray) -> tuple[float, float, float, float]:
     """Return the quaternion from the drone's body to the one whose attitude was measured."""
-    return exponential((TILT * offsets[1], TILT * offsets[2], 0.0))
+    return exp_map((TILT * offsets[1], TILT * offsets[2], 0.0))
 
 
 def compare(

@@ -10,7 +10,7 @@ from bulletuav.identification.attitude import frame_of, rates_of, slope, smooth
 from bulletuav.identification.logs import OTHER, POSITION, QUATERNION, RATES, VELOCITY, Log
 from bulletuav.identification.rollout import Track
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
-from bulletuav.vehicle.battery import speed_share
+from bulletuav.vehicle.battery import battery_speed_ratio
 from bulletuav.vehicle.rotors import RPM
 
 FINEST = 0.005
@@ -91,7 +91,7 @@ def _speed_shares(
 ) -> None:
     """Fill in the share of a commanded speed that motors reach at voltages (n,)."""
     for k in range(volts.size):
-        share[k] = speed_share(volts[k], nominal)
+        share[k] = battery_speed_ratio(volts[k], nominal)
 
 
 def logged_speeds(log: Log, airframe: Airframe) -> np.ndarray:

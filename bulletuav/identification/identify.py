@@ -16,7 +16,7 @@ from bulletuav.identification.fitting import Fitting, halves, own_numbers, silen
 from bulletuav.identification.flight import prepare
 from bulletuav.identification.logs import OTHER, parse_map, read_log
 from bulletuav.vehicle.airframe import Airframe
-from bulletuav.vehicle.airframes import HEAVIEST, load_airframe
+from bulletuav.vehicle.airframes import MAX_MASS, load_airframe
 
 WINDOW = 0.5
 """Usual duration of a window, s"""
@@ -135,7 +135,7 @@ def identify(
     """
     drone = load_airframe(airframe)
     if mass is not None:
-        drone = dataclasses.replace(drone, mass=finite("mass", mass, 1e-3, HEAVIEST))
+        drone = dataclasses.replace(drone, mass=finite("mass", mass, 1e-3, MAX_MASS))
     window = finite("window", window, 0.1, 5.0)
     sources = parse_map(columns)
     require_same_logs([Path(log) for log in logs])

@@ -12,7 +12,7 @@ import numpy as np
 
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.geometry.closest_approach import keep_nearest
+from bulletuav.geometry.closest_approach import insert_nearest
 from bulletuav.geometry.rotation import Vec3, cross, dot, plus, vec3
 from bulletuav.policies.linear_program import best_velocity, write
 from bulletuav.policies.traffic import Traffic
@@ -92,7 +92,7 @@ def nearest_first(
             gap = vec3(traffic.gap[w], i, k)
             square = dot(gap, gap)
             if square <= reach * reach:
-                found = keep_nearest(near, distance, found, k, square)
+                found = insert_nearest(near, distance, found, k, square)
     return found
 
 

@@ -12,7 +12,7 @@ from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3Like, axes, quat4, to_body, vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
-from bulletuav.vehicle.swarm import Swarm, get
+from bulletuav.vehicle.swarm import Swarm, get_state
 
 NEAREST, FASTEST = 0.08, 7.4
 """m, rad/s; least distance and greatest flow of a PMW3901 (PixArt's datasheet, as in PX4)"""
@@ -122,7 +122,7 @@ def _measure(
             for k in range(3):
                 flow[w, i, k] = 0.0
             # Is there ground that it can see?
-            _, quaternion, velocity, rates = get(swarm, w, i)
+            _, quaternion, velocity, rates = get_state(swarm, w, i)
             far = distance[w, i]
             if fails[w, i] or far < nearest or far >= farthest:
                 continue

@@ -10,7 +10,7 @@ from bulletuav.compiled.program import Program
 from bulletuav.conflict.separation import Conflict, fill_conflict, no_conflict
 from bulletuav.contact.contacts import mark
 from bulletuav.contact.rest import Contact
-from bulletuav.geometry.closest_approach import fill_distances
+from bulletuav.geometry.closest_approach import fill_paired_distances
 from bulletuav.tasks.frame import (
     RESTING_SPEED,
     RESTING_SPIN,
@@ -95,9 +95,9 @@ def _fill_all(
     distances: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     """Write how far goals (W, N, 3) are from each of three places, (W, N)."""
-    fill_distances(goal, places[0], distances[0])
-    fill_distances(goal, places[1], distances[1])
-    fill_distances(goal, places[2], distances[2])
+    fill_paired_distances(goal, places[0], distances[0])
+    fill_paired_distances(goal, places[1], distances[1])
+    fill_paired_distances(goal, places[2], distances[2])
 
 
 def mark_contacts(account: Account, frame: Frame) -> None:

@@ -33,12 +33,12 @@ def drag(
     """
     ahead, left, up = axes(quaternion)
     along = (dot(ahead, air_velocity), dot(left, air_velocity), 0.0)
-    force = force_of_air(air_velocity, up, 0.0, total_speed, row)
-    return force, torque_of_drag(along, total_speed, row)
+    force = thrust_and_drag(air_velocity, up, 0.0, total_speed, row)
+    return force, drag_torque(along, total_speed, row)
 
 
 @func
-def force_of_air(
+def thrust_and_drag(
     v: Vec3Like, up: Vec3Like, thrust: float, total_speed: float, row: ParameterRow
 ) -> Vec3:
     """Return thrust and drag, world axes, N.
@@ -68,7 +68,7 @@ def force_of_air(
 
 
 @func
-def torque_of_drag(along: Vec3Like, total_speed: float, row: ParameterRow) -> Vec3:
+def drag_torque(along: Vec3Like, total_speed: float, row: ParameterRow) -> Vec3:
     """Return the torque of the rotors' drag, which acts above the centre of mass, body axes, N m.
 
     Args:
@@ -95,11 +95,11 @@ def ground_effect(height: float, row: ParameterRow) -> float:
     Returns:
         The share of the rotor's thrust that is added.
     """
-    return row.ground_effect_gain * _nearness(1.0 - row.ground_effect_fade * height)
+    return row.ground_effect_gain * _ground_proximity(1.0 - row.ground_effect_fade * height)
 
 
 @func
-def _nearness(left: float) -> float:
+def _ground_proximity(left: float) -> float:
     """Return the cube of what is left of the reach, (1 - h / H)^3 within 0 and 1."""
     within = min(max(left, 0.0), 1.0)
     return within * within * within
@@ -122,7 +122,7 @@ def is_near_surface(height: float, climb: float, dt: float, row: ParameterRow) -
 
 
 @func
-def lifted_rotors(height: float, climb: float, dt: float, row: ParameterRow) -> int:
+def num_lifted_rotors(height: float, climb: float, dt: float, row: ParameterRow) -> int:
     """Return how many rotors a surface below may lift: all, or none; see `is_near_surface`."""
     return row.num_rotors if is_near_surface(height, climb, dt, row) else 0
 
@@ -140,7 +140,7 @@ def ground_wrench(
         height: Height of the centre of mass above the surface, m.
         lean: Vertical components of the body's axes x, y, z.
         speed: (R,) rotor speeds, rad/s.
-        lifted: What `lifted_rotors` returns.
+        lifted: What `num_lifted_rotors` returns.
         row: Constants of the drone.
 
     Returns:
@@ -155,7 +155,7 @@ def ground_wrench(
         x = row.rotor_x[r]
         y = row.rotor_y[r]
         lower = x * slope_x + y * slope_y
-        force = _nearness(left - lower) * (speed[r] * speed[r])
+        force = _ground_proximity(left - lower) * (speed[r] * speed[r])
         lift += force
         lift_x += x * force
         lift_y += y * force

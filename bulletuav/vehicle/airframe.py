@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.errors import as_int, as_sequence, finite, shown
-from bulletuav.geometry.convex import inscribed_radius, reach
-from bulletuav.geometry.obstacle import FRICTION
+from bulletuav.geometry.convex import bounding_radius, inscribed_radius
+from bulletuav.geometry.obstacle import DEFAULT_FRICTION
 from bulletuav.geometry.shapes import Shape
 
 MIN_ROTORS, MAX_ROTORS = 4, 8
@@ -56,7 +56,7 @@ def hover_speed(weight: float, num_rotors: int, thrust_coefficient: float) -> fl
     return math.sqrt(weight / (num_rotors * thrust_coefficient))
 
 
-def reach_of(rotors: tuple[tuple[float, float, int], ...]) -> float:
+def arm_length(rotors: tuple[tuple[float, float, int], ...]) -> float:
     """Compute the distance of the outermost rotor from the centre of mass, m."""
     return max(math.sqrt(x * x + y * y) for x, y, _ in rotors)
 
@@ -161,7 +161,7 @@ class Airframe:
     shape: Shape
     pack: Pack | None = None
     pwm: Pwm | None = None
-    friction: float = FRICTION
+    friction: float = DEFAULT_FRICTION
     restitution: float = 0.0
 
     def require_physical(self) -> None:
@@ -193,7 +193,7 @@ class Airframe:
     @property
     def collision_radius(self) -> float:
         """Radius of the sphere about the centre of mass that holds the collision shape, m."""
-        return reach(self.shape)
+        return bounding_radius(self.shape)
 
     @cached_property
     def thinnest(self) -> float:
@@ -212,7 +212,7 @@ class Airframe:
     @property
     def arm(self) -> float:
         """Distance of the outermost rotor from the centre of mass, m."""
-        return reach_of(self.rotors)
+        return arm_length(self.rotors)
 
     @property
     def max_thrust(self) -> float:

@@ -45,7 +45,7 @@ def loaded_voltage(rest: float, power: float, resistance: float) -> float:
 
 
 @func
-def speed_share(voltage: float, nominal: float) -> float:
+def battery_speed_ratio(voltage: float, nominal: float) -> float:
     """Return the share of a commanded rotor speed that motors reach at a voltage.
 
     Args:
@@ -109,11 +109,11 @@ class Battery:
             seconds: How long it is taken.
             flying: (W, N) bool, the drones whose batteries are drained.
         """
-        drain(power, seconds, flying, self.energy, self.charge)
+        drain_batteries(power, seconds, flying, self.energy, self.charge)
 
 
 @kernel
-def drain(
+def drain_batteries(
     power: np.ndarray, seconds: float, flying: np.ndarray, energy: np.ndarray, charge: np.ndarray
 ) -> None:
     """Do what `Battery.drain` does, with batteries of an energy (W, N), J, to their charge."""

@@ -24,19 +24,19 @@ from bulletuav.compiled.kernel import func, kernel
 
 FOOT = 0.3048
 """One foot, m"""
-SLOWEST = 1.0
+DRIFT_SPEED = 1.0
 """Speed with which waves drift, each in a direction of its own, m/s"""
-WAVES = 64
+NUM_WAVES = 64
 """Number of waves in a field; a power of 2"""
-SHORTEST = 0.3
+MIN_WAVELENGTH = 0.3
 """Shortest wavelength, m: over shorter ones a drone takes the mean by its size"""
-STEP = 0.155
+LOG_WAVELENGTH_STEP = 0.155
 """Logarithm of the ratio of neighbours' wavelengths; the longest is 6.1 km"""
-DRAWS = WAVES + 4
+NUM_DRAWS = NUM_WAVES + 4
 """How many random numbers make a field"""
-ROWS = 7
+NUM_WAVE_ROWS = 7
 """How many numbers make a wave"""
-FREQUENCY, COSINE, SINE, STEEPNESS, FLATNESS, DRIFT, PHASE = range(ROWS)
+FREQUENCY, COSINE, SINE, STEEPNESS, FLATNESS, DRIFT, PHASE = range(NUM_WAVE_ROWS)
 """Waves per metre, below 0 if left-handed; cosine and sine of the heading; vertical and horizontal
 part of the direction; drift along it, m/s; phase at the origin, turns"""
 GOLDEN = 1.2207440846057596
@@ -63,7 +63,7 @@ def dryden_scales(altitude: float, wind20: float) -> tuple[float, float, float, 
 
 
 @func
-def _part(number: float) -> float:
+def _fractional_part(number: float) -> float:
     """Return what a number is beyond the next lower whole one."""
     return number - math.floor(number)
 
@@ -79,11 +79,11 @@ def draw_waves(draws: np.ndarray, waves: np.ndarray) -> None:
         draws: (DRAWS,) random numbers, uniform from 0 to 1.
         waves: (ROWS, WAVES) what to write, see `FREQUENCY`.
     """
-    for j in range(WAVES):
-        length = SHORTEST * exp(STEP * (j + draws[0]))
-        heading = 2.0 * PI * _part(draws[1] + j * SPREAD[0])
-        steepness = 2.0 * _part(draws[2] + j * SPREAD[1]) - 1.0
-        drift = 2.0 * _part(draws[3] + j * SPREAD[2]) - 1.0
+    for j in range(NUM_WAVES):
+        length = MIN_WAVELENGTH * exp(LOG_WAVELENGTH_STEP * (j + draws[0]))
+        heading = 2.0 * PI * _fractional_part(draws[1] + j * SPREAD[0])
+        steepness = 2.0 * _fractional_part(draws[2] + j * SPREAD[1]) - 1.0
+        drift = 2.0 * _fractional_part(draws[3] + j * SPREAD[2]) - 1.0
         # One number tells the hand by its half, and the phase by where in it.
         turn = 2.0 * draws[4 + j]
         waves[FREQUENCY, j] = (1.0 if turn < 1.0 else -1.0) / length
@@ -91,8 +91,8 @@ def draw_waves(draws: np.ndarray, waves: np.ndarray) -> None:
         waves[SINE, j] = sin(heading)
         waves[STEEPNESS, j] = steepness
         waves[FLATNESS, j] = math.sqrt(1.0 - steepness * steepness)
-        waves[DRIFT, j] = SLOWEST * drift
-        waves[PHASE, j] = _part(turn)
+        waves[DRIFT, j] = DRIFT_SPEED * drift
+        waves[PHASE, j] = _fractional_part(turn)
 
 
 @func
@@ -125,12 +125,12 @@ def _gain(length: float) -> float:
     Amplitudes a give the variance sum a^2 / 3, for directions are random and a wave's squares are
     1 / 2 on average. The integral of E is 3 pi / 16, less what lies beyond the shortest wave.
     """
-    beyond = SHORTEST / (2.0 * PI * length)
-    return math.sqrt(3.0 * STEP / (3.0 * PI / 16.0 - beyond))
+    beyond = MIN_WAVELENGTH / (2.0 * PI * length)
+    return math.sqrt(3.0 * LOG_WAVELENGTH_STEP / (3.0 * PI / 16.0 - beyond))
 
 
 @func
-def _add_up(parts: np.ndarray) -> None:
+def _sum_columns(parts: np.ndarray) -> None:
     """Add the columns of parts (3, WAVES) into the first, halves onto each other."""
     left = parts.shape[1]
     while left > 1:
@@ -175,7 +175,7 @@ def add_gusts(
             x = position[w, i, 0] - t * steady[w, 0]
             y = position[w, i, 1] - t * steady[w, 1]
             z = position[w, i, 2] - t * steady[w, 2]
-            for j in range(WAVES):
+            for j in range(NUM_WAVES):
                 level = cosine[j] * x + sine[j] * y
                 along = flatness[j] * level + steepness[j] * z - drift[j] * t
                 turns = frequency[j] * along + phase[j]
@@ -191,7 +191,7 @@ def add_gusts(
                 east[j] = ahead * cosine[j] - across * sine[j]
                 north[j] = ahead * sine[j] + across * cosine[j]
                 up[j] = -_amplitude(number * turn_w) * flatness[j] * s
-            _add_up(parts)
+            _sum_columns(parts)
             flat = s_u * _gain(length_u)
             wind[w, i, 0] += flat * east[0]
             wind[w, i, 1] += flat * north[0]

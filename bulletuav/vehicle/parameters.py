@@ -20,7 +20,7 @@ EFFECTS = (
     "voltage",
 )
 """Effects that can be switched off."""
-USUAL_EFFECTS = EFFECTS[:-1]
+DEFAULT_EFFECTS = EFFECTS[:-1]
 """Effects that are on unless told otherwise: firmwares make up for the battery's voltage."""
 
 PARAMETERS = record_type(
@@ -156,7 +156,7 @@ _COPIED = (
 
 
 def parameter_rows(
-    airframes: Sequence[Airframe], effects: Sequence[str] = USUAL_EFFECTS
+    airframes: Sequence[Airframe], effects: Sequence[str] = DEFAULT_EFFECTS
 ) -> np.ndarray:
     """Make the rows that the compiled loops read.
 

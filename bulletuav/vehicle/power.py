@@ -25,7 +25,7 @@ SOLIDITY = 0.05
 """Area of the blades over that of the discs."""
 INDUCED_EXCESS = 0.1
 """Share of the ideal induced power that real rotors lose on top of it."""
-PARASITE_SHARE = 0.03
+PARASITE_AREA_RATIO = 0.03
 """Flat-plate area of the fuselage, in disc areas."""
 
 
@@ -148,7 +148,7 @@ def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> Rota
         radius=radius,
         disc_area=area,
         rotor_speed=speed,
-        parasite_area=PARASITE_SHARE * area,
+        parasite_area=PARASITE_AREA_RATIO * area,
     )
     shafts = weight * airframe.torque_ratio * speed
     return wing._replace(

@@ -42,7 +42,7 @@ def lag_decay(elapsed: float, row: ParameterRow) -> tuple[float, float]:
 
 
 @func
-def lagged(speed: float, command: float, decay: tuple[float, float]) -> float:
+def rotor_speed_after(speed: float, command: float, decay: tuple[float, float]) -> float:
     """Return the speed of a rotor on its way to a command, exact while the command is constant.
 
     Args:
@@ -66,7 +66,7 @@ def lag_rates(row: ParameterRow) -> tuple[float, float]:
 
 
 @func
-def spin_up(speed: float, command: float, rate: tuple[float, float]) -> float:
+def rotor_acceleration(speed: float, command: float, rate: tuple[float, float]) -> float:
     """Return how fast a rotor speeds up towards a command, rad/s^2; 0 without lag.
 
     Args:

@@ -7,7 +7,7 @@ size: lengths grow with the propeller, forces with the weight.
 import math
 from typing import NamedTuple
 
-from bulletuav.vehicle.airframe import reach_of
+from bulletuav.vehicle.airframe import arm_length
 
 GROUND_EFFECT_GAIN = 0.27
 """Share of the thrust that a surface adds to a rotor that touches it (fit, see docs/truth.md)."""
@@ -73,7 +73,7 @@ def scaled_constants(
     disc_area = len(rotors) * math.pi * propeller_radius**2
     return Scaled(
         ground_effect=(GROUND_EFFECT_REACH * propeller_radius, GROUND_EFFECT_GAIN),
-        wake=(WAKE_RADIUS * reach_of(rotors), WAKE_SHARE, WAKE_SPREAD),
+        wake=(WAKE_RADIUS * arm_length(rotors), WAKE_SHARE, WAKE_SPREAD),
         damping=(
             axial * aside / inertia[0],
             axial * along / inertia[1],

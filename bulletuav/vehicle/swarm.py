@@ -80,7 +80,7 @@ class TimeStep(NamedTuple):
 
 
 @func
-def get(swarm: Swarm, w: int, i: int) -> State:
+def get_state(swarm: Swarm, w: int, i: int) -> State:
     """Return the state of one drone as tuples."""
     return (
         vec3(swarm.position, w, i),
@@ -91,8 +91,8 @@ def get(swarm: Swarm, w: int, i: int) -> State:
 
 
 @func
-def put(swarm: Swarm, w: int, i: int, state: State) -> None:
-    """Set the state of one drone, in the form that `get` returns."""
+def set_state(swarm: Swarm, w: int, i: int, state: State) -> None:
+    """Set the state of one drone, in the form that `get_state` returns."""
     position, quaternion, velocity, rates = state
     for k in range(3):
         swarm.position[w, i, k] = position[k]
@@ -103,7 +103,7 @@ def put(swarm: Swarm, w: int, i: int, state: State) -> None:
 
 
 @func
-def _turned_back(velocity: float, beyond: float, rebound: float) -> float:
+def _reflect(velocity: float, beyond: float, rebound: float) -> float:
     """Return a velocity across a side, turned back if it leads further beyond that side."""
     return -rebound * velocity if velocity * beyond > 0.0 else velocity
 
@@ -148,13 +148,13 @@ def confine(
                     continue
                 moved[w, i] = any_moved = True
                 beyond = place - inside
-                swarm.velocity[w, i, k] = _turned_back(swarm.velocity[w, i, k], beyond, rebound)
-                commanded[w, i, k] = _turned_back(commanded[w, i, k], beyond, rebound)
+                swarm.velocity[w, i, k] = _reflect(swarm.velocity[w, i, k], beyond, rebound)
+                commanded[w, i, k] = _reflect(commanded[w, i, k], beyond, rebound)
                 swarm.position[w, i, k] = inside
     return any_moved
 
 
-class Motion(NamedTuple):
+class ObstacleMotion(NamedTuple):
     """Motion of the K obstacles of each world during a decision: straight, without turning.
 
     Attributes:
@@ -168,7 +168,7 @@ class Motion(NamedTuple):
     quaternion: np.ndarray
 
     @classmethod
-    def none(cls, num_worlds: int) -> "Motion":
+    def none(cls, num_worlds: int) -> "ObstacleMotion":
         """Make the motion of no obstacles."""
         nowhere = np.zeros((num_worlds, 0, 3))
         return cls(before=nowhere, after=nowhere, quaternion=np.zeros((num_worlds, 0, 4)))

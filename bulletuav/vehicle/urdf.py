@@ -1,6 +1,6 @@
 """Reading of one-link URDF files: numbers within bounds, the inertia and the collision shape.
 
-Every refusal names the file, the tag and the value.
+Every make_error names the file, the tag and the value.
 """
 
 import contextlib
@@ -13,26 +13,26 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.errors import read_file, shown
-from bulletuav.geometry.convex import holds_origin, inscribed_radius
+from bulletuav.geometry.convex import contains_origin, inscribed_radius
 from bulletuav.geometry.mesh_file import read_obj
-from bulletuav.geometry.obstacle import hull_of
+from bulletuav.geometry.obstacle import hull_from_points
 from bulletuav.geometry.rotation import from_euler
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 from bulletuav.parsing import parse_number, read_xml
 
-SMALLEST = 1e-20
+MIN_MAGNITUDE = 1e-20
 """Least size of a number but 0: squares of such numbers, and products of a few, are no 0."""
-LARGEST = 1e9
+MAX_MAGNITUDE = 1e9
 """Greatest size of a number: squares of such numbers, and products of a few, are finite."""
-WIDEST = 100.0
+MAX_LENGTH = 100.0
 """Greatest length on a drone, m."""
-THINNEST = 1e-4
+MIN_SHAPE_SIDE = 1e-4
 """Least side of a collision shape, m: the engine's margins are as large as thinner ones."""
-LONGEST = 200
+MAX_SHOWN_CHARACTERS = 200
 """Most characters of a value that a message shows."""
-LONGEST_PATH = 800
+MAX_PATH_BYTES = 800
 """Most bytes of the path of a file that a mesh names: from about 1,000 on the engine crashes."""
-PICTURES = ("map_Ka", "map_Kd", "map_Ks", "map_Ns")
+TEXTURE_KEYWORDS = ("map_Ka", "map_Kd", "map_Ks", "map_Ns")
 """Words of a file of materials after which the name of a picture comes."""
 ZERO = r"[+-]?(?:0+\.?0*|\.0+)(?:[eE][+-]?[0-9]+)?"
 """Pattern of a number that is 0."""
@@ -47,7 +47,7 @@ class UrdfFile:
         widest: Greatest length of a shape, m.
     """
 
-    def __init__(self, path: Path, widest: float = WIDEST) -> None:
+    def __init__(self, path: Path, widest: float = MAX_LENGTH) -> None:
         """Parse the file.
 
         Args:
@@ -74,25 +74,25 @@ class UrdfFile:
         for mesh in self.root.iter("mesh"):
             name = mesh.get("filename", "")
             try:
-                files = self._found(name)
+                files = self._find_files(name)
                 for path in files:
                     _require_mesh(path)
             except (OSError, ValueError) as error:
-                raise self.refusal("mesh filename", name, str(error)) from None
+                raise self.make_error("mesh filename", name, str(error)) from None
             if not files:
                 reason = (
                     "the name of a Wavefront OBJ file (.obj) or binary STL file (.stl) beside the "
                     "URDF is needed, and there is no such file"
                 )
-                raise self.refusal("mesh filename", name or "missing", reason)
+                raise self.make_error("mesh filename", name or "missing", reason)
         for texture in self.root.iter("texture"):
             name = texture.get("filename", "")
             try:
-                self._found(name)
+                self._find_files(name)
             except (OSError, ValueError) as error:
-                raise self.refusal("texture filename", name, str(error)) from None
+                raise self.make_error("texture filename", name, str(error)) from None
 
-    def _found(self, name: str) -> list[Path]:
+    def _find_files(self, name: str) -> list[Path]:
         """Find the files that the engine may read by a name.
 
         Raises:
@@ -102,9 +102,11 @@ class UrdfFile:
         paths = [folder / local for folder in (Path(), *self.path.resolve().parents)]
         return [path for path in paths if _is_file(path)]
 
-    def refusal(self, tag: str, value: object, reason: str) -> ValueError:
+    def make_error(self, tag: str, value: object, reason: str) -> ValueError:
         """Make the error for a value, for the caller to raise."""
-        text = value if isinstance(value, str) and len(value) < LONGEST else shown(value)
+        text = (
+            value if isinstance(value, str) and len(value) < MAX_SHOWN_CHARACTERS else shown(value)
+        )
         return ValueError(f"{self.path}: <{tag}> is {text}: {reason}")
 
     def element(self, tag: str, parent: ElementTree.Element | None = None) -> ElementTree.Element:
@@ -123,7 +125,7 @@ class UrdfFile:
         found = (self.root if parent is None else parent).find(tag)
         if found is None:
             reason = "every airframe needs it; assets/urdf/cf2x.urdf shows the form"
-            raise self.refusal(tag, "missing", reason)
+            raise self.make_error(tag, "missing", reason)
         return found
 
     def number(
@@ -132,7 +134,7 @@ class UrdfFile:
         attribute: str,
         low: float = -math.inf,
         strict: bool = True,
-        most: float = LARGEST,
+        most: float = MAX_MAGNITUDE,
     ) -> float:
         """Read a finite number from an attribute.
 
@@ -155,13 +157,13 @@ class UrdfFile:
             value = parse_number("missing" if text is None else text)
         except ValueError:
             written = text if text is not None else "missing"
-            raise self.refusal(label, written, "a number is needed") from None
+            raise self.make_error(label, written, "a number is needed") from None
         if value < low or (strict and value == low):
             bound = f"{'above' if strict else 'at least'} {low:g}"
-            raise self.refusal(label, text, f"it must be finite and {bound}")
-        if value != 0 and not SMALLEST <= abs(value) <= most:
-            reason = f"sizes from {SMALLEST:g} to {most:g} can be flown with"
-            raise self.refusal(label, text, reason)
+            raise self.make_error(label, text, f"it must be finite and {bound}")
+        if value != 0 and not MIN_MAGNITUDE <= abs(value) <= most:
+            reason = f"sizes from {MIN_MAGNITUDE:g} to {most:g} can be flown with"
+            raise self.make_error(label, text, reason)
         return value
 
     def inertia(self) -> tuple[float, float, float]:
@@ -171,20 +173,20 @@ class UrdfFile:
             ValueError: The link frame is not the principal frame, or no body has such moments.
         """
         inertial = self.element("link/inertial")
-        self._require_centred(
+        self._require_zero_origin(
             inertial, "the link frame must be the principal frame at the centre of mass"
         )
         element = self.element("inertia", inertial)
         for key in ("ixy", "ixz", "iyz"):
             if key in element.attrib and self.number(element, key) != 0:
                 reason = "use principal axes: off-diagonal terms must be 0"
-                raise self.refusal(f"inertia {key}", element.get(key), reason)
+                raise self.make_error(f"inertia {key}", element.get(key), reason)
         ixx, iyy, izz = (self.number(element, key, low=0) for key in ("ixx", "iyy", "izz"))
         # The triangle inequality of moments; rounding must not refuse flat bodies.
         if 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
             text = f"({ixx:g}, {iyy:g}, {izz:g})"
             reason = "no body has it: each moment is at most the sum of the other two"
-            raise self.refusal("inertia", text, reason)
+            raise self.make_error("inertia", text, reason)
         return ixx, iyy, izz
 
     def require_one_link(self) -> None:
@@ -196,7 +198,7 @@ class UrdfFile:
         links = self.root.findall("link")
         if len(links) != 1 or self.root.find("joint") is not None:
             reason = "exactly one link and no joint (propellers are visuals)"
-            raise self.refusal("link", f"{len(links)} links", reason)
+            raise self.make_error("link", f"{len(links)} links", reason)
 
     def collision_shape(self) -> Shape:
         """Read the collision shape of an airframe.
@@ -208,12 +210,12 @@ class UrdfFile:
         shapes = self.root.findall("link/collision")
         if len(shapes) != 1:
             reason = "exactly one convex shape keeps contacts reproducible"
-            raise self.refusal("collision", f"there {len(shapes)} times", reason)
-        self._require_centred(shapes[0], "the collision shape must be centred and not turned")
+            raise self.make_error("collision", f"there {len(shapes)} times", reason)
+        self._require_zero_origin(shapes[0], "the collision shape must be centred and not turned")
         shape = self.shape(shapes[0])
-        if shape.kind == HULL and not holds_origin(shape):
+        if shape.kind == HULL and not contains_origin(shape):
             reason = "the centre of mass, the mesh's origin, must be within its convex hull"
-            raise self.refusal("mesh", "elsewhere", reason)
+            raise self.make_error("mesh", "elsewhere", reason)
         return shape
 
     def shape(self, collision: ElementTree.Element) -> Shape:
@@ -232,16 +234,16 @@ class UrdfFile:
         kinds = [shape.tag for shape in geometry]
         if kinds not in (["cylinder"], ["box"], ["sphere"], ["mesh"]):
             reason = "it must be one cylinder, box, sphere or mesh"
-            raise self.refusal("collision geometry", kinds, reason)
+            raise self.make_error("collision geometry", kinds, reason)
         shape = geometry[0]
         if shape.tag == "sphere":
-            radius = self._side(shape, "radius")
+            radius = self._read_length(shape, "radius")
             return Shape(SPHERE, (radius, radius, radius))
         if shape.tag == "cylinder":
-            radius = self._side(shape, "radius")
-            length = self._side(shape, "length")
+            radius = self._read_length(shape, "radius")
+            length = self._read_length(shape, "length")
             return Shape(CYLINDER, (radius, radius, length / 2))
-        return self._box(shape) if shape.tag == "box" else self._hull(shape)
+        return self._read_box(shape) if shape.tag == "box" else self._read_hull(shape)
 
     def origin(self, parent: ElementTree.Element) -> tuple[np.ndarray, np.ndarray]:
         """Read the `<origin>` of an element.
@@ -257,69 +259,69 @@ class UrdfFile:
         """
         found = parent.find("origin")
         element = ElementTree.Element("origin") if found is None else found
-        place = self._three(element, "xyz", "0 0 0")
-        roll, pitch, yaw = self._three(element, "rpy", "0 0 0")
+        place = self._read_vector(element, "xyz", "0 0 0")
+        roll, pitch, yaw = self._read_vector(element, "rpy", "0 0 0")
         return np.array(place), np.array(from_euler(roll, pitch, yaw))
 
-    def _three(
+    def _read_vector(
         self, element: ElementTree.Element, attribute: str, default: str = ""
     ) -> tuple[float, float, float]:
         """Read three finite numbers from an attribute."""
         text = element.get(attribute, default)
         with contextlib.suppress(ValueError):
             x, y, z = map(parse_number, text.split())
-            if max(abs(x), abs(y), abs(z)) <= LARGEST:
+            if max(abs(x), abs(y), abs(z)) <= MAX_MAGNITUDE:
                 return x, y, z
-        reason = f"three numbers up to {LARGEST:g} are needed"
-        raise self.refusal(f"{element.tag} {attribute}", text or "missing", reason)
+        reason = f"three numbers up to {MAX_MAGNITUDE:g} are needed"
+        raise self.make_error(f"{element.tag} {attribute}", text or "missing", reason)
 
-    def _hull(self, mesh: ElementTree.Element) -> Shape:
+    def _read_hull(self, mesh: ElementTree.Element) -> Shape:
         """Read the convex hull of a mesh, an OBJ file beside this one."""
         name = mesh.get("filename", "")
         path = self.path.parent / name
         if not name.lower().endswith(".obj") or not path.is_file():
             reason = "the name of a Wavefront OBJ file (.obj) beside the URDF is needed"
-            raise self.refusal("mesh filename", name or "missing", reason)
-        scale = self._three(mesh, "scale", "1 1 1")
+            raise self.make_error("mesh filename", name or "missing", reason)
+        scale = self._read_vector(mesh, "scale", "1 1 1")
         if min(scale) <= 0:
-            raise self.refusal("mesh scale", mesh.get("scale"), "it must be above 0")
+            raise self.make_error("mesh scale", mesh.get("scale"), "it must be above 0")
         try:
-            hull = hull_of(str(path), np.concatenate(read_obj(path)) * scale)
+            hull = hull_from_points(str(path), np.concatenate(read_obj(path)) * scale)
         except ValueError as error:
-            raise self.refusal("mesh filename", name, str(error)) from None
+            raise self.make_error("mesh filename", name, str(error)) from None
         size = 2 * max(hull.half)
-        if size > self.widest or 2 * inscribed_radius(hull) < THINNEST:
-            reason = f"its extents must be from {THINNEST:g} to {self.widest:g} m"
-            raise self.refusal("mesh filename", name, reason)
+        if size > self.widest or 2 * inscribed_radius(hull) < MIN_SHAPE_SIDE:
+            reason = f"its extents must be from {MIN_SHAPE_SIDE:g} to {self.widest:g} m"
+            raise self.make_error("mesh filename", name, reason)
         return hull
 
-    def _box(self, shape: ElementTree.Element) -> Shape:
+    def _read_box(self, shape: ElementTree.Element) -> Shape:
         """Read a box from its three edges."""
         try:
             size = [parse_number(part) for part in shape.get("size", "").split()]
         except ValueError:
             size = []
-        if len(size) == 3 and all(THINNEST <= side <= self.widest for side in size):
+        if len(size) == 3 and all(MIN_SHAPE_SIDE <= side <= self.widest for side in size):
             return Shape(BOX, (size[0] / 2, size[1] / 2, size[2] / 2))
-        reason = f"three positive numbers from {THINNEST:g} to {self.widest:g} are needed"
-        raise self.refusal("box size", shape.get("size", "missing"), reason)
+        reason = f"three positive numbers from {MIN_SHAPE_SIDE:g} to {self.widest:g} are needed"
+        raise self.make_error("box size", shape.get("size", "missing"), reason)
 
-    def _side(self, shape: ElementTree.Element, attribute: str) -> float:
+    def _read_length(self, shape: ElementTree.Element, attribute: str) -> float:
         """Read a length of the collision shape, m."""
         side = self.number(shape, attribute, low=0, most=self.widest)
-        if side < THINNEST:
-            reason = f"at least {THINNEST:g} m is needed"
-            raise self.refusal(f"{shape.tag} {attribute}", shape.get(attribute), reason)
+        if side < MIN_SHAPE_SIDE:
+            reason = f"at least {MIN_SHAPE_SIDE:g} m is needed"
+            raise self.make_error(f"{shape.tag} {attribute}", shape.get(attribute), reason)
         return side
 
-    def _require_centred(self, parent: ElementTree.Element, reason: str) -> None:
+    def _require_zero_origin(self, parent: ElementTree.Element, reason: str) -> None:
         """Refuse an `<origin>` that is not all zeros."""
         origin = parent.find("origin")
         for key in ("xyz", "rpy"):
             text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
             # Other texts are of no number, or of another one than 0
             if not re.fullmatch(rf"\s*{ZERO}\s+{ZERO}\s+{ZERO}\s*", text, re.ASCII):
-                raise self.refusal(f"{parent.tag} origin {key}", text, reason)
+                raise self.make_error(f"{parent.tag} origin {key}", text, reason)
 
 
 def _is_file(path: Path) -> bool:
@@ -360,17 +362,17 @@ def _require_materials(mesh: Path) -> None:
     Raises:
         ValueError: One is no regular file, or has a path that is too long for the engine.
     """
-    for material in _named(mesh, ("mtllib",)):
+    for material in _list_named_files(mesh, ("mtllib",)):
         if _is_file(material):
-            for picture in _named(material, PICTURES):
+            for picture in _list_named_files(material, TEXTURE_KEYWORDS):
                 _is_file(picture)
 
 
-def _named(path: Path, words: tuple[str, ...]) -> list[Path]:
+def _list_named_files(path: Path, words: tuple[str, ...]) -> list[Path]:
     """List the files that lines of a file name after one of some words.
 
     Raises:
-        ValueError: A path is longer than `LONGEST_PATH`.
+        ValueError: A path is longer than `MAX_PATH_BYTES`.
     """
     lines = (line.strip() for line in read_file(path, newline="").split("\n"))
     files = []
@@ -378,9 +380,9 @@ def _named(path: Path, words: tuple[str, ...]) -> list[Path]:
         word, _, name = line.replace("\t", " ").partition(" ")
         if word in words:
             files.append(path.parent / name.strip())
-            if len(os.fsencode(files[-1])) > LONGEST_PATH:
+            if len(os.fsencode(files[-1])) > MAX_PATH_BYTES:
                 raise ValueError(
-                    f"{path}: {word} {shown(name)} makes a path of more than {LONGEST_PATH} bytes, "
-                    f"which the engine cannot take: shorten it"
+                    f"{path}: {word} {shown(name)} makes a path of more than {MAX_PATH_BYTES} "
+                    f"bytes, which the engine cannot read: shorten it"
                 )
     return files

@@ -19,7 +19,7 @@ from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.wake import WAKE_EDGE, is_in_wake, jet, wake_width_squared
 
-LEEWAY = 0.25
+LIST_SKIN = 0.25
 """How far drones may move along each axis before pairs are listed anew, m"""
 _ROUNDED = 1.0 + 1e-9
 """Factor that keeps pairs at the edge of a wake in the list, however distances are rounded"""
@@ -61,20 +61,20 @@ class Wakes(NamedTuple):
 
 
 @func
-def _has_moved(position: np.ndarray, place: np.ndarray, first: int, last: int) -> bool:
-    """Tell whether a drone is farther than `LEEWAY` from where it was when pairs were listed."""
+def _is_list_stale(position: np.ndarray, place: np.ndarray, first: int, last: int) -> bool:
+    """Tell whether a drone is farther than `LIST_SKIN` from where it was when pairs were listed."""
     # A sum without branches, which compiles to several numbers at once; NaN counts as moved
     near = 0
     for w in range(first, last):
         for i in range(position.shape[1]):
             for k in range(3):
-                near += abs(position[w, i, k] - place[w - first, i, k]) <= LEEWAY
+                near += abs(position[w, i, k] - place[w - first, i, k]) <= LIST_SKIN
     moved: bool = near < 3 * (last - first) * position.shape[1]
     return moved
 
 
 @func
-def _edge(width_squared: float, leeway: float) -> float:
+def _list_range_squared(width_squared: float, leeway: float) -> float:
     """Return the squared distance beyond which no pair feels a wake while drones have a leeway.
 
     Two drones come nearer to each other by at most 2 sqrt(2) leeways.
@@ -84,13 +84,13 @@ def _edge(width_squared: float, leeway: float) -> float:
 
 
 @func
-def _widest_squared(drop: float, row: ParameterRow) -> float:
+def _max_width_squared(drop: float, row: ParameterRow) -> float:
     """Return the square of a wake's width so far below; 0 for a drone without a wake."""
     return wake_width_squared(drop, row) if row.wake_share > 0.0 else 0.0
 
 
 @func
-def _has_company(position: np.ndarray, w: int, i: int, edge: float) -> bool:
+def _has_neighbour(position: np.ndarray, w: int, i: int, edge: float) -> bool:
     """Tell whether a drone of higher index is within a squared horizontal distance of drone i."""
     # A sum without branches, which compiles to several pairs at once
     far = 0
@@ -138,11 +138,11 @@ def _list_pairs(
     for i in range(num_drones):
         if alive[w, i]:
             drop = highest - lowest + 3.0 * leeway
-            widest = max(widest, _widest_squared(drop, parameters[w, i]))
-    edge = _edge(widest, leeway)
+            widest = max(widest, _max_width_squared(drop, parameters[w, i]))
+    edge = _list_range_squared(widest, leeway)
     count = wakes.listed[0]
     for i in range(num_drones):
-        if not alive[w, i] or not _has_company(position, w, i, edge):
+        if not alive[w, i] or not _has_neighbour(position, w, i, edge):
             continue
         for j in range(i + 1, num_drones):
             dx = position[w, j, 0] - position[w, i, 0]
@@ -153,10 +153,11 @@ def _list_pairs(
             # Either may be the upper one by then
             drop = abs(position[w, j, 2] - position[w, i, 2]) + 3.0 * leeway
             wide = max(
-                _widest_squared(drop, parameters[w, i]), _widest_squared(drop, parameters[w, j])
+                _max_width_squared(drop, parameters[w, i]),
+                _max_width_squared(drop, parameters[w, j]),
             )
             # Also where a position is NaN, with which nobody knows how far drones will move
-            if wide > 0.0 and not square > _edge(wide, leeway):
+            if wide > 0.0 and not square > _list_range_squared(wide, leeway):
                 pairs[count, 0] = world
                 pairs[count, 1] = i
                 pairs[count, 2] = j
@@ -165,7 +166,7 @@ def _list_pairs(
 
 
 @func
-def _take(
+def _load_lane(
     position: np.ndarray,
     rotor_speed: np.ndarray,
     w: int,
@@ -207,7 +208,7 @@ def _take(
 
 
 @func
-def _blow(
+def _apply_lanes(
     quaternion: np.ndarray,
     first: int,
     count: int,
@@ -254,12 +255,12 @@ def sum_wakes(
         parameters: (W, N) rows of `parameters.PARAMETERS`.
         first: Index of the group's first world.
         last: That after its last one.
-        is_listed: Whether the pairs were listed with `LEEWAY` before, with the same drones alive.
-        leeway: `LEEWAY` for a list that is used again, 0 for one that is not.
+        is_listed: Whether the pairs were listed with `LIST_SKIN` before, with the same drones alive.
+        leeway: `LIST_SKIN` for a list that is used again, 0 for one that is not.
         wakes: `Wakes` of the group; `felt` is filled.
     """
     position = swarm.position
-    if not is_listed or _has_moved(position, wakes.place, first, last):
+    if not is_listed or _is_list_stale(position, wakes.place, first, last):
         wakes.listed[0] = 0
         for w in range(first, last):
             _list_pairs(position, alive, parameters, w, w - first, leeway, wakes)
@@ -277,12 +278,12 @@ def sum_wakes(
         w = first + world
         if position[w, below, 2] > position[w, above, 2]:
             above, below = below, above
-        if _take(position, rotor_speed, w, above, below, parameters, numbers, lane):
+        if _load_lane(position, rotor_speed, w, above, below, parameters, numbers, lane):
             lower[lane, 0] = world
             lower[lane, 1] = below
             lane += 1
             if lane == WIDTH:
-                _blow(quaternion, first, lane, numbers, lower, felt)
+                _apply_lanes(quaternion, first, lane, numbers, lower, felt)
                 lane = 0
     if lane > 0:
-        _blow(quaternion, first, lane, numbers, lower, felt)
+        _apply_lanes(quaternion, first, lane, numbers, lower, felt)

@@ -14,18 +14,18 @@ from bulletuav.compiled.functions import log, power
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.program import Program
 from bulletuav.errors import as_sequence, choose, finite, numbers_of
-from bulletuav.vehicle.gusts import DRAWS, FOOT, ROWS, WAVES, add_gusts, draw_waves
+from bulletuav.vehicle.gusts import FOOT, NUM_DRAWS, NUM_WAVE_ROWS, NUM_WAVES, add_gusts, draw_waves
 
 KNOT = 1852 / 3600
 """One knot, m/s."""
 TURBULENCE = {"light": 15 * KNOT, "moderate": 30 * KNOT, "severe": 45 * KNOT}
 """Wind speeds at 20 feet, m/s, by the names that MIL-F-8785C gives them."""
-MOST_WIND = 100.0
+MAX_WIND = 100.0
 """Greatest wind speed that may be asked for, m/s."""
-REFERENCE = 20 * FOOT
+REFERENCE_HEIGHT = 20 * FOOT
 """Height at which a steady wind with a profile has its full speed, m, as in MIL-F-8785C; the wind
 speed that sets the turbulence is of that height, too"""
-CEILING = 1000 * FOOT
+MAX_PROFILE_HEIGHT = 1000 * FOOT
 """Height up to which profiles go on, m, as in MIL-F-8785C"""
 
 WindField = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -86,8 +86,8 @@ def as_profile(given: object) -> Profile | None:
 
 
 @func
-def speed_share(altitude: float, is_log: bool, number: float) -> float:
-    """Return the share of the speed at `REFERENCE` that a steady wind has at a height.
+def profile_speed_ratio(altitude: float, is_log: bool, number: float) -> float:
+    """Return the share of the speed at `REFERENCE_HEIGHT` that a steady wind has at a height.
 
     Args:
         altitude: Height above the ground, m.
@@ -96,12 +96,12 @@ def speed_share(altitude: float, is_log: bool, number: float) -> float:
 
     Returns:
         (h / REFERENCE)^number, or ln(h / number) / ln(REFERENCE / number); 0 on the ground and
-        below the roughness length; above `CEILING` as there.
+        below the roughness length; above `MAX_PROFILE_HEIGHT` as there.
     """
-    h = min(max(altitude, 0.0), CEILING)
+    h = min(max(altitude, 0.0), MAX_PROFILE_HEIGHT)
     if is_log:
-        return log(h / number) / log(REFERENCE / number) if h > number else 0.0
-    return power(h / REFERENCE, number)
+        return log(h / number) / log(REFERENCE_HEIGHT / number) if h > number else 0.0
+    return power(h / REFERENCE_HEIGHT, number)
 
 
 @kernel
@@ -119,11 +119,11 @@ def _spread_by_height(
 ) -> None:
     """Write the steady wind (W, 3) to drones at `position` (W, N, 3); its level part by a profile.
 
-    See `speed_share` for the profile.
+    See `profile_speed_ratio` for the profile.
     """
     for w in range(wind.shape[0]):
         for i in range(wind.shape[1]):
-            share = speed_share(position[w, i, 2], is_log, number)
+            share = profile_speed_ratio(position[w, i, 2], is_log, number)
             wind[w, i, 0] = share * steady[w, 0]
             wind[w, i, 1] = share * steady[w, 1]
             wind[w, i, 2] = steady[w, 2]
@@ -162,8 +162,8 @@ class Wind:
         self._wind20 = wind20
         self._profile = profile
         # Worlds without gusts need no room for them
-        self._waves = np.zeros((num_worlds if wind20 > 0 else 0, ROWS, WAVES))
-        self._parts = np.zeros((3, WAVES))
+        self._waves = np.zeros((num_worlds if wind20 > 0 else 0, NUM_WAVE_ROWS, NUM_WAVES))
+        self._parts = np.zeros((3, NUM_WAVES))
 
     def kept(self) -> dict[str, np.ndarray]:
         """Tell the arrays (W, ...) by name that the wind of a world follows from."""
@@ -178,7 +178,7 @@ class Wind:
     def reset(self, world: int, rng: np.random.Generator) -> None:
         """Draw the gusts of one world."""
         if self._wind20 > 0:
-            draw_waves(rng.random(DRAWS), self._waves[world])
+            draw_waves(rng.random(NUM_DRAWS), self._waves[world])
 
     def add_to(
         self, program: Program, position: np.ndarray, time: np.ndarray, wind: np.ndarray

@@ -7,16 +7,16 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, Vec3Like, axes, dot, minus, plus
-from bulletuav.vehicle.aerodynamics import force_of_air, ground_wrench, torque_of_drag
+from bulletuav.vehicle.aerodynamics import drag_torque, ground_wrench, thrust_and_drag
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import Rotors
 
-SMALL_TURN = 0.25
+MAX_PART_ROTATION = 0.25
 """Angle by which a body may turn in one step of RK4, rad"""
-MOST_PARTS = 64
+MAX_PARTS = 64
 """Most parts of a step"""
 
-Around = tuple[Vec3, float, float, Vec3, Vec3]
+Surroundings = tuple[Vec3, float, float, Vec3, Vec3]
 """Wind (m/s), height of the surface below (m), gravity (m/s^2), and what pushes from outside: a
 force (N, world axes) and a torque (N m, body axes)"""
 
@@ -34,9 +34,9 @@ class Wrenches(NamedTuple):
 
 
 @func
-def with_wake(
+def make_surroundings(
     wind: Vec3, surface: float, gravity: float, force: Vec3, torque: Vec3, wake: Quat4
-) -> Around:
+) -> Surroundings:
     """Return what surrounds a drone.
 
     Args:
@@ -57,13 +57,13 @@ def with_wake(
 
 
 @func
-def wrench(
+def compute_wrench(
     quaternion: Quat4Like,
     velocity: Vec3Like,
     altitude: float,
     speed: np.ndarray,
     rotors: Rotors,
-    around: Around,
+    around: Surroundings,
     lifted: int,
     row: ParameterRow,
 ) -> tuple[Vec3, Vec3]:
@@ -91,8 +91,8 @@ def wrench(
     more, more_x, more_y = ground_wrench(altitude - surface, lean, speed, lifted, row)
     # Drag against the air, which moves with the wind.
     v = minus(velocity, wind)
-    force = force_of_air(v, up, thrust + more, total_speed, row)
-    tipped = torque_of_drag((dot(ahead, v), dot(left, v), 0.0), total_speed, row)
+    force = thrust_and_drag(v, up, thrust + more, total_speed, row)
+    tipped = drag_torque((dot(ahead, v), dot(left, v), 0.0), total_speed, row)
     # What all stages of a substep have in common is summed first.
     held = (push[0], push[1], push[2] - row.mass * gravity)
     turn = plus(torque, 1.0, twist)
@@ -155,7 +155,7 @@ def body_acceleration(
 
 
 @func
-def rate_slopes(
+def rk4_rate_slopes(
     rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: ParameterRow
 ) -> Vec3:
     """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
@@ -175,16 +175,16 @@ def rate_slopes(
 @func
 def free_rates(rates: Vec3, dt: float, row: ParameterRow) -> Vec3:
     """Return the body rates after a time in which no torque acts, rad/s."""
-    parts = spin_parts(rates, dt, SMALL_TURN)
+    parts = num_spin_steps(rates, dt, MAX_PART_ROTATION)
     step = dt / parts
     for _ in range(parts):
-        slope = rate_slopes(rates, (0.0, 0.0, 0.0), 0.0, 0.0, step, row)
+        slope = rk4_rate_slopes(rates, (0.0, 0.0, 0.0), 0.0, 0.0, step, row)
         rates = plus(rates, step / 6.0, slope)
     return rates
 
 
 @func
-def spin_parts(spin: Vec3Like, dt: float, small: float) -> int:
+def num_spin_steps(spin: Vec3Like, dt: float, small: float) -> int:
     """Return into how many parts a step is cut so that precession is followed, 1 to MOST_PARTS.
 
     Args:
@@ -196,4 +196,4 @@ def spin_parts(spin: Vec3Like, dt: float, small: float) -> int:
     # Also 1 where it is not finite, which is told elsewhere
     if not small < angle < np.inf:
         return 1
-    return int(min(float(MOST_PARTS), 1.0 + angle / small))
+    return int(min(float(MAX_PARTS), 1.0 + angle / small))

@@ -12,11 +12,11 @@ from bulletuav.analysis.metrics.custom import (
 )
 from bulletuav.analysis.metrics.formulas import jain, soonest_conflict
 from bulletuav.analysis.metrics.standard import METRICS
-from bulletuav.conflict.separation import conflict
+from bulletuav.conflict.separation import measure_conflict
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.step import Step
-from bulletuav.geometry.closest_approach import distances
+from bulletuav.geometry.closest_approach import paired_distances
 from bulletuav.vehicle.power import actuator_power
 from bulletuav.vehicle.swarm import Swarm
 
@@ -42,7 +42,7 @@ class Meter:
         self._return = np.zeros(shape)
         # Metres of each drone: flown, to its goal at first (with what the goal moved), and left.
         self._goal = aviary.scene.goal.copy()
-        self._ideal = distances(aviary.swarm.position, self._goal)
+        self._ideal = paired_distances(aviary.swarm.position, self._goal)
         self._flown = np.zeros(shape)
         self._left = np.zeros(shape)
         # Effort: the state before the decision, and how the velocity changed in the one before it.
@@ -112,7 +112,7 @@ class Meter:
         """Count conflicts and near misses; each is told by both of its drones."""
         self._conflicts += (info["conflicts"] * flown).sum(axis=1) / 2
         # A near miss is a conflict at half the distance.
-        close = conflict(
+        close = measure_conflict(
             before.position,
             after.position,
             flown,
@@ -132,8 +132,8 @@ class Meter:
     ) -> None:
         """Add the metres flown, and those that the goal moved."""
         goal = self._aviary.scene.goal
-        self._flown += flown * distances(before.position, after.position)
-        self._ideal += flown * distances(self._goal, goal)
+        self._flown += flown * paired_distances(before.position, after.position)
+        self._ideal += flown * paired_distances(self._goal, goal)
         self._goal = goal.copy()
 
     def _record_effort(

@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func
 from bulletuav.compiled.program import Program
-from bulletuav.geometry.closest_approach import closest_squared, keep_nearest
+from bulletuav.geometry.closest_approach import closest_squared_distances, insert_nearest
 from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
@@ -174,7 +174,7 @@ def _least(theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3], horizon: float) ->
         gap[1] + horizon * speed[1],
         gap[2] + horizon * speed[2],
     )
-    return math.sqrt(closest_squared(gap, later)[1])
+    return math.sqrt(closest_squared_distances(gap, later)[1])
 
 
 @func
@@ -217,7 +217,7 @@ def nearest(
             for j in range(known.shape[1]):
                 if known[w, i, j]:
                     theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
-                    found = keep_nearest(near, least, found, j, _least(theirs, own, horizon))
+                    found = insert_nearest(near, least, found, j, _least(theirs, own, horizon))
             for slot in range(found):
                 j = near[slot]
                 theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
@@ -246,7 +246,7 @@ def nearest_present(
             for j in range(present.shape[1]):
                 if present[w, j] and j != i:
                     theirs = (vec3(position, w, j), vec3(velocity, w, j))
-                    found = keep_nearest(near, least, found, j, _least(theirs, own, horizon))
+                    found = insert_nearest(near, least, found, j, _least(theirs, own, horizon))
             for slot in range(found):
                 j = near[slot]
                 theirs = (vec3(position, w, j), vec3(velocity, w, j))
@@ -274,7 +274,7 @@ def nearest_obstacles(
                 for k in range(3):
                     square += (obstacle[w, j, k] - position[w, i, k]) ** 2
                 gap = max(math.sqrt(square) - radius[j], 0.0)
-                found = keep_nearest(near, distance, found, j, gap)
+                found = insert_nearest(near, distance, found, j, gap)
             # Write them, as seen from the drone
             for slot in range(found):
                 j = near[slot]

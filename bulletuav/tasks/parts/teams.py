@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import kernel
 from bulletuav.errors import shown
-from bulletuav.geometry.closest_approach import closest_squared, offset
+from bulletuav.geometry.closest_approach import closest_squared_distances, offset
 from bulletuav.geometry.rotation import dot
 
 NOBODY = -1
@@ -109,7 +109,7 @@ def follow_chase(
                 if team[j] == 0 and flown[w, j]:
                     # Both fly straight, so their gap does, too
                     later = offset(after, w, i, j)
-                    start, way = closest_squared(offset(before, w, i, j), later)
+                    start, way = closest_squared_distances(offset(before, w, i, j), later)
                     first = min(first, start)
                     last = min(last, dot(later, later))
                     if way < nearest:

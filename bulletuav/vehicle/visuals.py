@@ -10,12 +10,12 @@ from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.urdf import UrdfFile
 
 Colour = tuple[float, float, float, float]
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-PLAIN: Colour = (0.45, 0.47, 0.5, 1.0)
+IDENTITY_QUATERNION = (0.0, 0.0, 0.0, 1.0)
+DEFAULT_COLOUR: Colour = (0.45, 0.47, 0.5, 1.0)
 """Colour of parts whose file tells none"""
 
 
-class Part(NamedTuple):
+class VisualShape(NamedTuple):
     """One visual shape of an airframe.
 
     Attributes:
@@ -31,7 +31,7 @@ class Part(NamedTuple):
     colour: Colour
 
 
-def parts_of(airframe: Airframe) -> list[Part]:
+def read_visual_shapes(airframe: Airframe) -> list[VisualShape]:
     """Read the visual shapes of an airframe.
 
     Args:
@@ -49,12 +49,18 @@ def parts_of(airframe: Airframe) -> list[Part]:
     parts = []
     for visual in urdf.root.findall("link/visual"):
         material = visual.find("material")
-        colour = PLAIN if material is None else colours.get(material.get("name"), PLAIN)
+        colour = (
+            DEFAULT_COLOUR
+            if material is None
+            else colours.get(material.get("name"), DEFAULT_COLOUR)
+        )
         try:
-            parts.append(Part(urdf.shape(visual), *urdf.origin(visual), colour))
+            parts.append(VisualShape(urdf.shape(visual), *urdf.origin(visual), colour))
         except ValueError:
             continue  # a form that the engine alone reads
-    return parts or [Part(airframe.shape, np.zeros(3), np.array(UPRIGHT), PLAIN)]
+    return parts or [
+        VisualShape(airframe.shape, np.zeros(3), np.array(IDENTITY_QUATERNION), DEFAULT_COLOUR)
+    ]
 
 
 def _colour(text: str) -> Colour:
@@ -62,5 +68,5 @@ def _colour(text: str) -> Colour:
     try:
         red, green, blue, alpha = map(parse_number, text.split())
     except ValueError:
-        return PLAIN
+        return DEFAULT_COLOUR
     return red, green, blue, alpha

@@ -9,19 +9,19 @@ import math
 
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.convex import ShapeTable
-from bulletuav.geometry.minkowski import Turn, far_point, swell, turned_back
+from bulletuav.geometry.minkowski import Mat3, rotate_to_body, shape_margin, support_point
 from bulletuav.geometry.rotation import Vec3, cross, dot, minus, plus
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
 
-ON_IT = 1e-5
+FEATURE_TOLERANCE = 1e-5
 """Distance from an edge or rim within which a nearest point is taken to lie on it, m"""
-MOST_STEPS = 8
+MAX_ITERATIONS = 8
 """Most steps of Newton's method"""
-SHARP = 1e-13
+CONVERGED_STEP = 1e-13
 """Change of a direction at which it is known"""
-BLUNT = 1e-3
+MAX_CORRECTION = 1e-3
 """Change of a direction that is no correction any more"""
-SAME = 1e-12
+BOUND_TOLERANCE = 1e-12
 """By how much the bound of the distance along a better direction may be less, m"""
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -30,28 +30,28 @@ Feature = tuple[bool, Vec3, Vec3, float]
 
 
 @func
-def _feature(table: ShapeTable, s: int, turn: Turn, place: Vec3) -> Feature:
+def _classify_feature(table: ShapeTable, s: int, rotation: Mat3, place: Vec3) -> Feature:
     """Tell on which feature of a shape a point lies, both from its position, world axes."""
     kind = table.kind[s]
     # A sphere is a point, swollen: no edge and no rim
     if kind == SPHERE:
         return True, ORIGIN, ORIGIN, 0.0
     # From here on in the shape's own axes
-    local = turned_back(turn, place)
+    local = rotate_to_body(rotation, place)
     if kind == CYLINDER:
         # Side and end together are the rim; the side alone has lines along the axis
         radius = table.half[s, 0]
-        on_side = math.sqrt(local[0] * local[0] + local[1] * local[1]) > radius - ON_IT
-        on_end = abs(local[2]) > table.half[s, 2] - ON_IT
-        return on_side, ORIGIN if on_end else turn[2], turn[2], radius
+        on_side = math.sqrt(local[0] * local[0] + local[1] * local[1]) > radius - FEATURE_TOLERANCE
+        on_end = abs(local[2]) > table.half[s, 2] - FEATURE_TOLERANCE
+        return on_side, ORIGIN if on_end else rotation[2], rotation[2], radius
     if kind == BOX:
         # On two faces it is an edge along the third axis, on three a corner
         inner = ORIGIN
         outer = ORIGIN
         found = 0
         for k in range(3):
-            axis = turn[0] if k == 0 else (turn[1] if k == 1 else turn[2])
-            if abs(local[k] - table.middle[s, k]) > table.half[s, k] - ON_IT:
+            axis = rotation[0] if k == 0 else (rotation[1] if k == 1 else rotation[2])
+            if abs(local[k] - table.centre[s, k]) > table.half[s, k] - FEATURE_TOLERANCE:
                 found += 1
                 outer = axis
             else:
@@ -62,57 +62,59 @@ def _feature(table: ShapeTable, s: int, turn: Turn, place: Vec3) -> Feature:
 
 
 @func
-def off(edge: Vec3, v: Vec3) -> Vec3:
+def orthogonal_part(edge: Vec3, v: Vec3) -> Vec3:
     """Return the part of a vector across a unit vector, or all of it where that is zero."""
     return plus(v, -dot(v, edge), edge)
 
 
 @func
-def _bend(feature: Feature, d: Vec3, moved: Vec3) -> Vec3:
+def _rim_point_derivative(feature: Feature, d: Vec3, moved: Vec3) -> Vec3:
     """Return how the farthest point of a rim along d moves when d changes by `moved`."""
     _, _, axis, radius = feature
     if radius == 0.0:
         return ORIGIN
     # The farthest point of the rim lies outwards, across the axis
-    outward = off(axis, d)
+    outward = orthogonal_part(axis, d)
     size = math.sqrt(dot(outward, outward))
     radial = (outward[0] / size, outward[1] / size, outward[2] / size)
     # Only the part of the change about the axis moves it
-    along = off(radial, off(axis, moved))
+    along = orthogonal_part(radial, orthogonal_part(axis, moved))
     return plus(ORIGIN, radius / size, along)
 
 
 @func
-def _flat(feature: Feature, d: Vec3) -> bool:
+def _is_rim_degenerate(feature: Feature, d: Vec3) -> bool:
     """Tell whether a rim is seen from so near its axis that it has no farthest point."""
-    outward = off(feature[2], d)
-    return feature[3] > 0.0 and dot(outward, outward) < BLUNT * BLUNT
+    outward = orthogonal_part(feature[2], d)
+    return feature[3] > 0.0 and dot(outward, outward) < MAX_CORRECTION * MAX_CORRECTION
 
 
 @func
-def ends(
-    table: ShapeTable, a: int, turn_a: Turn, b: int, turn_b: Turn, offset: Vec3, d: Vec3
+def support_pair(
+    table: ShapeTable, a: int, rotation_a: Mat3, b: int, rotation_b: Mat3, offset: Vec3, d: Vec3
 ) -> tuple[Vec3, Vec3, Vec3]:
     """Return the points of a and b that are nearest along a direction, and the way from b's to a's.
 
     Spheres are their centres.
     """
-    on_a = far_point(table, a, turn_a, (-d[0], -d[1], -d[2]))
-    on_b = far_point(table, b, turn_b, d)
+    on_a = support_point(table, a, rotation_a, (-d[0], -d[1], -d[2]))
+    on_b = support_point(table, b, rotation_b, d)
     return on_a, on_b, minus(minus(on_a, on_b), offset)
 
 
 @func
-def _reach(
-    table: ShapeTable, a: int, turn_a: Turn, b: int, turn_b: Turn, offset: Vec3, d: Vec3
+def _separation_along(
+    table: ShapeTable, a: int, rotation_a: Mat3, b: int, rotation_b: Mat3, offset: Vec3, d: Vec3
 ) -> tuple[float, Vec3]:
     """Return how far shapes are apart along a direction, and the way between their points, m."""
-    _, _, way = ends(table, a, turn_a, b, turn_b, offset, d)
-    return dot(way, d) - swell(table, a) - swell(table, b), way
+    _, _, separation = support_pair(table, a, rotation_a, b, rotation_b, offset, d)
+    return dot(separation, d) - shape_margin(table, a) - shape_margin(table, b), separation
 
 
 @func
-def along_crossing(one: Vec3, two: Vec3, square: float, way: Vec3) -> tuple[float, float]:
+def closest_line_parameters(
+    one: Vec3, two: Vec3, square: float, separation: Vec3
+) -> tuple[float, float]:
     """Return how far points on two lines that cross are from where the lines are nearest, m.
 
     Args:
@@ -125,17 +127,17 @@ def along_crossing(one: Vec3, two: Vec3, square: float, way: Vec3) -> tuple[floa
         To be moved along the first line, and along the second.
     """
     slant = dot(one, two)
-    far = (slant * dot(way, two) - dot(way, one)) / square
-    return far, dot(way, two) + slant * far
+    far = (slant * dot(separation, two) - dot(separation, one)) / square
+    return far, dot(separation, two) + slant * far
 
 
 @func
-def _between_edges(
+def _refine_edge_pair(
     table: ShapeTable,
     a: int,
-    turn_a: Turn,
+    rotation_a: Mat3,
     b: int,
-    turn_b: Turn,
+    rotation_b: Mat3,
     offset: Vec3,
     one: Vec3,
     two: Vec3,
@@ -146,7 +148,7 @@ def _between_edges(
     # Edges that are nearly parallel have no sure direction across
     d = cross(one, two)
     square = dot(d, d)
-    if square < BLUNT * BLUNT:
+    if square < MAX_CORRECTION * MAX_CORRECTION:
         return given
     # From b to a, as before
     scale = 1.0 / math.sqrt(square)
@@ -154,13 +156,13 @@ def _between_edges(
         scale = -scale
     d = (scale * d[0], scale * d[1], scale * d[2])
     # Another pair of features may be nearer than these edges
-    after, way = _reach(table, a, turn_a, b, turn_b, offset, d)
-    if not after >= before - SAME:
+    after, separation = _separation_along(table, a, rotation_a, b, rotation_b, offset, d)
+    if not after >= before - BOUND_TOLERANCE:
         return given
     # Along both edges, to where the way between them is across both
-    far_a, far_b = along_crossing(one, two, square, way)
-    on_a = plus(far_point(table, a, turn_a, (-d[0], -d[1], -d[2])), far_a, one)
-    return d, on_a, plus(far_point(table, b, turn_b, d), far_b, two)
+    far_a, far_b = closest_line_parameters(one, two, square, separation)
+    on_a = plus(support_point(table, a, rotation_a, (-d[0], -d[1], -d[2])), far_a, one)
+    return d, on_a, plus(support_point(table, b, rotation_b, d), far_b, two)
 
 
 @func
@@ -190,8 +192,8 @@ def newton_step(
         Along the first and the second vector; NaN where no step is sure.
     """
     # How that way turns with d: both rims give way against it
-    turned_first = turning(one, two, edge, d, first, size)
-    turned_second = turning(one, two, edge, d, second, size)
+    turned_first = direction_derivative(one, two, edge, d, first, size)
+    turned_second = direction_derivative(one, two, edge, d, second, size)
     m11 = 1.0 - dot(turned_first, first)
     m21 = -dot(turned_first, second)
     m12 = -dot(turned_second, first)
@@ -205,12 +207,12 @@ def newton_step(
 
 
 @kernel
-def sharpened(
+def refine_normal(
     table: ShapeTable,
     a: int,
-    turn_a: Turn,
+    rotation_a: Mat3,
     b: int,
-    turn_b: Turn,
+    rotation_b: Mat3,
     offset: Vec3,
     normal: Vec3,
     on_a: Vec3,
@@ -234,48 +236,54 @@ def sharpened(
     """
     # Where nothing better is found, this is returned
     given = (normal, on_a, on_b)
-    one = _feature(table, a, turn_a, on_a)
-    two = _feature(table, b, turn_b, on_b)
+    one = _classify_feature(table, a, rotation_a, on_a)
+    two = _classify_feature(table, b, rotation_b, on_b)
     # Two faces: the direction is exact already
     if not (one[0] or two[0]):
         return given
     # How far apart they are along the first guess, which must not become less
-    before, _ = _reach(table, a, turn_a, b, turn_b, offset, normal)
+    before, _ = _separation_along(table, a, rotation_a, b, rotation_b, offset, normal)
     if one[0] != two[0]:
         # A corner, edge or rim on a face: across the face
         axis = two[2] if one[0] else one[2]
         sign = 1.0 if dot(axis, normal) > 0.0 else -1.0
         d = plus(ORIGIN, sign, axis)
-        after, _ = _reach(table, a, turn_a, b, turn_b, offset, d)
+        after, _ = _separation_along(table, a, rotation_a, b, rotation_b, offset, d)
         # An edge may lie on the face all along: no single point of it is nearest
         edge = one[1] if one[0] else two[1]
-        if dot(edge, edge) > 0.0 or not after >= before - SAME:
+        if dot(edge, edge) > 0.0 or not after >= before - BOUND_TOLERANCE:
             return given
         # The point is exact; the other is its foot on the face
         if one[0]:
-            on_a = plus(far_point(table, a, turn_a, plus(ORIGIN, -1.0, d)), -swell(table, a), d)
+            on_a = plus(
+                support_point(table, a, rotation_a, plus(ORIGIN, -1.0, d)),
+                -shape_margin(table, a),
+                d,
+            )
             return d, on_a, plus(minus(on_a, offset), -after, d)
-        on_b = plus(far_point(table, b, turn_b, d), swell(table, b), d)
+        on_b = plus(support_point(table, b, rotation_b, d), shape_margin(table, b), d)
         return d, plus(plus(on_b, 1.0, offset), after, d), on_b
     # Two edges that cross
     if dot(one[1], one[1]) > 0.0 and dot(two[1], two[1]) > 0.0:
-        return _between_edges(table, a, turn_a, b, turn_b, offset, one[1], two[1], before, given)
+        return _refine_edge_pair(
+            table, a, rotation_a, b, rotation_b, offset, one[1], two[1], before, given
+        )
     # Corners are exact, and rims seen along their axis are as good as faces
     round_one = one[3] > 0.0 or two[3] > 0.0
-    if not round_one or _flat(one, normal) or _flat(two, normal):
+    if not round_one or _is_rim_degenerate(one, normal) or _is_rim_degenerate(two, normal):
         return given
     # A rim: Newton's steps on the direction; along an edge the way does not count
     edge = one[1] if dot(one[1], one[1]) > 0.0 else two[1]
     d = normal
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_ITERATIONS):
         # The way between the points that are farthest along d must lie along d
-        _, way = _reach(table, a, turn_a, b, turn_b, offset, d)
-        way = off(edge, way)
-        size = math.sqrt(dot(way, way))
+        _, separation = _separation_along(table, a, rotation_a, b, rotation_b, offset, d)
+        separation = orthogonal_part(edge, separation)
+        size = math.sqrt(dot(separation, separation))
         if size == 0.0:
             return given
         # Shapes may overlap: then the way points backwards
-        found = (way[0] / size, way[1] / size, way[2] / size)
+        found = (separation[0] / size, separation[1] / size, separation[2] / size)
         if dot(found, d) < 0.0:
             found = (-found[0], -found[1], -found[2])
             size = -size
@@ -287,20 +295,22 @@ def sharpened(
         step_first, step_second = newton_step(one, two, edge, d, found, size, first, second)
         # A step too long, or NaN, comes from rims without a sure direction
         step = math.sqrt(step_first * step_first + step_second * step_second)
-        if not step < BLUNT:
+        if not step < MAX_CORRECTION:
             return given
         # Back to length 1
         d = plus(plus(d, step_first, first), step_second, second)
         scale = 1.0 / math.sqrt(dot(d, d))
         d = (scale * d[0], scale * d[1], scale * d[2])
-        if step < SHARP:
+        if step < CONVERGED_STEP:
             break
     # As above: never nearer than by the first guess
-    after, _ = _reach(table, a, turn_a, b, turn_b, offset, d)
-    if not after >= before - SAME:
+    after, _ = _separation_along(table, a, rotation_a, b, rotation_b, offset, d)
+    if not after >= before - BOUND_TOLERANCE:
         return given
-    on_a = plus(far_point(table, a, turn_a, (-d[0], -d[1], -d[2])), -swell(table, a), d)
-    on_b = plus(far_point(table, b, turn_b, d), swell(table, b), d)
+    on_a = plus(
+        support_point(table, a, rotation_a, (-d[0], -d[1], -d[2])), -shape_margin(table, a), d
+    )
+    on_b = plus(support_point(table, b, rotation_b, d), shape_margin(table, b), d)
     # Along an edge, the point beside that of the other
     ahead = dot(minus(on_b, on_a), edge) + dot(offset, edge)
     if dot(one[1], one[1]) > 0.0:
@@ -311,9 +321,13 @@ def sharpened(
 
 
 @func
-def turning(one: Feature, two: Feature, edge: Vec3, d: Vec3, moved: Vec3, size: float) -> Vec3:
+def direction_derivative(
+    one: Feature, two: Feature, edge: Vec3, d: Vec3, moved: Vec3, size: float
+) -> Vec3:
     """Return how the direction of the way between two features turns when d changes."""
     back = (-d[0], -d[1], -d[2])
     against = (-moved[0], -moved[1], -moved[2])
-    way = minus(_bend(one, back, against), _bend(two, d, moved))
-    return plus(ORIGIN, 1.0 / size, off(edge, way))
+    separation = minus(
+        _rim_point_derivative(one, back, against), _rim_point_derivative(two, d, moved)
+    )
+    return plus(ORIGIN, 1.0 / size, orthogonal_part(edge, separation))
