@@ -1,4 +1,4 @@
-"""Distances of drones from the nearest thing, by exact shapes in compiled code."""
+"""Clearance of drones: the exact signed distance to the nearest other shape, in compiled code."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-"""Axes of what is not turned"""
+"""Axes of a shape that is not rotated"""
 NO_GUESS = (0.0, 0.0, 0.0)
 
 
@@ -18,7 +18,7 @@ NO_GUESS = (0.0, 0.0, 0.0)
 def _is_first_cell(
     city_grid: CityGrid, p: int, left: int, bottom: int, column: int, row: int
 ) -> bool:
-    """Tell whether a cell is the first one of piece p among those from `left` and `bottom` on."""
+    """Return True if a cell is the first cell of piece p in the range from `left`, `bottom`."""
     low = point(city_grid.low, p)
     high = point(city_grid.high, p)
     own_left, _, own_bottom, _ = cells_in_rectangle(city_grid, low[0], high[0], low[1], high[1])
@@ -36,7 +36,7 @@ def _city_clearance(
     found: float,
     scratch: np.ndarray,
 ) -> float:
-    """Return the distance of drone i from the city of world w, or `found` if that is less, m."""
+    """Return the signed distance of drone i from the city, or `found` if that is less, m."""
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
     if layout == NO_LAYOUT:
@@ -53,7 +53,7 @@ def _city_clearance(
             cell = column * city_grid.cells + row
             for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
                 p = city_grid.item[m]
-                # A piece is in many cells, and asked for in one of them.
+                # A piece is listed in several cells; measure it in the first one only.
                 if not _is_first_cell(city_grid, p, left, bottom, column, row):
                     continue
                 low = point(city_grid.low, p)
@@ -80,21 +80,21 @@ def measure_clearance(
     max_distance: float,
     scratch: np.ndarray,
 ) -> np.ndarray:
-    """Measure how far drones are from the nearest thing: ground, building, body or drone.
+    """Measure the distance of drones from the nearest ground, building, body or other drone.
 
-    Bounding spheres and boxes sort out what is farther than something found before.
+    Bounding spheres and boxes exclude shapes that are farther than the nearest one found so far.
 
     Args:
-        scenery: What stands in each world.
-        position: (W, N, 3) of the drones, m.
-        quaternion: (W, N, 4) their attitudes, body to world.
-        mask: (W, N) bool, drones that measure, and that are measured.
-        most: Distance beyond which nothing is looked for, m.
-        room: Scratch of `gjk.make_room`.
+        scenery: Shapes and poses in each world.
+        position: (W, N, 3) positions of the drones, m.
+        quaternion: (W, N, 4) attitudes of the drones, body to world.
+        mask: (W, N) bool, drones to measure; other drones are ignored.
+        max_distance: Maximum distance to search, m.
+        scratch: Scratch array of `gjk.make_scratch`.
 
     Returns:
-        (W, N) distance between shapes, m, negative for the depth of an overlap; `max_distance` where
-        nothing is nearer, and outside `mask`.
+        (W, N) signed distance between collision shapes, m, negative for the penetration depth of an
+        overlap. It is `max_distance` if nothing is nearer, and outside `mask`.
     """
     table = scenery.table
     result = np.full(mask.shape, max_distance)
@@ -120,7 +120,7 @@ def measure_clearance(
                     table, i, rotation, j, other_rotation, offset, NO_GUESS, scratch
                 )
                 found = min(found, distance)
-            # Obstacles, and bodies that users added
+            # Obstacles, and bodies added by users
             for r in range(scenery.other_rotation.shape[0]):
                 s = scenery.first_body + r
                 offset = minus(vec3(scenery.place, w, r), place)
@@ -137,6 +137,6 @@ def measure_clearance(
 
 @func
 def _is_beyond(offset: Vec3Like, reach: float) -> bool:
-    """Tell whether a point is as far as `reach`, m; a reach below 0 holds nothing."""
+    """Return True if a point is at least `reach` away, m; always True for a reach of 0 or less."""
     beyond: bool = reach <= 0.0 or dot(offset, offset) >= reach * reach
     return beyond

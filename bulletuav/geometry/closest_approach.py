@@ -1,4 +1,4 @@
-"""Distances, and how close two points come when both move straight."""
+"""Distances of points, and the closest approach of two points that move in straight lines."""
 
 import math
 
@@ -19,22 +19,22 @@ def offset(position: np.ndarray, w: int, i: int, j: int) -> Vec3:
 def insert_nearest(
     near: np.ndarray, distance: np.ndarray, found: int, j: int, new_distance: float
 ) -> int:
-    """Insert a point into a list of the nearest ones, if there is room for it.
+    """Insert a point into a sorted list of the nearest ones, if it is near enough.
 
     Args:
         near: (K,) indices of the nearest points so far, nearest first; changed in place.
         distance: (K,) their distances, m; changed in place.
-        found: How many entries of both are in use.
+        found: Number of entries in use.
         j: Index of the new point.
-        gap: Its distance, m.
+        new_distance: Its distance, m.
 
     Returns:
-        How many entries are in use now, at most K.
+        The number of entries in use now, at most K.
     """
     if found == near.size and (found == 0 or new_distance >= distance[found - 1]):
         return found
     found = min(found + 1, near.size)
-    # Move what is farther than the new point one slot back; the last falls out of a full list.
+    # Shift the farther points by one slot; the last one drops out of a full list.
     slot = found - 1
     while slot > 0 and distance[slot - 1] > new_distance:
         near[slot] = near[slot - 1]
@@ -47,9 +47,9 @@ def insert_nearest(
 
 @allocating
 def paired_distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-    """Return the distances (W, N), m, between points (W, N, 3) of the same index.
+    """Compute the distances (W, N), m, between points (W, N, 3) of the same index.
 
-    Faster than numpy where there are few points.
+    Faster than NumPy for few points.
     """
     result = np.empty(one.shape[:2])
     fill_paired_distances(one, two, result)
@@ -58,7 +58,7 @@ def paired_distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
 
 @kernel
 def fill_paired_distances(one: np.ndarray, two: np.ndarray, result: np.ndarray) -> None:
-    """Write what `paired_distances` returns to `result` (W, N)."""
+    """Write the result of `paired_distances` to `result` (W, N)."""
     for w in range(one.shape[0]):
         for i in range(one.shape[1]):
             square = 0.0
@@ -69,12 +69,12 @@ def fill_paired_distances(one: np.ndarray, two: np.ndarray, result: np.ndarray) 
 
 @kernel
 def min_separation(position: np.ndarray) -> float:
-    """Return the least distance of two points of one world among (W, N, 3), m; infinite for one."""
+    """Return the minimum distance of two points (W, N, 3) of one world, m; inf for one point."""
     smallest = np.inf
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
             for j in range(i):
-                # Of the squares, with one root at the end
+                # Squared distances; one square root at the end
                 difference = offset(position, w, i, j)
                 smallest = min(smallest, dot(difference, difference))
     return math.sqrt(smallest)
@@ -82,21 +82,21 @@ def min_separation(position: np.ndarray) -> float:
 
 @func
 def closest_squared_distances(start_offset: Vec3Like, end_offset: Vec3Like) -> tuple[float, float]:
-    """Return how close two points come while both move straight; of lanes, too.
+    """Compute how close two points come while both move in a straight line; also for lanes.
 
     Args:
-        gap: Offset of the points at the start, m.
-        later: Their offset at the end, m.
+        start_offset: Offset of the points at the start, m.
+        end_offset: Their offset at the end, m.
 
     Returns:
-        Their squared distance at the start, and the least on the way, m^2.
+        The squared distance at the start, and the minimum squared distance during the motion, m^2.
     """
     change = minus(end_offset, start_offset)
     along = dot(start_offset, change)
     square = dot(change, change)
     start = dot(start_offset, start_offset)
     smallest = start
-    # The squared distance is a parabola in time; its vertex counts where it lies on the way.
+    # The squared distance is a parabola in time; its vertex counts if it lies in the interval.
     if is_any(along < 0.0):
         time = min(1.0, -along / square)
         vertex = max(0.0, start + 2.0 * time * along + time * time * square)

@@ -1,10 +1,10 @@
-"""Nearest points of two shapes, solved for directly where they lie on faces, edges or rims.
+"""Closest features of two convex shapes, and their signed distance, solved directly.
 
-GJK takes some twenty steps to the nearest points of round shapes. Here the direction of an earlier
-answer tells on which features they lie. A feature against a face has a closed form; for edges and
-rims Newton's method finds the direction. What is found counts only if it is proved: no two shapes
-are nearer than the planes across a direction, nor farther than two of their points. Where these
-differ, and for hulls, GJK is asked.
+GJK needs some twenty iterations for round shapes. Here an approximate direction, such as that of
+an earlier result, selects the features on which the closest points lie. A feature against a face
+has a closed form. For edges and rims Newton's method finds the direction. A result is accepted only
+if it is proved by bounds: the separation along any direction is a lower bound of the distance, and
+the distance of any two points is an upper bound. If the bounds differ, and for hulls, GJK is used.
 """
 
 import math
@@ -33,29 +33,32 @@ from bulletuav.geometry.rotation import Vec3, cross, dot, minus, plus
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE
 
 MAX_ITERATIONS = 8
-"""Most steps of Newton's method"""
+"""Maximum number of Newton iterations"""
 CONVERGED_STEP = 1e-11
-"""Change of a direction after which the next one is exact, as errors are squared"""
+"""Change of the direction after which the next one is exact, as Newton's method converges
+quadratically
+"""
 MAX_STEP = 0.5
-"""Change of a direction beyond which Newton's method is not trusted"""
+"""Change of the direction above which Newton's method is abandoned"""
 MIN_FACE_COSINE = 0.9
-"""Cosine of the angle between a face and a direction up to which the face is tried"""
+"""Cosine of the angle between a face's normal and the direction above which the face is tried"""
 MAX_EDGE_COSINE = 0.05
-"""Cosine of the angle between an edge and a direction below which the edge is tried"""
+"""Cosine of the angle between an edge and the direction below which the edge is tried"""
 MIN_CROSS_SQUARED = 1e-12
-"""Square of the sine of the angle below which edges count as parallel"""
+"""Squared sine of the angle below which edges count as parallel"""
 UNKNOWN = -1.0
-"""Instead of a distance: not found"""
+"""Returned instead of a distance if no result was found"""
 ORIGIN = (0.0, 0.0, 0.0)
 NOT_FOUND = (UNKNOWN, ORIGIN, ORIGIN, ORIGIN)
 
 DistanceResult = tuple[float, Vec3, Vec3, Vec3]
-"""Distance or UNKNOWN, unit normal from b to a, nearest points from the positions of a and b, m."""
+"""Signed distance or UNKNOWN, unit normal from b to a, closest points relative to a and to b, m.
+"""
 
 
 @func
 def _find_face(table: ShapeTable, s: int, rotation: Mat3, d: Vec3) -> tuple[int, Vec3]:
-    """Return the number of the axis across the face that looks along d, and it; -1 for none."""
+    """Return the axis index and outward normal of the face that faces d; index -1 for none."""
     local = rotate_to_body(rotation, d)
     if table.kind[s] == CYLINDER:
         if abs(local[2]) < MIN_FACE_COSINE:
@@ -71,7 +74,7 @@ def _find_face(table: ShapeTable, s: int, rotation: Mat3, d: Vec3) -> tuple[int,
 
 @func
 def _is_over_face(table: ShapeTable, s: int, rotation: Mat3, face: int, place: Vec3) -> bool:
-    """Tell whether a place from the position of a shape lies over one of its faces."""
+    """Return True if the projection of a point onto a face lies inside the face."""
     local = rotate_to_body(rotation, place)
     if table.kind[s] == CYLINDER:
         radius = table.half[s, 0]
@@ -93,20 +96,20 @@ def _solve_face(
     offset: Vec3,
     d: Vec3,
 ) -> tuple[float, Vec3, Vec3]:
-    """Measure a shape over a face of another one.
+    """Compute the distance of a shape from a face of another one.
 
     Args:
         table: The shapes.
-        s: Number of the shape with the face.
-        turn: Its axes.
-        other: Number of the other one.
-        other_turn: Its axes.
-        offset: Position of the other less that of s, m.
-        d: Direction from s to the other.
+        s: Index of the shape with the face.
+        rotation: Axes of that shape.
+        other: Index of the other shape.
+        other_rotation: Axes of the other shape.
+        offset: Position of the other shape minus that of s, m.
+        d: Direction from s to the other shape.
 
     Returns:
-        Height above the face, m, or UNKNOWN. The unit normal of the face. The lowest point of the
-        other from the position of s, m.
+        The height above the face, m, or UNKNOWN. The unit normal of the face. The lowest point of
+        the other shape relative to the position of s, m.
     """
     face, normal = _find_face(table, s, rotation, d)
     if face < 0:
@@ -123,7 +126,7 @@ def _solve_face(
 def _find_feature(
     table: ShapeTable, s: int, rotation: Mat3, d: Vec3, edges: bool
 ) -> tuple[Feature, float]:
-    """Return the edge, rim or corner that looks along d, and half the length of an edge, m."""
+    """Return the edge, rim or corner that faces d, and the half length of an edge, m."""
     if table.kind[s] == SPHERE:
         return (True, ORIGIN, ORIGIN, 0.0), 0.0
     local = rotate_to_body(rotation, d)
@@ -144,14 +147,14 @@ def _find_feature(
 
 @func
 def _has_edge(feature: Feature) -> bool:
-    """Tell whether a feature is an edge or the side of a cylinder."""
+    """Return True if a feature is an edge or a line on the side of a cylinder."""
     result: bool = dot(feature[1], feature[1]) > 0.0
     return result
 
 
 @func
 def _normalise(v: Vec3) -> tuple[float, Vec3]:
-    """Return the length of a vector, and its direction."""
+    """Return the length of a vector, and its unit vector."""
     size = math.sqrt(dot(v, v))
     return size, (v[0] / size, v[1] / size, v[2] / size)
 
@@ -168,22 +171,26 @@ def _solve_direction(
     two: Feature,
     d: Vec3,
 ) -> tuple[bool, Vec3]:
-    """Find the direction that two features have from each other, by Newton's method from d on."""
-    # Along an edge the way does not count
+    """Solve for the direction between two features by Newton's method, starting at d.
+
+    Returns:
+        Whether the method did not fail, and the direction.
+    """
+    # Only the part orthogonal to an edge counts
     edge = one[1] if _has_edge(one) else two[1]
     _, d = _normalise(orthogonal_part(edge, d))
     for _ in range(MAX_ITERATIONS):
-        # Where the points lie that are farthest along d, and how far that is from d
+        # Support points along d, and the direction between them
         _, _, separation = support_pair(table, a, rotation_a, b, rotation_b, offset, d)
         size, result = _normalise(orthogonal_part(edge, separation))
         if not dot(result, d) > 0.0:
             return False, d
-        # Two axes across d, in which a step is two numbers
+        # Basis of the tangent plane at d, in which a step has two components
         first = cross(d, (1.0, 0.0, 0.0) if abs(d[0]) < 0.7 else (0.0, 1.0, 0.0))
         _, first = _normalise(first)
         second = cross(d, first)
         step_first, step_second = newton_step(one, two, edge, d, result, size, first, second)
-        # A step too long, or NaN, comes from rims without a sure direction
+        # A step that is too long, or NaN, comes from degenerate rims
         square = step_first * step_first + step_second * step_second
         if not square < MAX_STEP * MAX_STEP:
             return False, d
@@ -205,10 +212,14 @@ def _move_along_edges(
     on_b: Vec3,
     offset: Vec3,
 ) -> tuple[bool, Vec3, Vec3]:
-    """Move points along their edges to where they are nearest; tells whether that is on them."""
+    """Move points along their edges to where they are closest to each other.
+
+    Returns:
+        Whether the points lie within the edges, and the points.
+    """
     separation = minus(minus(on_a, on_b), offset)
     if _has_edge(one) and _has_edge(two):
-        # Two lines that cross at an angle are nearest at one point each
+        # Skew lines have unique closest points
         across = cross(one[1], two[1])
         square = dot(across, across)
         if square > MIN_CROSS_SQUARED:
@@ -216,7 +227,7 @@ def _move_along_edges(
             on_a = plus(on_a, far_a, one[1])
             on_b = plus(on_b, far_b, two[1])
         else:
-            # In the middle of where one is beside the other
+            # Parallel edges: the middle of their common part
             there = dot(offset, one[1])
             low = max(-half_length_a, there - half_length_b)
             high = min(half_length_a, there + half_length_b)
@@ -227,7 +238,7 @@ def _move_along_edges(
         on_a = plus(on_a, -dot(separation, one[1]), one[1])
     elif _has_edge(two):
         on_b = plus(on_b, dot(separation, two[1]), two[1])
-    # Beyond the ends of an edge a corner is nearer
+    # Beyond the ends of an edge a corner is closer
     fits = not _has_edge(one) or abs(dot(on_a, one[1])) <= half_length_a
     fits = fits and (not _has_edge(two) or abs(dot(on_b, two[1])) <= half_length_b)
     return fits, on_a, on_b
@@ -247,9 +258,9 @@ def _solve_edges(
     two: Feature,
     half_length_b: float,
 ) -> DistanceResult:
-    """Solve for the nearest points of two edges, rims or corners about a direction; see `solve_closest_features`.
+    """Compute the closest points of two edges, rims or corners; see `solve_closest_features`.
 
-    `half_length_a` and `half_length_b` are half the lengths of edges.
+    `half_length_a` and `half_length_b` are the half lengths of edges, m.
     """
     crossing = cross(one[1], two[1])
     if dot(crossing, crossing) > MIN_CROSS_SQUARED:
@@ -279,20 +290,20 @@ def _solve_edges(
 def solve_closest_features(
     table: ShapeTable, a: int, rotation_a: Mat3, b: int, rotation_b: Mat3, offset: Vec3, d: Vec3
 ) -> DistanceResult:
-    """Return what `gjk_distance` does, if a direction leads to it at once.
+    """Compute the signed distance of two shapes from the features that face a given direction.
 
     Args:
-        table: The shapes; a and b are no half spaces.
-        a: Number of the first shape.
-        turn_a: Axes of the first shape.
-        b: Number of the second shape.
-        turn_b: Axes of the second shape.
-        offset: Position of b less that of a, world axes, m.
-        d: Unit vector from b to a, about the answer's.
+        table: The shapes; a and b are no half-spaces.
+        a: Index of the first shape.
+        rotation_a: Axes of the first shape.
+        b: Index of the second shape.
+        rotation_b: Axes of the second shape.
+        offset: Position of b minus that of a, world axes, m.
+        d: Unit vector from b to a, approximately the normal of the result.
 
     Returns:
-        The answer of `gjk_distance`. UNKNOWN comes instead of a distance if the shapes overlap, or nothing
-        was found.
+        The result of `gjk_distance`. The distance is UNKNOWN if the shapes overlap, or if no pair
+        of features was proved to be the closest.
     """
     if table.kind[a] == HULL or table.kind[b] == HULL:
         return NOT_FOUND
@@ -305,7 +316,7 @@ def solve_closest_features(
     if height > 0.0:
         normal = (-normal[0], -normal[1], -normal[2])
         return height, normal, plus(low, height, normal), minus(low, offset)
-    # Edges first, then what is at the end of one or both
+    # Try edges first, then the corner or rim at the end of one or both
     edge_a, half_length_a = _find_feature(table, a, rotation_a, back, True)
     edge_b, half_length_b = _find_feature(table, b, rotation_b, d, True)
     end_a, _ = _find_feature(table, a, rotation_a, back, False)
@@ -314,7 +325,7 @@ def solve_closest_features(
     for k in range(4):
         one = edge_a if k < 2 else end_a
         two = edge_b if k % 2 == 0 else end_b
-        # Without an edge its end was tried already
+        # Without an edge this combination was tried already
         known = (k >= 2 and not _has_edge(edge_a)) or (k % 2 == 1 and not _has_edge(edge_b))
         if result[0] == UNKNOWN and not known:
             result = _solve_edges(
@@ -344,9 +355,9 @@ def closest_features(
     guess: Vec3,
     scratch: np.ndarray,
 ) -> DistanceResult:
-    """Return the signed distance of two shapes as `gjk_distance` does, its direction as exact as can be.
+    """Compute the signed distance of two shapes, with a normal that is as accurate as possible.
 
-    It takes what `gjk_distance` takes.
+    The direct solution is tried first, then GJK. Arguments and results are those of `gjk_distance`.
     """
     if table.kind[b] == HALF_SPACE:
         return gjk_distance(table, a, rotation_a, b, rotation_b, offset, guess, scratch)
@@ -359,11 +370,11 @@ def closest_features(
         result = solve_closest_features(table, a, rotation_a, b, rotation_b, offset, d)
         if result[0] != UNKNOWN:
             return result
-    # From a good guess on, GJK's points on a round side lie too close to each other
+    # From a good guess, GJK's support points on a round side are too close to each other
     if table.kind[a] == CYLINDER or table.kind[b] == CYLINDER:
         guess = ORIGIN
     result = gjk_distance(table, a, rotation_a, b, rotation_b, offset, guess, scratch)
-    # What it knows of the direction may lead on
+    # The normal of GJK may select the features
     if result[0] > MIN_CORE_DISTANCE:
         better = solve_closest_features(table, a, rotation_a, b, rotation_b, offset, result[1])
         if better[0] != UNKNOWN:

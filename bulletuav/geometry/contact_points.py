@@ -1,11 +1,14 @@
-"""Points where two convex shapes touch or nearly do: their facing features, clipped.
+"""Contact points of two convex shapes (contact manifold) by clipping of their facing features.
 
-The feature of a shape is the face, the flat side or the line of its round side that looks at the
-other shape. Two features are laid over each other across the normal and clipped (I. Sutherland and
-G. Hodgman, Reentrant polygon clipping, 1974). Corners of what is left are the points.
+The feature of a shape is the face, the cap or the line on a cylinder's side that faces the other
+shape. The two features are projected along the normal and clipped against each other
+(Sutherland-Hodgman). The corners of the clipped polygon are the contact points.
 
-Features are in axes of the contact: x and y across the normal, z along it, from the nearest point
-on a.
+Features are in the contact frame: x and y are tangential, z is along the normal, and the origin is
+the closest point on a.
+
+References:
+    I. Sutherland and G. Hodgman, Reentrant polygon clipping (1974).
 """
 
 import math
@@ -20,22 +23,23 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus,
 from bulletuav.geometry.shapes import CYLINDER, HALF_SPACE, SPHERE
 
 MAX_POINTS = 20
-"""Most points of a pair"""
+"""Maximum number of contact points of a pair"""
 MERGE_DISTANCE = 1e-6
-"""Distance within which two points count as one, m"""
+"""Distance below which two contact points are merged, m"""
 LINE_TOLERANCE = 0.05
-"""How far two lines of round sides may lie beside each other, as a share of the lesser radius; and
-sine of the angle from which on they cross"""
+"""Maximum tangential distance of the facing lines of two cylinders, as a fraction of the smaller
+radius; also the sine of the angle above which two lines cross
+"""
 A_COLUMN, B_COLUMN, SPARE_COLUMN = 0, 3, 6
-"""First columns of scratch of the feature of a, of that of b, and of clipping"""
+"""First scratch columns of the feature of a, of the feature of b, and of the clipped polygon"""
 HEIGHT = 9
-"""Column of scratch: how high the other shape is at a corner, m"""
+"""Scratch column of the other shape's height at a corner, m"""
 
 
 @func
 def _contact_frame(normal: Vec3Like) -> Mat3:
-    """Return the axes of the contact: two across a unit vector, and itself."""
-    # Cross the normal with the world's axis x or z, whichever is far from it
+    """Return the axes of the contact frame: two tangential unit vectors and the normal."""
+    # Cross product of the normal and the world's x or z axis, whichever is not close to it
     steep = abs(normal[2]) >= 0.8
     first = (0.0, -normal[2], normal[1]) if steep else (-normal[1], normal[0], 0.0)
     scale = 1.0 / math.sqrt(dot(first, first))
@@ -52,7 +56,7 @@ def _clip_by_line(
     corner: tuple[float, float],
     inward: tuple[float, float],
 ) -> int:
-    """Keep the part of a polygon on one side of a line; return how many corners it has."""
+    """Clip a polygon by a half-plane; return the number of corners left."""
     kept = 0
     last = count - 1
     there = (scratch[last, source] - corner[0]) * inward[0]
@@ -60,7 +64,7 @@ def _clip_by_line(
     for k in range(count):
         here = (scratch[k, source] - corner[0]) * inward[0]
         here += (scratch[k, source + 1] - corner[1]) * inward[1]
-        # The side from the corner before crosses the line
+        # The edge from the previous corner crosses the line
         if (here >= 0.0) != (there >= 0.0):
             fraction = there / (there - here)
             for m in range(3):
@@ -80,18 +84,18 @@ def _clip_by_line(
 def _clip_polygon(
     scratch: np.ndarray, count: int, column: int, sides: int, others: int, sign: float
 ) -> tuple[int, int]:
-    """Keep the part of a polygon or line over or under another polygon.
+    """Clip a polygon or line by all edges of another polygon (Sutherland-Hodgman).
 
     Args:
-        room: Scratch.
-        count: Number of corners of the first.
+        scratch: Scratch array.
+        count: Number of corners of the polygon to clip.
         column: First column of its corners.
-        sides: Number of corners of the other.
+        sides: Number of corners of the clipping polygon.
         others: First column of its corners.
-        sign: 1 where the other turns left in axes of the contact, -1 where it turns right.
+        sign: 1 if the clipping polygon is counterclockwise in the contact frame, -1 if clockwise.
 
     Returns:
-        How many corners there are, and their first column.
+        The number of corners left, and their first column.
     """
     source = column
     target = SPARE_COLUMN
@@ -108,17 +112,17 @@ def _clip_polygon(
 
 @func
 def _clip_lines(scratch: np.ndarray, max_offset: float) -> int:
-    """Keep the part of the line of a that lies beside that of b; return how many ends it has.
+    """Clip the line of a by the extent of the line of b; return the number of end points left.
 
     Args:
-        room: Scratch with both lines. What is left of that of a stays in its columns.
-        beside: How far the lines may be from each other across the normal, m.
+        scratch: Scratch array with both lines. The clipped line stays in the columns of a.
+        max_offset: Maximum tangential distance of the lines, m.
     """
     start = (scratch[0, B_COLUMN], scratch[0, B_COLUMN + 1])
     ahead = (scratch[1, B_COLUMN] - start[0], scratch[1, B_COLUMN + 1] - start[1])
     end = (scratch[1, B_COLUMN], scratch[1, B_COLUMN + 1])
     square = ahead[0] * ahead[0] + ahead[1] * ahead[1]
-    # Where they cross, they touch at the nearest points alone
+    # Crossing lines touch at the closest points only
     across = (
         scratch[1, A_COLUMN] - scratch[0, A_COLUMN],
         scratch[1, A_COLUMN + 1] - scratch[0, A_COLUMN + 1],
@@ -136,7 +140,7 @@ def _clip_lines(scratch: np.ndarray, max_offset: float) -> int:
         east = scratch[k, A_COLUMN] - start[0]
         north = scratch[k, A_COLUMN + 1] - start[1]
         aside = ahead[0] * north - ahead[1] * east
-        # Round sides are no longer opposite each other off to a side
+        # With a large tangential offset, round sides do not face each other
         if aside * aside <= max_offset * max_offset * square:
             fraction = (ahead[0] * east + ahead[1] * north) / square
             for m in range(3):
@@ -150,7 +154,7 @@ def _clip_lines(scratch: np.ndarray, max_offset: float) -> int:
 def _write_heights(
     scratch: np.ndarray, count: int, source: int, corner: Vec3, normal: Vec3, axes: Mat3
 ) -> None:
-    """Put how high a face is at the corners of a polygon into scratch."""
+    """Write the height of a face at the corners of a polygon to the scratch array."""
     along = dot(normal, axes[2])
     east = -dot(normal, axes[0]) / along
     north = -dot(normal, axes[1]) / along
@@ -162,7 +166,7 @@ def _write_heights(
 
 @func
 def _is_new_point(points: np.ndarray, count: int, place: Vec3) -> bool:
-    """Return whether a place is none of those that are already there."""
+    """Return True if no contact point exists within MERGE_DISTANCE of a position."""
     for m in range(count):
         way = minus(place, point(points, m))
         if dot(way, way) <= MERGE_DISTANCE * MERGE_DISTANCE:
@@ -174,16 +178,16 @@ def _is_new_point(points: np.ndarray, count: int, place: Vec3) -> bool:
 def _clip_features(
     scratch: np.ndarray, count_a: int, count_b: int, face_a: Vec3, face_b: Vec3, axes: Mat3
 ) -> tuple[int, int, float]:
-    """Clip two features against each other, of which one at least is a polygon.
+    """Clip two features against each other, at least one of which is a polygon.
 
     Returns:
-        How many corners are left, their first column, and 1 where they lie on a, -1 where on b.
+        The number of corners left, their first column, and 1 if they lie on a, -1 if on b.
     """
     if count_b > 2:
         count, source = _clip_polygon(scratch, count_a, A_COLUMN, count_b, B_COLUMN, 1.0)
         _write_heights(scratch, count, source, scratch_vec3(scratch, 0, B_COLUMN), face_b, axes)
         return count, source, 1.0
-    # The face of a is seen from its back
+    # The face of a is clockwise in the contact frame
     count, source = _clip_polygon(scratch, count_b, B_COLUMN, count_a, A_COLUMN, -1.0)
     _write_heights(scratch, count, source, scratch_vec3(scratch, 0, A_COLUMN), face_a, axes)
     return count, source, -1.0
@@ -191,7 +195,7 @@ def _clip_features(
 
 @func
 def _add_point(points: np.ndarray, count: int, place: Vec3, distance: float) -> int:
-    """Add a point unless it is already there; return how many there are."""
+    """Add a contact point unless it exists already; return the number of points."""
     if not _is_new_point(points, count, place):
         return count
     for m in range(3):
@@ -211,9 +215,10 @@ def _add_clipped_points(
     max_distance: float,
     points: np.ndarray,
 ) -> int:
-    """Add the corners that are left and near to the points; return how many there are.
+    """Add clipped corners within the maximum distance as contact points; return their number.
 
-    All lie in the plane of the first, or else no motion of the shapes could leave all at rest.
+    All points lie in the plane of the first one. Otherwise no motion of the shapes could bring all
+    points to rest.
     """
     middle = -0.5 * points[0, 3]
     near = 0
@@ -223,7 +228,7 @@ def _add_clipped_points(
                 scratch[near, source + m] = scratch[k, source + m]
             scratch[near, HEIGHT] = scratch[k, HEIGHT]
             near += 1
-    # Of too many, take some from all around
+    # If there are too many corners, select evenly spaced ones
     taken = min(near, min(MAX_POINTS, points.shape[0]) - 1)
     found = 1
     for m in range(taken):
@@ -251,28 +256,29 @@ def contact_points(
     points: np.ndarray,
     scratch: np.ndarray,
 ) -> int:
-    """Find points that stand for the contact of two shapes, the nearest ones first.
+    """Compute the contact points of two convex shapes, the deepest one first.
 
     Args:
         table: The shapes.
-        a: Number of the first shape, no half space.
-        turn_a: Axes of the first shape.
-        b: Number of the second shape.
-        turn_b: Axes of the second shape.
-        offset: Position of b less that of a, world axes, m.
-        normal: Unit normal from b to a, as `gap` gives.
-        on_a: Nearest point on a from its position, m.
-        on_b: Nearest point on b from its position, m.
-        most: Largest distance of the shapes at a point, m; the nearest points count in any case.
-        points: (M, 4) place from the position of a, in the plane across the normal midway between
-            the nearest points, and the signed distance along the normal there, m; MOST_POINTS rows
-            hold all. Filled in place.
-        room: Scratch of `make_room`.
+        a: Index of the first shape, which is no half-space.
+        rotation_a: Axes of the first shape.
+        b: Index of the second shape.
+        rotation_b: Axes of the second shape.
+        offset: Position of b minus that of a, world axes, m.
+        normal: Unit normal from b to a, as returned by `gjk_distance`.
+        on_a: Closest point on a, relative to its position, m.
+        on_b: Closest point on b, relative to its position, m.
+        max_distance: Maximum signed distance of the shapes at a contact point, m. The closest
+            points are a contact point in any case.
+        points: (M, 4) position relative to a, in the plane across the normal midway between the
+            closest points, and signed distance along the normal there, m. MAX_POINTS rows hold all
+            points. Written in place.
+        scratch: Scratch array of `make_scratch`.
 
     Returns:
-        How many points there are.
+        The number of contact points.
     """
-    # The nearest points are a contact whatever the features are
+    # The closest points are a contact point, whatever the features are
     distance = dot(minus(minus(on_a, on_b), offset), normal)
     found = _add_point(points, 0, plus(on_a, -0.5 * distance, normal), distance)
     if table.kind[a] == SPHERE or table.kind[b] == SPHERE:

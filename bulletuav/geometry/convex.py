@@ -1,7 +1,8 @@
-"""Convex shapes as one table for compiled code: how far they reach along a direction, their faces.
+"""Convex shapes in one table for compiled code: support points, vertices and faces.
 
-A shape is a sphere, a cylinder along z, a box, the convex hull of points, or the half space z <= 0,
-each in axes of its own. The table holds many shapes; functions take it with the number of one.
+A shape is a sphere, a cylinder along z, a box, the convex hull of points, or the half-space z <= 0,
+each in its own axes. The table holds many shapes; functions take the table and the index of a
+shape.
 """
 
 import math
@@ -16,27 +17,31 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE, Shape
 
 NUM_RIM_POINTS = 4
-"""Points that stand for the rim of a cylinder's flat side"""
+"""Number of points that approximate the rim of a cylinder's cap"""
 MAX_FACE_CORNERS = 256
-"""Most corners of a face of a hull; scratch holds those of two faces, see `minkowski.ROWS`"""
+"""Maximum number of corners of a hull's face; the scratch array holds two faces, see
+`minkowski.SCRATCH_ROWS`
+"""
 COPLANARITY_TOLERANCE = 1e-9
-"""Difference of the planes of two triangles of one face"""
+"""Maximum difference between the plane equations of two triangles that belong to one face"""
 
 
 class ShapeTable(NamedTuple):
-    """S convex shapes; those that are hulls have V corners and F flat faces in all.
+    """Table of S convex shapes, whose hulls have V vertices and F flat faces in total.
 
     Attributes:
         kind: (S,) SPHERE, CYLINDER, BOX, HULL or HALF_SPACE.
         half: (S, 3) half extents of the bounding box, m.
-        middle: (S, 3) middle of the bounding box; zero but for hulls, m.
-        radius: (S,) distance of the farthest point from the origin, m; inf for a half space.
-        corner: (V, 3) corners of the hulls, m.
-        corners: (S, 2) first corner of each hull, and the one after its last.
-        plane: (F, 4) outward unit normal of each face, and its distance from the origin, m.
-        planes: (S, 2) first face of each hull, and the one after its last.
-        ring: Indices into `corner`: those of each face, turning left seen from outside.
-        rings: (F, 2) first index in `ring` of each face, and the one after its last.
+        centre: (S, 3) centre of the bounding box, m; zero except for hulls.
+        radius: (S,) radius of the bounding sphere about the origin, m; inf for a half-space.
+        vertices: (V, 3) vertices of the hulls, m.
+        vertex_range: (S, 2) first vertex of each hull, and the one after its last.
+        face_planes: (F, 4) outward unit normal of each face, and its distance from the origin, m.
+        face_range: (S, 2) first face of each hull, and the one after its last.
+        face_vertices: Indices into `vertices` of the corners of each face, counterclockwise seen
+            from outside.
+        face_vertex_range: (F, 2) first index in `face_vertices` of each face, and the one after its
+            last.
     """
 
     kind: np.ndarray
@@ -55,7 +60,7 @@ def make_hull_shape(points: np.ndarray) -> Shape:
     """Make the convex hull of points (V, 3), m.
 
     Raises:
-        ValueError: The points span no volume, or a face has too many corners.
+        ValueError: If the points span no volume, or a face has more than MAX_FACE_CORNERS corners.
     """
     corners, faces = _hull_faces(points)
     if max(len(ring) for _, ring in faces) > MAX_FACE_CORNERS:
@@ -65,12 +70,12 @@ def make_hull_shape(points: np.ndarray) -> Shape:
 
 
 def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, list[int]]]]:
-    """Return the corners (V, 3) of a convex hull, and of each face its plane (4,) and its ring.
+    """Compute the vertices (V, 3) of a hull, and the plane (4,) and vertex indices of each face.
 
     Raises:
-        ValueError: The points span no volume.
+        ValueError: If the points span no volume.
     """
-    # SciPy's hulls take long to import, and most shapes do without
+    # Imported here because it is slow and most shapes need no hull
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -79,7 +84,7 @@ def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, 
         raise ValueError(f"a piece with the corners {points.tolist()} m spans no volume") from None
     corners = points[hull.vertices]
     number = {int(old): new for new, old in enumerate(hull.vertices)}
-    # Qhull gives triangles of one face the same plane, but for rounding
+    # Qhull gives all triangles of a face the same plane, up to rounding
     size = float(np.abs(corners).max())
     planes: list[np.ndarray] = []
     members: list[set[int]] = []
@@ -100,10 +105,10 @@ def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, 
 
 
 def _order_counterclockwise(corners: np.ndarray, normal: np.ndarray, face: list[int]) -> list[int]:
-    """Order the corners of a face so that they turn left, seen from where its normal points."""
+    """Sort the corners of a face counterclockwise, seen against its normal."""
     middle = corners[face].mean(axis=0)
     offset = [corners[k] - middle for k in face]
-    # By hand, as cities have many faces and NumPy takes long for one product
+    # Written out: np.cross is slow for single vectors, and cities have many faces
     a, b, c = normal.tolist()
     x, y, z = offset[0].tolist()
     left = np.array([b * z - c * y, c * x - a * z, a * y - b * x])
@@ -112,7 +117,7 @@ def _order_counterclockwise(corners: np.ndarray, normal: np.ndarray, face: list[
 
 
 def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
-    """Put shapes into one table, in their order."""
+    """Make the table of a sequence of shapes, in the same order."""
     half = np.array([shape.half for shape in shapes], dtype=float).reshape(-1, 3)
     middle = np.zeros(half.shape)
     radius = np.array([bounding_radius(shape) for shape in shapes], dtype=float)
@@ -123,7 +128,7 @@ def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
     corners = np.zeros((len(shapes), 2), dtype=np.int64)
     planes = np.zeros((len(shapes), 2), dtype=np.int64)
     count = 0
-    # Drones of one kind share a hull, which takes time to compute.
+    # Identical shapes share one hull computation, which is slow.
     hulls = {shape for shape in shapes if shape.kind == HULL}
     known = {shape: _hull_faces(np.array(shape.corners)) for shape in hulls}
     for s, shape in enumerate(shapes):
@@ -157,7 +162,7 @@ def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
 
 
 def bounding_radius(shape: Shape) -> float:
-    """Return the distance of a shape's farthest point from its origin, m."""
+    """Return the radius of a shape's bounding sphere about its origin, m."""
     if shape.kind == HALF_SPACE:
         return math.inf
     if shape.kind == SPHERE:
@@ -170,9 +175,10 @@ def bounding_radius(shape: Shape) -> float:
 
 
 def inscribed_radius(shape: Shape) -> float:
-    """Return the radius of a ball within a shape, m.
+    """Return the radius of a ball inside a shape, m.
 
-    It is the largest one, or for a hull the largest about the mean of its corners.
+    It is the largest such ball, except for a hull: there it is the largest one that is centred at
+    the mean of the vertices.
     """
     if shape.kind != HULL:
         return min(shape.half)
@@ -182,23 +188,23 @@ def inscribed_radius(shape: Shape) -> float:
 
 
 def contains_origin(hull: Shape) -> bool:
-    """Tell whether the origin is within a hull, and not on its surface."""
+    """Return True if the origin lies strictly inside a hull."""
     _, faces = _hull_faces(np.array(hull.corners))
     return min(float(plane[3]) for plane, _ in faces) > 0
 
 
 def insert_shapes(table: ShapeTable, at: int, new: ShapeTable) -> ShapeTable:
-    """Put the shapes of a table into another one.
+    """Insert the shapes of one table into another.
 
     Args:
-        table: The other one.
-        at: Number that the first new shape gets; those from there on move up.
-        new: The shapes to put in.
+        table: The table to extend.
+        at: Index of the first inserted shape; shapes from this index on move up.
+        new: The shapes to insert.
 
     Returns:
-        All shapes.
+        A new table with all shapes.
     """
-    # Corners, faces and rings are in the order of their shapes, so there is one cut in each.
+    # Each array is sorted by shape, so that the new rows are inserted at one place.
     corner = int(table.vertex_range[at, 0])
     plane = int(table.face_range[at, 0])
     ring = (
@@ -227,7 +233,7 @@ def insert_shapes(table: ShapeTable, at: int, new: ShapeTable) -> ShapeTable:
 
 @func
 def _hull_support(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
-    """Return the corner of a hull that is farthest along a direction, the first of several."""
+    """Return the vertex of a hull that is farthest along a direction, the first of several."""
     best = table.vertex_range[s, 0]
     most = -np.inf
     for k in range(table.vertex_range[s, 0], table.vertex_range[s, 1]):
@@ -242,15 +248,18 @@ def _hull_support(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
 
 @kernel
 def local_support_point(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
-    """Return a point of shape s that is farthest along a direction.
+    """Return the support point of a shape along a direction, in the shape's own axes.
+
+    It is a point of the shape that is farthest along the direction.
 
     Args:
-        table: The shapes; s is none of its half spaces.
-        s: Number of the shape.
+        table: The shapes.
+        s: Index of the shape, which is no half-space.
         d: Direction in the shape's axes, of any length but 0.
 
     Returns:
-        The point in the shape's axes, m. Of a sphere it is the centre: GJK adds the radius.
+        The support point in the shape's axes, m. For a sphere it is the centre: the radius is a
+        margin, which callers add (see `minkowski.shape_margin`).
     """
     kind = table.kind[s]
     if kind == SPHERE:

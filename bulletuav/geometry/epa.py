@@ -1,9 +1,13 @@
-"""Depth of an overlap of two convex shapes by the expanding polytope algorithm (EPA).
+"""Penetration depth of two overlapping convex shapes by the expanding polytope algorithm (EPA).
 
-A polytope inside the difference of the shapes grows, face by face, where it is nearest to the
-origin (G. van den Bergen, Proximity queries and penetration depth computation on 3D game objects,
-2001). How far the shapes reach along a face's normal is a depth that parts them in any case. That
-of the last face is returned: never less than the true depth.
+A polytope inside the Minkowski difference of the shapes is expanded at its face closest to the
+origin. The support of the difference along a face's normal is an upper bound of the penetration
+depth: moving the shapes apart by it separates them. The result is the bound of the last face, so it
+is never less than the true depth.
+
+References:
+    G. van den Bergen, Proximity queries and penetration depth computation on 3D game objects
+    (2001).
 """
 
 import math
@@ -24,21 +28,23 @@ from bulletuav.geometry.minkowski import (
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus
 
 ABSOLUTE_TOLERANCE = 1e-9
-"""Difference of the bounds of a depth at which EPA is done, m"""
+"""Difference of the upper and lower bounds of the depth at which EPA has converged, m"""
 RELATIVE_TOLERANCE = 1e-3
-"""The same as a share of the depth"""
+"""The same as a fraction of the depth"""
 VISIBILITY_TOLERANCE = 1e-10
-"""Height over a triangle above which it sees a point, m: more than rounding makes"""
+"""Height over a triangle above which the triangle is visible from a point, m: more than rounding
+errors
+"""
 FIRST_FACE_ROW = MAX_VERTICES
-"""First row of the triangles: normal, distance from the origin, three rows of points"""
+"""First row of the triangles: normal, distance from the origin, rows of the three vertices"""
 FIRST_EDGE_ROW = MAX_VERTICES + MAX_FACES
-"""First row of the edges of a hole: two rows of points"""
+"""First row of the horizon edges: rows of the two vertices"""
 UP = (0.0, 0.0, 1.0)
 
 
 @func
 def _most_perpendicular_axis(v: Vec3) -> Vec3:
-    """Return the axis of the world that is farthest from being along a vector."""
+    """Return the coordinate axis with the largest angle to a vector."""
     x = abs(v[0])
     y = abs(v[1])
     z = abs(v[2])
@@ -49,7 +55,7 @@ def _most_perpendicular_axis(v: Vec3) -> Vec3:
 
 @func
 def _simplex_extent(scratch: np.ndarray, count: int, w: Vec3) -> float:
-    """Return how far a point is from the line or the plane of others, times their size."""
+    """Return the distance of a point from the other vertices' line or plane, times their extent."""
     base = scratch_vec3(scratch, 0, 0)
     new = minus(w, base)
     if count == 1:
@@ -63,7 +69,7 @@ def _simplex_extent(scratch: np.ndarray, count: int, w: Vec3) -> float:
 
 @func
 def _expansion_direction(scratch: np.ndarray, count: int, m: int) -> Vec3:
-    """Return the m-th direction in which to look for a point off the first 1 to 3."""
+    """Return the m-th direction in which to look for an independent point."""
     sign = 1.0 if m % 2 == 0 else -1.0
     if count == 1:
         return (
@@ -93,9 +99,9 @@ def _expand_to_tetrahedron(
     count: int,
     scratch: np.ndarray,
 ) -> int:
-    """Add points to the first ones until four span a volume; return how many there are."""
+    """Add support points to the simplex until four span a volume; return the number of points."""
     while count < 4:
-        # Of the points farthest out to all sides, take the one that widens most
+        # Of the support points to all sides, use the one that increases the extent most
         best = (0.0, 0.0, 0.0)
         most = 0.0
         for m in range(8 - 2 * count):
@@ -116,13 +122,13 @@ def _expand_to_tetrahedron(
 
 @func
 def _write_face(scratch: np.ndarray, row: int, i: int, j: int, k: int) -> None:
-    """Put a triangle into a row: its points turn left seen from outside."""
+    """Write a triangle to a row; its vertices are counterclockwise seen from outside."""
     base = scratch_vec3(scratch, i, 0)
     normal = cross(
         minus(scratch_vec3(scratch, j, 0), base), minus(scratch_vec3(scratch, k, 0), base)
     )
     size = math.sqrt(dot(normal, normal))
-    # A flat triangle is never the nearest
+    # A degenerate triangle is never the closest one
     scratch[row, 3] = np.inf
     if size > 0.0:
         for n in range(3):
@@ -135,7 +141,7 @@ def _write_face(scratch: np.ndarray, row: int, i: int, j: int, k: int) -> None:
 
 @func
 def _toggle_horizon_edge(scratch: np.ndarray, edges: int, i: float, j: float) -> int:
-    """Add an edge of a hole, or cancel it against that of the triangle beyond."""
+    """Add an edge to the horizon, or remove the opposite edge; return the number of edges."""
     for row in range(FIRST_EDGE_ROW, FIRST_EDGE_ROW + edges):
         if scratch[row, 0] == j and scratch[row, 1] == i:
             last = FIRST_EDGE_ROW + edges - 1
@@ -149,10 +155,10 @@ def _toggle_horizon_edge(scratch: np.ndarray, edges: int, i: float, j: float) ->
 
 @func
 def _expand_polytope(scratch: np.ndarray, faces: int, new: int) -> int:
-    """Replace the triangles that see a new point by those to it.
+    """Replace the triangles that are visible from a new vertex by triangles to this vertex.
 
     Returns:
-        How many triangles there are; 0 if too many.
+        The number of triangles; 0 if there would be more than MAX_FACES.
     """
     w = scratch_vec3(scratch, new, 0)
     edges = 0
@@ -162,7 +168,7 @@ def _expand_polytope(scratch: np.ndarray, faces: int, new: int) -> int:
             edges = _toggle_horizon_edge(scratch, edges, scratch[row, 4], scratch[row, 5])
             edges = _toggle_horizon_edge(scratch, edges, scratch[row, 5], scratch[row, 6])
             edges = _toggle_horizon_edge(scratch, edges, scratch[row, 6], scratch[row, 4])
-            # The last triangle takes the row of the one that goes
+            # Fill the row of the removed triangle with the last one
             faces -= 1
             for k in range(7):
                 scratch[row, k] = scratch[FIRST_FACE_ROW + faces, k]
@@ -180,7 +186,7 @@ def _expand_polytope(scratch: np.ndarray, faces: int, new: int) -> int:
 
 @func
 def _make_tetrahedron(scratch: np.ndarray) -> int:
-    """Put the four triangles of the first four points; return how many there are."""
+    """Write the four triangles of the first four vertices; return their number."""
     base = scratch_vec3(scratch, 0, 0)
     one = minus(scratch_vec3(scratch, 1, 0), base)
     two = minus(scratch_vec3(scratch, 2, 0), base)
@@ -195,7 +201,7 @@ def _make_tetrahedron(scratch: np.ndarray) -> int:
 
 @func
 def _closest_face(scratch: np.ndarray, faces: int) -> int:
-    """Return the row of the triangle whose plane is nearest to the origin."""
+    """Return the row of the triangle whose plane is closest to the origin."""
     best = FIRST_FACE_ROW
     for row in range(FIRST_FACE_ROW + 1, FIRST_FACE_ROW + faces):
         if scratch[row, 3] < scratch[best, 3]:
@@ -205,7 +211,7 @@ def _closest_face(scratch: np.ndarray, faces: int) -> int:
 
 @func
 def _barycentric_weights(scratch: np.ndarray, i: int, j: int, k: int, foot: Vec3) -> Vec3:
-    """Return the weights of the corners of a triangle at a point of its plane, none negative."""
+    """Return the barycentric weights of a point in the plane of a triangle, clamped at 0."""
     p = scratch_vec3(scratch, i, 0)
     q = scratch_vec3(scratch, j, 0)
     r = scratch_vec3(scratch, k, 0)
@@ -223,7 +229,7 @@ def _barycentric_weights(scratch: np.ndarray, i: int, j: int, k: int, foot: Vec3
 def _interpolate_face(
     scratch: np.ndarray, i: int, j: int, k: int, weights: Vec3, column: int
 ) -> Vec3:
-    """Return a weighted mean of three columns of three rows."""
+    """Return the barycentric mean of three columns over the three vertices of a triangle."""
     mean = plus((0.0, 0.0, 0.0), weights[0], scratch_vec3(scratch, i, column))
     mean = plus(mean, weights[1], scratch_vec3(scratch, j, column))
     return plus(mean, weights[2], scratch_vec3(scratch, k, column))
@@ -231,9 +237,10 @@ def _interpolate_face(
 
 @func
 def _find_projection_face(scratch: np.ndarray, faces: int, face: int) -> int:
-    """Return the row of the triangle that the foot of the origin on the plane of one is in.
+    """Return the row of the triangle that contains the origin's projection on a face's plane.
 
-    Triangles of one flat face of the difference lie in one plane: any of them may come first.
+    Several triangles may lie in the plane of one flat face of the Minkowski difference, and any of
+    them may have been found first.
     """
     lower = scratch[face, 3]
     foot = plus((0.0, 0.0, 0.0), lower, scratch_vec3(scratch, face, 0))
@@ -269,25 +276,28 @@ def epa_penetration(
     count: int,
     scratch: np.ndarray,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Return `gap` of two shapes that overlap or touch, spheres as their centres.
+    """Compute the penetration depth of two shapes that overlap or touch.
+
+    Spheres are represented by their centres.
 
     Args:
         table: The shapes.
-        a: Number of the first shape.
-        turn_a: Axes of the first shape.
-        b: Number of the second shape.
-        turn_b: Axes of the second shape.
-        offset: Position of b less that of a, world axes, m.
-        count: Number of points of the difference that are in the first rows of scratch.
-        room: Scratch of `make_room`.
+        a: Index of the first shape.
+        rotation_a: Axes of the first shape.
+        b: Index of the second shape.
+        rotation_b: Axes of the second shape.
+        offset: Position of b minus that of a, world axes, m.
+        count: Number of points of the Minkowski difference in the first rows of the scratch array.
+        scratch: Scratch array of `make_scratch`.
 
     Returns:
-        As `gap`; the depth is at most RELATIVE above the true one where steps suffice. The points
-        differ by about as much from lying it apart.
+        The same as `gjk_distance`: the negative depth, the unit normal from b to a, and the closest
+        points. The depth exceeds the true one by at most RELATIVE_TOLERANCE, unless the polytope
+        reaches MAX_VERTICES. The distance of the points along the normal has about the same error.
     """
     count = _expand_to_tetrahedron(table, a, rotation_a, b, rotation_b, offset, count, scratch)
     if count < 4:
-        # Two spheres with one centre
+        # Two spheres with the same centre
         return 0.0, UP, scratch_vec3(scratch, 0, 3), scratch_vec3(scratch, 0, 6)
     faces = _make_tetrahedron(scratch)
     least = np.inf
@@ -299,7 +309,7 @@ def epa_penetration(
         lower = scratch[face, 3]
         against = (-normal[0], -normal[1], -normal[2])
         w = minkowski_support(table, a, rotation_a, b, rotation_b, offset, against, scratch, new)
-        # What this normal needs to part the shapes
+        # Moving the shapes apart by this much along the normal separates them
         upper = dot(normal, w)
         done = upper - lower <= ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * abs(upper)
         if done:

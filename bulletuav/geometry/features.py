@@ -1,7 +1,7 @@
-"""Features of convex shapes that face another shape: a face, a flat side, or a line of a round one.
+"""Features of convex shapes that face another shape: a face, a cap, or a line on a round side.
 
-They are written into scratch, in axes of the contact: x and y across the normal, z along it, from
-the nearest point on the first shape.
+Features are written to the scratch array in the contact frame: x and y are tangential, z is along
+the normal, and the origin is the closest point on the first shape.
 """
 
 import math
@@ -16,20 +16,24 @@ from bulletuav.geometry.rotation import Vec3, cross, dot, plus, point
 from bulletuav.geometry.shapes import BOX, CYLINDER
 
 MIN_CAP_COSINE = math.sqrt(0.5)
-"""Cosine of the largest angle between axis and normal at which a flat side faces the other"""
+"""Cosine of the largest angle between a cylinder's axis and the normal at which its cap faces the
+other shape
+"""
 MIN_RIM_SINE = 1e-3
-"""Sine of the angle between axis and normal below which body axes place the rim's points"""
+"""Sine of the angle between axis and normal below which the body's x axis orients the rim points"""
 MIN_OFFSET_FRACTION = 0.01
-"""Share of the radius from which on the other shape lies to one side"""
+"""Tangential offset of two cylinders, as a fraction of the radius, above which it orients the rim
+points
+"""
 RIM_COS = np.array([cos(2 * math.pi / NUM_RIM_POINTS * k) for k in range(NUM_RIM_POINTS)])
-"""Cosines of the angles of the rim's points"""
+"""Cosines of the angles of the rim points"""
 RIM_SIN = np.array([sin(2 * math.pi / NUM_RIM_POINTS * k) for k in range(NUM_RIM_POINTS)])
-"""Sines of the same"""
+"""Sines of the angles of the rim points"""
 
 
 @func
 def _write_corner(scratch: np.ndarray, row: int, column: int, axes: Mat3, place: Vec3) -> None:
-    """Put a place, m from the nearest point on a, into scratch in axes of the contact."""
+    """Write a point, m from the closest point on a, to the scratch array in the contact frame."""
     scratch[row, column] = dot(place, axes[0])
     scratch[row, column + 1] = dot(place, axes[1])
     scratch[row, column + 2] = dot(place, axes[2])
@@ -39,7 +43,7 @@ def _write_corner(scratch: np.ndarray, row: int, column: int, axes: Mat3, place:
 def _write_box_face(
     half: Vec3, rotation: Mat3, d: Vec3, start: Vec3, axes: Mat3, scratch: np.ndarray, column: int
 ) -> tuple[int, Vec3]:
-    """Put the corners of the face of a box that looks most along d; as `write_feature`."""
+    """Write the corners of the box face whose normal is closest to d; see `write_feature`."""
     local = rotate_to_body(rotation, d)
     k = 0
     for m in range(1, 3):
@@ -49,7 +53,7 @@ def _write_box_face(
     j = (k + 2) % 3
     sign = math.copysign(1.0, local[k])
     middle = plus(start, sign * half[k], rotation[k])
-    # On the far side the first axis is mirrored, so corners turn left there too
+    # On the negative side the first axis is mirrored, which keeps the corners counterclockwise
     one = plus(middle, sign * half[i], rotation[i])
     other = plus(middle, -sign * half[i], rotation[i])
     _write_corner(scratch, 0, column, axes, plus(one, half[j], rotation[j]))
@@ -70,7 +74,7 @@ def _write_hull_face(
     scratch: np.ndarray,
     column: int,
 ) -> tuple[int, Vec3]:
-    """Put the corners of the face of a hull that looks most along d; as `write_feature`."""
+    """Write the corners of the hull face whose normal is closest to d; see `write_feature`."""
     local = rotate_to_body(rotation, d)
     best = table.face_range[s, 0]
     most = -np.inf
@@ -98,12 +102,12 @@ def _write_cylinder_feature(
     scratch: np.ndarray,
     column: int,
 ) -> tuple[int, Vec3]:
-    """Put the flat side or the line of a cylinder that looks along d; as `write_feature`."""
+    """Write points on the rim of a cap, or the ends of a line on the side; see `write_feature`."""
     axis = rotation[2]
     along = dot(d, axis)
     radial = plus(d, -along, axis)
     sine = math.sqrt(dot(radial, radial))
-    # The deepest point of the rim comes first, or any where all are as deep
+    # The deepest point of the rim comes first, or any point if all are equally deep
     scaled = (radial[0] / sine, radial[1] / sine, radial[2] / sine)
     radial = scaled if sine > MIN_RIM_SINE else rotation[0]
     if abs(along) < MIN_CAP_COSINE:
@@ -111,7 +115,7 @@ def _write_cylinder_feature(
         _write_corner(scratch, 0, column, axes, plus(line, half[2], axis))
         _write_corner(scratch, 1, column, axes, plus(line, -half[2], axis))
         return 2, d
-    # What two flat sides share is widest between their middles: chords would cut that off
+    # Two caps overlap most along the line of their centres: place a rim point there
     beside = plus(centre_offset, -dot(centre_offset, axis), axis)
     distance = math.sqrt(dot(beside, beside))
     if distance > MIN_OFFSET_FRACTION * half[0]:
@@ -138,22 +142,23 @@ def write_feature(
     scratch: np.ndarray,
     column: int,
 ) -> tuple[int, Vec3]:
-    """Put the corners of the feature of a shape that looks along a direction into scratch.
+    """Write the corners of the feature of a shape that faces a direction to the scratch array.
 
     Args:
         table: The shapes.
-        s: Number of the shape: a box, a cylinder or a hull.
-        turn: Axes of the shape.
-        d: Unit vector, world axes.
-        start: Position of the shape from the nearest point on a, m.
-        aside: From the middle of a round shape to that of the other round one, m; zero for none.
-        axes: Axes of the contact.
-        room: Scratch.
-        column: First of the three columns to put them.
+        s: Index of the shape: a box, a cylinder or a hull.
+        rotation: Axes of the shape.
+        d: Direction that the feature faces, unit vector, world axes.
+        start: Position of the shape relative to the closest point on a, m.
+        centre_offset: Vector from the centre of this cylinder to that of the other cylinder, m;
+            zero unless both shapes are cylinders.
+        axes: Axes of the contact frame.
+        scratch: Scratch array.
+        column: First of the three columns to write.
 
     Returns:
-        How many there are, 2 for a line, and the outward normal of the face. Corners turn left
-        seen from outside.
+        The number of corners, 2 for a line, and the outward normal of the face. Corners are
+        counterclockwise seen from outside.
     """
     half = point(table.half, s)
     if table.kind[s] == BOX:

@@ -1,8 +1,13 @@
-"""Signed distance of two convex shapes, with the points where they are nearest.
+"""Signed distance of two convex shapes and their closest points, by GJK and EPA.
 
-Shapes that are apart: GJK (E. Gilbert, D. Johnson and S. Keerthi, 1988) with the inner step of
-P. Wolfe, Finding the nearest point in a polytope (1976), which never moves away from the answer.
-Shapes that overlap: EPA. A half space is met in closed form.
+For separated shapes this is the algorithm of Gilbert, Johnson and Keerthi (GJK) with Wolfe's
+sub-algorithm, which never increases the distance. The penetration depth of overlapping shapes is
+computed by EPA. The distance from a half-space has a closed form.
+
+References:
+    E. Gilbert, D. Johnson and S. Keerthi, A fast procedure for computing the distance between
+    complex objects in three-dimensional space (1988).
+    P. Wolfe, Finding the nearest point in a polytope (1976).
 """
 
 import math
@@ -24,33 +29,34 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus
 from bulletuav.geometry.shapes import HALF_SPACE
 
 DUALITY_GAP = 1e-13
-"""Difference of the bounds of a distance at which GJK is done, m"""
+"""Difference of the upper and the lower bound of the distance at which GJK has converged, m"""
 MIN_CORE_DISTANCE = 1e-9
-"""Distance below which a direction is no longer known from the nearest point, m"""
+"""Distance of the core shapes below which the closest point does not determine the normal, m"""
 MAX_ITERATIONS = 100
-"""Most points that GJK looks at"""
+"""Maximum number of GJK iterations"""
 MAX_WEIGHT = 1e12
-"""Weight beyond which points are taken to lie in one plane"""
+"""Barycentric weight above which a simplex counts as degenerate (flat)"""
 WEIGHT, NEW_WEIGHT = 9, 10
-"""Columns of scratch: the weight of a point, and the one that it would have without bounds"""
+"""Columns of the scratch array: barycentric weight of a vertex, and its weight before clamping"""
 
 
 @func
 def _line_barycentric(base: Vec3, edge: Vec3) -> float:
-    """Return the share of an edge at which its line is nearest to the origin."""
+    """Return the barycentric coordinate of the point of a line that is closest to the origin."""
     return -dot(base, edge) / dot(edge, edge)
 
 
 @func
 def _plane_barycentric(base: Vec3, one: Vec3, two: Vec3) -> tuple[float, float]:
-    """Return the shares of two edges from one point at which their plane is nearest to the origin.
+    """Return the barycentric coordinates of the point of a plane that is closest to the origin.
 
-    The longer edge comes first (Gram and Schmidt), which keeps thin triangles exact.
+    The plane is spanned by two edges from one vertex. The longer edge comes first (Gram-Schmidt),
+    which keeps thin triangles accurate.
     """
     swap = dot(two, two) > dot(one, one)
     first = two if swap else one
     second = one if swap else two
-    # What of the second edge is across the first, and where the first comes nearest
+    # Part of the second edge orthogonal to the first, and the closest point along the first
     square = dot(first, first)
     slope = dot(first, second) / square
     height = plus(second, -slope, first)
@@ -63,7 +69,10 @@ def _plane_barycentric(base: Vec3, one: Vec3, two: Vec3) -> tuple[float, float]:
 
 @func
 def _solve_barycentric(scratch: np.ndarray, count: int) -> None:
-    """Find the weights, of any sign, with which 2 to 4 points come nearest to the origin."""
+    """Write the barycentric weights of the point closest to the origin, for 2 to 4 vertices.
+
+    The weights are those of the affine hull, so they may be negative.
+    """
     base = scratch_vec3(scratch, 0, 0)
     one = minus(scratch_vec3(scratch, 1, 0), base)
     if count == 2:
@@ -73,7 +82,7 @@ def _solve_barycentric(scratch: np.ndarray, count: int) -> None:
     two = minus(scratch_vec3(scratch, 2, 0), base)
     rest = 1.0
     if count == 4:
-        # Four points reach the origin itself; three of them the rest of the way
+        # The fourth vertex reaches the origin's height over the plane of the other three
         three = minus(scratch_vec3(scratch, 3, 0), base)
         normal = cross(one, two)
         fraction = -dot(base, normal) / dot(three, normal)
@@ -88,28 +97,27 @@ def _solve_barycentric(scratch: np.ndarray, count: int) -> None:
 
 @func
 def _replace_vertex(scratch: np.ndarray, row: int, last: int) -> None:
-    """Put the last point of a simplex into the row of one that leaves."""
     for k in range(10):
         scratch[row, k] = scratch[last, k]
 
 
 @func
 def _reduce_simplex(scratch: np.ndarray, count: int) -> int:
-    """Move the weights of a simplex to where it is nearer to the origin, and drop idle points.
+    """Move the weights of a simplex closer to the origin, and remove vertices of weight 0 (Wolfe).
 
     Args:
-        room: Scratch; its first rows are the points, of which the last has weight 0.
-        count: Number of points.
+        scratch: Scratch array; its first rows are the vertices, of which the last has weight 0.
+        count: Number of vertices.
 
     Returns:
-        The number of points left; 4 where the origin is among them.
+        The number of vertices left; 4 if the simplex contains the origin.
     """
     while count > 1:
         _solve_barycentric(scratch, count)
-        # A flat simplex gives no answer: stay here, without a last point that bears nothing
+        # A degenerate simplex has no solution: keep the weights, drop a last vertex of weight 0
         if not abs(scratch[0, NEW_WEIGHT]) < MAX_WEIGHT:
             return count - 1 if scratch[count - 1, WEIGHT] == 0.0 else count
-        # Go as far towards the new weights as all stay positive
+        # Step towards the new weights until the first weight becomes 0
         fraction = 1.0
         idle = -1
         for k in range(count):
@@ -136,7 +144,7 @@ def _reduce_simplex(scratch: np.ndarray, count: int) -> int:
 
 @func
 def _is_in_simplex(scratch: np.ndarray, count: int, w: Vec3) -> bool:
-    """Return whether a point is one of the first rows of scratch."""
+    """Return True if a point is one of the first rows of the scratch array."""
     for k in range(count):
         if scratch[k, 0] == w[0] and scratch[k, 1] == w[1] and scratch[k, 2] == w[2]:
             return True
@@ -145,7 +153,7 @@ def _is_in_simplex(scratch: np.ndarray, count: int, w: Vec3) -> bool:
 
 @func
 def _interpolate(scratch: np.ndarray, count: int, column: int) -> Vec3:
-    """Return the weighted mean of the points of a simplex, of three columns from one on."""
+    """Return the barycentric mean of three columns over the vertices of a simplex."""
     mean = (0.0, 0.0, 0.0)
     for k in range(count):
         mean = plus(mean, scratch[k, WEIGHT], scratch_vec3(scratch, k, column))
@@ -154,17 +162,18 @@ def _interpolate(scratch: np.ndarray, count: int, column: int) -> Vec3:
 
 @func
 def _search_direction(scratch: np.ndarray, count: int, v: Vec3) -> Vec3:
-    """Return the direction of the nearest point of a simplex, also where it is almost the origin.
+    """Return the direction of the simplex's closest point, accurate even close to the origin.
 
-    Rounding bends a short v. The line or plane that it is across is known much better.
+    Rounding errors change the direction of a short v. The normal of the line or plane through the
+    vertices is known much more accurately.
 
     Args:
-        room: Scratch; its first rows are the points.
-        count: Number of points, at most 3.
-        v: The nearest point, m.
+        scratch: Scratch array; its first rows are the vertices.
+        count: Number of vertices, at most 3.
+        v: The point of the simplex that is closest to the origin, m.
 
     Returns:
-        The direction, of any length.
+        The search direction, of any length.
     """
     if count == 1:
         return v
@@ -172,7 +181,7 @@ def _search_direction(scratch: np.ndarray, count: int, v: Vec3) -> Vec3:
     one = minus(scratch_vec3(scratch, 1, 0), base)
     if count == 2:
         return plus(v, -dot(v, one) / dot(one, one), one)
-    # Two sides from the corner opposite the longest one span the plane best
+    # The two edges opposite the longest one determine the plane most accurately
     two = minus(scratch_vec3(scratch, 2, 0), base)
     third = minus(two, one)
     long_one = dot(one, one)
@@ -190,9 +199,9 @@ def _search_direction(scratch: np.ndarray, count: int, v: Vec3) -> Vec3:
 def _half_space_distance(
     table: ShapeTable, a: int, rotation_a: Mat3, rotation_b: Mat3, offset: Vec3Like
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Return `gjk_distance` above the half space below the plane across the third axis of b."""
+    """Return the result of `gjk_distance` if b is a half-space, across its z axis."""
     up = rotation_b[2]
-    # The lowest point of a sphere is a radius below its centre
+    # The lowest point of a sphere is its centre minus the margin
     lowest = support_point(table, a, rotation_a, (-up[0], -up[1], -up[2]))
     lowest = plus(lowest, -shape_margin(table, a), up)
     above = minus(lowest, offset)
@@ -211,26 +220,27 @@ def gjk_distance(
     guess: Vec3,
     scratch: np.ndarray,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Return the signed distance of two shapes, its direction and the nearest points.
+    """Compute the signed distance of two convex shapes, its normal and the closest points.
 
     Args:
         table: The shapes.
-        a: Number of the first shape, no half space.
-        turn_a: Axes of the first shape.
-        b: Number of the second shape.
-        turn_b: Axes of the second shape.
-        offset: Position of b less that of a, world axes, m.
-        guess: Unit normal of an earlier answer, or zeros.
-        room: Scratch of `make_scratch`.
+        a: Index of the first shape, which is no half-space.
+        rotation_a: Axes of the first shape.
+        b: Index of the second shape.
+        rotation_b: Axes of the second shape.
+        offset: Position of b minus that of a, world axes, m.
+        guess: Unit normal of an earlier result as the first search direction (warm start), or
+            zeros.
+        scratch: Scratch array of `make_scratch`.
 
     Returns:
-        The distance, m, negative for the depth of an overlap. The unit normal from b to a, along
-        which a parts from b. The nearest points on a and b, each from its shape's position, m.
-        All in world axes.
+        The signed distance, m, negative for the penetration depth of an overlap. The unit normal
+        from b to a, along which a separates from b. The closest points on a and b, each relative to
+        the position of its shape. All in world axes.
     """
     if table.kind[b] == HALF_SPACE:
         return _half_space_distance(table, a, rotation_a, rotation_b, offset)
-    # Begin with the guess, or from centre to centre
+    # First search direction: the guess, or the line between the centres
     d = guess
     if dot(d, d) == 0.0:
         d = (-offset[0], -offset[1], -offset[2])
@@ -246,7 +256,7 @@ def gjk_distance(
         d = _search_direction(scratch, count, v)
         size = math.sqrt(dot(d, d))
         w = minkowski_support(table, a, rotation_a, b, rotation_b, offset, d, scratch, count)
-        # The plane through w bounds the distance from below
+        # The supporting plane through w is a lower bound of the distance
         if dot(d, v) - dot(d, w) <= DUALITY_GAP * size or _is_in_simplex(scratch, count, w):
             break
         scratch[count, WEIGHT] = 0.0
@@ -269,15 +279,15 @@ def gjk_distance(
         found = epa_penetration(table, a, rotation_a, b, rotation_b, offset, count, scratch)
         distance = found[0]
         normal = found[1]
-        # Where shapes touch, the points of GJK are the better ones
+        # For touching shapes the points of GJK are more accurate
         if abs(distance) > MIN_CORE_DISTANCE:
             on_a = found[2]
             on_b = found[3]
-        # Move both points, half way each, to lie the distance apart along the normal
+        # Move both points by half the error, so that they differ by the distance along the normal
         error = plus(minus(minus(on_a, on_b), offset), -distance, normal)
         on_a = plus(on_a, -0.5, error)
         on_b = plus(on_b, 0.5, error)
-    # Spheres are their centres so far
+    # Apply the margins: spheres were represented by their centres
     on_a = plus(on_a, -margin_a, normal)
     on_b = plus(on_b, margin_b, normal)
     return distance - margin_a - margin_b, normal, on_a, on_b

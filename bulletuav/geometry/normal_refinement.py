@@ -1,8 +1,8 @@
-"""The direction of a small gap, where it lies between edges, corners or rims, to rounding.
+"""Refinement of the contact normal between edges, corners and rims to machine precision.
 
-GJK finds a distance to rounding, but the direction of a gap of .1 mm between two rims only to about
-1e-4: the distance hardly changes with it. Here Newton's method solves for the direction that the
-nearest points of two features have from each other.
+GJK finds a distance to machine precision. The direction of a distance of 0.1 mm between two rims
+has an error of about 1e-4, since the distance hardly depends on it. Here Newton's method solves for
+the direction between the closest points of two features.
 """
 
 import math
@@ -14,15 +14,17 @@ from bulletuav.geometry.rotation import Vec3, cross, dot, minus, plus
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
 
 FEATURE_TOLERANCE = 1e-5
-"""Distance from an edge or rim within which a nearest point is taken to lie on it, m"""
+"""Distance from an edge or rim within which a closest point counts as lying on it, m"""
 MAX_ITERATIONS = 8
-"""Most steps of Newton's method"""
+"""Maximum number of Newton iterations"""
 CONVERGED_STEP = 1e-13
-"""Change of a direction at which it is known"""
+"""Change of the direction at which Newton's method has converged"""
 MAX_CORRECTION = 1e-3
-"""Change of a direction that is no correction any more"""
+"""Maximum change of the direction in a Newton step; larger steps are no correction. Also the sine
+below which edges count as parallel, and a rim as seen along its axis
+"""
 BOUND_TOLERANCE = 1e-12
-"""By how much the bound of the distance along a better direction may be less, m"""
+"""Tolerance by which the separation along the refined direction may be smaller, m"""
 ORIGIN = (0.0, 0.0, 0.0)
 
 Feature = tuple[bool, Vec3, Vec3, float]
@@ -31,9 +33,9 @@ Feature = tuple[bool, Vec3, Vec3, float]
 
 @func
 def _classify_feature(table: ShapeTable, s: int, rotation: Mat3, place: Vec3) -> Feature:
-    """Tell on which feature of a shape a point lies, both from its position, world axes."""
+    """Return the feature of a shape on which a point, relative to its position, lies."""
     kind = table.kind[s]
-    # A sphere is a point, swollen: no edge and no rim
+    # A sphere is a point with a margin: no edge and no rim
     if kind == SPHERE:
         return True, ORIGIN, ORIGIN, 0.0
     # From here on in the shape's own axes
@@ -57,19 +59,19 @@ def _classify_feature(table: ShapeTable, s: int, rotation: Mat3, place: Vec3) ->
             else:
                 inner = axis
         return found >= 2, inner if found == 2 else ORIGIN, outer, 0.0
-    # A hull's features are not told: what `gap` found stays
+    # Features of hulls are not classified: the normal of `gjk_distance` stays
     return False, ORIGIN, ORIGIN, 0.0
 
 
 @func
 def orthogonal_part(edge: Vec3, v: Vec3) -> Vec3:
-    """Return the part of a vector across a unit vector, or all of it where that is zero."""
+    """Return the part of v that is orthogonal to a unit vector; v itself if that vector is zero."""
     return plus(v, -dot(v, edge), edge)
 
 
 @func
 def _rim_point_derivative(feature: Feature, d: Vec3, moved: Vec3) -> Vec3:
-    """Return how the farthest point of a rim along d moves when d changes by `moved`."""
+    """Return the change of the support point of a rim along d when d changes by `moved`."""
     _, _, axis, radius = feature
     if radius == 0.0:
         return ORIGIN
@@ -84,7 +86,7 @@ def _rim_point_derivative(feature: Feature, d: Vec3, moved: Vec3) -> Vec3:
 
 @func
 def _is_rim_degenerate(feature: Feature, d: Vec3) -> bool:
-    """Tell whether a rim is seen from so near its axis that it has no farthest point."""
+    """Return True if a rim has no unique support point along d, close to its axis."""
     outward = orthogonal_part(feature[2], d)
     return feature[3] > 0.0 and dot(outward, outward) < MAX_CORRECTION * MAX_CORRECTION
 
@@ -93,9 +95,9 @@ def _is_rim_degenerate(feature: Feature, d: Vec3) -> bool:
 def support_pair(
     table: ShapeTable, a: int, rotation_a: Mat3, b: int, rotation_b: Mat3, offset: Vec3, d: Vec3
 ) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the points of a and b that are nearest along a direction, and the way from b's to a's.
+    """Return the support points of a along -d and of b along d, and the vector between them.
 
-    Spheres are their centres.
+    The vector is from the point on b to the point on a. Spheres are represented by their centres.
     """
     on_a = support_point(table, a, rotation_a, (-d[0], -d[1], -d[2]))
     on_b = support_point(table, b, rotation_b, d)
@@ -106,7 +108,7 @@ def support_pair(
 def _separation_along(
     table: ShapeTable, a: int, rotation_a: Mat3, b: int, rotation_b: Mat3, offset: Vec3, d: Vec3
 ) -> tuple[float, Vec3]:
-    """Return how far shapes are apart along a direction, and the way between their points, m."""
+    """Return the separation of two shapes along a direction and the support points' offset, m."""
     _, _, separation = support_pair(table, a, rotation_a, b, rotation_b, offset, d)
     return dot(separation, d) - shape_margin(table, a) - shape_margin(table, b), separation
 
@@ -115,16 +117,16 @@ def _separation_along(
 def closest_line_parameters(
     one: Vec3, two: Vec3, square: float, separation: Vec3
 ) -> tuple[float, float]:
-    """Return how far points on two lines that cross are from where the lines are nearest, m.
+    """Return the distances along two skew lines to the points where the lines are closest, m.
 
     Args:
         one: Direction of the first line, a unit vector.
-        two: Direction of the second line.
-        square: Square of the length of their cross product.
-        way: From the point on the second line to that on the first, m.
+        two: Direction of the second line, a unit vector.
+        square: Squared length of their cross product.
+        separation: Vector from the point on the second line to the point on the first, m.
 
     Returns:
-        To be moved along the first line, and along the second.
+        Distance to move along the first line, and along the second.
     """
     slant = dot(one, two)
     far = (slant * dot(separation, two) - dot(separation, one)) / square
@@ -144,8 +146,8 @@ def _refine_edge_pair(
     before: float,
     given: tuple[Vec3, Vec3, Vec3],
 ) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the direction across two edges, and the nearest points on them."""
-    # Edges that are nearly parallel have no sure direction across
+    """Return the direction across two edges, and the closest points on the edges."""
+    # Nearly parallel edges do not determine a normal
     d = cross(one, two)
     square = dot(d, d)
     if square < MAX_CORRECTION * MAX_CORRECTION:
@@ -159,7 +161,7 @@ def _refine_edge_pair(
     after, separation = _separation_along(table, a, rotation_a, b, rotation_b, offset, d)
     if not after >= before - BOUND_TOLERANCE:
         return given
-    # Along both edges, to where the way between them is across both
+    # Move along both edges to the closest points of their lines
     far_a, far_b = closest_line_parameters(one, two, square, separation)
     on_a = plus(support_point(table, a, rotation_a, (-d[0], -d[1], -d[2])), far_a, one)
     return d, on_a, plus(support_point(table, b, rotation_b, d), far_b, two)
@@ -176,22 +178,23 @@ def newton_step(
     first: Vec3,
     second: Vec3,
 ) -> tuple[float, float]:
-    """Return the step to the direction along which two features lie, by Newton's method.
+    """Compute the Newton step of the direction between two features.
 
     Args:
         one: Feature of the first shape.
         two: Feature of the second shape.
-        edge: Direction of an edge that the direction stays across, or zeros.
-        d: The present direction.
-        found: Direction between the points that are farthest along d.
+        edge: Direction of an edge to which the direction stays orthogonal, or zeros.
+        d: Current direction.
+        found: Direction between the support points along d.
         size: Distance of these points, m.
-        first: Unit vector across d.
-        second: Unit vector across both.
+        first: Unit vector orthogonal to d.
+        second: Unit vector orthogonal to both.
 
     Returns:
-        Along the first and the second vector; NaN where no step is sure.
+        Components of the step along the first and the second vector; NaN if the step is
+        undetermined.
     """
-    # How that way turns with d: both rims give way against it
+    # Derivative of the direction between the support points with respect to d
     turned_first = direction_derivative(one, two, edge, d, first, size)
     turned_second = direction_derivative(one, two, edge, d, second, size)
     m11 = 1.0 - dot(turned_first, first)
@@ -218,30 +221,31 @@ def refine_normal(
     on_a: Vec3,
     on_b: Vec3,
 ) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the direction of a gap, and the nearest points, as exactly as they can be known.
+    """Refine the contact normal of two shapes and their closest points to machine precision.
 
     Args:
         table: The shapes.
-        a: Number of the first shape.
-        turn_a: Axes of the first shape.
-        b: Number of the second shape, no half space.
-        turn_b: Axes of the second shape.
-        offset: Position of b less that of a, world axes, m.
-        normal: Direction from b to a, as `gap` gives; kept where features have faces.
-        on_a: Nearest point on a from its position, world axes, m.
-        on_b: Nearest point on b from its position, world axes, m.
+        a: Index of the first shape.
+        rotation_a: Axes of the first shape.
+        b: Index of the second shape, which is no half-space.
+        rotation_b: Axes of the second shape.
+        offset: Position of b minus that of a, world axes, m.
+        normal: Unit normal from b to a, as returned by `gjk_distance`; returned unchanged between
+            faces.
+        on_a: Closest point on a, relative to its position, world axes, m.
+        on_b: Closest point on b, relative to its position, world axes, m.
 
     Returns:
-        The unit normal, and the nearest points.
+        The unit normal, and the closest points on a and b.
     """
-    # Where nothing better is found, this is returned
+    # Returned if the refinement fails
     given = (normal, on_a, on_b)
     one = _classify_feature(table, a, rotation_a, on_a)
     two = _classify_feature(table, b, rotation_b, on_b)
     # Two faces: the direction is exact already
     if not (one[0] or two[0]):
         return given
-    # How far apart they are along the first guess, which must not become less
+    # Separation along the given normal, which must not decrease
     before, _ = _separation_along(table, a, rotation_a, b, rotation_b, offset, normal)
     if one[0] != two[0]:
         # A corner, edge or rim on a face: across the face
@@ -272,38 +276,38 @@ def refine_normal(
     round_one = one[3] > 0.0 or two[3] > 0.0
     if not round_one or _is_rim_degenerate(one, normal) or _is_rim_degenerate(two, normal):
         return given
-    # A rim: Newton's steps on the direction; along an edge the way does not count
+    # A rim: Newton's method on the direction, orthogonal to an edge if there is one
     edge = one[1] if dot(one[1], one[1]) > 0.0 else two[1]
     d = normal
     for _ in range(MAX_ITERATIONS):
-        # The way between the points that are farthest along d must lie along d
+        # The vector between the support points along d must be parallel to d
         _, separation = _separation_along(table, a, rotation_a, b, rotation_b, offset, d)
         separation = orthogonal_part(edge, separation)
         size = math.sqrt(dot(separation, separation))
         if size == 0.0:
             return given
-        # Shapes may overlap: then the way points backwards
+        # If the shapes overlap, the vector points backwards
         found = (separation[0] / size, separation[1] / size, separation[2] / size)
         if dot(found, d) < 0.0:
             found = (-found[0], -found[1], -found[2])
             size = -size
-        # Two axes across d, in which a step is two numbers
+        # Basis of the tangent plane at d, in which a step has two components
         first = cross(d, (1.0, 0.0, 0.0) if abs(d[0]) < 0.7 else (0.0, 1.0, 0.0))
         scale = 1.0 / math.sqrt(dot(first, first))
         first = (scale * first[0], scale * first[1], scale * first[2])
         second = cross(d, first)
         step_first, step_second = newton_step(one, two, edge, d, found, size, first, second)
-        # A step too long, or NaN, comes from rims without a sure direction
+        # A step that is too long, or NaN, comes from degenerate rims
         step = math.sqrt(step_first * step_first + step_second * step_second)
         if not step < MAX_CORRECTION:
             return given
-        # Back to length 1
+        # Normalise
         d = plus(plus(d, step_first, first), step_second, second)
         scale = 1.0 / math.sqrt(dot(d, d))
         d = (scale * d[0], scale * d[1], scale * d[2])
         if step < CONVERGED_STEP:
             break
-    # As above: never nearer than by the first guess
+    # The separation must not decrease
     after, _ = _separation_along(table, a, rotation_a, b, rotation_b, offset, d)
     if not after >= before - BOUND_TOLERANCE:
         return given
@@ -311,7 +315,7 @@ def refine_normal(
         support_point(table, a, rotation_a, (-d[0], -d[1], -d[2])), -shape_margin(table, a), d
     )
     on_b = plus(support_point(table, b, rotation_b, d), shape_margin(table, b), d)
-    # Along an edge, the point beside that of the other
+    # Along an edge, the point opposite the point on the other shape
     ahead = dot(minus(on_b, on_a), edge) + dot(offset, edge)
     if dot(one[1], one[1]) > 0.0:
         on_a = plus(on_a, ahead, edge)
@@ -324,7 +328,7 @@ def refine_normal(
 def direction_derivative(
     one: Feature, two: Feature, edge: Vec3, d: Vec3, moved: Vec3, size: float
 ) -> Vec3:
-    """Return how the direction of the way between two features turns when d changes."""
+    """Return the change of the direction between two features when d changes by `moved`."""
     back = (-d[0], -d[1], -d[2])
     against = (-moved[0], -moved[1], -moved[2])
     separation = minus(

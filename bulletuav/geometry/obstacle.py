@@ -1,4 +1,4 @@
-"""Bodies that drones can hit and rays can see."""
+"""Obstacles: bodies that drones can collide with and rays can hit."""
 
 from dataclasses import dataclass
 
@@ -9,17 +9,17 @@ from bulletuav.geometry.convex import bounding_radius, make_hull_shape
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 
 NUM_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "hull": 0}
-"""Kinds of obstacles, and how many numbers tell their size."""
+"""Kinds of obstacles, and the number of values in their size."""
 MAX_SIZE = 4096.0
-"""Greatest edge or radius of an obstacle, m."""
+"""Maximum edge length or radius of an obstacle, m."""
 MIN_BAR_RATIO = 2.5
-"""How many times as long as wide a box is at least that is a bar"""
+"""Minimum ratio of length to width of a box that counts as a bar"""
 MAX_CORNERS = 256
-"""Most corners of a hull."""
+"""Maximum number of corners of a hull."""
 MAX_FRICTION = 10.0
-"""Greatest coefficient of friction."""
+"""Maximum coefficient of friction."""
 DEFAULT_FRICTION = 0.5
-"""Coefficient of friction of what tells none."""
+"""Default coefficient of friction."""
 
 Corners = tuple[tuple[float, float, float], ...]
 """Corners of a hull, m."""
@@ -27,19 +27,19 @@ Corners = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A body that stands or moves in a world, and that drones can hit.
+    """A static or moving body in a world, with which drones can collide.
 
     Attributes:
         kind: "box", "sphere", "cylinder" or "hull".
-        size: Three edges of a box, the radius of a sphere, or the radius and the height of a
-            cylinder, which is round about z, m; nothing for a hull.
+        size: Three edge lengths of a box, the radius of a sphere, or the radius and height of a
+            cylinder (its axis is z), m; empty for a hull.
         colour: Red, green, blue and opacity, from 0 to 1.
-        corners: Of a hull: points (V, 3) whose convex hull it is, about its own origin, m.
+        corners: For a hull: points (V, 3) whose convex hull it is, relative to its origin, m.
         friction: Coefficient of friction, from 0 to 10.
-        restitution: Share of the speed that an impact gives back, from 0 to 1.
+        restitution: Coefficient of restitution, from 0 to 1.
 
     Raises:
-        ValueError: The kind is unknown, a number is out of its bounds, or a hull has no volume or
+        ValueError: If the kind is unknown, a number is out of bounds, or a hull has no volume or
             too many corners.
     """
 
@@ -64,7 +64,7 @@ class Obstacle:
         self._check_corners()
 
     def _check_corners(self) -> None:
-        """Keep the corners of a hull as tuples; refuse them for other kinds."""
+        """Store the corners of a hull as tuples; raise ValueError for corners of other kinds."""
         if self.kind != "hull":
             if len(self.corners):
                 raise ValueError(f"an obstacle of kind {self.kind!r} has no corners: use 'hull'")
@@ -74,7 +74,7 @@ class Obstacle:
 
     @property
     def shape(self) -> Shape:
-        """The shape, about the obstacle's position."""
+        """Collision shape relative to the obstacle's position."""
         if self.kind == "box":
             width, depth, height = self.size
             return Shape(BOX, (width / 2, depth / 2, height / 2))
@@ -88,7 +88,7 @@ class Obstacle:
 
     @property
     def long_axis(self) -> tuple[float, float, float]:
-        """From the middle of a bar to its end, m; zeros of what is no box as long as a bar."""
+        """Vector from the centre of a bar to its end, m; zeros for all other obstacles."""
         across, along = sorted(self.size)[-2:] if self.kind == "box" else (1.0, 1.0)
         if along < MIN_BAR_RATIO * across:
             return 0.0, 0.0, 0.0
@@ -102,17 +102,17 @@ class Obstacle:
 
 
 def hull_from_points(name: str, points: object) -> Shape:
-    """Make the convex hull of points that a user gave.
+    """Make the convex hull of points that a user passed.
 
     Args:
-        name: What the points are, for messages.
+        name: Name of the points in error messages.
         points: (V, 3) m.
 
     Returns:
         The hull.
 
     Raises:
-        ValueError: They are no finite points, lie too far out, span no volume, or have too many
+        ValueError: If the points are not finite, lie too far out, span no volume, or have too many
             corners.
     """
     corners = points_of(name, points)
