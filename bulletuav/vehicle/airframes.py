@@ -1,12 +1,12 @@
-"""Airframes by name and from files: one-link URDF files, read into frozen constants.
+"""Airframes by name and from one-link URDF files, read into frozen constants.
 
-A drone of your own is a URDF and nothing else. Beside the standard `<link>` (inertial, one convex
-collision shape, any number of visuals) it holds `<airframe>` with the tags of `Airframe`, and one
-`<rotor x y spin>` for each rotor; see assets/urdf. Tags that a file leaves out get what
+A new drone is one URDF file. Besides the standard `<link>` (inertial, one convex collision shape,
+any number of visuals) it contains `<airframe>` with the tags of `Airframe`, and one `<rotor x y
+spin>` for each rotor; see assets/urdf. Tags that a file leaves out get the values that
 `bulletuav.vehicle.scaling` computes from size and disc loading.
 
-Airframes have names: those of the files in assets/urdf, and those that are registered as kind
-"airframe" (see `bulletuav.registry`), as an `Airframe` or as the path of a URDF.
+Names are those of the files in assets/urdf, and those that are registered as kind "airframe" (see
+`bulletuav.registry`), as an `Airframe` or as the path of a URDF.
 """
 
 import functools
@@ -37,7 +37,7 @@ URDF_FOLDER = next(
 )
 """Folder of the airframes that come with the package.
 
-In the package of a wheel; beside it in a checkout.
+It is inside the package in a wheel, and next to it in a checkout.
 """
 
 TAGS = (
@@ -61,23 +61,23 @@ TAGS = (
 )
 """Tags within `<airframe>`."""
 MAX_MASS = 1e5
-"""Greatest mass, kg."""
+"""Maximum mass, kg."""
 MAX_DRONE_SPEED = 1000.0
-"""Greatest speed of a drone, m/s."""
+"""Maximum speed of a drone, m/s."""
 MAX_ROTOR_SPEED = 1e5
-"""Greatest speed of a rotor, rad/s."""
+"""Maximum speed of a rotor, rad/s."""
 MAX_ROTOR_INERTIA = 10.0
-"""Greatest moment of inertia of a rotor, kg m^2."""
+"""Maximum moment of inertia of a rotor, kg m^2."""
 MAX_DAMPING = 1e3
-"""Fastest decay of rates, 1/s."""
+"""Maximum decay rate of angular velocities, 1/s."""
 MAX_VOLTAGE = 1e4
-"""Greatest voltage of a battery, V."""
+"""Maximum voltage of a battery, V."""
 MAX_LAG = 100.0
-"""Greatest time constant of a motor, s."""
+"""Maximum time constant of a motor, s."""
 MAX_ROTOR_DRAG = 1.0
-"""Greatest drag of a rotor, N for each m/s and rad/s."""
+"""Maximum drag of a rotor, N per m/s and rad/s."""
 MAX_THRUST_TO_WEIGHT = 1000.0
-"""Greatest thrust of a drone, in its weights."""
+"""Maximum thrust-to-weight ratio."""
 
 
 def available_airframes() -> list[str]:
@@ -90,15 +90,15 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
 
     Args:
         source: A name (of `available_airframes` or registered), `module:Name` of an `Airframe` or
-            of a path, the path of a URDF, which ends in ".urdf", or the airframe itself.
+            of a path, the path of a URDF, which ends in ".urdf", or an `Airframe`.
 
     Returns:
         The airframe.
 
     Raises:
-        ValueError: The name is unknown, or a value is missing or not physical; file, tag and value
-            are named.
-        FileNotFoundError: There is no such file.
+        ValueError: If the name is unknown, or a value is missing or not physical. The message names
+            file, tag and value.
+        FileNotFoundError: If the file does not exist.
     """
     if isinstance(source, Airframe):
         source.require_physical()
@@ -125,7 +125,7 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
 
 
 def _find_by_name(name: str) -> str | Path | Airframe:
-    """Find what a name stands for: a file of the package comes before what is registered."""
+    """Find the airframe or path of a name: files of the package come before registered names."""
     if name in available_airframes():
         return URDF_FOLDER / f"{name}.urdf"
     found: str | Path | Airframe = find("airframe", name, _is_airframe_or_path)
@@ -137,13 +137,12 @@ def _find_by_name(name: str) -> str | Path | Airframe:
 
 
 def _is_airframe_or_path(ingredient: object) -> bool:
-    """Tell whether an object of the registry can be an airframe."""
     return isinstance(ingredient, str | Path | Airframe)
 
 
 @functools.cache
 def _read_shipped(path: Path) -> Airframe:
-    """Read a file of the package, once in a process."""
+    """Read a file of the package, once per process."""
     return _read_airframe(path)
 
 
@@ -156,7 +155,7 @@ def _read_airframe(path: Path) -> Airframe:
     for element in (urdf.root, urdf.element("link")):
         if not element.get("name"):
             raise urdf.make_error(f"{element.tag} name", "missing", "the engine needs it")
-    # Each number is read within the bounds that the dynamics can compute with.
+    # Each number is read within the domain of the dynamics.
     mass = urdf.number(urdf.element("link/inertial/mass"), "value", low=0, most=MAX_MASS)
     inertia = urdf.inertia()
     rotors = _read_rotors(urdf)
@@ -224,7 +223,7 @@ def _read_airframe(path: Path) -> Airframe:
 
 
 def _require_known_tags(urdf: UrdfFile) -> None:
-    """Refuse tags within `<airframe>` that nobody would read, such as misspelt ones."""
+    """Raise ValueError for unknown tags within `<airframe>`, such as misspelt ones."""
     for element in urdf.element("airframe"):
         if isinstance(element.tag, str) and element.tag not in TAGS:
             reason = str(unknown("tag", element.tag, TAGS))
@@ -232,7 +231,7 @@ def _require_known_tags(urdf: UrdfFile) -> None:
 
 
 def _read_positive(urdf: UrdfFile, tag: str, most: float) -> float:
-    """Read the value of a tag within `<airframe>` that must be above 0."""
+    """Read the value of a tag within `<airframe>` that must be greater than 0."""
     return urdf.number(urdf.element(f"airframe/{tag}"), "value", low=0, most=most)
 
 
@@ -249,14 +248,14 @@ def _read_optional(
     others: dict[str, float],
     usual: tuple[float, ...],
 ) -> tuple[float, ...]:
-    """Read the attributes of a tag within `<airframe>` that may be left out.
+    """Read the attributes of an optional tag within `<airframe>`.
 
     Args:
         urdf: The file.
-        tag: The tag; where it stands, it has all attributes.
-        positive: Attributes that must be above 0, with their greatest values.
-        others: Attributes that must be at least 0, with their greatest values.
-        usual: The values where the tag is left out.
+        tag: The tag; if it is there, it needs all attributes.
+        positive: Attributes that must be greater than 0, with their maximum values.
+        others: Attributes that must be at least 0, with their maximum values.
+        usual: Default values if the tag is left out.
 
     Returns:
         The values, in this order.
@@ -271,13 +270,13 @@ def _read_optional(
 
 
 def _read_drag_height(urdf: UrdfFile) -> float:
-    """Read the height at which the rotors' drag acts, where the file has it."""
+    """Read the height at which the rotors' drag acts, 0 if the file has none."""
     element = urdf.element("airframe/rotor_drag")
     return urdf.number(element, "height", most=MAX_LENGTH) if "height" in element.attrib else 0.0
 
 
 def _read_pack(urdf: UrdfFile) -> Pack | None:
-    """Read the battery, where the file has it."""
+    """Read the battery, None if the file has none."""
     element = urdf.root.find("airframe/battery")
     if element is None:
         return None
@@ -293,7 +292,7 @@ def _read_pack(urdf: UrdfFile) -> Pack | None:
 
 
 def _read_rotors(urdf: UrdfFile) -> tuple[tuple[float, float, int], ...]:
-    """Read the place (m) and the turn of each rotor."""
+    """Read the position (m) and direction of rotation of each rotor."""
     elements = urdf.root.findall("airframe/rotor")
     if not MIN_ROTORS <= len(elements) <= MAX_ROTORS:
         reason = f"between {MIN_ROTORS} and {MAX_ROTORS} rotors are supported"
@@ -314,7 +313,7 @@ def _read_rotors(urdf: UrdfFile) -> tuple[tuple[float, float, int], ...]:
 
 
 def _read_pwm(urdf: UrdfFile) -> Pwm | None:
-    """Read the motor command, where the file has it."""
+    """Read the motor command, None if the file has none."""
     element = urdf.root.find("airframe/pwm")
     if element is None:
         return None
@@ -328,7 +327,7 @@ def _read_pwm(urdf: UrdfFile) -> Pwm | None:
 
 
 def _read_contact(urdf: UrdfFile, attribute: str, default: float, most: float) -> float:
-    """Read a number of the tag `<contact>` within `<airframe>`, where it is there."""
+    """Read an attribute of the optional tag `<contact>` within `<airframe>`."""
     element = urdf.root.find("airframe/contact")
     if element is None or attribute not in element.attrib:
         return default
@@ -339,7 +338,7 @@ def _read_contact(urdf: UrdfFile, attribute: str, default: float, most: float) -
 
 
 def _require_flyable(urdf: UrdfFile, airframe: Airframe) -> None:
-    """Refuse airframes that are too heavy to hover, far too strong, or cannot turn."""
+    """Raise ValueError for airframes that cannot hover, cannot rotate, or are far too strong."""
     weight = airframe.mass * STANDARD_GRAVITY
     if airframe.max_thrust <= weight:
         thrust = f"{airframe.max_rotor_speed:g} (thrust {airframe.max_thrust:.4g} N)"
@@ -357,7 +356,7 @@ def _require_flyable(urdf: UrdfFile, airframe: Airframe) -> None:
         raise urdf.make_error("rotor", airframe.rotors, reason)
 
 
-# Tell the registry where the package's own airframes are; each file is read when it is asked for.
+# Register the paths of the package's airframes; each file is read when it is first used.
 for _path in URDF_FOLDER.glob("*.urdf"):
     if _path.stem.isidentifier():
         register("airframe", _path.stem)(_path)

@@ -1,4 +1,4 @@
-"""What an airframe looks like: the visual shapes of its URDF."""
+"""Visual shapes of an airframe, read from its URDF."""
 
 from typing import NamedTuple
 
@@ -12,16 +12,16 @@ from bulletuav.vehicle.urdf import UrdfFile
 Colour = tuple[float, float, float, float]
 IDENTITY_QUATERNION = (0.0, 0.0, 0.0, 1.0)
 DEFAULT_COLOUR: Colour = (0.45, 0.47, 0.5, 1.0)
-"""Colour of parts whose file tells none"""
+"""Colour of shapes without a colour in the file"""
 
 
 class VisualShape(NamedTuple):
     """One visual shape of an airframe.
 
     Attributes:
-        shape: Its form, in axes of its own.
-        position: (3,) where it is in body axes, m.
-        quaternion: (4,) from its axes to the body's.
+        shape: The shape in its own axes.
+        position: (3,) position in body axes, m.
+        quaternion: (4,) rotation from its axes to the body's.
         colour: Red, green, blue and opacity, from 0 to 1.
     """
 
@@ -35,10 +35,10 @@ def read_visual_shapes(airframe: Airframe) -> list[VisualShape]:
     """Read the visual shapes of an airframe.
 
     Args:
-        airframe: Its file may name meshes in forms that are not read, such as .stl.
+        airframe: The airframe. Meshes in formats other than OBJ, such as .stl, are skipped.
 
     Returns:
-        Those that are read; the collision shape where there are none.
+        The visual shapes; the collision shape if there are none.
     """
     urdf = UrdfFile(airframe.urdf)
     colours = {
@@ -57,14 +57,14 @@ def read_visual_shapes(airframe: Airframe) -> list[VisualShape]:
         try:
             parts.append(VisualShape(urdf.shape(visual), *urdf.origin(visual), colour))
         except ValueError:
-            continue  # a form that the engine alone reads
+            continue  # a format that only the engine reads
     return parts or [
         VisualShape(airframe.shape, np.zeros(3), np.array(IDENTITY_QUATERNION), DEFAULT_COLOUR)
     ]
 
 
 def _colour(text: str) -> Colour:
-    """Read a colour, four numbers."""
+    """Parse a colour of four numbers; return the default colour if it is malformed."""
     try:
         red, green, blue, alpha = map(parse_number, text.split())
     except ValueError:

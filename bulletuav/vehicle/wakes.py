@@ -255,7 +255,8 @@ def sum_wakes(
         parameters: (W, N) rows of `parameters.PARAMETERS`.
         first: Index of the group's first world.
         last: That after its last one.
-        is_listed: Whether the pairs were listed with `LIST_SKIN` before, with the same drones alive.
+        is_listed: Whether the pairs were listed with `LIST_SKIN` before, with the same drones
+            alive.
         leeway: `LIST_SKIN` for a list that is used again, 0 for one that is not.
         wakes: `Wakes` of the group; `felt` is filled.
     """
