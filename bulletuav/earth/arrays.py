@@ -1,4 +1,4 @@
-"""Checks of arrays that callers give."""
+"""Checks of arrays that callers pass."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,20 +9,20 @@ from bulletuav.errors import numbers_of
 def check_values(
     name: str, value: ArrayLike, unit: str, least: float = -np.inf, most: float = np.inf
 ) -> np.ndarray:
-    """Check that a value is finite numbers within bounds.
+    """Check that all numbers of a value are finite and within bounds.
 
     Args:
-        name: What the numbers are, for the message.
+        name: Name of the value, for the message.
         value: A number or an array of any shape.
-        unit: Their unit, for the message.
-        least: Least number allowed; any finite one when left out.
-        most: Greatest number allowed; any finite one when left out.
+        unit: Unit of the numbers, for the message.
+        least: Minimum number.
+        most: Maximum number.
 
     Returns:
         The value as a float64 array.
 
     Raises:
-        ValueError: A number is not finite or out of bounds; the first such is named.
+        ValueError: If a number is not finite or out of bounds; the message names the first one.
     """
     array = numbers_of(f"{name} is", value)
     wrong = array[~(np.isfinite(array) & (array >= least) & (array <= most))]
@@ -34,18 +34,18 @@ def check_values(
 
 
 def check_vectors(name: str, value: ArrayLike, entries: str) -> np.ndarray:
-    """Check that a value is finite vectors along its last axis.
+    """Check that a value consists of finite vectors along its last axis.
 
     Args:
-        name: What the vectors are, for the message.
+        name: Name of the value, for the message.
         value: One vector (K,), or many (..., K).
-        entries: Names of the K entries with commas between, such as "x, y, z".
+        entries: Names of the K entries, separated by commas, such as "x, y, z".
 
     Returns:
         The value as a float64 array.
 
     Raises:
-        ValueError: The last axis has another length, or a number is not finite.
+        ValueError: If the last axis has another length, or a number is not finite.
     """
     array = numbers_of(f"{name} is", value)
     if array.ndim == 0 or array.shape[-1] != entries.count(",") + 1:

@@ -47,9 +47,7 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
             elif word == "f":
                 objects[-1].update(_parse_index(value, len(corners)) for value in values)
         except ValueError:
-            raise ValueError(
-                f"{path}: line {number} is {shown(line)}: it cannot be read"
-            ) from None
+            raise ValueError(f"{path}: line {number} is {shown(line)}: it cannot be read") from None
     # Objects without faces have no vertices
     points = np.array(corners).reshape(-1, 3)
     found = [points[sorted(one)] for one in objects if one]

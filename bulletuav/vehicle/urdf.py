@@ -1,6 +1,6 @@
-"""Reading of one-link URDF files: numbers within bounds, the inertia and the collision shape.
+"""Reader of one-link URDF files: bounded numbers, inertia and collision shape.
 
-Every make_error names the file, the tag and the value.
+Every error message names the file, the tag and the value.
 """
 
 import contextlib
@@ -21,19 +21,19 @@ from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 from bulletuav.parsing import parse_number, read_xml
 
 MIN_MAGNITUDE = 1e-20
-"""Least size of a number but 0: squares of such numbers, and products of a few, are no 0."""
+"""Minimum magnitude of a non-zero number: products of a few such numbers do not underflow."""
 MAX_MAGNITUDE = 1e9
-"""Greatest size of a number: squares of such numbers, and products of a few, are finite."""
+"""Maximum magnitude of a number: squares and products of a few such numbers are finite."""
 MAX_LENGTH = 100.0
-"""Greatest length on a drone, m."""
+"""Maximum length on a drone, m."""
 MIN_SHAPE_SIDE = 1e-4
-"""Least side of a collision shape, m: the engine's margins are as large as thinner ones."""
+"""Minimum side of a collision shape, m: Bullet's margins are as large as thinner ones."""
 MAX_SHOWN_CHARACTERS = 200
-"""Most characters of a value that a message shows."""
+"""Maximum number of characters of a value in a message."""
 MAX_PATH_BYTES = 800
-"""Most bytes of the path of a file that a mesh names: from about 1,000 on the engine crashes."""
+"""Maximum length of a path that a mesh names, bytes: Bullet crashes from about 1,000 on."""
 TEXTURE_KEYWORDS = ("map_Ka", "map_Kd", "map_Ks", "map_Ns")
-"""Words of a file of materials after which the name of a picture comes."""
+"""Keywords of a material file that are followed by the name of an image."""
 ZERO = r"[+-]?(?:0+\.?0*|\.0+)(?:[eE][+-]?[0-9]+)?"
 """Pattern of a number that is 0."""
 
@@ -42,20 +42,20 @@ class UrdfFile:
     """A URDF file whose values are read by tag and checked.
 
     Attributes:
-        path: Where the file is.
-        root: Its `<robot>` element.
-        widest: Greatest length of a shape, m.
+        path: Path of the file.
+        root: The `<robot>` element.
+        widest: Maximum length of a shape, m.
     """
 
     def __init__(self, path: Path, widest: float = MAX_LENGTH) -> None:
         """Parse the file.
 
         Args:
-            path: Where it is.
-            widest: Greatest length of a shape, m.
+            path: Path of the file.
+            widest: Maximum length of a shape, m.
 
         Raises:
-            ValueError: It is no XML, or names a mesh that cannot be read.
+            ValueError: If the file is no XML, or names a mesh that cannot be read.
         """
         self.path = path
         self.widest = widest
@@ -65,11 +65,11 @@ class UrdfFile:
     def _require_meshes(self) -> None:
         """Check all meshes and textures that the file names.
 
-        The engine reads them in C++ without checks, from the folder of the file or one above it,
-        or from the current folder. It would wait forever for a pipe or a device.
+        Bullet reads them in C++ without checks, from the folder of the file, a folder above it or
+        the current folder. It would wait forever for a pipe or a device.
 
         Raises:
-            ValueError: A mesh is missing, of another form, or damaged; or a texture is no file.
+            ValueError: If a mesh is missing, damaged or of another format, or a texture is no file.
         """
         for mesh in self.root.iter("mesh"):
             name = mesh.get("filename", "")
@@ -93,34 +93,34 @@ class UrdfFile:
                 raise self.make_error("texture filename", name, str(error)) from None
 
     def _find_files(self, name: str) -> list[Path]:
-        """Find the files that the engine may read by a name.
+        """Find the files that Bullet may read for a name.
 
         Raises:
-            ValueError: One is no regular file.
+            ValueError: If one is no regular file.
         """
         local = name.removeprefix("package://").removeprefix("model://")
         paths = [folder / local for folder in (Path(), *self.path.resolve().parents)]
         return [path for path in paths if _is_file(path)]
 
     def make_error(self, tag: str, value: object, reason: str) -> ValueError:
-        """Make the error for a value, for the caller to raise."""
+        """Return the ValueError for a value of the file."""
         text = (
             value if isinstance(value, str) and len(value) < MAX_SHOWN_CHARACTERS else shown(value)
         )
         return ValueError(f"{self.path}: <{tag}> is {text}: {reason}")
 
     def element(self, tag: str, parent: ElementTree.Element | None = None) -> ElementTree.Element:
-        """Find an element that must be there.
+        """Find a required element.
 
         Args:
-            tag: Its tag, or the path of tags to it.
-            parent: Where to search; the root when left out.
+            tag: Tag of the element, or the path of tags to it.
+            parent: Element to search in; the root if None.
 
         Returns:
             The element.
 
         Raises:
-            ValueError: There is none.
+            ValueError: If there is no such element.
         """
         found = (self.root if parent is None else parent).find(tag)
         if found is None:
@@ -139,17 +139,17 @@ class UrdfFile:
         """Read a finite number from an attribute.
 
         Args:
-            element: The element that has it.
-            attribute: Its name.
-            low: The number must be above this.
-            strict: False where the number may also equal `low`.
-            most: Greatest size of the number.
+            element: The element.
+            attribute: Name of the attribute.
+            low: Lower bound, exclusive if `strict`.
+            strict: False if the number may be equal to `low`.
+            most: Maximum magnitude of the number.
 
         Returns:
             The number.
 
         Raises:
-            ValueError: It is missing, no number or out of bounds.
+            ValueError: If the attribute is missing, no number or out of bounds.
         """
         text = element.get(attribute)
         label = f"{element.tag} {attribute}"
@@ -170,7 +170,8 @@ class UrdfFile:
         """Read the principal moments of inertia (x, y, z), kg m^2.
 
         Raises:
-            ValueError: The link frame is not the principal frame, or no body has such moments.
+            ValueError: If the link frame is not the principal frame, or the moments are not
+                physical.
         """
         inertial = self.element("link/inertial")
         self._require_zero_origin(
@@ -182,7 +183,7 @@ class UrdfFile:
                 reason = "use principal axes: off-diagonal terms must be 0"
                 raise self.make_error(f"inertia {key}", element.get(key), reason)
         ixx, iyy, izz = (self.number(element, key, low=0) for key in ("ixx", "iyy", "izz"))
-        # The triangle inequality of moments; rounding must not refuse flat bodies.
+        # Triangle inequality of the moments, with a tolerance for flat bodies
         if 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
             text = f"({ixx:g}, {iyy:g}, {izz:g})"
             reason = "no body has it: each moment is at most the sum of the other two"
@@ -190,10 +191,10 @@ class UrdfFile:
         return ixx, iyy, izz
 
     def require_one_link(self) -> None:
-        """Refuse robots of several parts.
+        """Raise ValueError for robots of several links.
 
         Raises:
-            ValueError: There is not exactly one link, or a joint.
+            ValueError: If there is not exactly one link, or there is a joint.
         """
         links = self.root.findall("link")
         if len(links) != 1 or self.root.find("joint") is not None:
@@ -204,8 +205,8 @@ class UrdfFile:
         """Read the collision shape of an airframe.
 
         Raises:
-            ValueError: There is not exactly one, it is not centred or turned, or none of cylinder,
-                box, sphere and mesh; or the centre of mass is not within a mesh.
+            ValueError: If there is not exactly one shape, it is shifted or rotated, or no cylinder,
+                box, sphere or mesh; or the centre of mass is not inside the mesh.
         """
         shapes = self.root.findall("link/collision")
         if len(shapes) != 1:
@@ -228,7 +229,7 @@ class UrdfFile:
             The shape in the element's own axes.
 
         Raises:
-            ValueError: It is none of cylinder, box, sphere and mesh, too small or too large.
+            ValueError: If it is no cylinder, box, sphere or mesh, too small or too large.
         """
         geometry = self.element("geometry", collision)
         kinds = [shape.tag for shape in geometry]
@@ -249,13 +250,13 @@ class UrdfFile:
         """Read the `<origin>` of an element.
 
         Args:
-            parent: The element; without an origin it is not moved.
+            parent: The element; a missing origin is the identity.
 
         Returns:
             Position (3,), m, and quaternion (4,).
 
         Raises:
-            ValueError: It is not made of numbers.
+            ValueError: If it does not consist of numbers.
         """
         found = parent.find("origin")
         element = ElementTree.Element("origin") if found is None else found
@@ -276,7 +277,7 @@ class UrdfFile:
         raise self.make_error(f"{element.tag} {attribute}", text or "missing", reason)
 
     def _read_hull(self, mesh: ElementTree.Element) -> Shape:
-        """Read the convex hull of a mesh, an OBJ file beside this one."""
+        """Read the convex hull of a mesh, an OBJ file next to the URDF."""
         name = mesh.get("filename", "")
         path = self.path.parent / name
         if not name.lower().endswith(".obj") or not path.is_file():
@@ -296,7 +297,7 @@ class UrdfFile:
         return hull
 
     def _read_box(self, shape: ElementTree.Element) -> Shape:
-        """Read a box from its three edges."""
+        """Read a box from its three edge lengths."""
         try:
             size = [parse_number(part) for part in shape.get("size", "").split()]
         except ValueError:
@@ -315,20 +316,20 @@ class UrdfFile:
         return side
 
     def _require_zero_origin(self, parent: ElementTree.Element, reason: str) -> None:
-        """Refuse an `<origin>` that is not all zeros."""
+        """Raise ValueError for an `<origin>` with a number other than 0."""
         origin = parent.find("origin")
         for key in ("xyz", "rpy"):
             text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
-            # Other texts are of no number, or of another one than 0
+            # Any other text is no number, or a number other than 0
             if not re.fullmatch(rf"\s*{ZERO}\s+{ZERO}\s+{ZERO}\s*", text, re.ASCII):
                 raise self.make_error(f"{parent.tag} origin {key}", text, reason)
 
 
 def _is_file(path: Path) -> bool:
-    """Return True for a regular file, False for a folder or nothing.
+    """Return True for a regular file, False for a folder or a missing path.
 
     Raises:
-        ValueError: It is a pipe, a device or the like.
+        ValueError: If the path is a pipe, a device or the like.
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise ValueError(f"{path} is no regular file: give one of a mesh or picture")
@@ -336,7 +337,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _require_mesh(path: Path) -> None:
-    """Raise ValueError for a file of a mesh whose numbers do not fit each other."""
+    """Raise ValueError for a mesh file with inconsistent contents."""
     match path.suffix.lower():
         case ".obj":
             read_obj(path)
@@ -357,10 +358,10 @@ def _require_mesh(path: Path) -> None:
 
 
 def _require_materials(mesh: Path) -> None:
-    """Check the files of materials that an OBJ file names, and the pictures that those name.
+    """Check the material files that an OBJ file names, and the images that these name.
 
     Raises:
-        ValueError: One is no regular file, or has a path that is too long for the engine.
+        ValueError: If one is no regular file, or has a path that is too long for Bullet.
     """
     for material in _list_named_files(mesh, ("mtllib",)):
         if _is_file(material):
@@ -369,10 +370,10 @@ def _require_materials(mesh: Path) -> None:
 
 
 def _list_named_files(path: Path, words: tuple[str, ...]) -> list[Path]:
-    """List the files that lines of a file name after one of some words.
+    """List the files that a file names after any of some keywords.
 
     Raises:
-        ValueError: A path is longer than `MAX_PATH_BYTES`.
+        ValueError: If a path is longer than `MAX_PATH_BYTES`.
     """
     lines = (line.strip() for line in read_file(path, newline="").split("\n"))
     files = []

@@ -1,7 +1,6 @@
-"""Wind: steady, uniform or with a profile over height, or a function; gusts on top.
+"""Wind: steady (uniform or with a height profile) or a user's function, with optional gusts.
 
-Gusts are those of `bulletuav.vehicle.gusts`. Buildings and drones cast no wind shadows: what stands
-in the way does not slow the wind.
+Gusts are those of `bulletuav.vehicle.gusts`. Buildings and drones cast no wind shadows.
 """
 
 import inspect
@@ -19,24 +18,25 @@ from bulletuav.vehicle.gusts import FOOT, NUM_DRAWS, NUM_WAVE_ROWS, NUM_WAVES, a
 KNOT = 1852 / 3600
 """One knot, m/s."""
 TURBULENCE = {"light": 15 * KNOT, "moderate": 30 * KNOT, "severe": 45 * KNOT}
-"""Wind speeds at 20 feet, m/s, by the names that MIL-F-8785C gives them."""
+"""Wind speeds at 20 feet, m/s, of the turbulence levels of MIL-F-8785C."""
 MAX_WIND = 100.0
-"""Greatest wind speed that may be asked for, m/s."""
+"""Maximum wind speed, m/s."""
 REFERENCE_HEIGHT = 20 * FOOT
-"""Height at which a steady wind with a profile has its full speed, m, as in MIL-F-8785C; the wind
-speed that sets the turbulence is of that height, too"""
+"""Height at which a steady wind with a profile has its nominal speed, m, as in MIL-F-8785C; also
+the height of the wind speed that sets the turbulence
+"""
 MAX_PROFILE_HEIGHT = 1000 * FOOT
-"""Height up to which profiles go on, m, as in MIL-F-8785C"""
+"""Height above which profiles are constant, m, as in MIL-F-8785C"""
 
 WindField = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Function from positions (W, N, 3), m, and times (W,), s, to the wind (W, N, 3), m/s."""
 
 
 class Profile(NamedTuple):
-    """A law of the steady wind's speed over height.
+    """Law of the steady wind's speed over height.
 
     Attributes:
-        law: Its name in `PROFILES`.
+        law: Name of the law in `PROFILES`.
         number: Exponent of the law "power"; roughness length of the law "log", m.
     """
 
@@ -45,7 +45,7 @@ class Profile(NamedTuple):
 
 
 class _Number(NamedTuple):
-    """The number of a law: what it is, its usual value, its least and its greatest one."""
+    """The parameter of a law: its name, default value, minimum and maximum."""
 
     name: str
     usual: float
@@ -66,13 +66,16 @@ phases; 2 feet in all others).
 
 
 def as_profile(given: object) -> Profile | None:
-    """Check a profile of the steady wind.
+    """Check and convert a profile of the steady wind.
 
     Args:
         given: None for a uniform wind, a name in `PROFILES`, or (name, number).
 
+    Returns:
+        The profile, or None.
+
     Raises:
-        ValueError: There is no such law, or its number cannot be.
+        ValueError: If there is no such law, or its number is out of bounds.
     """
     if given is None:
         return None
@@ -87,16 +90,16 @@ def as_profile(given: object) -> Profile | None:
 
 @func
 def profile_speed_ratio(altitude: float, is_log: bool, number: float) -> float:
-    """Return the share of the speed at `REFERENCE_HEIGHT` that a steady wind has at a height.
+    """Return the speed of a steady wind at a height, divided by its speed at `REFERENCE_HEIGHT`.
 
     Args:
         altitude: Height above the ground, m.
-        is_log: Whether the law is logarithmic, and not a power.
+        is_log: Whether the law is logarithmic, else it is a power law.
         number: Roughness length, m, or exponent.
 
     Returns:
-        (h / REFERENCE)^number, or ln(h / number) / ln(REFERENCE / number); 0 on the ground and
-        below the roughness length; above `MAX_PROFILE_HEIGHT` as there.
+        (h / REFERENCE_HEIGHT)^number, or ln(h / number) / ln(REFERENCE_HEIGHT / number); 0 on the
+        ground and below the roughness length; constant above `MAX_PROFILE_HEIGHT`.
     """
     h = min(max(altitude, 0.0), MAX_PROFILE_HEIGHT)
     if is_log:
@@ -117,7 +120,7 @@ def _spread(steady: np.ndarray, wind: np.ndarray) -> None:
 def _spread_by_height(
     steady: np.ndarray, position: np.ndarray, is_log: bool, number: float, wind: np.ndarray
 ) -> None:
-    """Write the steady wind (W, 3) to drones at `position` (W, N, 3); its level part by a profile.
+    """Write the steady wind (W, 3) to drones, with a profile of its horizontal components.
 
     See `profile_speed_ratio` for the profile.
     """
@@ -130,15 +133,15 @@ def _spread_by_height(
 
 
 class Wind:
-    """The wind of all worlds: steady or a field, with Dryden gusts on top where asked for.
+    """The wind of all worlds: steady or a field, with optional Dryden gusts.
 
-    It follows from place, time, and what a world drew at its reset: who asks, and in what order,
-    does not matter.
+    It is a function of position, time, and the random numbers of each world's reset. It does not
+    depend on the order of queries.
 
     Attributes:
-        given: (3,) the steady wind that was asked for, m/s; zero for a field.
-        steady: (W, 3) the steady wind of each world, m/s, which may be set at a reset; beside a
-            field it adds to it. It carries the gusts.
+        given: (3,) the steady wind of the options, m/s; zero for a field.
+        steady: (W, 3) the steady wind of each world, m/s, which a reset may change; it is added to
+            a field. It carries the gusts.
     """
 
     def __init__(
@@ -154,25 +157,25 @@ class Wind:
             steady: The steady wind, world axes, m/s, or a wind field.
             wind20: Wind speed at 20 feet, which sets the turbulence, m/s; 0 for none.
             num_worlds: W.
-            profile: How the steady wind changes with height; None if it does not.
+            profile: Change of the steady wind with height; None for a uniform wind.
         """
         self._field = steady if callable(steady) else None
         self.given = np.zeros(3) if callable(steady) else np.array(steady, dtype=float)
         self.steady = np.tile(self.given, (num_worlds, 1))
         self._wind20 = wind20
         self._profile = profile
-        # Worlds without gusts need no room for them
+        # No memory is needed for worlds without gusts
         self._waves = np.zeros((num_worlds if wind20 > 0 else 0, NUM_WAVE_ROWS, NUM_WAVES))
         self._parts = np.zeros((3, NUM_WAVES))
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Tell the arrays (W, ...) by name that the wind of a world follows from."""
+        """Return the arrays (W, ...) by name that determine the wind of a world, for snapshots."""
         gusts = {"waves": self._waves} if len(self._waves) else {}
         return {"steady wind": self.steady, **gusts}
 
     @property
     def is_gusty(self) -> bool:
-        """Whether gusts are drawn."""
+        """Whether there are gusts."""
         return self._wind20 > 0
 
     def reset(self, world: int, rng: np.random.Generator) -> None:
@@ -183,13 +186,13 @@ class Wind:
     def add_to(
         self, program: Program, position: np.ndarray, time: np.ndarray, wind: np.ndarray
     ) -> None:
-        """Add to a program that the wind is written.
+        """Add the computation of the wind to a program.
 
         Args:
-            program: Where to add it.
-            position: (W, N, 3) where to tell the wind, m.
+            program: The program.
+            position: (W, N, 3) positions at which to compute the wind, m.
             time: (W,) time of each world, s.
-            wind: (W, N, 3) what to write, world axes, m/s.
+            wind: (W, N, 3) array to write the wind to, world axes, m/s.
         """
         if self._profile is None:
             program.call(_spread, self.steady, wind)
@@ -203,17 +206,17 @@ class Wind:
             program.call(add_gusts, *room, position, time, self.steady, self._wind20, wind)
 
     def sample(self, position: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Return the wind at some places.
+        """Compute the wind at given positions.
 
         Args:
-            position: (W, N, 3) the places, m; any number N of them.
+            position: (W, N, 3) positions, m; N may be any number.
             time: (W,) time of each world, s.
 
         Returns:
             (W, N, 3) wind, world axes, m/s.
 
         Raises:
-            ValueError: The wind field gives another shape, or numbers that are not finite.
+            ValueError: If the wind field returns another shape, or numbers that are not finite.
         """
         program, wind = Program(), np.empty(position.shape)
         self.add_to(program, position, time, wind)
@@ -221,12 +224,12 @@ class Wind:
         return wind
 
     def _add_field(self, position: np.ndarray, time: np.ndarray, wind: np.ndarray) -> None:
-        """Add what the wind field gives to the wind."""
+        """Add the values of the wind field to the wind."""
         assert self._field is not None
         wind += self._checked(self._field(position.copy(), time.copy()), position.shape)
 
     def _checked(self, wind: object, expected: tuple[int, ...]) -> np.ndarray:
-        """Return what the wind field gave, refusing other shapes and numbers."""
+        """Return the values of the wind field; raise ValueError for wrong shapes and numbers."""
         given = numbers_of("what the wind function gave is", wind)
         if given.shape != expected:
             raise ValueError(
@@ -244,15 +247,15 @@ class Wind:
 
 
 def check_field(wind: WindField) -> None:
-    """Check that a wind function takes positions and times.
+    """Check that a wind function accepts positions and times.
 
-    A function that does not tell what it takes, such as one written in C, may pass.
+    A function without a signature, such as one written in C, passes.
 
     Args:
         wind: The function.
 
     Raises:
-        ValueError: It is a class, or takes something else.
+        ValueError: If it is a class, or accepts other arguments.
     """
     if inspect.isclass(wind):
         raise ValueError(
@@ -260,7 +263,7 @@ def check_field(wind: WindField) -> None:
         )
     try:
         signature = inspect.signature(wind)
-    # Functions written in C do not tell what they take.
+    # Functions written in C may have no signature.
     except (TypeError, ValueError):
         return
     try:
