@@ -75,10 +75,10 @@ def fill_conflict(
                 closest = min(closest, least_squared)
                 if is_any(least_squared < far):
                     start = math.sqrt(start_squared)
-                    least = math.sqrt(least_squared)
+                    minimum = math.sqrt(least_squared)
                     # An ongoing conflict started in an earlier decision
-                    begun += where(least < d_safe, where(d_safe <= start, 1.0, 0.0), 0.0)
-                    depths += min(1.0, max(0.0, (zone - least) / (zone - d_safe)))
+                    begun += where(minimum < d_safe, where(d_safe <= start, 1.0, 0.0), 0.0)
+                    depths += min(1.0, max(0.0, (zone - minimum) / (zone - d_safe)))
             count = min(num_drones - lowest, WIDTH)
             scatter(separation, first, count, math.sqrt(closest))
             scatter(onsets, first, count, begun)

@@ -7,7 +7,7 @@ from bulletuav.errors import numbers_of
 
 
 def check_values(
-    name: str, value: ArrayLike, unit: str, least: float = -np.inf, most: float = np.inf
+    name: str, value: ArrayLike, unit: str, low: float = -np.inf, high: float = np.inf
 ) -> np.ndarray:
     """Check that all numbers of a value are finite and within bounds.
 
@@ -15,8 +15,8 @@ def check_values(
         name: Name of the value, for the message.
         value: A number or an array of any shape.
         unit: Unit of the numbers, for the message.
-        least: Minimum number.
-        most: Maximum number.
+        low: Minimum number.
+        high: Maximum number.
 
     Returns:
         The value as a float64 array.
@@ -25,10 +25,10 @@ def check_values(
         ValueError: If a number is not finite or out of bounds; the message names the first one.
     """
     array = numbers_of(f"{name} is", value)
-    wrong = array[~(np.isfinite(array) & (array >= least) & (array <= most))]
+    wrong = array[~(np.isfinite(array) & (array >= low) & (array <= high))]
     if wrong.size:
-        bounded = np.isfinite((least, most)).all()
-        needed = f"a number from {least:g} to {most:g}" if bounded else "a finite number"
+        bounded = np.isfinite((low, high)).all()
+        needed = f"a number from {low:g} to {high:g}" if bounded else "a finite number"
         raise ValueError(f"{name} is {wrong[0]:.10g} {unit}: {needed} is needed")
     return array
 

@@ -78,8 +78,8 @@ def geometric_height(geopotential: ArrayLike) -> np.ndarray:
     Raises:
         ValueError: If a height is not finite, or not within `MIN_HEIGHT` and `MAX_HEIGHT`.
     """
-    least, most = geopotential_height((MIN_HEIGHT, MAX_HEIGHT)) * (1.0 + ROUNDING_TOLERANCE)
-    array = check_values("geopotential", geopotential, "m", least, most)
+    low, high = geopotential_height((MIN_HEIGHT, MAX_HEIGHT)) * (1.0 + ROUNDING_TOLERANCE)
+    array = check_values("geopotential", geopotential, "m", low, high)
     return _geometric(array)
 
 
@@ -172,13 +172,13 @@ def pressure_altitude(
         ValueError: If a pressure does not belong to a height from `MIN_HEIGHT` to `MAX_HEIGHT`, or
             a value at sea level is out of bounds.
     """
-    least, most = pressure((MAX_HEIGHT, MIN_HEIGHT), sea_level_pressure, sea_level_temperature)
+    low, high = pressure((MAX_HEIGHT, MIN_HEIGHT), sea_level_pressure, sea_level_temperature)
     pascal = check_values(
         "static_pressure",
         static_pressure,
         "Pa",
-        least * (1.0 - ROUNDING_TOLERANCE),
-        most * (1.0 + ROUNDING_TOLERANCE),
+        low * (1.0 - ROUNDING_TOLERANCE),
+        high * (1.0 + ROUNDING_TOLERANCE),
     )
     top = sea_level_temperature - LAPSE_RATE * TROPOPAUSE
     tropopause = sea_level_pressure * power(top / sea_level_temperature, EXPONENT)

@@ -245,6 +245,6 @@ def _next_legendre(
         legendre[..., 1] = 1.0
     else:
         # The diagonal follows from the one before it.
-        share = np.sqrt(1.0 - 0.5 / degree)
-        legendre[..., degree] = share * cosine[..., 0] * last[..., degree - 1]
+        factor = np.sqrt(1.0 - 0.5 / degree)
+        legendre[..., degree] = factor * cosine[..., 0] * last[..., degree - 1]
     return legendre

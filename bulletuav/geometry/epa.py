@@ -245,21 +245,21 @@ def _find_projection_face(scratch: np.ndarray, faces: int, face: int) -> int:
     lower = scratch[face, 3]
     foot = plus((0.0, 0.0, 0.0), lower, scratch_vec3(scratch, face, 0))
     best = face
-    least = np.inf
+    min_distance = np.inf
     for row in range(FIRST_FACE_ROW, FIRST_FACE_ROW + faces):
         if scratch[row, 3] - lower <= ABSOLUTE_TOLERANCE:
             i = int(scratch[row, 4])
             j = int(scratch[row, 5])
             k = int(scratch[row, 6])
-            way = minus(
+            difference = minus(
                 _interpolate_face(
                     scratch, i, j, k, _barycentric_weights(scratch, i, j, k, foot), 0
                 ),
                 foot,
             )
-            outside = dot(way, way)
-            if outside < least:
-                least = outside
+            outside = dot(difference, difference)
+            if outside < min_distance:
+                min_distance = outside
                 best = row
     return best
 
@@ -300,7 +300,7 @@ def epa_penetration(
         # Two spheres with the same centre
         return 0.0, UP, scratch_vec3(scratch, 0, 3), scratch_vec3(scratch, 0, 6)
     faces = _make_tetrahedron(scratch)
-    least = np.inf
+    depth_bound = np.inf
     outward = UP
     i, j, k = 0, 1, 2
     for new in range(count, MAX_VERTICES):
@@ -314,8 +314,8 @@ def epa_penetration(
         done = upper - lower <= ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * abs(upper)
         if done:
             face = _find_projection_face(scratch, faces, face)
-        if upper < least or done:
-            least = upper
+        if upper < depth_bound or done:
+            depth_bound = upper
             outward = normal
             i = int(scratch[face, 4])
             j = int(scratch[face, 5])
@@ -325,7 +325,7 @@ def epa_penetration(
         faces = _expand_polytope(scratch, faces, new)
         if faces == 0:
             break
-    weights = _barycentric_weights(scratch, i, j, k, plus((0.0, 0.0, 0.0), least, outward))
+    weights = _barycentric_weights(scratch, i, j, k, plus((0.0, 0.0, 0.0), depth_bound, outward))
     on_a = _interpolate_face(scratch, i, j, k, weights, 3)
     on_b = _interpolate_face(scratch, i, j, k, weights, 6)
-    return -least, (-outward[0], -outward[1], -outward[2]), on_a, on_b
+    return -depth_bound, (-outward[0], -outward[1], -outward[2]), on_a, on_b

@@ -116,10 +116,10 @@ def _write_cylinder_feature(
         _write_corner(scratch, 1, column, axes, plus(line, -half[2], axis))
         return 2, d
     # Two caps overlap most along the line of their centres: place a rim point there
-    beside = plus(centre_offset, -dot(centre_offset, axis), axis)
-    distance = math.sqrt(dot(beside, beside))
+    tangential = plus(centre_offset, -dot(centre_offset, axis), axis)
+    distance = math.sqrt(dot(tangential, tangential))
     if distance > MIN_OFFSET_FRACTION * half[0]:
-        radial = (beside[0] / distance, beside[1] / distance, beside[2] / distance)
+        radial = (tangential[0] / distance, tangential[1] / distance, tangential[2] / distance)
     sign = math.copysign(1.0, along)
     outward = (sign * axis[0], sign * axis[1], sign * axis[2])
     middle = plus(start, half[2], outward)

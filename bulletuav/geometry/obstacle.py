@@ -57,8 +57,8 @@ class Obstacle:
             raise ValueError(
                 f"size of an obstacle is {shown(self.size)}: metres above 0 are needed"
             )
-        for share in as_sequence("colour", self.colour, 4):
-            finite("colour of an obstacle", share, 0, 1)
+        for component in as_sequence("colour", self.colour, 4):
+            finite("colour of an obstacle", component, 0, 1)
         finite("friction of an obstacle", self.friction, 0, MAX_FRICTION)
         finite("restitution of an obstacle", self.restitution, 0, 1)
         self._check_corners()
@@ -117,7 +117,7 @@ def hull_from_points(name: str, points: object) -> Shape:
     """
     corners = points_of(name, points)
     if np.abs(corners).max(initial=0.0) > MAX_SIZE:
-        raise ValueError(f"{name}: one is farther out than {MAX_SIZE:g} m")
+        raise ValueError(f"{name}: a point is farther out than {MAX_SIZE:g} m")
     try:
         shape = make_hull_shape(corners)
     except ValueError as error:
@@ -125,6 +125,6 @@ def hull_from_points(name: str, points: object) -> Shape:
     if len(shape.corners) > MAX_CORNERS:
         raise ValueError(
             f"{name}: the hull has {len(shape.corners)} corners, "
-            f"at most {MAX_CORNERS} are possible: simplify it"
+            f"at most {MAX_CORNERS} are supported: simplify it"
         )
     return shape

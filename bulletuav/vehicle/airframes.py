@@ -162,7 +162,7 @@ def _read_airframe(path: Path) -> Airframe:
     thrust_coefficient = _read_positive(urdf, "thrust_coefficient", MAX_MAGNITUDE)
     drag_xy = _read_non_negative(urdf, "rotor_drag", "xy", MAX_ROTOR_DRAG)
     propeller_radius = _read_positive(urdf, "propeller_radius", MAX_LENGTH)
-    usual = scaled_constants(
+    defaults = scaled_constants(
         inertia,
         rotors,
         thrust_coefficient,
@@ -171,19 +171,19 @@ def _read_airframe(path: Path) -> Airframe:
         hover_speed(mass * STANDARD_GRAVITY, len(rotors), thrust_coefficient),
     )
     near = _read_optional(
-        urdf, "ground_effect", {"reach": MAX_LENGTH}, {"gain": 1.0}, usual.ground_effect
+        urdf, "ground_effect", {"reach": MAX_LENGTH}, {"gain": 1.0}, defaults.ground_effect
     )
     wake = _read_optional(
-        urdf, "wake", {"radius": MAX_LENGTH}, {"share": 1.0, "spread": 1.0}, usual.wake
+        urdf, "wake", {"radius": MAX_LENGTH}, {"share": 1.0, "spread": 1.0}, defaults.wake
     )
     power = _read_optional(
-        urdf, "power", {"efficiency": 1.0}, {"electronics": MAX_MAGNITUDE}, usual.power
+        urdf, "power", {"efficiency": 1.0}, {"electronics": MAX_MAGNITUDE}, defaults.power
     )
     damping = _read_optional(
-        urdf, "rate_damping", {}, dict.fromkeys("xyz", MAX_DAMPING), usual.damping
+        urdf, "rate_damping", {}, dict.fromkeys("xyz", MAX_DAMPING), defaults.damping
     )
     body_drag = _read_optional(
-        urdf, "body_drag", {}, {"xy": MAX_LENGTH**2, "z": MAX_LENGTH**2}, usual.body_drag
+        urdf, "body_drag", {}, {"xy": MAX_LENGTH**2, "z": MAX_LENGTH**2}, defaults.body_drag
     )
     turning = _read_optional(urdf, "rotor_inertia", {}, {"value": MAX_ROTOR_INERTIA}, (0.0,))
     airframe = Airframe(
@@ -246,7 +246,7 @@ def _read_optional(
     tag: str,
     positive: dict[str, float],
     others: dict[str, float],
-    usual: tuple[float, ...],
+    defaults: tuple[float, ...],
 ) -> tuple[float, ...]:
     """Read the attributes of an optional tag within `<airframe>`.
 
@@ -255,14 +255,14 @@ def _read_optional(
         tag: The tag; if it is there, it needs all attributes.
         positive: Attributes that must be greater than 0, with their maximum values.
         others: Attributes that must be at least 0, with their maximum values.
-        usual: Default values if the tag is left out.
+        defaults: Default values if the tag is left out.
 
     Returns:
         The values, in this order.
     """
     element = urdf.root.find(f"airframe/{tag}")
     if element is None:
-        return usual
+        return defaults
     return (
         *(urdf.number(element, name, low=0, most=most) for name, most in positive.items()),
         *(_read_non_negative(urdf, tag, name, most) for name, most in others.items()),
@@ -352,7 +352,7 @@ def _require_flyable(urdf: UrdfFile, airframe: Airframe) -> None:
         )
         raise urdf.make_error("thrust_coefficient", thrust, reason)
     if np.linalg.matrix_rank(airframe.allocation()) < 4:
-        reason = "these rotors cannot turn the body about all three axes"
+        reason = "these rotors cannot control the torque about all three axes"
         raise urdf.make_error("rotor", airframe.rotors, reason)
 
 

@@ -81,7 +81,7 @@ class UrdfFile:
                 raise self.make_error("mesh filename", name, str(error)) from None
             if not files:
                 reason = (
-                    "the name of a Wavefront OBJ file (.obj) or binary STL file (.stl) beside the "
+                    "the name of a Wavefront OBJ file (.obj) or binary STL file (.stl) next to the "
                     "URDF is needed, and there is no such file"
                 )
                 raise self.make_error("mesh filename", name or "missing", reason)
@@ -162,7 +162,7 @@ class UrdfFile:
             bound = f"{'above' if strict else 'at least'} {low:g}"
             raise self.make_error(label, text, f"it must be finite and {bound}")
         if value != 0 and not MIN_MAGNITUDE <= abs(value) <= most:
-            reason = f"sizes from {MIN_MAGNITUDE:g} to {most:g} can be flown with"
+            reason = f"its magnitude must be from {MIN_MAGNITUDE:g} to {most:g}"
             raise self.make_error(label, text, reason)
         return value
 
@@ -186,7 +186,7 @@ class UrdfFile:
         # Triangle inequality of the moments, with a tolerance for flat bodies
         if 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
             text = f"({ixx:g}, {iyy:g}, {izz:g})"
-            reason = "no body has it: each moment is at most the sum of the other two"
+            reason = "it is not physical: each moment must be at most the sum of the other two"
             raise self.make_error("inertia", text, reason)
         return ixx, iyy, izz
 
@@ -281,7 +281,7 @@ class UrdfFile:
         name = mesh.get("filename", "")
         path = self.path.parent / name
         if not name.lower().endswith(".obj") or not path.is_file():
-            reason = "the name of a Wavefront OBJ file (.obj) beside the URDF is needed"
+            reason = "the name of a Wavefront OBJ file (.obj) next to the URDF is needed"
             raise self.make_error("mesh filename", name or "missing", reason)
         scale = self._read_vector(mesh, "scale", "1 1 1")
         if min(scale) <= 0:
@@ -332,7 +332,7 @@ def _is_file(path: Path) -> bool:
         ValueError: If the path is a pipe, a device or the like.
     """
     if path.exists() and not path.is_file() and not path.is_dir():
-        raise ValueError(f"{path} is no regular file: give one of a mesh or picture")
+        raise ValueError(f"{path} is not a regular file: a mesh or image file is needed")
     return path.is_file()
 
 
@@ -352,7 +352,7 @@ def _require_mesh(path: Path) -> None:
                 )
         case _:
             raise ValueError(
-                f"{path} is of a form that cannot be checked before the engine reads it: convert "
+                f"{path} has a format that cannot be checked before the engine reads it: convert "
                 f"it to a Wavefront OBJ file (.obj), as modelling programs can"
             )
 

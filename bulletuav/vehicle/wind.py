@@ -48,9 +48,9 @@ class _Number(NamedTuple):
     """The parameter of a law: its name, default value, minimum and maximum."""
 
     name: str
-    usual: float
-    least: float
-    most: float
+    default: float
+    minimum: float
+    maximum: float
 
 
 PROFILES = {
@@ -83,9 +83,9 @@ def as_profile(given: object) -> Profile | None:
     law, *numbers = (given,) if named else as_sequence("wind_profile", given, 2)
     number = choose("wind_profile", law, PROFILES)
     if not numbers:
-        return Profile(law, number.usual)
+        return Profile(law, number.default)
     label = f"wind_profile: {number.name} of {law!r}"
-    return Profile(law, finite(label, numbers[0], number.least, number.most))
+    return Profile(law, finite(label, numbers[0], number.minimum, number.maximum))
 
 
 @func
@@ -126,9 +126,9 @@ def _spread_by_height(
     """
     for w in range(wind.shape[0]):
         for i in range(wind.shape[1]):
-            share = profile_speed_ratio(position[w, i, 2], is_log, number)
-            wind[w, i, 0] = share * steady[w, 0]
-            wind[w, i, 1] = share * steady[w, 1]
+            ratio = profile_speed_ratio(position[w, i, 2], is_log, number)
+            wind[w, i, 0] = ratio * steady[w, 0]
+            wind[w, i, 1] = ratio * steady[w, 1]
             wind[w, i, 2] = steady[w, 2]
 
 
@@ -202,8 +202,8 @@ class Wind:
         if self._field is not None:
             program.turn(lambda: self._add_field(position, time, wind))
         if self._wind20 > 0:
-            room = (self._waves, self._parts)
-            program.call(add_gusts, *room, position, time, self.steady, self._wind20, wind)
+            arrays = (self._waves, self._parts)
+            program.call(add_gusts, *arrays, position, time, self.steady, self._wind20, wind)
 
     def sample(self, position: np.ndarray, time: np.ndarray) -> np.ndarray:
         """Compute the wind at given positions.
@@ -230,17 +230,17 @@ class Wind:
 
     def _checked(self, wind: object, expected: tuple[int, ...]) -> np.ndarray:
         """Return the values of the wind field; raise ValueError for wrong shapes and numbers."""
-        given = numbers_of("what the wind function gave is", wind)
+        given = numbers_of("the result of the wind function is", wind)
         if given.shape != expected:
             raise ValueError(
-                f"the wind function gave shape {given.shape}: "
+                f"the wind function returned shape {given.shape}: "
                 f"finite numbers of shape {expected} are needed"
             )
         wrong = ~np.isfinite(given)
         if wrong.any():
             w, i, _ = np.argwhere(wrong)[0]
             raise ValueError(
-                f"the wind function gave shape {given.shape} "
+                f"the wind function returned shape {given.shape} "
                 f"with {given[w, i]} m/s at drone {i} in world {w}: finite numbers are needed"
             )
         return given
@@ -270,5 +270,5 @@ def check_field(wind: WindField) -> None:
         signature.bind(None, None)
     except TypeError as error:
         raise ValueError(
-            f"wind is a function that does not take positions and times: {error}"
+            f"wind is a function that does not accept positions and times: {error}"
         ) from None

@@ -166,7 +166,7 @@ def test_a_wind_function_that_answers_wrongly_is_named_and_nothing_is_lost(answe
     )
     aviary.reset(seeds=0)
     good[0] = False
-    with pytest.raises(ValueError, match="the wind function gave shape"):
+    with pytest.raises(ValueError, match="the wind function returned shape"):
         aviary.step(np.zeros((1, 1, 4)))
     good[0] = True
     assert aviary.steps[0] == 0
