@@ -121,7 +121,7 @@ def measure_clearance(
                 )
                 found = min(found, distance)
             # Obstacles, and bodies added by users
-            for r in range(scenery.other_rotation.shape[0]):
+            for r in range(scenery.other.shape[0]):
                 s = scenery.first_body + r
                 offset = minus(vec3(scenery.place, w, r), place)
                 if _is_beyond(offset, found + table.radius[i] + table.radius[s]):

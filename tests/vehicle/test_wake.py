@@ -131,7 +131,7 @@ def test_the_edge_of_wakes_leaves_nothing_out():
 
 
 @pytest.mark.parametrize("shape", [(1, 2), (1, 40), (3, 10), (5, 1)])
-@pytest.mark.parametrize("way", ["a little", "as far as the leeway", "far", "somewhere"])
+@pytest.mark.parametrize("way", ["a little", "as far as the skin", "far", "somewhere"])
 def test_a_list_of_pairs_holds_until_a_drone_moves_too_far(shape, way):
     """Against pairs that are listed anew, to the bit."""
     rng = np.random.default_rng(sum(shape))
@@ -143,11 +143,11 @@ def test_a_list_of_pairs_holds_until_a_drone_moves_too_far(shape, way):
     alive = rng.random(shape) < 0.8
     listed, felt = Wakes.of(*shape), 0
     for drawn in range(20):
-        # Many are near the edge of wakes, where the leeway matters
+        # Many are near the edge of wakes, where the skin matters
         swarm.position[:] = rng.uniform(0, 1, (*shape, 3)) * (3 + drawn / 4, 3, 1 + drawn)
         sum_wakes(swarm, alive, parameters, 0, shape[0], False, LIST_SKIN, listed)
         pairs = listed.pairs[: listed.listed[0]].copy()
-        step = {"a little": 0.3, "as far as the leeway": 1.0, "far": 3.0, "somewhere": 30.0}[way]
+        step = {"a little": 0.3, "as far as the skin": 1.0, "far": 3.0, "somewhere": 30.0}[way]
         sides = rng.choice([-1.0, 1.0], swarm.position.shape)
         swarm.position[:] += LIST_SKIN * (1 - 1e-12) * step * sides
         sum_wakes(swarm, alive, parameters, 0, shape[0], True, LIST_SKIN, listed)
