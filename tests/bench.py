@@ -11,8 +11,8 @@ from bulletuav.dynamics.base import Flight
 from bulletuav.engine.engine import Engine
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.airframes import available_airframes, load_airframe
-from bulletuav.vehicle.parameters import USUAL_EFFECTS, parameter_rows
-from bulletuav.vehicle.swarm import Motion, Swarm
+from bulletuav.vehicle.parameters import DEFAULT_EFFECTS, parameter_rows
+from bulletuav.vehicle.swarm import ObstacleMotion, Swarm
 
 FLIGHTS = [
     (name, contacts)
@@ -57,7 +57,7 @@ class Bench:
         drones=1,
         hz=240,
         substeps=24,
-        effects=USUAL_EFFECTS,
+        effects=DEFAULT_EFFECTS,
         controller="lee",
         gravity=STANDARD_GRAVITY,
         wind=(0, 0, 0),
@@ -87,7 +87,7 @@ class Bench:
             rays=rays,
             contacts=contacts == "bullet",
         )
-        self.motion = Motion.none(worlds)
+        self.motion = ObstacleMotion.none(worlds)
         tiled = (worlds, 1)
         cascade = Cascade.of(
             controller,

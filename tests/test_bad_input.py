@@ -25,7 +25,7 @@ from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import known_uncertainties
 from bulletuav.errors import finite, naming, numbers_of, shown
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.rotation import exponential
+from bulletuav.geometry.rotation import exp_map
 from bulletuav.network.mobility import find_mobility
 from bulletuav.policies import find_policy
 from bulletuav.policies.base import Policy
@@ -565,7 +565,7 @@ ROUND = [
 @pytest.mark.parametrize("turn", [(0, 0, 0), (0.7, -0.4, 1.0), (math.pi, 0, 0)])
 def test_a_drone_may_stand_on_the_ground_and_no_deeper(urdf, shape, extremes, turn):
     path = urdf("cf2x", ('<cylinder radius="0.0691" length="0.03"/>', shape))
-    airframe, attitude = bulletuav.load_airframe(path), exponential(np.array(turn, dtype=float))
+    airframe, attitude = bulletuav.load_airframe(path), exp_map(np.array(turn, dtype=float))
     x, y, z, w = attitude
     up = np.array(
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]

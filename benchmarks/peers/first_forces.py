@@ -16,7 +16,7 @@ from bulletuav.dynamics import base, blocks, drive, integration, rigid_body
 from bulletuav.geometry.rotation import Vec3, axes, minus, plus, to_body, to_world
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import Rotors
-from bulletuav.vehicle.wrench import Around
+from bulletuav.vehicle.wrench import Surroundings
 
 EFFECTS = ("lag", "drag", "ground_effect", "downwash")
 """Effects that it had"""
@@ -48,7 +48,7 @@ def ground_effect(height: float, up: float, row: ParameterRow) -> float:
 
 
 @func
-def wrench(quaternion, velocity, altitude, speed, rotors, around: Around, lifted, row):
+def wrench(quaternion, velocity, altitude, speed, rotors, around: Surroundings, lifted, row):
     """Return force and torque on one drone."""
     wind, surface, gravity, push, twist = around
     thrust, torque, total_speed, _ = rotors
@@ -82,7 +82,7 @@ def body_acceleration(rates, torque, total_speed: float, momentum: float, row: P
 @func
 def with_wake(
     wind: Vec3, surface: float, gravity: float, force: Vec3, torque: Vec3, wake
-) -> Around:
+) -> Surroundings:
     """Return what surrounds a drone; wakes push it, and do not turn it."""
     return wind, surface, gravity, (force[0], force[1], force[2] - wake[0]), torque
 

@@ -26,7 +26,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.descriptions import describe_options
 from bulletuav.errors import reason_of, require_file, shown
 from bulletuav.files import replace_file, whole_file
-from bulletuav.geometry.closest_approach import distances
+from bulletuav.geometry.closest_approach import paired_distances
 from bulletuav.policies.base import Policy
 from bulletuav.policies.mismatch import naming_task
 from bulletuav.version import __version__
@@ -271,7 +271,7 @@ def _upgrade_version_2(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarra
     if arrays["target"].shape[1]:
         arrays["goal"] = arrays["goal"][:, :0]  # where drones started
     else:
-        infos["goal_distance"] = distances(arrays["goal"], arrays["position"])[1:]
+        infos["goal_distance"] = paired_distances(arrays["goal"], arrays["position"])[1:]
 
 
 def _known_version(version: np.ndarray | None, path: Path) -> int:

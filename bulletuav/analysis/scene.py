@@ -19,7 +19,7 @@ import numpy as np
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.shapes import Shape
 from bulletuav.vehicle.airframe import Airframe
-from bulletuav.vehicle.looks import parts_of
+from bulletuav.vehicle.visuals import read_visual_shapes
 
 PARTS = ("about", "rotor_speed", "obstacle_quaternion", "link", "hull", "hull_size")
 """Names of the parts that every scene has"""
@@ -136,7 +136,7 @@ def _airframe(airframe: Airframe) -> dict[str, Any]:
                 "quaternion": part.quaternion.tolist(),
                 "colour": part.colour,
             }
-            for part in parts_of(airframe)
+            for part in read_visual_shapes(airframe)
         ],
     }
 

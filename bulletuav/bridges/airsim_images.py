@@ -12,7 +12,7 @@ from bulletuav.bridges.airsim_values import check_flag, check_text, write_pose
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.errors import as_int, shown, unknown
 from bulletuav.geometry.rotation import Quat4, from_euler, product, to_world
-from bulletuav.geometry.view import Picture, Shot
+from bulletuav.geometry.view import CameraMatrices, Picture
 
 IMAGE_SIZE = (256, 144)
 """Width and height, pixels, as in AirSim's default settings"""
@@ -107,7 +107,7 @@ class CameraView(NamedTuple):
         time_stamp: Simulated time, ns.
     """
 
-    shot: Shot
+    shot: CameraMatrices
     pose: dict[str, Any]
     time_stamp: int
 

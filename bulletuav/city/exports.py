@@ -4,7 +4,7 @@ from pathlib import Path
 
 from bulletuav.city.model import City
 from bulletuav.files import replace_file
-from bulletuav.geometry.solids import obj_lines
+from bulletuav.geometry.solids import format_obj_lines
 
 
 def write_obj(city: City, path: str | Path) -> None:
@@ -26,5 +26,5 @@ def write_obj(city: City, path: str | Path) -> None:
         (f"building_{building}_piece_{piece}", corners, faces)
         for piece, (building, (corners, faces)) in enumerate(owners)
     )
-    lines = [about, *obj_lines(pieces)]
+    lines = [about, *format_obj_lines(pieces)]
     replace_file(path, "\n".join(lines) + "\n")

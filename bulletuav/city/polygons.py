@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from bulletuav.errors import missing_extra
-from bulletuav.geometry.convex import MOST_CORNERS
+from bulletuav.geometry.convex import MAX_FACE_CORNERS
 
 STRAIGHT = 1e-9
 """Sine of a right turn up to which a corner counts as straight"""
@@ -62,8 +62,8 @@ def convex_pieces(polygon: Any) -> Iterator[np.ndarray]:
 def _of_few_corners(outline: np.ndarray) -> Iterator[np.ndarray]:
     """Cut a convex outline into pieces with at most MOST_CORNERS corners."""
     first, others = outline[:1], outline[1:]
-    for k in range(0, len(others) - 1, MOST_CORNERS - 2):
-        yield np.concatenate([first, others[k : k + MOST_CORNERS - 1]])
+    for k in range(0, len(others) - 1, MAX_FACE_CORNERS - 2):
+        yield np.concatenate([first, others[k : k + MAX_FACE_CORNERS - 1]])
 
 
 def turns_left(outline: np.ndarray) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.solids import Solids
-from bulletuav.geometry.view import AIR, FAR, SKY, projection_matrix, view_matrix
+from bulletuav.geometry.view import FAR, SKY, SKY_COLOUR, projection_matrix, view_matrix
 from bulletuav.vehicle.airframes import load_airframe
 
 FIELD_OF_VIEW = 40.0
@@ -37,5 +37,5 @@ def render(solids: Solids, side: float, size: tuple[int, int] = (1200, 800)) -> 
     projection = projection_matrix(size[0] / size[1], FIELD_OF_VIEW, max(FAR, 4 * side))
     picture = engine.picture(0, view, projection, size)
     engine.close()
-    picture.pixels[picture.labels == SKY] = AIR
+    picture.pixels[picture.labels == SKY] = SKY_COLOUR
     return picture.pixels

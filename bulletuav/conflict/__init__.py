@@ -1,4 +1,4 @@
 """Measures of conflict between drones.
 
-Separation within a decision, closest approach, time to conflict, and its probability.
+Separation within a decision, closest point of approach, time to conflict, and conflict probability.
 """

@@ -1,7 +1,7 @@
 """Measures of conflict between two drones, from their offset and relative velocity.
 
-Arrays end in 3 and broadcast; for all pairs of a swarm with positions (..., N, 3) use `offsets`.
-SI units.
+The last axis of vectors has length 3; all other axes are broadcast. For all pairs of a swarm with
+positions (..., N, 3) use `pair_offsets`. SI units.
 """
 
 import cmath
@@ -13,37 +13,35 @@ from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3, point
 
 _TILT = 0.5
-"""Tilt of the contour's arms, rad: the sum converges below pi / 4, fastest about here."""
+"""Tilt of the contour's arms, rad: the sum converges below pi / 4, fastest near this value."""
 _STRETCH = 1.5
 """Stretch of the contour, in widths of the saddle."""
 _STEP = 0.16
-"""First step along the contour, good for about 1e-8."""
+"""First step along the contour, with an error of about 1e-8."""
 _HALVINGS = 4
-"""How many times the step is halved at most."""
+"""Maximum number of times the step is halved."""
 
 
-def offsets(position: np.ndarray) -> np.ndarray:
+def pair_offsets(position: np.ndarray) -> np.ndarray:
     """Return the offsets of all pairs of a swarm.
 
     Args:
         position: (..., N, 3) positions; or velocities, for relative velocities.
 
     Returns:
-        (..., N, N, 3), of which [..., i, j, :] is from drone i to drone j.
+        (..., N, N, 3), of which [..., i, j, :] is the vector from drone i to drone j.
     """
     difference: np.ndarray = position[..., None, :, :] - position[..., :, None, :]
     return difference
 
 
-def in_cylinder(
-    offset: np.ndarray,
-    horizontal: float,
-    vertical: float,
-) -> np.ndarray:
-    """Tell whether both separations are below their limits, as air traffic counts conflicts.
+def in_cylinder(offset: np.ndarray, horizontal: float, vertical: float) -> np.ndarray:
+    """Check whether the horizontal and vertical separations are both below their limits.
+
+    This is the definition of a conflict in air traffic.
 
     Args:
-        offset: (..., 3) of the one drone from the other, m.
+        offset: (..., 3) vector between the two drones, m.
         horizontal: Limit of the horizontal separation, m.
         vertical: Limit of the vertical separation, m.
 
@@ -59,15 +57,15 @@ def in_cylinder(
 def closest_point_of_approach(
     offset: np.ndarray, velocity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return when and how close two drones pass that fly straight on.
+    """Compute the closest point of approach (CPA) of two drones that fly at constant velocity.
 
     Args:
-        offset: (..., 3) of the other drone from the one, m.
-        velocity: (..., 3) of the other relative to the one, m/s.
+        offset: (..., 3) position of the other drone relative to the first, m.
+        velocity: (..., 3) velocity of the other drone relative to the first, m/s.
 
     Returns:
-        The time until the closest approach (...), s, 0 when they part already; and their distance
-        then (...), m.
+        The time to the CPA (...), s, 0 if the drones already diverge; and their distance at the CPA
+        (...), m.
     """
     square = (velocity**2).sum(axis=-1)
     along = -(offset * velocity).sum(axis=-1)
@@ -76,28 +74,25 @@ def closest_point_of_approach(
     return time, np.linalg.norm(offset + velocity * time[..., None], axis=-1)
 
 
-def time_to_conflict(
-    offset: np.ndarray,
-    velocity: np.ndarray,
-    d_safe: float,
-) -> np.ndarray:
-    """Return when the distance of two drones that fly straight on falls below `d_safe`.
+def time_to_conflict(offset: np.ndarray, velocity: np.ndarray, d_safe: float) -> np.ndarray:
+    """Compute the time until two drones at constant velocity are closer than `d_safe`.
 
     Args:
-        offset: (..., 3) of the other drone from the one, m.
-        velocity: (..., 3) of the other relative to the one, m/s.
+        offset: (..., 3) position of the other drone relative to the first, m.
+        velocity: (..., 3) velocity of the other drone relative to the first, m/s.
         d_safe: Separation below which two drones are in conflict, m.
 
     Returns:
-        The time until then (...), s: 0 when it is below already, inf when it never will be.
+        The time to conflict (...), s: 0 if the distance is below `d_safe` already, inf if it never
+        will be.
     """
     square = (velocity**2).sum(axis=-1)
     along = (offset * velocity).sum(axis=-1)
     outside = (offset**2).sum(axis=-1) - d_safe**2
     root = along**2 - square * outside
     meets = (along < 0) & (root > 0)
-    # The smaller root of the quadratic equation, as outside / (-along + sqrt(root)): written so
-    # it does not cancel where the two pass slowly.
+    # The smaller root of the quadratic equation, as outside / (-along + sqrt(root)), which does
+    # not cancel at low relative speeds.
     denominator = -along + np.sqrt(np.maximum(root, 0.0))
     never = np.full(root.shape, np.inf)
     time = np.divide(outside, denominator, out=never, where=meets)
@@ -105,19 +100,17 @@ def time_to_conflict(
 
 
 def conflict_probability(
-    offset: np.ndarray,
-    sigma: np.ndarray | float,
-    d_safe: float,
+    offset: np.ndarray, sigma: np.ndarray | float, d_safe: float
 ) -> np.ndarray:
-    """Return the probability that two drones are closer than `d_safe`.
+    """Compute the probability that two drones are closer than `d_safe`, for an isotropic error.
 
-    Their offset is known with a normal error that is the same on each axis. The distance then has
-    the noncentral chi distribution with 3 degrees of freedom, which has a closed form. The result
-    is good to 1e-14, or to what the rounding of the arguments to 1e-16 makes of it.
+    The error of the offset is normal, with the same standard deviation along each axis. The
+    distance then has the noncentral chi distribution with 3 degrees of freedom, which has a closed
+    form. The error of the result is 1e-14, or the effect of rounding the arguments to 1e-16.
 
     Args:
         offset: (..., 3) expected offset, m.
-        sigma: (...) or one number for all, standard deviation of the error on each axis, m; its
+        sigma: (...) or one number for all, standard deviation of the error along each axis, m; its
             square is the sum of the variances of both positions.
         d_safe: Separation below which two drones are in conflict, m.
 
@@ -125,12 +118,12 @@ def conflict_probability(
         The probability (...).
 
     Raises:
-        ValueError: `sigma` or `d_safe` is not positive and finite.
+        ValueError: If `sigma` or `d_safe` is not positive and finite.
     """
     from scipy.special import exprel, ndtr  # which takes long to import
 
-    _refuse_unless_positive("sigma", sigma)
-    _refuse_unless_positive("d_safe", d_safe)
+    _require_positive("sigma", sigma)
+    _require_positive("d_safe", d_safe)
     # All lengths in standard deviations.
     radius = d_safe / np.asarray(sigma, dtype=float)
     distance = np.linalg.norm(offset, axis=-1) / sigma
@@ -144,39 +137,39 @@ def conflict_probability(
 
 
 def conflict_probability_of(
-    offset: np.ndarray,
-    covariance: np.ndarray,
-    d_safe: float,
-    tolerance: float = 1e-9,
+    offset: np.ndarray, covariance: np.ndarray, d_safe: float, tolerance: float = 1e-9
 ) -> np.ndarray:
-    """Return the probability that two drones are closer than `d_safe`, for any normal error.
+    """Compute the probability that two drones are closer than `d_safe`, for any normal error.
 
     The Laplace transform of the squared distance's distribution is inverted along a hyperbola
-    through its saddle point (S. Rice 1980; J. Weideman and L. Trefethen 2007). The integrand is
-    largest at the saddle, so nothing cancels or overflows. The error of the trapezoidal sum falls
-    exponentially with the number of terms. The step is halved until two sums agree to `tolerance`;
-    the last one is far closer than that. This is an estimate of the error, not a proven bound.
+    through its saddle point. The integrand is largest at the saddle, so nothing cancels or
+    overflows. The error of the trapezoidal sum decreases exponentially with the number of terms.
+    The step is halved until two sums agree to `tolerance`; the last sum is then much more accurate.
+    This is an estimate of the error, not a proven bound.
 
-    Double precision adds what the rounding of the arguments does. That is about 1e-15 times the
-    ratio of the largest variance to the smallest, where the axes are oblique. At the edge of the
-    ball it is 1e-15 d_safe over the smallest sigma.
+    In double precision, rounding of the arguments adds an error of about 1e-15 times the ratio of
+    the largest to the smallest variance if the axes are oblique, and of 1e-15 d_safe divided by the
+    smallest sigma at the edge of the ball.
 
     Args:
         offset: (..., 3) expected offset, m.
-        covariance: (..., 3, 3) of the error of the offset, m^2.
+        covariance: (..., 3, 3) covariance of the error of the offset, m^2.
         d_safe: Separation below which two drones are in conflict, m.
-        tolerance: Error of the result that is allowed.
+        tolerance: Maximum error of the result.
 
     Returns:
         The probability (...).
 
     Raises:
-        ValueError: A covariance is not finite, symmetric and positive definite; `d_safe` is not
-            positive and finite; or the sums do not agree. They do not for a `tolerance` close to
-            rounding, a sigma below 1e-8 of d_safe right at the edge, and an offset that is not
-            finite.
+        ValueError: If a covariance is not finite, symmetric and positive definite; `d_safe` is not
+            positive and finite; or the sums do not agree. They do not agree for a `tolerance` close
+            to rounding errors, a sigma below 1e-8 of d_safe right at the edge, and an offset that
+            is not finite.
+
+    References:
+        S. Rice (1980); J. Weideman and L. Trefethen (2007).
     """
-    _refuse_unless_positive("d_safe", d_safe)
+    _require_positive("d_safe", d_safe)
     offset = np.asarray(offset, dtype=float)
     covariance = np.asarray(covariance, dtype=float)
     variance, axes = _principal_axes(covariance)
@@ -196,7 +189,11 @@ def conflict_probability_of(
 
 
 def _principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the variances (..., 3) along the principal axes, and these, refusing bad matrices."""
+    """Return the variances (..., 3) along the principal axes, and the axes.
+
+    Raises:
+        ValueError: If a matrix is not finite, symmetric and positive definite.
+    """
     finite = np.isfinite(covariance).all(axis=(-1, -2))
     if not finite.all():
         raise ValueError(f"covariance {covariance[~finite][0].tolist()} m^2 is not finite")
@@ -210,7 +207,7 @@ def _principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return variance, axes
 
 
-def _refuse_unless_positive(name: str, value: np.ndarray | float) -> None:
+def _require_positive(name: str, value: np.ndarray | float) -> None:
     """Raise ValueError unless lengths are positive and finite."""
     wrong = np.extract(~((np.asarray(value) > 0) & np.isfinite(value)), value)
     if wrong.size:
@@ -219,10 +216,7 @@ def _refuse_unless_positive(name: str, value: np.ndarray | float) -> None:
 
 @kernel
 def _fill_ball_probability(
-    mean: np.ndarray,
-    variance: np.ndarray,
-    tolerance: float,
-    out: np.ndarray,
+    mean: np.ndarray, variance: np.ndarray, tolerance: float, out: np.ndarray
 ) -> None:
     """Fill `out` (M,) for means (M, 3) and variances (M, 3) along the principal axes."""
     for k in range(len(out)):
@@ -231,15 +225,11 @@ def _fill_ball_probability(
 
 
 @func
-def _ball_probability(
-    square: Vec3,
-    variance: Vec3,
-    tolerance: float,
-) -> float:
+def _ball_probability(square: Vec3, variance: Vec3, tolerance: float) -> float:
     """Return the probability of the unit ball under a normal distribution.
 
-    Given are its squared means and its variances along the principal axes. NaN if no two sums
-    agree.
+    The distribution is given by its squared means and variances along the principal axes. The
+    result is NaN if no two sums agree.
     """
     saddle, width = _saddle(square, variance)
     total = 0.5 * abs(_term(0.0, saddle, width, square, variance))
@@ -251,7 +241,7 @@ def _ball_probability(
         while True:
             term = _term(k * step, saddle, width, square, variance)
             total += term.real
-            # The terms that are left fall double exponentially.
+            # The remaining terms decrease double exponentially.
             if not abs(term) > 1e-3 * tolerance:
                 break
             k += 1 if halving == 0 else 2
@@ -263,10 +253,10 @@ def _ball_probability(
 
 @func
 def _saddle(square: Vec3, variance: Vec3) -> tuple[float, float]:
-    """Return where the integrand is least on the positive axis, and the width of its peak there.
+    """Return the minimum of the integrand on the positive axis, and the width of its peak there.
 
-    The width is across the axis. Newton's method on the slope of the integrand's logarithm: the
-    slope is concave, so steps from below never pass the root.
+    The width is across the axis. Newton's method is applied to the derivative of the integrand's
+    logarithm. It is concave, so steps from below never pass the root.
     """
     # Start at or below the root, where 1 / z and each square[i] shrink^2 are at most 1.
     z = 1.0
@@ -283,21 +273,15 @@ def _saddle(square: Vec3, variance: Vec3) -> tuple[float, float]:
         # A peak of this curvature falls off like a Gaussian of this width
         width = 1.0 / math.sqrt(curvature)
         step = -slope / curvature
-        # A z so far out that rounding stops it belongs to a probability of 0.
+        # If z is so large that rounding stops the iteration, the probability is 0.
         if not step > max(0.01 * width, 1e-9 * z):
             return z, width
         z += step
 
 
 @func
-def _term(
-    t: float,
-    saddle: float,
-    width: float,
-    square: Vec3,
-    variance: Vec3,
-) -> complex:
-    """Return the integrand at z(t) on the hyperbola; its real part counts.
+def _term(t: float, saddle: float, width: float, square: Vec3, variance: Vec3) -> complex:
+    """Return the integrand at z(t) on the hyperbola; its real part is summed.
 
     It is exp(z) E exp(-z Q) / z dz/dt / (pi i), where Q is the squared distance.
     """

@@ -9,8 +9,8 @@ from bulletuav.compiled.kernel import allocating, func
 from bulletuav.compiled.plain import record_type
 from bulletuav.contact.motion import read_vec3, write_vec3
 from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
-from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
-from bulletuav.geometry.closest_approach import closest_squared
+from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, cells_in_rectangle
+from bulletuav.geometry.closest_approach import closest_squared_distances
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
@@ -86,7 +86,7 @@ def bound_body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
     s = scenery.first_body + k
     here = to_body(quat4(scenery.quaternion, w, k), minus(place, vec3(scenery.place, w, k)))
     half = point(table.half, s)
-    return distance_from_box(minus(here, point(table.middle, s)), minus(ORIGIN, half), half)
+    return distance_from_box(minus(here, point(table.centre, s)), minus(ORIGIN, half), half)
 
 
 @func
@@ -138,7 +138,7 @@ def collect_pairs(
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
     if layout != NO_LAYOUT:
-        left, right, bottom, top = reached(
+        left, right, bottom, top = cells_in_rectangle(
             city_grid, here[0] - far, here[0] + far, here[1] - far, here[1] + far
         )
         for column in range(left, right):
@@ -186,7 +186,7 @@ def are_swept_bounds_apart(
                 before[2] + other[2] - move[2],
             )
             within = margin + table.radius[b]
-            apart: bool = closest_squared(before, after)[1] > within * within
+            apart: bool = closest_squared_distances(before, after)[1] > within * within
             return apart
         margin += table.radius[b]
         for k in range(3):
@@ -211,7 +211,7 @@ def are_swept_bounds_apart(
         )
         change = (move[0] - rest * drift[0], move[1] - rest * drift[1], move[2] - rest * drift[2])
         turn = quat4(scenery.quaternion, w, k)
-        return _is_sweep_clear_of_box(table.middle[b], table.half[b], margin, turn, before, change)
+        return _is_sweep_clear_of_box(table.centre[b], table.half[b], margin, turn, before, change)
     p = b - scenery.first_piece
     city_grid = scenery.city_grid
     for k in range(3):

@@ -19,7 +19,7 @@ from bulletuav.contact.motion import (
     read_vec3,
     write_vec3,
 )
-from bulletuav.geometry.contact_points import MOST_POINTS
+from bulletuav.geometry.contact_points import MAX_POINTS
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus
 
 MIN_APPROACH_SPEED = 1e-9
@@ -114,7 +114,7 @@ def stop_at_contact(
     w = world.w
     members = add_to_island(space, world, 0, pair.a, time)
     members = add_to_island(space, world, members, pair.b, time)
-    points = np.empty(MOST_POINTS, dtype=CONTACT_POINT)
+    points = np.empty(MAX_POINTS, dtype=CONTACT_POINT)
     if add_contact_points(space, world, pair, time, points, 0) == 0:
         return members
     point = points[0]

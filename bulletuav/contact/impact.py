@@ -44,7 +44,7 @@ from bulletuav.contact.solver import (
 from bulletuav.contact.speculative import find_speculative_point
 from bulletuav.contact.time_of_impact import CONTACT_DISTANCE, MAX_CONTACT_DISTANCE
 from bulletuav.contact.warm_start import store_impulses, warm_start_impulses
-from bulletuav.geometry.contact_points import MOST_POINTS
+from bulletuav.geometry.contact_points import MAX_POINTS
 from bulletuav.geometry.rotation import cross, plus
 
 RESTITUTION_THRESHOLD = 0.02
@@ -313,7 +313,7 @@ def resolve_impact(
     for p in range(count):
         pairs[p].in_impact = is_pair_in_island(motions, pairs[p]) and may_touch(pairs[p], time)
         if pairs[p].in_impact:
-            most += MOST_POINTS + MAX_SPECULATIVE_PASSES
+            most += MAX_POINTS + MAX_SPECULATIVE_PASSES
     points = np.empty(most, dtype=CONTACT_POINT)
     size = 0
     for p in range(count):

@@ -26,9 +26,9 @@ from bulletuav.contact.time_of_impact import (
     measure_distance,
 )
 from bulletuav.contact.warm_start import ContactCache
-from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
-from bulletuav.geometry.direction import sharpened
-from bulletuav.geometry.gjk import make_room
+from bulletuav.geometry.contact_points import MAX_POINTS, contact_points
+from bulletuav.geometry.gjk import make_scratch
+from bulletuav.geometry.normal_refinement import refine_normal
 from bulletuav.geometry.rotation import Vec3, axes, dot, minus
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import CYLINDER, SPHERE
@@ -88,8 +88,8 @@ def make_contact_workspace(num_drones: int) -> ContactWorkspace:
         island=np.zeros(num_drones, dtype=np.int64),
         order=np.zeros(num_drones, dtype=np.int64),
         pairs=np.zeros(INITIAL_PAIR_CAPACITY, dtype=PAIR),
-        scratch=make_room(),
-        found=np.zeros((MOST_POINTS, 4)),
+        scratch=make_scratch(),
+        found=np.zeros((MAX_POINTS, 4)),
     )
 
 
@@ -150,7 +150,7 @@ def measure_pair(
         position_b, turn_b = interpolate_pose(
             world.scenery, space.motions, world.w, pair.b, time, world.dt
         )
-        normal, on_a, on_b = sharpened(
+        normal, on_a, on_b = refine_normal(
             world.scenery.table,
             pair.a,
             axes(turn_a),

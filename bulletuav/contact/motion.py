@@ -24,7 +24,7 @@ from bulletuav.geometry.rotation import (
     Vec3Like,
     dot,
     minus,
-    normalised,
+    normalise_quaternion,
     plus,
     point,
     quat4,
@@ -149,7 +149,7 @@ def start_motion(
     """
     position = vec3(before.position, w, i)
     # Quaternions of states that users set may be off by a millionth
-    quaternion = normalised(quat4(before.quaternion, w, i))
+    quaternion = normalise_quaternion(quat4(before.quaternion, w, i))
     later = quat4(after.quaternion, w, i)
     velocity = vec3(before.velocity, w, i)
     spin = to_world(quaternion, vec3(before.rates, w, i))
@@ -190,7 +190,7 @@ def advance_motion(motion: np.record, time: float, row: np.record) -> None:
     share = _compute_path_fraction(motion, time)
     elapsed = time - motion.time
     here = read_quaternion(motion)
-    there = normalised(rotate_by_fraction(read_vec3(motion.rotation), share, here))
+    there = normalise_quaternion(rotate_by_fraction(read_vec3(motion.rotation), share, here))
     spin = read_vec3(motion.spin)
     angular = compute_angular_momentum(here, spin, row)
     held = compute_angular_velocity(there, angular, row)

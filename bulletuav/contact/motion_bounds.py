@@ -18,9 +18,9 @@ from bulletuav.contact.contact_state import ContactState
 from bulletuav.contact.manifold import ContactWorkspace, ContactWorld
 from bulletuav.contact.spin import bound_angle
 from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
-from bulletuav.geometry.city_grid import NO_LAYOUT, reached
-from bulletuav.geometry.closest_approach import closest_squared, offset
-from bulletuav.geometry.minkowski import far_point, swell
+from bulletuav.geometry.city_grid import NO_LAYOUT, cells_in_rectangle
+from bulletuav.geometry.closest_approach import closest_squared_distances, offset
+from bulletuav.geometry.minkowski import shape_margin, support_point
 from bulletuav.geometry.rotation import axes, dot, minus, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
@@ -90,7 +90,9 @@ def _compute_share_speed(swarm: Swarm, w: int, i: int) -> float:
 def _compute_lowest_height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> float:
     """Return the height of the lowest point of drone i of world w above the ground, m."""
     turn = axes(quat4(swarm.quaternion, w, i))
-    lowest = far_point(scenery.table, i, turn, (0.0, 0.0, -1.0))[2] - swell(scenery.table, i)
+    lowest = support_point(scenery.table, i, turn, (0.0, 0.0, -1.0))[2] - shape_margin(
+        scenery.table, i
+    )
     return float(swarm.position[w, i, 2] + lowest)
 
 
@@ -119,7 +121,7 @@ def compute_budget(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i:
     if layout != NO_LAYOUT and least > 0.0:
         far = min(MAX_CITY_RANGE, least) + own
         least = min(least, MAX_CITY_RANGE)
-        left, right, bottom, top = reached(
+        left, right, bottom, top = cells_in_rectangle(
             city_grid, here[0] - far, here[0] + far, here[1] - far, here[1] + far
         )
         for column in range(left, right):
@@ -162,7 +164,7 @@ def are_bounds_clear(
                 continue
             within = radius[i] + radius[j] + CONTACT_DISTANCE + BUDGET_MARGIN
             before, after = offset(world.start.position, w, i, j), offset(end.position, w, i, j)
-            if closest_squared(before, after)[1] < within * within:
+            if closest_squared_distances(before, after)[1] < within * within:
                 return False
     return True
 

@@ -16,7 +16,7 @@ from bulletuav.compiled.plain import record_type
 from bulletuav.contact.manifold import ContactWorkspace, ContactWorld, get_surface_coefficients
 from bulletuav.contact.motion import interpolate_pose, read_vec3, write_vec3
 from bulletuav.geometry.contact_points import contact_points
-from bulletuav.geometry.gjk import gap
+from bulletuav.geometry.gjk import gjk_distance
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, point, quat4, vec3
 from bulletuav.vehicle.swarm import Swarm
 
@@ -70,7 +70,7 @@ def measure_support(
     own = axes(quat4(swarm.quaternion, world.w, i))
     offset = minus(place, vec3(swarm.position, world.w, i))
     nowhere = (0.0, 0.0, 0.0)
-    _, normal, on_a, on_b = gap(table, i, own, other, turn, offset, nowhere, space.scratch)
+    _, normal, on_a, on_b = gjk_distance(table, i, own, other, turn, offset, nowhere, space.scratch)
     found = contact_points(
         table,
         i,

@@ -19,7 +19,7 @@ from bulletuav.contact.motion import (
     read_vec3,
 )
 from bulletuav.contact.spin import rotate_by_fraction
-from bulletuav.geometry.minkowski import far_point, swell
+from bulletuav.geometry.minkowski import shape_margin, support_point
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
@@ -76,10 +76,12 @@ def measure_along_direction(
     position_b, quaternion_b = interpolate_pose(scenery, motions, w, b, time, dt)
     offset = minus(position_b, position_a)
     back = (-normal[0], -normal[1], -normal[2])
-    on_a = plus(far_point(table, a, axes(quaternion_a), back), -swell(table, a), normal)
+    on_a = plus(support_point(table, a, axes(quaternion_a), back), -shape_margin(table, a), normal)
     on_b = (0.0, 0.0, 0.0)
     if table.kind[b] != HALF_SPACE:
-        on_b = plus(far_point(table, b, axes(quaternion_b), normal), swell(table, b), normal)
+        on_b = plus(
+            support_point(table, b, axes(quaternion_b), normal), shape_margin(table, b), normal
+        )
     return dot(normal, minus(on_a, offset)) - dot(normal, on_b), on_a, on_b
 
 

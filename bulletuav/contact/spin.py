@@ -10,8 +10,8 @@ import numpy as np
 
 from bulletuav.compiled.functions import atan2
 from bulletuav.compiled.kernel import func
-from bulletuav.geometry.rotation import Quat4, Vec3, dot, exponential, product, to_body, to_world
-from bulletuav.vehicle.wrench import spin_parts
+from bulletuav.geometry.rotation import Quat4, Vec3, dot, exp_map, product, to_body, to_world
+from bulletuav.vehicle.wrench import num_spin_steps
 
 MAX_STEP_ANGLE = 0.2
 """Maximum rotation in one step of the midpoint rule, rad"""
@@ -72,7 +72,7 @@ def rotate_by_fraction(rotation: Vec3, share: float, quaternion: Quat4) -> Quat4
     part = (share * rotation[0], share * rotation[1], share * rotation[2])
     square = dot(part, part)
     if square > MAX_SERIES_ANGLE * MAX_SERIES_ANGLE:
-        return product(exponential(part), quaternion)
+        return product(exp_map(part), quaternion)
     scale = _evaluate_series(HALF_SINE, square)
     turn = (
         scale * part[0],
@@ -109,7 +109,7 @@ def integrate_free_rotation(
     """
     angular = compute_angular_momentum(here, spin, row)
     # Subdivide fast rotations, so that their energy is conserved
-    parts = spin_parts(spin, rest, MAX_STEP_ANGLE)
+    parts = num_spin_steps(spin, rest, MAX_STEP_ANGLE)
     part = rest / parts
     there = here
     for _ in range(parts):

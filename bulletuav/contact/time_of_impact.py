@@ -24,8 +24,8 @@ from bulletuav.contact.separating_planes import (
     measure_along_direction,
     rotate_normal,
 )
-from bulletuav.geometry.gjk import gap
-from bulletuav.geometry.nearest import nearest
+from bulletuav.geometry.closest_features import closest_features
+from bulletuav.geometry.gjk import gjk_distance
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
 
@@ -64,7 +64,7 @@ def measure_distance(
 ) -> tuple[float, Vec3, Vec3, Vec3]:
     """Measure the distance of a pair at a time in the substep.
 
-    Uses `nearest`, or `gap` if `gjk_only`. Returns what these return.
+    Uses `closest_features`, or `gjk_distance` if `gjk_only`. Returns what these return.
     """
     position_a, quaternion_a = interpolate_pose(scenery, motions, w, a, time, dt)
     position_b, quaternion_b = interpolate_pose(scenery, motions, w, b, time, dt)
@@ -72,8 +72,8 @@ def measure_distance(
     turn_a = axes(quaternion_a)
     turn_b = axes(quaternion_b)
     if gjk_only:
-        return gap(scenery.table, a, turn_a, b, turn_b, offset, guess, scratch)
-    return nearest(scenery.table, a, turn_a, b, turn_b, offset, guess, scratch)
+        return gjk_distance(scenery.table, a, turn_a, b, turn_b, offset, guess, scratch)
+    return closest_features(scenery.table, a, turn_a, b, turn_b, offset, guess, scratch)
 
 
 @kernel
@@ -107,7 +107,7 @@ def find_time_of_impact(
         dt: Length of the substep, s.
         guess: Direction of an earlier separation, or zeros.
         scratch: Work array, see `bulletuav.geometry.gjk.make_room`.
-        gjk_only: True to measure with `gap`, whose bits kinematic flights keep.
+        gjk_only: True to measure with `gjk_distance`, whose bits kinematic flights keep.
 
     Returns:
         Time of impact as a fraction of the substep: `start` if the pair is that close already and

@@ -39,7 +39,7 @@ from bulletuav.geometry.rotation import (
     quat4,
 )
 from bulletuav.vehicle.rotors import rotor_wrench
-from bulletuav.vehicle.swarm import Swarm, get
+from bulletuav.vehicle.swarm import Swarm, get_state
 
 LEE = 0
 PID = 1
@@ -347,7 +347,7 @@ def command_rotors(
     # What the controller believes: nominal parameters, not those that fly
     nominal, gain, memory = cascade.nominal[w, i], cascade.gains[w, i], cascade.memory
     level, setpoint = setpoints.level[w, i], setpoints.value
-    state = get(swarm, w, i)
+    state = get_state(swarm, w, i)
     if level == SetpointLevel.ROTOR:
         # The setpoint is the command, within what rotors can do.
         for r in range(nominal.num_rotors):

@@ -29,7 +29,7 @@ from bulletuav.geometry.rotation import (
     plus,
     to_body,
 )
-from bulletuav.vehicle.aerodynamics import force_of_air, torque_of_drag
+from bulletuav.vehicle.aerodynamics import drag_torque, thrust_and_drag
 from bulletuav.vehicle.wrench import damping_torque
 
 
@@ -117,7 +117,7 @@ def force_setpoint(
     Returns:
         Force, N, world.
     """
-    slowed = force_of_air(velocity, axes(quaternion)[2], 0.0, total_speed, row)
+    slowed = thrust_and_drag(velocity, axes(quaternion)[2], 0.0, total_speed, row)
     x = row.mass * acceleration[0] - slowed[0]
     y = row.mass * acceleration[1] - slowed[1]
     z = row.mass * (acceleration[2] + gravity) - slowed[2]
@@ -163,7 +163,7 @@ def torque_of_drag_ahead(
     along = to_body(quaternion, velocity)
     change = plus(to_body(quaternion, acceleration), -1.0, cross(rates, along))
     ahead = plus(along, max(row.lag_up, row.lag_down), change)
-    return torque_of_drag(ahead, total_speed, row)
+    return drag_torque(ahead, total_speed, row)
 
 
 @func

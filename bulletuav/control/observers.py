@@ -15,7 +15,7 @@ from bulletuav.compiled.lanes import is_any, where
 from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import torque_of_drag_ahead
 from bulletuav.geometry.rotation import Quat4, Vec3, Vec3Like, axes, dot, plus, to_body
-from bulletuav.vehicle.aerodynamics import force_of_air, torque_of_drag
+from bulletuav.vehicle.aerodynamics import drag_torque, thrust_and_drag
 from bulletuav.vehicle.rotors import Rotors
 from bulletuav.vehicle.wrench import body_acceleration
 
@@ -194,13 +194,13 @@ def learned(
     push = (0.0, 0.0, 0.0)
     if integral:
         up = axes(quaternion)[2]
-        lift = force_of_air(velocity, up, rotors[0], rotors[2], nominal)
+        lift = thrust_and_drag(velocity, up, rotors[0], rotors[2], nominal)
         known = plus((0.0, 0.0, -gravity), 1.0 / nominal.mass, lift)
         push = learned_push(velocity, known, memory, dt, gravity, gain)
     twist = (0.0, 0.0, 0.0)
     # Wind turns drones whose drag acts far above the centre of mass.
     if is_any(nominal.drag_height > 0.0):
-        tipped = torque_of_drag(to_body(quaternion, velocity), rotors[2], nominal)
+        tipped = drag_torque(to_body(quaternion, velocity), rotors[2], nominal)
         twist = learned_torque(rates, rotors, tipped, memory, dt, nominal, gain)
         felt = felt_acceleration(velocity, memory, dt)
         still = torque_of_drag_ahead(quaternion, velocity, rates, felt, rotors[2], nominal)

@@ -31,8 +31,8 @@ from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.c_extension import surface_below
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import vec3
-from bulletuav.vehicle.swarm import Contacts, DroneArrays, Motion, Swarm, TimeStep
-from bulletuav.vehicle.wrench import Around, with_wake
+from bulletuav.vehicle.swarm import Contacts, DroneArrays, ObstacleMotion, Swarm, TimeStep
+from bulletuav.vehicle.wrench import Surroundings, make_surroundings
 
 
 class Air(NamedTuple):
@@ -74,11 +74,11 @@ class Decision(NamedTuple):
 
 
 @func
-def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Around:
+def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Surroundings:
     """Return what surrounds drone i of world w, which feels the wakes (N, 4), for `wrench`."""
     blown = (wake[i, 0], wake[i, 1], wake[i, 2], wake[i, 3])
     wind, force, torque = vec3(air.wind, w, i), vec3(air.force, w, i), vec3(air.torque, w, i)
-    return with_wake(wind, air.surface[w, i], air.gravity, force, torque, blown)
+    return make_surroundings(wind, air.surface[w, i], air.gravity, force, torque, blown)
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ class Dynamics(ABC):
         levels: SetpointLevel | np.ndarray,
         setpoint: np.ndarray,
         wind: np.ndarray,
-        motion: Motion,
+        motion: ObstacleMotion,
     ) -> Contacts:
         """Move the living drones through one decision, and tell what they touched.
 

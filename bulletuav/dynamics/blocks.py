@@ -20,13 +20,13 @@ from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
 from bulletuav.vehicle.aerodynamics import is_near_surface
 from bulletuav.vehicle.swarm import DroneArrays, Swarm
 from bulletuav.vehicle.wakes import Wakes
-from bulletuav.vehicle.wrench import SMALL_TURN, with_wake
+from bulletuav.vehicle.wrench import MAX_PART_ROTATION, make_surroundings
 
 DRONES = 4 * WIDTH
 """Drones of a group, about"""
 FEWEST = 3
 """Drones that are moved together at least: fewer take longer in a block than one by one"""
-CALM = 0.99 * SMALL_TURN
+CALM = 0.99 * MAX_PART_ROTATION
 """Turn in a substep that surely takes one step of RK4, rad"""
 
 
@@ -208,7 +208,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     torque, wake = (held[7], held[8], held[9]), four(blocks.wakes.felt, b * WIDTH)
     # Who is far from a surface has none
     surface = where(near, held[3], -np.inf)
-    around = with_wake(wind, surface, gravity, force, torque, wake)
+    around = make_surroundings(wind, surface, gravity, force, torque, wake)
     if is_any(near):
         state = stepped(state, speeds, rotors, dt, around, row.num_rotors, row)
     else:

@@ -8,11 +8,17 @@ from bulletuav.compiled.kernel import func, in_memory, kernel
 from bulletuav.control.cascade import command_rotors
 from bulletuav.dynamics.base import Decision, surroundings
 from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
-from bulletuav.vehicle.aerodynamics import lifted_rotors
+from bulletuav.vehicle.aerodynamics import num_lifted_rotors
 from bulletuav.vehicle.airframe import MAX_ROTORS
-from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
+from bulletuav.vehicle.rotors import lag_decay, rotor_speed_after, rotor_wrench
 from bulletuav.vehicle.wakes import Wakes, sum_wakes
-from bulletuav.vehicle.wrench import SMALL_TURN, Wrenches, rate_slopes, spin_parts, wrench
+from bulletuav.vehicle.wrench import (
+    MAX_PART_ROTATION,
+    Wrenches,
+    compute_wrench,
+    num_spin_steps,
+    rk4_rate_slopes,
+)
 
 
 class Scratch(NamedTuple):
@@ -60,15 +66,15 @@ def engine_torque(
         M' in body axes, N m.
     """
     # Fast spins take several RK4 steps in a substep
-    parts = spin_parts(rates, dt, SMALL_TURN)
+    parts = num_spin_steps(rates, dt, MAX_PART_ROTATION)
     step = dt / parts
-    slope = rate_slopes(rates, torque, total_speed, momentum, step, row)
+    slope = rk4_rate_slopes(rates, torque, total_speed, momentum, step, row)
     total = slope
     # Each step goes on from where the last one came to
     now = rates
     for _ in range(parts - 1):
         now = plus(now, step / 6.0, slope)
-        slope = rate_slopes(now, torque, total_speed, momentum, step, row)
+        slope = rk4_rate_slopes(now, torque, total_speed, momentum, step, row)
         total = plus(total, 1.0, slope)
     # Mean over the steps, six times the acceleration for the whole substep
     total = (total[0] / parts, total[1] / parts, total[2] / parts)
@@ -115,7 +121,7 @@ def drive(decision: Decision, scratch: Scratch) -> None:
                 for rotor in range(row.num_rotors):
                     now = swarm.rotor_speed[w, i, rotor]
                     # A weak battery gives less speed than was asked for
-                    after = lagged(now, air.supply[w, i] * command[rotor], decay)
+                    after = rotor_speed_after(now, air.supply[w, i] * command[rotor], decay)
                     swarm.rotor_speed[w, i, rotor] = after
                     speed[rotor] = after
                     # Torque by which the rotors' change of spin turns the body
@@ -127,9 +133,9 @@ def drive(decision: Decision, scratch: Scratch) -> None:
                 quaternion = quat4(swarm.quaternion, w, i)
                 velocity = vec3(swarm.velocity, w, i)
                 altitude = swarm.position[w, i, 2]
-                lifted = lifted_rotors(altitude - around[1], velocity[2], dt, row)
+                lifted = num_lifted_rotors(altitude - around[1], velocity[2], dt, row)
                 rotors = rotor_wrench(speed, winding, row)
-                push, turn = wrench(
+                push, turn = compute_wrench(
                     quaternion, velocity, altitude, speed, rotors, around, lifted, row
                 )
                 # Bullet's explicit step of the rates is corrected by the torque

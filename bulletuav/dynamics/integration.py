@@ -4,10 +4,17 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func
 from bulletuav.compiled.lanes import where
-from bulletuav.geometry.rotation import Quat4, Vec3, normalised
-from bulletuav.vehicle.aerodynamics import lifted_rotors
-from bulletuav.vehicle.rotors import Rotors, lag_decay, lag_rates, lagged, rotor_wrench, spin_up
-from bulletuav.vehicle.wrench import Around, body_acceleration, wrench
+from bulletuav.geometry.rotation import Quat4, Vec3, normalise_quaternion
+from bulletuav.vehicle.aerodynamics import num_lifted_rotors
+from bulletuav.vehicle.rotors import (
+    Rotors,
+    lag_decay,
+    lag_rates,
+    rotor_acceleration,
+    rotor_speed_after,
+    rotor_wrench,
+)
+from bulletuav.vehicle.wrench import Surroundings, body_acceleration, compute_wrench
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position, quaternion, velocity and rates of one drone, or their slopes"""
@@ -22,13 +29,15 @@ def slope_of(
     state: State,
     speed: np.ndarray,
     rotors: Rotors,
-    around: Around,
+    around: Surroundings,
     lifted: int,
     row: np.record,
 ) -> State:
     """Return the time derivative of a state under rotors at some speed (R,)."""
     position, quaternion, velocity, rates = state
-    force, torque = wrench(quaternion, velocity, position[2], speed, rotors, around, lifted, row)
+    force, torque = compute_wrench(
+        quaternion, velocity, position[2], speed, rotors, around, lifted, row
+    )
 
     # Kinematics of the quaternion (x, y, z, w) under body rates (p, q, r)
     x, y, z, w = quaternion
@@ -91,11 +100,11 @@ def rk4(
     speeds: Speeds,
     rotors: Stages,
     dt: float,
-    around: Around,
+    around: Surroundings,
     row: np.record,
 ) -> State:
     """Return a state after one classical Runge-Kutta step."""
-    lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
+    lifted = num_lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
     # Numbers known here let the compiler leave out what stays at 0, and write out four rotors
     if lifted == 0:
         return stepped(state, speeds, rotors, dt, around, 0, row)
@@ -110,7 +119,7 @@ def stepped(
     speeds: Speeds,
     rotors: Stages,
     dt: float,
-    around: Around,
+    around: Surroundings,
     lifted: int,
     row: np.record,
 ) -> State:
@@ -125,7 +134,7 @@ def stepped(
     total = _moved(total, 1.0, k4)
     # Normalised once, as the stages leave the unit sphere by little
     position, quaternion, velocity, rates = _moved(state, dt / 6.0, total)
-    return position, normalised(quaternion), velocity, rates
+    return position, normalise_quaternion(quaternion), velocity, rates
 
 
 @func
@@ -185,12 +194,12 @@ def turn_rotors(
     for rotor in range(row.num_rotors):
         now = speed[rotor]
         wanted = supply * command[rotor]
-        begin[rotor] = lagged(now, wanted, at_begin)
-        middle[rotor] = lagged(now, wanted, at_middle)
-        end[rotor] = lagged(now, wanted, at_end)
+        begin[rotor] = rotor_speed_after(now, wanted, at_begin)
+        middle[rotor] = rotor_speed_after(now, wanted, at_middle)
+        end[rotor] = rotor_speed_after(now, wanted, at_end)
         speed[rotor] = end[rotor]
         # What is left of the way, and with it the acceleration, shrinks as the lag tells
-        turn = row.rotor_turn[rotor] * spin_up(begin[rotor], wanted, rate)
+        turn = row.rotor_turn[rotor] * rotor_acceleration(begin[rotor], wanted, rate)
         faster = wanted > now
         winding0 += turn
         winding1 += turn * where(faster, at_middle[0], at_middle[1])

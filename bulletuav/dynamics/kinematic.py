@@ -27,7 +27,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Decision, Dynamics
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, plus, point, quat4, vec3
 from bulletuav.registry import register
-from bulletuav.vehicle.swarm import Swarm, TimeStep, get, put
+from bulletuav.vehicle.swarm import Swarm, TimeStep, get_state, set_state
 
 POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 
@@ -253,7 +253,7 @@ def advance(decision: Decision, contact: ContactState, kind: int) -> None:
                 if not alive[w, i] or contact.stopped[w, i]:
                     continue
                 # Level, with the yaw that is asked for
-                position, quaternion, velocity, rates = get(swarm, w, i)
+                position, quaternion, velocity, rates = get_state(swarm, w, i)
                 wanted = quat4(setpoints.value, w, i)
                 wind = vec3(air.wind, w, i)
                 pull = plus((0.0, 0.0, 0.0), 1.0 / parameters[w, i].mass, vec3(air.force, w, i))
@@ -268,7 +268,7 @@ def advance(decision: Decision, contact: ContactState, kind: int) -> None:
                     kind, target, velocity, wind, pull, gain.max_speed, lag, drag, most, dt
                 )
                 position = plus(position, 1.0, moved)
-                put(swarm, w, i, (position, quaternion, velocity, rates))
+                set_state(swarm, w, i, (position, quaternion, velocity, rates))
             step_contacts(contact, drones, w, piece, straight)
 
 

@@ -28,10 +28,10 @@ from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotor
 from bulletuav.dynamics.steering import pack_steering
 from bulletuav.geometry.rotation import dot, vec3
 from bulletuav.registry import register
-from bulletuav.vehicle.aerodynamics import lifted_rotors
-from bulletuav.vehicle.swarm import DroneArrays, get, put
-from bulletuav.vehicle.wakes import LEEWAY, sum_wakes
-from bulletuav.vehicle.wrench import SMALL_TURN, spin_parts
+from bulletuav.vehicle.aerodynamics import num_lifted_rotors
+from bulletuav.vehicle.swarm import DroneArrays, get_state, set_state
+from bulletuav.vehicle.wakes import LIST_SKIN, sum_wakes
+from bulletuav.vehicle.wrench import MAX_PART_ROTATION, num_spin_steps
 
 
 @func
@@ -46,20 +46,20 @@ def _fly_alone(
     command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
     rotors = turn_rotors(swarm.rotor_speed[w, i], command, air.supply[w, i], decay, row, speeds)
     around = surroundings(air, w, i, blocks.wakes.felt[w - first])
-    state = get(swarm, w, i)
+    state = get_state(swarm, w, i)
     if contact.asleep[w, i]:
         # Who rests is left alone as long as it bears its forces
-        lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
+        lifted = num_lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
         slope = slope_of(state, speeds[2], rotors[2], around, lifted, row)
         pull, spinning = slope[2:]
         if stays_asleep(contact, w, i, state[1], pull, spinning, row, dt):
             return
         rouse(contact, w, i)
     # Fast spins in pieces: their precession is stiff
-    parts = spin_parts(state[3], dt, SMALL_TURN)
+    parts = num_spin_steps(state[3], dt, MAX_PART_ROTATION)
     for _ in range(parts):
         state = rk4(state, speeds, rotors, dt / parts, around, row)
-    put(swarm, w, i, state)
+    set_state(swarm, w, i, state)
 
 
 @func
@@ -103,7 +103,7 @@ def advance(decision: Decision, contact: ContactState, blocks: Blocks) -> None:
     num_drones = alive.shape[1]
     # Worlds by groups, whose drones share blocks
     worlds = blocks.command.shape[0]
-    leeway = LEEWAY if step.substeps > 1 else 0.0
+    leeway = LIST_SKIN if step.substeps > 1 else 0.0
     for first in range(0, alive.shape[0], worlds):
         last = min(first + worlds, alive.shape[0])
         # The same in all substeps

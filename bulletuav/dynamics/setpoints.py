@@ -6,7 +6,7 @@ from bulletuav.compiled.kernel import allocating
 from bulletuav.control.cascade import Cascade, command_kinematic, command_rotors
 from bulletuav.control.setpoint import SetpointLevel, Setpoints
 from bulletuav.geometry.rotation import quat4
-from bulletuav.vehicle.swarm import DroneArrays, get
+from bulletuav.vehicle.swarm import DroneArrays, get_state
 
 CONVERTED = (SetpointLevel.VELOCITY, SetpointLevel.ACCELERATION, SetpointLevel.ROTOR)
 """Levels that setpoints above them can be turned into"""
@@ -36,7 +36,7 @@ def _convert(
                     converted[w, i, rotor] = speed[rotor]
             else:
                 # Outer loops alone; the yaw is passed on
-                position, _, velocity, _ = get(swarm, w, i)
+                position, _, velocity, _ = get_state(swarm, w, i)
                 wanted = quat4(setpoints.value, w, i)
                 accelerates = consumes == SetpointLevel.ACCELERATION
                 gain = cascade.gains[w, i]

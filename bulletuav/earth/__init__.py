@@ -1,6 +1,6 @@
-"""Places, axes, air and magnetic field of the Earth, for clients, bridges and sensors.
+"""Coordinates, axes, atmosphere and magnetic field of the Earth, for clients, bridges and sensors.
 
-Flights depend on it where drones observe a barometer or a magnetometer.
+Flights depend on this package if drones observe a barometer or a magnetometer.
 """
 
 from bulletuav.earth.atmosphere import (

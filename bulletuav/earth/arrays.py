@@ -1,4 +1,4 @@
-"""Checks of arrays that callers give."""
+"""Checks of arrays that callers pass."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -6,54 +6,46 @@ from numpy.typing import ArrayLike
 from bulletuav.errors import numbers_of
 
 
-def values_of(
-    name: str,
-    value: ArrayLike,
-    unit: str,
-    least: float = -np.inf,
-    most: float = np.inf,
+def check_values(
+    name: str, value: ArrayLike, unit: str, low: float = -np.inf, high: float = np.inf
 ) -> np.ndarray:
-    """Check that a value is finite numbers within bounds.
+    """Check that all numbers of a value are finite and within bounds.
 
     Args:
-        name: What the numbers are, for the message.
+        name: Name of the value, for the message.
         value: A number or an array of any shape.
-        unit: Their unit, for the message.
-        least: Least number allowed; any finite one when left out.
-        most: Greatest number allowed; any finite one when left out.
+        unit: Unit of the numbers, for the message.
+        low: Minimum number.
+        high: Maximum number.
 
     Returns:
         The value as a float64 array.
 
     Raises:
-        ValueError: A number is not finite or out of bounds; the first such is named.
+        ValueError: If a number is not finite or out of bounds; the message names the first one.
     """
     array = numbers_of(f"{name} is", value)
-    wrong = array[~(np.isfinite(array) & (array >= least) & (array <= most))]
+    wrong = array[~(np.isfinite(array) & (array >= low) & (array <= high))]
     if wrong.size:
-        bounded = np.isfinite((least, most)).all()
-        needed = f"a number from {least:g} to {most:g}" if bounded else "a finite number"
+        bounded = np.isfinite((low, high)).all()
+        needed = f"a number from {low:g} to {high:g}" if bounded else "a finite number"
         raise ValueError(f"{name} is {wrong[0]:.10g} {unit}: {needed} is needed")
     return array
 
 
-def vectors_of(
-    name: str,
-    value: ArrayLike,
-    entries: str,
-) -> np.ndarray:
-    """Check that a value is finite vectors along its last axis.
+def check_vectors(name: str, value: ArrayLike, entries: str) -> np.ndarray:
+    """Check that a value consists of finite vectors along its last axis.
 
     Args:
-        name: What the vectors are, for the message.
+        name: Name of the value, for the message.
         value: One vector (K,), or many (..., K).
-        entries: Names of the K entries with commas between, such as "x, y, z".
+        entries: Names of the K entries, separated by commas, such as "x, y, z".
 
     Returns:
         The value as a float64 array.
 
     Raises:
-        ValueError: The last axis has another length, or a number is not finite.
+        ValueError: If the last axis has another length, or a number is not finite.
     """
     array = numbers_of(f"{name} is", value)
     if array.ndim == 0 or array.shape[-1] != entries.count(",") + 1:

@@ -1,14 +1,16 @@
-"""Places on the ellipsoid of WGS-84.
+"""Coordinates on the WGS-84 ellipsoid.
 
-Three kinds of coordinates are converted into each other, exactly and not on a flat Earth:
+Three kinds of coordinates are converted into each other, exactly, without a flat-Earth
+approximation:
 
 - geodetic: latitude and longitude in degrees, altitude above the ellipsoid in metres;
 - ECEF: metres from the Earth's centre (x through latitude 0 and longitude 0, z through the pole);
 - local: metres east, north and up (ENU) of an origin, as positions of drones are.
 
-Altitudes are not those above mean sea level: the geoid lies up to 107 m away from the ellipsoid.
+Altitudes are not heights above mean sea level: the geoid is up to 107 m away from the ellipsoid.
 
-Source: NGA.STND.0036, Department of Defense World Geodetic System 1984 (2014).
+References:
+    NGA.STND.0036, Department of Defense World Geodetic System 1984 (2014).
 """
 
 import math
@@ -18,40 +20,40 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletuav.compiled.functions import atan2, cos, hypot, sin
-from bulletuav.earth.arrays import values_of, vectors_of
+from bulletuav.earth.arrays import check_values, check_vectors
 from bulletuav.errors import finite
 
 SEMI_MAJOR_AXIS = 6378137.0
-"""Radius of the equator, m."""
+"""Equatorial radius, m."""
 FLATTENING = 1.0 / 298.257223563
-"""Share by which the poles are nearer to the centre than the equator."""
+"""Relative difference of the equatorial and the polar radius."""
 SEMI_MINOR_AXIS = SEMI_MAJOR_AXIS * (1.0 - FLATTENING)
-"""Distance of the poles from the centre, m."""
+"""Polar radius, m."""
 ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
-"""First eccentricity, squared."""
-LEAST_RADIUS = 6.0e6
-"""Least distance from the centre at which a latitude is told, m; local positions lie below it."""
-ITERATIONS = 2
-"""Rounds of Bowring's formula: a third one changes no digit, even at 40,000 km."""
+"""Squared first eccentricity."""
+MIN_RADIUS = 6.0e6
+"""Minimum distance from the Earth's centre for a conversion, m; local positions are below it."""
+NUM_ITERATIONS = 2
+"""Iterations of Bowring's formula: a third one changes no digit, even at 40,000 km."""
 
 
 def geodetic_to_ecef(geodetic: ArrayLike) -> np.ndarray:
-    """Convert geodetic coordinates into ECEF.
+    """Convert geodetic coordinates to ECEF.
 
     Args:
         geodetic: (..., 3) latitude, deg, longitude, deg, and altitude above the ellipsoid, m.
-            Longitudes may go beyond 180 degrees.
+            Longitudes may exceed 180 degrees.
 
     Returns:
         (..., 3) position, m.
 
     Raises:
-        ValueError: The last axis is no triple, a number is not finite, or a latitude is beyond
-            90 degrees.
+        ValueError: If the last axis is not of length 3, a number is not finite, or a latitude
+            exceeds 90 degrees.
     """
     latitude, longitude, altitude = _split_geodetic(geodetic)
     sine = sin(latitude)
-    # From the place along the vertical down to the Earth's axis.
+    # Radius of curvature in the prime vertical
     normal = SEMI_MAJOR_AXIS / np.sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)
     from_axis = (normal + altitude) * cos(latitude)
     return np.stack(
@@ -65,11 +67,7 @@ def geodetic_to_ecef(geodetic: ArrayLike) -> np.ndarray:
 
 
 def ecef_to_geodetic(position: ArrayLike) -> np.ndarray:
-    """Convert ECEF into geodetic coordinates.
-
-    Latitudes follow B. R. Bowring, Transformation from spatial to geographical coordinates
-    (Survey Review 23, 1976), and altitudes his The accuracy of geodetic latitude and height
-    equations (Survey Review 28, 1985), which holds at the poles, too.
+    """Convert ECEF to geodetic coordinates.
 
     Args:
         position: (..., 3) metres.
@@ -79,15 +77,20 @@ def ecef_to_geodetic(position: ArrayLike) -> np.ndarray:
         the ellipsoid, m.
 
     Raises:
-        ValueError: The last axis is no triple, a number is not finite, or a position lies deep
-            inside of the Earth, as local ones do.
+        ValueError: If the last axis is not of length 3, a number is not finite, or a position lies
+            deep inside the Earth, as local ones do.
+
+    References:
+        B. R. Bowring, Transformation from spatial to geographical coordinates (Survey Review 23,
+        1976), for latitudes; The accuracy of geodetic latitude and height equations (Survey Review
+        28, 1985), for altitudes, also at the poles.
     """
-    array = vectors_of("position", position, "x, y, z")
+    array = check_vectors("position", position, "x, y, z")
     radius = np.linalg.norm(array, axis=-1)
-    if (radius < LEAST_RADIUS).any():
+    if (radius < MIN_RADIUS).any():
         raise ValueError(
             f"position is {radius.min():.10g} m from the Earth's centre: ECEF coordinates of at "
-            f"least {LEAST_RADIUS:g} m are needed; local ones are converted by an Origin"
+            f"least {MIN_RADIUS:g} m are needed; local ones are converted by an Origin"
         )
     x, y, z = np.moveaxis(array, -1, 0)
     from_axis = hypot(x, y)
@@ -95,7 +98,7 @@ def ecef_to_geodetic(position: ArrayLike) -> np.ndarray:
     # The first guess of the parametric latitude is exact on the ellipsoid.
     reduced = atan2(z, (1.0 - FLATTENING) * from_axis)
     latitude = reduced
-    for _ in range(ITERATIONS):
+    for _ in range(NUM_ITERATIONS):
         latitude = atan2(
             z + second * SEMI_MINOR_AXIS * sin(reduced) ** 3,
             from_axis - ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS * cos(reduced) ** 3,
@@ -109,14 +112,14 @@ def ecef_to_geodetic(position: ArrayLike) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Origin:
-    """Place on the Earth where a world's local coordinates are (0, 0, 0).
+    """Position on the Earth at which a world's local coordinates are (0, 0, 0).
 
-    Local axes point east, north and up at the origin. They do not follow the Earth's curvature:
-    1 km away the ground lies 8 cm lower.
+    Local axes point east, north and up at the origin. They do not follow the Earth's curvature: at
+    a distance of 1 km the ground is 8 cm lower.
 
     Attributes:
-        latitude: From -90 to 90 deg, north is positive.
-        longitude: From -180 to 180 deg, east is positive.
+        latitude: From -90 to 90 deg, positive to the north.
+        longitude: From -180 to 180 deg, positive to the east.
         altitude: Height above the ellipsoid, m.
     """
 
@@ -125,17 +128,17 @@ class Origin:
     altitude: float
 
     def __post_init__(self) -> None:
-        """Check the place.
+        """Check the values.
 
         Raises:
-            ValueError: A number is not finite or out of bounds.
+            ValueError: If a number is not finite or out of bounds.
         """
         object.__setattr__(self, "latitude", finite("latitude", self.latitude, -90.0, 90.0))
         object.__setattr__(self, "longitude", finite("longitude", self.longitude, -180.0, 180.0))
         object.__setattr__(self, "altitude", finite("altitude", self.altitude))
 
     def to_geodetic(self, position: ArrayLike) -> np.ndarray:
-        """Convert local positions into geodetic coordinates.
+        """Convert local positions to geodetic coordinates.
 
         Args:
             position: (..., 3) metres east, north and up of the origin.
@@ -144,13 +147,13 @@ class Origin:
             (..., 3) latitude, deg, longitude, deg, and altitude above the ellipsoid, m.
 
         Raises:
-            ValueError: The last axis is no triple, or a number is not finite.
+            ValueError: If the last axis is not of length 3, or a number is not finite.
         """
-        local = vectors_of("position", position, "east, north, up")
+        local = check_vectors("position", position, "east, north, up")
         return ecef_to_geodetic(self._ecef() + local @ self._axes())
 
     def to_local(self, geodetic: ArrayLike) -> np.ndarray:
-        """Convert geodetic coordinates into local positions.
+        """Convert geodetic coordinates to local positions.
 
         Args:
             geodetic: (..., 3) latitude, deg, longitude, deg, and altitude above the ellipsoid, m.
@@ -159,8 +162,8 @@ class Origin:
             (..., 3) metres east, north and up of the origin.
 
         Raises:
-            ValueError: The last axis is no triple, a number is not finite, or a latitude is beyond
-                90 degrees.
+            ValueError: If the last axis is not of length 3, a number is not finite, or a latitude
+                exceeds 90 degrees.
         """
         local: np.ndarray = (geodetic_to_ecef(geodetic) - self._ecef()) @ self._axes().T
         return local
@@ -180,17 +183,17 @@ class Origin:
 
 
 def degree_lengths(latitude: float) -> tuple[float, float]:
-    """Measure a degree of longitude and one of latitude, on the ellipsoid.
+    """Return the lengths of a degree of longitude and of latitude on the ellipsoid.
 
     Args:
-        latitude: Where, degrees north.
+        latitude: Latitude, deg.
 
     Returns:
-        Metres to the east of a degree of longitude, and to the north of a degree of latitude. They
-        follow from the radii of curvature in the prime vertical, N, and in the meridian, M.
+        Length of a degree of longitude (to the east) and of latitude (to the north), m, from the
+        radii of curvature in the prime vertical, N, and in the meridian, M.
 
     Raises:
-        ValueError: There is no such latitude.
+        ValueError: If the latitude is out of bounds.
     """
     phi = math.radians(finite("latitude", latitude, -90, 90))
     flat = 1.0 - ECCENTRICITY_SQUARED * float(sin(phi)) ** 2
@@ -201,6 +204,6 @@ def degree_lengths(latitude: float) -> tuple[float, float]:
 
 def _split_geodetic(geodetic: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Check geodetic coordinates (..., 3); return latitude, rad, longitude, rad, altitude, m."""
-    array = vectors_of("geodetic", geodetic, "latitude, longitude, altitude")
-    latitude = values_of("latitude", array[..., 0], "degrees", -90.0, 90.0)
+    array = check_vectors("geodetic", geodetic, "latitude, longitude, altitude")
+    latitude = check_values("latitude", array[..., 0], "degrees", -90.0, 90.0)
     return np.radians(latitude), np.radians(array[..., 1]), array[..., 2]

@@ -1,15 +1,15 @@
 """Magnetic field of the Earth, by the International Geomagnetic Reference Field.
 
-IGRF-14 from 2025.0 to 2030.0, in full: spherical harmonics of degrees 1 to 13 at 2025.0, and the
-change of degrees 1 to 8 that is foreseen. It is some 0.1 % and 0.1 degrees a year. What is left
-out:
+IGRF-14 from 2025.0 to 2030.0, complete: spherical harmonics of degrees 1 to 13 at 2025.0, and the
+predicted change of degrees 1 to 8, which is some 0.1 % and 0.1 degrees per year. Not included are:
 
-- magnetic rocks and currents in the air, which turn compasses by some 0.4 degrees;
-- iron nearby, which turns them by more.
+- magnetic rocks and currents in the air, which deflect compasses by some 0.4 degrees;
+- iron nearby, which deflects them more.
 
-Sources: IAGA, IGRF-14 (2024), doi:10.5281/zenodo.14012302, for the coefficients. P. Alken et al.,
-International Geomagnetic Reference Field: the thirteenth generation (Earth, Planets and Space 73,
-2021), doi:10.1186/s40623-020-01288-x, for the formulas.
+References:
+    IAGA, IGRF-14 (2024), doi:10.5281/zenodo.14012302, for the coefficients.
+    P. Alken et al., International Geomagnetic Reference Field: the thirteenth generation (Earth,
+    Planets and Space 73, 2021), doi:10.1186/s40623-020-01288-x, for the formulas.
 """
 
 import calendar
@@ -19,26 +19,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletuav.compiled.functions import atan2, cos, hypot, sin
-from bulletuav.earth.arrays import values_of
+from bulletuav.earth.arrays import check_values
 from bulletuav.earth.geodesy import geodetic_to_ecef
 from bulletuav.errors import finite
 
 REFERENCE_RADIUS = 6371200.0
-"""Radius that the coefficients belong to, m."""
-DEGREE = 13
-"""Greatest degree of the coefficients."""
-LOWEST = -10e3
-"""Least altitude, m."""
-HIGHEST = 1000e3
-"""Greatest altitude, m; above it currents of the magnetosphere have their share."""
+"""Reference radius of the coefficients, m."""
+MAX_DEGREE = 13
+"""Maximum degree of the coefficients."""
+MIN_ALTITUDE = -10e3
+"""Minimum altitude, m."""
+MAX_ALTITUDE = 1000e3
+"""Maximum altitude, m; currents of the magnetosphere contribute above it."""
 EPOCH = 2025.0
 """Decimal year of the coefficients."""
-LAST = 2030.0
-"""Decimal year up to which their change is foreseen."""
+LAST_YEAR = 2030.0
+"""Decimal year up to which the change is predicted."""
 TESLA = 1e-9
-"""Teslas in a nanotesla, the unit of the coefficients."""
+"""One nanotesla, the unit of the coefficients, in teslas."""
 
-# One row a degree, from 1; orders from 0.
+# One row per degree, from 1; orders from 0.
 COSINES = (
     (-29350.0, -1410.3),
     (-2556.2, 2950.9, 1648.7),
@@ -96,22 +96,22 @@ SINE_RATES = (
 
 
 def decimal_year(date: float | datetime.date) -> float:
-    """Tell the decimal year of a date: 2027.5 is in the middle of 2027.
+    """Convert a date to a decimal year: 2027.5 is in the middle of 2027.
 
     Args:
-        date: A decimal year, or the day at whose beginning the field is asked for.
+        date: A decimal year, or a day, of which the beginning counts.
 
     Returns:
-        The decimal year, from `EPOCH` to `LAST`.
+        The decimal year, from `EPOCH` to `LAST_YEAR`.
 
     Raises:
-        ValueError: It is no such date.
+        ValueError: If the date is invalid or out of bounds.
     """
     year: object = date
     if isinstance(date, datetime.date):
         days = 366 if calendar.isleap(date.year) else 365
         year = date.year + (date.timetuple().tm_yday - 1) / days
-    return finite("date", year, EPOCH, LAST)
+    return finite("date", year, EPOCH, LAST_YEAR)
 
 
 def magnetic_field(
@@ -120,33 +120,33 @@ def magnetic_field(
     altitude: ArrayLike,
     date: float | datetime.date = EPOCH,
 ) -> np.ndarray:
-    """Tell the magnetic field of the Earth.
+    """Return the magnetic field of the Earth.
 
-    A compass on it points to magnetic north: a field of (0, north, up) has no declination. Within
-    a kilometre the field hardly changes, so one call at the origin does for a world.
+    A compass points to magnetic north: a field of (0, north, up) has no declination. The field
+    hardly changes within a kilometre, so one call at the origin is sufficient for a world.
 
     Args:
-        latitude: Geodetic, from -90 to 90 deg.
-        longitude: Of any range, deg.
-        altitude: Above the ellipsoid of WGS-84, from -10 to 1000 km, in m.
-            The three have shapes that fit together.
-        date: Decimal year from 2025.0 to 2030.0, or a day in them.
+        latitude: Geodetic latitude, from -90 to 90 deg.
+        longitude: Longitude of any range, deg.
+        altitude: Altitude above the WGS-84 ellipsoid, from -10 to 1000 km, in m. The shapes of the
+            three arguments are broadcast.
+        date: Decimal year from 2025.0 to 2030.0, or a day within them.
 
     Returns:
-        (..., 3) east, north and up, T. At the poles, north is the direction that the longitude
-        has nearby.
+        (..., 3) east, north and up, T. At the poles, north is the direction along the given
+        meridian.
 
     Raises:
-        ValueError: A number is not finite or out of bounds.
+        ValueError: If a number is not finite or out of bounds.
     """
     degrees, meridian, height = np.broadcast_arrays(
-        values_of("latitude", latitude, "degrees", -90.0, 90.0),
-        values_of("longitude", longitude, "degrees"),
-        values_of("altitude", altitude, "m", LOWEST, HIGHEST),
+        check_values("latitude", latitude, "degrees", -90.0, 90.0),
+        check_values("longitude", longitude, "degrees"),
+        check_values("altitude", altitude, "m", MIN_ALTITUDE, MAX_ALTITUDE),
     )
     years = decimal_year(date) - EPOCH
     position = geodetic_to_ecef(np.stack([degrees, meridian, height], axis=-1))
-    # Harmonics are geocentric, and their latitude differs from the geodetic by up to 0.2 degrees.
+    # Harmonics use the geocentric latitude, which differs from the geodetic by up to 0.2 degrees.
     from_axis = hypot(position[..., 0], position[..., 1])
     geocentric = atan2(position[..., 2], from_axis)
     radius = hypot(from_axis, position[..., 2])
@@ -163,34 +163,31 @@ def magnetic_field(
 
 
 def _geocentric_field(
-    latitude: np.ndarray,
-    longitude: np.ndarray,
-    radius: np.ndarray,
-    years: float,
+    latitude: np.ndarray, longitude: np.ndarray, radius: np.ndarray, years: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Add up the harmonics: minus the gradient of the potential of Alken et al., equation 1.
+    """Sum the harmonics: minus the gradient of the potential of Alken et al., equation 1.
 
     Args:
-        latitude: (...) geocentric, rad.
+        latitude: (...) geocentric latitude, rad.
         longitude: (...) rad.
         radius: (...) distance from the Earth's centre, m.
         years: Time since `EPOCH`, years.
 
     Returns:
-        The field east, north and along the radius, (...) nT each.
+        The field east, north and radially outwards, (...) nT each.
     """
     sine = sin(latitude)[..., None]  # the cosine of the colatitude
     cosine = cos(latitude)[..., None]
     ratio = REFERENCE_RADIUS / radius
     scale = ratio * ratio
-    turns = np.arange(DEGREE + 1) * longitude[..., None]
+    turns = np.arange(MAX_DEGREE + 1) * longitude[..., None]
     cosines, sines = cos(turns), sin(turns)
     east, north, up = np.zeros((3, *np.shape(radius)))
     # Legendre functions of one degree and the one before, for all orders (..., 14). Those of
     # orders above 0 are divided by the cosine of the latitude, so that poles need no division.
     before, legendre = np.zeros((2, *turns.shape))
     legendre[..., 0] = 1.0
-    for degree in range(1, DEGREE + 1):
+    for degree in range(1, MAX_DEGREE + 1):
         before, legendre = legendre, _next_legendre(degree, sine, cosine, legendre, before)
         order = np.arange(degree + 1)
         g = _at(years, COSINES, COSINE_RATES, degree)
@@ -216,27 +213,23 @@ def _at(
     rates: tuple[tuple[float, ...], ...],
     degree: int,
 ) -> np.ndarray:
-    """Return the coefficients of a degree (degree + 1,) some years after `EPOCH`, nT."""
+    """Return the coefficients of a degree (degree + 1,) at a time since `EPOCH`, nT."""
     now = np.array(values[degree - 1])
     return now + years * np.array(rates[degree - 1]) if degree <= len(rates) else now
 
 
 def _next_legendre(
-    degree: int,
-    sine: np.ndarray,
-    cosine: np.ndarray,
-    last: np.ndarray,
-    before: np.ndarray,
+    degree: int, sine: np.ndarray, cosine: np.ndarray, last: np.ndarray, before: np.ndarray
 ) -> np.ndarray:
-    """Find Schmidt's semi-normalised Legendre functions from those of the two degrees below.
+    """Compute Schmidt's semi-normalised Legendre functions from those of the two lower degrees.
 
     All orders above 0 are divided by the cosine of the latitude, see `_geocentric_field`.
 
     Args:
         degree: The degree n, from 1.
-        sine: (..., 1) of the latitude.
-        cosine: (..., 1) of the latitude.
-        last: (..., 14) functions of degree n - 1; those of orders above it are 0.
+        sine: (..., 1) sine of the latitude.
+        cosine: (..., 1) cosine of the latitude.
+        last: (..., 14) functions of degree n - 1; those of higher orders are 0.
         before: (..., 14) functions of degree n - 2.
 
     Returns:
@@ -252,6 +245,6 @@ def _next_legendre(
         legendre[..., 1] = 1.0
     else:
         # The diagonal follows from the one before it.
-        share = np.sqrt(1.0 - 0.5 / degree)
-        legendre[..., degree] = share * cosine[..., 0] * last[..., degree - 1]
+        factor = np.sqrt(1.0 - 0.5 / degree)
+        legendre[..., degree] = factor * cosine[..., 0] * last[..., degree - 1]
     return legendre

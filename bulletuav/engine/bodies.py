@@ -11,7 +11,7 @@ import numpy as np
 from bulletuav.engine.calls import CITY_GROUP, DRONE_GROUP, RAYS, SIGHT_GROUP, SURFACE_GROUP, bullet
 from bulletuav.engine.silence import silenced
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
-from bulletuav.geometry.solids import Solids, apart_groups, obj_lines
+from bulletuav.geometry.solids import Solids, format_obj_lines, group_separated
 
 FLOOR = 0.02
 """Thickness of the ground in pictures, m"""
@@ -252,7 +252,7 @@ def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
         Indices of the pieces of each compound.
     """
     parts: list[np.ndarray] = []
-    for group in apart_groups(bounds, apart):
+    for group in group_separated(bounds, apart):
         # Strips from west to east with as many pieces each, and in each from south to north.
         middle = bounds[group].mean(axis=1)
         strips = max(1, round((len(group) / COMPOUND) ** 0.5))
@@ -282,7 +282,7 @@ def _make_compound(
         objects.append((f"piece_{p}", corners, faces))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "pieces.obj")
-        path.write_text("\n".join(obj_lines(objects)) + "\n", encoding="utf-8")
+        path.write_text("\n".join(format_obj_lines(objects)) + "\n", encoding="utf-8")
         with silenced():
             compound: ShapeNumber = bullet.createCollisionShape(
                 bullet.GEOM_MESH,

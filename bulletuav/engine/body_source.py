@@ -7,9 +7,9 @@ import numpy as np
 
 from bulletuav.errors import as_sequence, finite, require_file, shown
 from bulletuav.geometry.mesh_file import read_obj
-from bulletuav.geometry.obstacle import LARGEST, Obstacle, hull_of
-from bulletuav.geometry.rotation import normalised, to_world
-from bulletuav.geometry.scenery import Piece
+from bulletuav.geometry.obstacle import MAX_SIZE, Obstacle, hull_from_points
+from bulletuav.geometry.rotation import normalise_quaternion, to_world
+from bulletuav.geometry.scenery import BodyPiece
 from bulletuav.geometry.shapes import HULL, Shape
 from bulletuav.vehicle.urdf import UrdfFile
 
@@ -24,7 +24,7 @@ UNIT = 1e-3
 """Difference of the norm of a quaternion from 1 that is rounding"""
 
 
-def pieces_of(source: BodySource) -> list[Piece]:
+def pieces_of(source: BodySource) -> list[BodyPiece]:
     """Read the convex pieces of a body.
 
     Args:
@@ -40,9 +40,11 @@ def pieces_of(source: BodySource) -> list[Piece]:
     if isinstance(source, Obstacle):
         pieces = [_centred(source.shape)]
     elif not isinstance(source, str | Path):
-        pieces = [_centred(hull_of("corners of a body", source))]
+        pieces = [_centred(hull_from_points("corners of a body", source))]
     elif str(source).lower().endswith(".obj"):
-        hulls = [hull_of(f"{source}: object {k}", one) for k, one in enumerate(read_obj(source))]
+        hulls = [
+            hull_from_points(f"{source}: object {k}", one) for k, one in enumerate(read_obj(source))
+        ]
         pieces = [_centred(hull) for hull in hulls]
     elif str(source).lower().endswith(".urdf"):
         pieces = _of_urdf(require_file("body", source, REMEDY))
@@ -53,13 +55,13 @@ def pieces_of(source: BodySource) -> list[Piece]:
     return pieces
 
 
-def _of_urdf(path: Path) -> list[Piece]:
+def _of_urdf(path: Path) -> list[BodyPiece]:
     """Read all collision shapes of a URDF of one link."""
-    urdf = UrdfFile(path.resolve(), widest=LARGEST)
+    urdf = UrdfFile(path.resolve(), widest=MAX_SIZE)
     urdf.require_one_link()
     elements = urdf.root.findall("link/collision")
     if not elements:
-        raise urdf.refusal("collision", "missing", "a body needs one shape or more")
+        raise urdf.make_error("collision", "missing", "a body needs one shape or more")
     pieces = []
     for element in elements:
         place, turn = urdf.origin(element)
@@ -71,16 +73,16 @@ def _centred(
     shape: Shape,
     place: np.ndarray | None = None,
     quaternion: np.ndarray = UPRIGHT,
-) -> Piece:
+) -> BodyPiece:
     """Make a piece at a pose; a hull gets its origin in the middle of its bounding box."""
     origin = np.zeros(3) if place is None else place
     if shape.kind != HULL:
-        return Piece(shape, origin, quaternion)
+        return BodyPiece(shape, origin, quaternion)
     corners = np.array(shape.corners)
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     half = (corners.max(axis=0) - corners.min(axis=0)) / 2
     moved = Shape(HULL, tuple(half.tolist()), tuple(map(tuple, (corners - middle).tolist())))
-    return Piece(moved, origin + to_world(quaternion, middle), quaternion)
+    return BodyPiece(moved, origin + to_world(quaternion, middle), quaternion)
 
 
 def pose_of(
@@ -99,9 +101,9 @@ def pose_of(
         ValueError: They are not finite, or the quaternion is none.
     """
     place = [
-        finite("position", one, -LARGEST, LARGEST) for one in as_sequence("position", position, 3)
+        finite("position", one, -MAX_SIZE, MAX_SIZE) for one in as_sequence("position", position, 3)
     ]
     turn = [finite("quaternion", one) for one in as_sequence("quaternion", quaternion, 4)]
     if abs(np.linalg.norm(turn) - 1) > UNIT:
         raise ValueError(f"quaternion is {shown(quaternion)}: a length of 1 is needed")
-    return np.array(place), np.array(normalised(np.array(turn)))
+    return np.array(place), np.array(normalise_quaternion(np.array(turn)))

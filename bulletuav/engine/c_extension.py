@@ -19,7 +19,7 @@ from bulletuav.compiled.kernel import allocating, kernel
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.tiles import columns, cover, globalise, land, localise
 from bulletuav.geometry.city_grid import CityGrid
-from bulletuav.geometry.raycast import walk
+from bulletuav.geometry.raycast import cast_scenery_rays
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import Wrenches
@@ -150,7 +150,7 @@ def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: n
 def _cast_down(port: Port, position: np.ndarray, surface: np.ndarray, covered: int) -> None:
     """Write the height of what is below drones for which `cover` wrote NaN."""
     who, start, end = columns(position, surface, covered)
-    fraction, left = walk(port.scenery, start, end, who[:, 0], port.compiled)
+    fraction, left = cast_scenery_rays(port.scenery, start, end, who[:, 0], port.compiled)
     # Bullet answers the others.
     count = left.shape[0]
     if count > 0:

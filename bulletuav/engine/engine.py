@@ -26,7 +26,7 @@ from bulletuav.engine.queries import EngineQueries
 from bulletuav.engine.scene_copy import AddedPiece, ScenePoses
 from bulletuav.engine.tiles import globalise, localise, tile_offset
 from bulletuav.errors import find_choice, finite
-from bulletuav.geometry.obstacle import MOST_FRICTION, Obstacle
+from bulletuav.geometry.obstacle import MAX_FRICTION, Obstacle
 from bulletuav.geometry.rotation import product, to_world
 from bulletuav.geometry.scenery import NOWHERE, Scenery, add_pieces
 from bulletuav.geometry.solids import Solids
@@ -266,7 +266,7 @@ class Engine(EngineQueries):
         # An obstacle tells what a mesh does not.
         like = source if isinstance(source, Obstacle) else PLAIN
         friction = like.friction if friction is None else friction
-        friction = finite("friction", friction, 0, MOST_FRICTION)
+        friction = finite("friction", friction, 0, MAX_FRICTION)
         restitution = like.restitution if restitution is None else restitution
         restitution = finite("restitution", restitution, 0, 1)
         worlds = np.arange(self.shape[0]) if world is None else np.array([world])

@@ -20,7 +20,7 @@ from bulletuav.engine.in_bullet import InBullet
 from bulletuav.engine.tiles import columns, cover, land, within_tile
 from bulletuav.geometry.city_grid import make_city_grid
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.raycast import meet_drones, walk
+from bulletuav.geometry.raycast import cast_drone_rays, cast_scenery_rays
 from bulletuav.geometry.rotation import cross, to_world
 from bulletuav.geometry.scenery import Scenery, make_scenery
 from bulletuav.geometry.solids import Solids
@@ -136,7 +136,7 @@ class EngineQueries(ABC):
         Returns:
             (M,) fraction of each ray before it meets something, 1 if it does not.
         """
-        fraction, left = walk(self._scenery, start, end, world, self._compiled)
+        fraction, left = cast_scenery_rays(self._scenery, start, end, world, self._compiled)
         # Bullet answers the others, within the world's own tile.
         if len(left):
             last, share = within_tile(start[left], end[left])
@@ -145,7 +145,7 @@ class EngineQueries(ABC):
             fraction[left] = np.where(met < 1, met * share, 1.0)
         if drones is not None:
             swarm, mask = drones
-            meet_drones(fraction, start, end, world, swarm, mask, self._scenery.table)
+            cast_drone_rays(fraction, start, end, world, swarm, mask, self._scenery.table)
         return fraction
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:

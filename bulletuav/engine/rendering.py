@@ -9,7 +9,7 @@ from bulletuav.engine.bodies import FLOOR, OFFSTAGE, Colour
 from bulletuav.engine.body_table import BodyTable
 from bulletuav.engine.calls import bullet
 from bulletuav.engine.city_layouts import LEVEL
-from bulletuav.geometry.view import Picture, metres
+from bulletuav.geometry.view import Picture, linearise_depth
 
 LIGHT = (0.4, -0.7, 1.0)
 """Direction towards the sun of pictures: walls differ"""
@@ -73,7 +73,7 @@ class SceneRenderer:
         )
         body = np.asarray(bodies).reshape(height, width)
         colours = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
-        depth = metres(np.asarray(buffer, dtype=np.float64).reshape(height, width))
+        depth = linearise_depth(np.asarray(buffer, dtype=np.float64).reshape(height, width))
         # Bodies that the labels do not tell share the entry before the last.
         label = self._bodies.pixel_labels()
         labels = label[np.minimum(body, len(label) - 2)]

@@ -11,7 +11,7 @@ from bulletuav.engine.c_extension import Extension
 from bulletuav.engine.client import disconnect
 from bulletuav.engine.in_bullet import make_in_bullet
 from bulletuav.geometry.shapes import Shape
-from bulletuav.geometry.view import Picture, Shot
+from bulletuav.geometry.view import CameraMatrices, Picture
 
 WITHOUT_EXTENSION = Extension(None, "", "a copy never flies")
 
@@ -68,7 +68,7 @@ class SceneCopy:
         self._bullet = make_in_bullet(contents, *how, self._clients, WITHOUT_EXTENSION)
         self._contents = contents
 
-    def picture(self, world: int, poses: ScenePoses, shot: Shot) -> Picture:
+    def picture(self, world: int, poses: ScenePoses, shot: CameraMatrices) -> Picture:
         """Move the bodies to poses, and take a picture.
 
         Args:

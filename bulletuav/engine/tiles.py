@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, kernel
-from bulletuav.geometry.city_grid import meets
+from bulletuav.geometry.city_grid import overlaps_piece
 from bulletuav.geometry.rotation import Vec3Like, quat4, to_body, to_world, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
@@ -112,7 +112,7 @@ def _is_covered(
     # A column without end over the point
     low = (here[0], here[1], -np.inf)
     high = (here[0], here[1], np.inf)
-    return meets(scenery.city_grid, w, low, high)
+    return overlaps_piece(scenery.city_grid, w, low, high)
 
 
 @kernel

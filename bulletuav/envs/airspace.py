@@ -47,9 +47,9 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, product, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
-from bulletuav.geometry.view import Picture, Shot, projection_matrix, view_matrix
+from bulletuav.geometry.view import CameraMatrices, Picture, projection_matrix, view_matrix
 from bulletuav.vehicle.swarm import Contacts, Swarm
-from bulletuav.vehicle.wind import MOST_WIND
+from bulletuav.vehicle.wind import MAX_WIND
 
 UP, NORTH = np.array((0.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
 ONLY = np.zeros(1, dtype=int)
@@ -376,9 +376,9 @@ class Airspace(Environment):
         """
         self._require_open()
         given = numbers_of("wind is", wind)
-        if given.shape != (3,) or not (np.abs(given) <= MOST_WIND).all():
+        if given.shape != (3,) or not (np.abs(given) <= MAX_WIND).all():
             raise ValueError(
-                f"wind is {shown(wind)}: three numbers from {-MOST_WIND:g} to {MOST_WIND:g} m/s "
+                f"wind is {shown(wind)}: three numbers from {-MAX_WIND:g} to {MAX_WIND:g} m/s "
                 f"are needed"
             )
         self.world.wind.steady[0] = given
@@ -498,7 +498,7 @@ class Airspace(Environment):
         return self.draw(shot)
 
     @exclusive
-    def draw(self, shot: Shot) -> Picture:
+    def draw(self, shot: CameraMatrices) -> Picture:
         """Render the view of a camera, as `picture` does.
 
         Args:
@@ -517,7 +517,7 @@ class Airspace(Environment):
         target: Sequence[float] | None,
         size: Sequence[int],
         field_of_view: float,
-    ) -> Shot:
+    ) -> CameraMatrices:
         """Return the present view of a camera, to be rendered now or in another process.
 
         Arguments and errors are those of `picture`.
@@ -545,7 +545,7 @@ class Airspace(Environment):
                 raise ValueError(f"target is {shown(target)}, where the camera is: look elsewhere")
         view = view_matrix(place, place + forward, up.tolist())
         projection = projection_matrix(width / height, angle)
-        return Shot(view, projection, (width, height))
+        return CameraMatrices(view, projection, (width, height))
 
     @exclusive
     def scene_poses(self) -> ScenePoses:

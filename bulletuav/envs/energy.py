@@ -10,7 +10,13 @@ from bulletuav.compiled.lanes import WIDTH, lanes_row, room
 from bulletuav.compiled.program import Program
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.rows import add_value
-from bulletuav.vehicle.battery import Battery, drain, loaded_voltage, resting_voltage, speed_share
+from bulletuav.vehicle.battery import (
+    Battery,
+    battery_speed_ratio,
+    drain_batteries,
+    loaded_voltage,
+    resting_voltage,
+)
 from bulletuav.vehicle.power import (
     ROTARY_WING,
     RotaryWing,
@@ -100,7 +106,9 @@ class Energy:
             program.call(_fill_propulsion, *velocities, self._wings, self._packed, self.power)
         program.call(_add_payload, payload, flown, self.power)
         battery = self._battery
-        program.call(drain, self.power, self._period, flown, battery.energy, battery.charge)
+        program.call(
+            drain_batteries, self.power, self._period, flown, battery.energy, battery.charge
+        )
         self.add_voltage(program)
 
     def kept(self) -> dict[str, np.ndarray]:
@@ -193,7 +201,7 @@ def _fill_voltage(
                 # Voltage at rest minus the drop of the current, as a fraction of speed
                 rest = cells * resting_voltage(charge[w, i])
                 voltage[w, i] = loaded_voltage(rest, power[w, i], resistance)
-                supply[w, i] = speed_share(voltage[w, i], nominal)
+                supply[w, i] = battery_speed_ratio(voltage[w, i], nominal)
 
 
 @kernel

@@ -14,12 +14,12 @@ from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.envs.rates import MAX_HZ, decision_rate, picture_rate
 from bulletuav.envs.viewer import DEFAULT_ADDRESS, VIEWERS, parse_address
 from bulletuav.errors import as_int, as_sequence, find_choice, finite, shown, unknown
-from bulletuav.geometry.obstacle import MOST_FRICTION
+from bulletuav.geometry.obstacle import MAX_FRICTION
 from bulletuav.sensors.lidar import FRAMES
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
-from bulletuav.vehicle.parameters import EFFECTS, USUAL_EFFECTS
+from bulletuav.vehicle.parameters import DEFAULT_EFFECTS, EFFECTS
 from bulletuav.vehicle.wind import (
-    MOST_WIND,
+    MAX_WIND,
     TURBULENCE,
     Profile,
     WindField,
@@ -152,7 +152,7 @@ class EnvOptions:
     render_address: str = DEFAULT_ADDRESS
     controller: str = "lee"
     integral: bool = False
-    effects: tuple[str, ...] = USUAL_EFFECTS
+    effects: tuple[str, ...] = DEFAULT_EFFECTS
     wind: tuple[float, float, float] | WindField = (0.0, 0.0, 0.0)
     wind_profile: Profile | None = None
     turbulence: str | float | None = None
@@ -312,7 +312,7 @@ class EnvOptions:
                 )
 
     def _check_air(self) -> None:
-        self._keep("friction", finite("friction", self.friction, 0, MOST_FRICTION))
+        self._keep("friction", finite("friction", self.friction, 0, MAX_FRICTION))
         self._keep("restitution", finite("restitution", self.restitution, 0, 1))
         if callable(self.wind):
             check_field(self.wind)
@@ -320,7 +320,7 @@ class EnvOptions:
             given = as_sequence("wind", self.wind, 3)
             self._keep(
                 "wind",
-                tuple(finite("wind", component, -MOST_WIND, MOST_WIND) for component in given),
+                tuple(finite("wind", component, -MAX_WIND, MAX_WIND) for component in given),
             )
         self._keep("wind_profile", as_profile(self.wind_profile))
         if callable(self.wind) and self.wind_profile is not None:
@@ -331,7 +331,7 @@ class EnvOptions:
         if isinstance(self.turbulence, str):
             find_choice("turbulence", self.turbulence, TURBULENCE)
         elif self.turbulence is not None:
-            self._keep("turbulence", finite("turbulence", self.turbulence, most=MOST_WIND))
+            self._keep("turbulence", finite("turbulence", self.turbulence, most=MAX_WIND))
             if self.turbulence < 0:
                 raise ValueError(f"turbulence is {self.turbulence:g} m/s: it must not be negative")
         self._keep("gravity", finite("gravity", self.gravity))

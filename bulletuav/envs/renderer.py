@@ -7,7 +7,15 @@ import numpy as np
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.marks import Colour, Lens, Marks, draw
 from bulletuav.envs.pacer import Pacer
-from bulletuav.geometry.view import AIR, FAR, LAND, SKY, projection_matrix, refocused, view_matrix
+from bulletuav.geometry.view import (
+    FAR,
+    LAND,
+    SKY,
+    SKY_COLOUR,
+    projection_matrix,
+    rescale_depth,
+    view_matrix,
+)
 from bulletuav.vehicle.swarm import Swarm
 
 if TYPE_CHECKING:
@@ -110,10 +118,10 @@ class Renderer:
         projection = projection_matrix(width / height, FIELD_OF_VIEW, far)
         lens = Lens(projection @ view, self._size)
         pixels, depth, labels = self._engine.picture(world, view, projection, self._size, drones)
-        pixels[labels == SKY] = AIR
+        pixels[labels == SKY] = SKY_COLOUR
         grid = self._grid(target, max(distance, float(target[2])))
         self._draw_ground(pixels, labels == LAND, grid, flying, lens)
-        return Image.fromarray(pixels), lens, refocused(depth, far)
+        return Image.fromarray(pixels), lens, rescale_depth(depth, far)
 
     def _draw_ground(
         self,

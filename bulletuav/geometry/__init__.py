@@ -1,1 +1,1 @@
-"""Geometry of rotations, shapes, cities and rays: pure compiled functions."""
+"""Geometry of rotations, convex shapes, cities and rays, as compiled functions without state."""

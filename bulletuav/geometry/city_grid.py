@@ -1,4 +1,4 @@
-"""Grid of a city: the bounding boxes of its pieces, found by square cells, for compiled code."""
+"""Uniform grid over the bounding boxes of a city's pieces, for compiled queries."""
 
 import math
 from collections.abc import Sequence
@@ -11,26 +11,27 @@ from bulletuav.geometry.rotation import Vec3Like
 from bulletuav.geometry.solids import Solids
 
 GRID_CELL = 25.0
-"""Side of a cell, m: about a building."""
+"""Side of a cell, m: about the size of a building."""
 NO_LAYOUT = -1
-"""Layout of a world in which nothing stands."""
+"""Layout index of a world without a city."""
 
 
 class CityGrid(NamedTuple):
-    """L layouts of a city, one of which may stand in each of W worlds; T pieces in all.
+    """Grid of L city layouts with T pieces in total; each of W worlds has one layout or none.
 
     Attributes:
-        layout: (W,) index of the layout that stands in each world, or NO_LAYOUT.
+        layout: (W,) index of the layout in each world, or NO_LAYOUT.
         low: (T, 3) low corners of the bounding boxes of all pieces of all layouts, m.
         high: (T, 3) high corners of these boxes, m.
         first: (L, cells^2 + 1) bounds in `item`: the pieces in cell c of layout l are
             item[first[l, c] : first[l, c + 1]].
         item: Indices of pieces into `low` and `high`, cell by cell.
-        boxes: (L,) bool, whether a layout is made of boxes alone.
-        heights: (L, 2) heights between which all pieces of a layout are, m, with a metre to spare.
+        boxes: (L,) bool, True if a layout consists of boxes only.
+        heights: (L, 2) lower and upper bound of the heights of a layout's pieces, m, with a margin
+            of 1 m.
         reach: The grid covers [-reach, reach]^2, m.
-        cells: Cells along each side of the grid; cell c is in column c // cells (along x) and row
-            c % cells (along y).
+        cells: Number of cells along each side of the grid; cell c is in column c // cells (along x)
+            and row c % cells (along y).
     """
 
     layout: np.ndarray
@@ -45,16 +46,16 @@ class CityGrid(NamedTuple):
 
 
 def make_city_grid(layouts: Sequence[Solids], num_worlds: int) -> CityGrid:
-    """Sort the pieces of layouts into the cells of one grid.
+    """Make the grid of the pieces of city layouts.
 
     Args:
         layouts: The layouts of the city.
         num_worlds: W.
 
     Returns:
-        The grid; no layout stands in any world yet.
+        The grid; no layout is assigned to any world yet.
     """
-    # A square that holds all pieces of all layouts, at least two cells wide.
+    # A square that contains all pieces of all layouts, at least two cells wide.
     bounds = np.concatenate([np.zeros((0, 2, 3)), *(solids.bounds for solids in layouts)])
     reach = float(np.abs(bounds[..., :2]).max(initial=GRID_CELL))
     count = math.ceil(2 * reach / GRID_CELL)
@@ -72,43 +73,41 @@ def make_city_grid(layouts: Sequence[Solids], num_worlds: int) -> CityGrid:
     items: list[int] = []
     piece = 0
     for first, solids in zip(city_grid.first, layouts, strict=True):
-        # Put each piece into all cells that its bounding box touches.
+        # Add each piece to all cells that its bounding box overlaps.
         cells: list[list[int]] = [[] for _ in range(count**2)]
         for low, high in solids.bounds:
-            left, right, bottom, top = reached(city_grid, low[0], high[0], low[1], high[1])
+            left, right, bottom, top = cells_in_rectangle(
+                city_grid, low[0], high[0], low[1], high[1]
+            )
             for i in range(left, right):
                 for j in range(bottom, top):
                     cells[i * count + j].append(piece)
             piece += 1
-        # Lay the cells of this layout one after the other into the common list.
+        # Append the cells of this layout to the common list.
         first[:] = len(items) + np.cumsum([0] + [len(cell) for cell in cells])
         items += [p for cell in cells for p in cell]
     return city_grid._replace(item=np.array(items, dtype=np.int64))
 
 
 def _height_range(solids: Solids) -> tuple[float, float]:
-    """Return the heights between which all pieces and the ground are, a metre to spare."""
+    """Return the bounds of the heights of all pieces and the ground, m, with a margin of 1 m."""
     lowest = solids.bounds[:, 0, 2].min(initial=0.0)
     highest = solids.bounds[:, 1, 2].max(initial=0.0)
     return lowest - 1.0, highest + 1.0
 
 
 @func
-def reached(
-    city_grid: CityGrid,
-    west: float,
-    east: float,
-    south: float,
-    north: float,
+def cells_in_rectangle(
+    city_grid: CityGrid, west: float, east: float, south: float, north: float
 ) -> tuple[int, int, int, int]:
-    """Return the cells that a rectangle touches; none where it lies outside the grid.
+    """Return the range of cells that a rectangle overlaps; it is empty outside the grid.
 
     Args:
         city_grid: The grid.
-        west: Least x of the rectangle, m.
-        east: Greatest x, m.
-        south: Least y, m.
-        north: Greatest y, m.
+        west: Minimum x of the rectangle, m.
+        east: Maximum x, m.
+        south: Minimum y, m.
+        north: Maximum y, m.
 
     Returns:
         The first column and the one after the last, the first row and the one after the last.
@@ -124,14 +123,9 @@ def reached(
 
 
 @func
-def _is_apart(
-    city_grid: CityGrid,
-    p: int,
-    low: Vec3Like,
-    high: Vec3Like,
-) -> bool:
-    """Tell whether the bounding box of piece p and the box between two corners do not overlap."""
-    # Boxes are apart if they are along any of the axes
+def _is_separated(city_grid: CityGrid, p: int, low: Vec3Like, high: Vec3Like) -> bool:
+    """Return True if the bounding box of piece p and the box between two corners do not overlap."""
+    # Boxes are separated if their intervals are disjoint along any axis
     apart: bool = (
         city_grid.low[p, 0] > high[0]
         or city_grid.high[p, 0] < low[0]
@@ -144,29 +138,27 @@ def _is_apart(
 
 
 @func
-def meets(
-    city_grid: CityGrid,
-    w: int,
-    low: Vec3Like,
-    high: Vec3Like,
-) -> bool:
-    """Tell whether a box overlaps the bounding box of a piece that stands in a world.
+def overlaps_piece(city_grid: CityGrid, w: int, low: Vec3Like, high: Vec3Like) -> bool:
+    """Check whether a box overlaps the bounding box of any piece of a world's city.
 
     Args:
         city_grid: The grid.
         w: Index of the world.
         low: Low corner of the box, m.
         high: High corner of the box, m.
+
+    Returns:
+        True if it overlaps a box.
     """
     layout = city_grid.layout[w]
     if layout == NO_LAYOUT:
         return False
-    # Only pieces in the cells that the box touches can overlap it.
-    left, right, bottom, top = reached(city_grid, low[0], high[0], low[1], high[1])
+    # Only pieces in the cells that the box overlaps can overlap it.
+    left, right, bottom, top = cells_in_rectangle(city_grid, low[0], high[0], low[1], high[1])
     for i in range(left, right):
         for j in range(bottom, top):
             cell = i * city_grid.cells + j
             for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
-                if not _is_apart(city_grid, city_grid.item[m], low, high):
+                if not _is_separated(city_grid, city_grid.item[m], low, high):
                     return True
     return False

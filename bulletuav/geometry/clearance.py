@@ -1,32 +1,27 @@
-"""Distances of drones from the nearest thing, by exact shapes in compiled code."""
+"""Clearance of drones: the exact signed distance to the nearest other shape, in compiled code."""
 
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, kernel
-from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
-from bulletuav.geometry.gjk import gap
+from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, cells_in_rectangle
+from bulletuav.geometry.gjk import gjk_distance
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, point, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
 
-LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-"""Axes of what is not turned"""
+IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+"""Axes of a shape that is not rotated"""
 NO_GUESS = (0.0, 0.0, 0.0)
 
 
 @func
 def _is_first_cell(
-    city_grid: CityGrid,
-    p: int,
-    left: int,
-    bottom: int,
-    column: int,
-    row: int,
+    city_grid: CityGrid, p: int, left: int, bottom: int, column: int, row: int
 ) -> bool:
-    """Tell whether a cell is the first one of piece p among those from `left` and `bottom` on."""
+    """Return True if a cell is the first cell of piece p in the range from `left`, `bottom`."""
     low = point(city_grid.low, p)
     high = point(city_grid.high, p)
-    own_left, _, own_bottom, _ = reached(city_grid, low[0], high[0], low[1], high[1])
+    own_left, _, own_bottom, _ = cells_in_rectangle(city_grid, low[0], high[0], low[1], high[1])
     is_first: bool = column == max(left, own_left) and row == max(bottom, own_bottom)
     return is_first
 
@@ -37,11 +32,11 @@ def _city_clearance(
     w: int,
     i: int,
     place: Vec3,
-    turn: tuple[Vec3, Vec3, Vec3],
+    rotation: tuple[Vec3, Vec3, Vec3],
     found: float,
-    room: np.ndarray,
+    scratch: np.ndarray,
 ) -> float:
-    """Return the distance of drone i from the city of world w, or `found` if that is less, m."""
+    """Return the signed distance of drone i from the city, or `found` if that is less, m."""
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
     if layout == NO_LAYOUT:
@@ -50,13 +45,15 @@ def _city_clearance(
     within = found + radius
     x = place[0]
     y = place[1]
-    left, right, bottom, top = reached(city_grid, x - within, x + within, y - within, y + within)
+    left, right, bottom, top = cells_in_rectangle(
+        city_grid, x - within, x + within, y - within, y + within
+    )
     for column in range(left, right):
         for row in range(bottom, top):
             cell = column * city_grid.cells + row
             for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
                 p = city_grid.item[m]
-                # A piece is in many cells, and asked for in one of them.
+                # A piece is listed in several cells; measure it in the first one only.
                 if not _is_first_cell(city_grid, p, left, bottom, column, row):
                     continue
                 low = point(city_grid.low, p)
@@ -67,7 +64,9 @@ def _city_clearance(
                 s = scenery.first_piece + p
                 offset = minus(point(scenery.piece_place, p), place)
                 table = scenery.table
-                distance, _, _, _ = gap(table, i, turn, s, LEVEL, offset, NO_GUESS, room)
+                distance, _, _, _ = gjk_distance(
+                    table, i, rotation, s, IDENTITY, offset, NO_GUESS, scratch
+                )
                 found = min(found, distance)
     return found
 
@@ -78,60 +77,66 @@ def measure_clearance(
     position: np.ndarray,
     quaternion: np.ndarray,
     mask: np.ndarray,
-    most: float,
-    room: np.ndarray,
+    max_distance: float,
+    scratch: np.ndarray,
 ) -> np.ndarray:
-    """Measure how far drones are from the nearest thing: ground, building, body or drone.
+    """Measure the distance of drones from the nearest ground, building, body or other drone.
 
-    Bounding spheres and boxes sort out what is farther than something found before.
+    Bounding spheres and boxes exclude shapes that are farther than the nearest one found so far.
 
     Args:
-        scenery: What stands in each world.
-        position: (W, N, 3) of the drones, m.
-        quaternion: (W, N, 4) their attitudes, body to world.
-        mask: (W, N) bool, drones that measure, and that are measured.
-        most: Distance beyond which nothing is looked for, m.
-        room: Scratch of `gjk.make_room`.
+        scenery: Shapes and poses in each world.
+        position: (W, N, 3) positions of the drones, m.
+        quaternion: (W, N, 4) attitudes of the drones, body to world.
+        mask: (W, N) bool, drones to measure; other drones are ignored.
+        max_distance: Maximum distance to search, m.
+        scratch: Scratch array of `gjk.make_scratch`.
 
     Returns:
-        (W, N) distance between shapes, m, negative for the depth of an overlap; `most` where
-        nothing is nearer, and outside `mask`.
+        (W, N) signed distance between collision shapes, m, negative for the penetration depth of an
+        overlap. It is `max_distance` if nothing is nearer, and outside `mask`.
     """
     table = scenery.table
-    result = np.full(mask.shape, most)
+    result = np.full(mask.shape, max_distance)
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if not mask[w, i]:
                 continue
             place = vec3(position, w, i)
-            turn = axes(quat4(quaternion, w, i))
+            rotation = axes(quat4(quaternion, w, i))
             down = (-place[0], -place[1], -place[2])
-            height, _, _, _ = gap(table, i, turn, scenery.ground, LEVEL, down, NO_GUESS, room)
-            found = min(most, height)
+            height, _, _, _ = gjk_distance(
+                table, i, rotation, scenery.ground, IDENTITY, down, NO_GUESS, scratch
+            )
+            found = min(max_distance, height)
             # Drones
             for j in range(mask.shape[1]):
                 offset = minus(vec3(position, w, j), place)
                 reach = found + table.radius[i] + table.radius[j]
                 if j == i or not mask[w, j] or _is_beyond(offset, reach):
                     continue
-                other = axes(quat4(quaternion, w, j))
-                distance, _, _, _ = gap(table, i, turn, j, other, offset, NO_GUESS, room)
+                other_rotation = axes(quat4(quaternion, w, j))
+                distance, _, _, _ = gjk_distance(
+                    table, i, rotation, j, other_rotation, offset, NO_GUESS, scratch
+                )
                 found = min(found, distance)
-            # Obstacles, and bodies that users added
+            # Obstacles, and bodies added by users
             for r in range(scenery.other.shape[0]):
                 s = scenery.first_body + r
                 offset = minus(vec3(scenery.place, w, r), place)
                 if _is_beyond(offset, found + table.radius[i] + table.radius[s]):
                     continue
-                other = axes(quat4(scenery.quaternion, w, r))
-                distance, _, _, _ = gap(table, i, turn, s, other, offset, NO_GUESS, room)
+                other_rotation = axes(quat4(scenery.quaternion, w, r))
+                distance, _, _, _ = gjk_distance(
+                    table, i, rotation, s, other_rotation, offset, NO_GUESS, scratch
+                )
                 found = min(found, distance)
-            result[w, i] = _city_clearance(scenery, w, i, place, turn, found, room)
+            result[w, i] = _city_clearance(scenery, w, i, place, rotation, found, scratch)
     return result
 
 
 @func
 def _is_beyond(offset: Vec3Like, reach: float) -> bool:
-    """Tell whether a point is as far as `reach`, m; a reach below 0 holds nothing."""
+    """Return True if a point is at least `reach` away, m; always True for a reach of 0 or less."""
     beyond: bool = reach <= 0.0 or dot(offset, offset) >= reach * reach
     return beyond

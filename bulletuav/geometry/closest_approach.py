@@ -1,4 +1,4 @@
-"""Distances, and how close two points come when both move straight."""
+"""Distances of points, and the closest approach of two points that move in straight lines."""
 
 import math
 
@@ -10,68 +10,55 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, minus, vec3
 
 
 @func
-def offset(
-    position: np.ndarray,
-    w: int,
-    i: int,
-    j: int,
-) -> Vec3:
+def offset(position: np.ndarray, w: int, i: int, j: int) -> Vec3:
     """Return the vector from point i to point j of world w of `position` (W, N, 3)."""
     return minus(vec3(position, w, j), vec3(position, w, i))
 
 
 @func
-def keep_nearest(
-    near: np.ndarray,
-    distance: np.ndarray,
-    found: int,
-    j: int,
-    gap: float,
+def insert_nearest(
+    near: np.ndarray, distance: np.ndarray, found: int, j: int, new_distance: float
 ) -> int:
-    """Insert a point into a list of the nearest ones, if there is room for it.
+    """Insert a point into a sorted list of the nearest ones, if it is near enough.
 
     Args:
         near: (K,) indices of the nearest points so far, nearest first; changed in place.
         distance: (K,) their distances, m; changed in place.
-        found: How many entries of both are in use.
+        found: Number of entries in use.
         j: Index of the new point.
-        gap: Its distance, m.
+        new_distance: Its distance, m.
 
     Returns:
-        How many entries are in use now, at most K.
+        The number of entries in use now, at most K.
     """
-    if found == near.size and (found == 0 or gap >= distance[found - 1]):
+    if found == near.size and (found == 0 or new_distance >= distance[found - 1]):
         return found
     found = min(found + 1, near.size)
-    # Move what is farther than the new point one slot back; the last falls out of a full list.
+    # Shift the farther points by one slot; the last one drops out of a full list.
     slot = found - 1
-    while slot > 0 and distance[slot - 1] > gap:
+    while slot > 0 and distance[slot - 1] > new_distance:
         near[slot] = near[slot - 1]
         distance[slot] = distance[slot - 1]
         slot -= 1
     near[slot] = j
-    distance[slot] = gap
+    distance[slot] = new_distance
     return found
 
 
 @allocating
-def distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-    """Return the distances (W, N), m, between points (W, N, 3) of the same index.
+def paired_distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """Compute the distances (W, N), m, between points (W, N, 3) of the same index.
 
-    Faster than numpy where there are few points.
+    Faster than NumPy for few points.
     """
     result = np.empty(one.shape[:2])
-    fill_distances(one, two, result)
+    fill_paired_distances(one, two, result)
     return result
 
 
 @kernel
-def fill_distances(
-    one: np.ndarray,
-    two: np.ndarray,
-    result: np.ndarray,
-) -> None:
-    """Write what `distances` returns to `result` (W, N)."""
+def fill_paired_distances(one: np.ndarray, two: np.ndarray, result: np.ndarray) -> None:
+    """Write the result of `paired_distances` to `result` (W, N)."""
     for w in range(one.shape[0]):
         for i in range(one.shape[1]):
             square = 0.0
@@ -81,37 +68,37 @@ def fill_distances(
 
 
 @kernel
-def least_separation(position: np.ndarray) -> float:
-    """Return the least distance of two points of one world among (W, N, 3), m; infinite for one."""
-    least = np.inf
+def min_separation(position: np.ndarray) -> float:
+    """Return the minimum distance of two points (W, N, 3) of one world, m; inf for one point."""
+    smallest = np.inf
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
             for j in range(i):
-                # Of the squares, with one root at the end
-                gap = offset(position, w, i, j)
-                least = min(least, dot(gap, gap))
-    return math.sqrt(least)
+                # Squared distances; one square root at the end
+                difference = offset(position, w, i, j)
+                smallest = min(smallest, dot(difference, difference))
+    return math.sqrt(smallest)
 
 
 @func
-def closest_squared(gap: Vec3Like, later: Vec3Like) -> tuple[float, float]:
-    """Return how close two points come while both move straight; of lanes, too.
+def closest_squared_distances(start_offset: Vec3Like, end_offset: Vec3Like) -> tuple[float, float]:
+    """Compute how close two points come while both move in a straight line; also for lanes.
 
     Args:
-        gap: Offset of the points at the start, m.
-        later: Their offset at the end, m.
+        start_offset: Offset of the points at the start, m.
+        end_offset: Their offset at the end, m.
 
     Returns:
-        Their squared distance at the start, and the least on the way, m^2.
+        The squared distance at the start, and the minimum squared distance during the motion, m^2.
     """
-    change = minus(later, gap)
-    along = dot(gap, change)
+    change = minus(end_offset, start_offset)
+    along = dot(start_offset, change)
     square = dot(change, change)
-    start = dot(gap, gap)
-    least = start
-    # The squared distance is a parabola in time; its vertex counts where it lies on the way.
+    start = dot(start_offset, start_offset)
+    smallest = start
+    # The squared distance is a parabola in time; its vertex counts if it lies in the interval.
     if is_any(along < 0.0):
         time = min(1.0, -along / square)
         vertex = max(0.0, start + 2.0 * time * along + time * time * square)
-        least = where(along < 0.0, vertex, start)
-    return start, least
+        smallest = where(along < 0.0, vertex, start)
+    return start, smallest

@@ -1,11 +1,14 @@
-"""Points where two convex shapes touch or nearly do: their facing features, clipped.
+"""Contact points of two convex shapes (contact manifold) by clipping of their facing features.
 
-The feature of a shape is the face, the flat side or the line of its round side that looks at the
-other shape. Two features are laid over each other across the normal and clipped (I. Sutherland and
-G. Hodgman, Reentrant polygon clipping, 1974). Corners of what is left are the points.
+The feature of a shape is the face, the cap or the line on a cylinder's side that faces the other
+shape. The two features are projected along the normal and clipped against each other
+(Sutherland-Hodgman). The corners of the clipped polygon are the contact points.
 
-Features are in axes of the contact: x and y across the normal, z along it, from the nearest point
-on a.
+Features are in the contact frame: x and y are tangential, z is along the normal, and the origin is
+the closest point on a.
+
+References:
+    I. Sutherland and G. Hodgman, Reentrant polygon clipping (1974).
 """
 
 import math
@@ -14,28 +17,29 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.convex import ShapeTable
-from bulletuav.geometry.features import put_feature
-from bulletuav.geometry.minkowski import Turn, row_point, turned
+from bulletuav.geometry.features import write_feature
+from bulletuav.geometry.minkowski import Mat3, rotate_to_world, scratch_vec3
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus, point
 from bulletuav.geometry.shapes import CYLINDER, HALF_SPACE, SPHERE
 
-MOST_POINTS = 20
-"""Most points of a pair"""
-SAME = 1e-6
-"""Distance within which two points count as one, m"""
-BESIDE = 0.05
-"""How far two lines of round sides may lie beside each other, as a share of the lesser radius; and
-sine of the angle from which on they cross"""
+MAX_POINTS = 20
+"""Maximum number of contact points of a pair"""
+MERGE_DISTANCE = 1e-6
+"""Distance below which two contact points are merged, m"""
+LINE_TOLERANCE = 0.05
+"""Maximum tangential distance of the facing lines of two cylinders, as a fraction of the smaller
+radius; also the sine of the angle above which two lines cross
+"""
 A_COLUMN, B_COLUMN, SPARE_COLUMN = 0, 3, 6
-"""First columns of scratch of the feature of a, of that of b, and of clipping"""
+"""First scratch columns of the feature of a, of the feature of b, and of the clipped polygon"""
 HEIGHT = 9
-"""Column of scratch: how high the other shape is at a corner, m"""
+"""Scratch column of the other shape's height at a corner, m"""
 
 
 @func
-def _across(normal: Vec3Like) -> Turn:
-    """Return the axes of the contact: two across a unit vector, and itself."""
-    # Cross the normal with the world's axis x or z, whichever is far from it
+def _contact_frame(normal: Vec3Like) -> Mat3:
+    """Return the axes of the contact frame: two tangential unit vectors and the normal."""
+    # Cross product of the normal and the world's x or z axis, whichever is not close to it
     steep = abs(normal[2]) >= 0.8
     first = (0.0, -normal[2], normal[1]) if steep else (-normal[1], normal[0], 0.0)
     scale = 1.0 / math.sqrt(dot(first, first))
@@ -44,32 +48,32 @@ def _across(normal: Vec3Like) -> Turn:
 
 
 @func
-def _cut(
-    room: np.ndarray,
+def _clip_by_line(
+    scratch: np.ndarray,
     count: int,
     source: int,
     target: int,
     corner: tuple[float, float],
     inward: tuple[float, float],
 ) -> int:
-    """Keep the part of a polygon on one side of a line; return how many corners it has."""
+    """Clip a polygon by a half-plane; return the number of corners left."""
     kept = 0
     last = count - 1
-    there = (room[last, source] - corner[0]) * inward[0]
-    there += (room[last, source + 1] - corner[1]) * inward[1]
+    there = (scratch[last, source] - corner[0]) * inward[0]
+    there += (scratch[last, source + 1] - corner[1]) * inward[1]
     for k in range(count):
-        here = (room[k, source] - corner[0]) * inward[0]
-        here += (room[k, source + 1] - corner[1]) * inward[1]
-        # The side from the corner before crosses the line
+        here = (scratch[k, source] - corner[0]) * inward[0]
+        here += (scratch[k, source + 1] - corner[1]) * inward[1]
+        # The edge from the previous corner crosses the line
         if (here >= 0.0) != (there >= 0.0):
-            share = there / (there - here)
+            fraction = there / (there - here)
             for m in range(3):
-                before = room[last, source + m]
-                room[kept, target + m] = before + share * (room[k, source + m] - before)
+                before = scratch[last, source + m]
+                scratch[kept, target + m] = before + fraction * (scratch[k, source + m] - before)
             kept += 1
         if here >= 0.0:
             for m in range(3):
-                room[kept, target + m] = room[k, source + m]
+                scratch[kept, target + m] = scratch[k, source + m]
             kept += 1
         last = k
         there = here
@@ -77,143 +81,122 @@ def _cut(
 
 
 @func
-def _clip(
-    room: np.ndarray,
-    count: int,
-    column: int,
-    sides: int,
-    others: int,
-    sign: float,
+def _clip_polygon(
+    scratch: np.ndarray, count: int, column: int, sides: int, others: int, sign: float
 ) -> tuple[int, int]:
-    """Keep the part of a polygon or line over or under another polygon.
+    """Clip a polygon or line by all edges of another polygon (Sutherland-Hodgman).
 
     Args:
-        room: Scratch.
-        count: Number of corners of the first.
+        scratch: Scratch array.
+        count: Number of corners of the polygon to clip.
         column: First column of its corners.
-        sides: Number of corners of the other.
+        sides: Number of corners of the clipping polygon.
         others: First column of its corners.
-        sign: 1 where the other turns left in axes of the contact, -1 where it turns right.
+        sign: 1 if the clipping polygon is counterclockwise in the contact frame, -1 if clockwise.
 
     Returns:
-        How many corners there are, and their first column.
+        The number of corners left, and their first column.
     """
     source = column
     target = SPARE_COLUMN
     last = sides - 1
     for k in range(sides):
-        corner = (room[last, others], room[last, others + 1])
-        east = room[k, others] - corner[0]
-        north = room[k, others + 1] - corner[1]
-        count = _cut(room, count, source, target, corner, (-sign * north, sign * east))
+        corner = (scratch[last, others], scratch[last, others + 1])
+        east = scratch[k, others] - corner[0]
+        north = scratch[k, others + 1] - corner[1]
+        count = _clip_by_line(scratch, count, source, target, corner, (-sign * north, sign * east))
         source, target = target, source
         last = k
     return count, source
 
 
 @func
-def _lines_meet(room: np.ndarray, beside: float) -> int:
-    """Keep the part of the line of a that lies beside that of b; return how many ends it has.
+def _clip_lines(scratch: np.ndarray, max_offset: float) -> int:
+    """Clip the line of a by the extent of the line of b; return the number of end points left.
 
     Args:
-        room: Scratch with both lines. What is left of that of a stays in its columns.
-        beside: How far the lines may be from each other across the normal, m.
+        scratch: Scratch array with both lines. The clipped line stays in the columns of a.
+        max_offset: Maximum tangential distance of the lines, m.
     """
-    start = (room[0, B_COLUMN], room[0, B_COLUMN + 1])
-    ahead = (room[1, B_COLUMN] - start[0], room[1, B_COLUMN + 1] - start[1])
-    end = (room[1, B_COLUMN], room[1, B_COLUMN + 1])
+    start = (scratch[0, B_COLUMN], scratch[0, B_COLUMN + 1])
+    ahead = (scratch[1, B_COLUMN] - start[0], scratch[1, B_COLUMN + 1] - start[1])
+    end = (scratch[1, B_COLUMN], scratch[1, B_COLUMN + 1])
     square = ahead[0] * ahead[0] + ahead[1] * ahead[1]
-    # Where they cross, they touch at the nearest points alone
-    across = (room[1, A_COLUMN] - room[0, A_COLUMN], room[1, A_COLUMN + 1] - room[0, A_COLUMN + 1])
+    # Crossing lines touch at the closest points only
+    across = (
+        scratch[1, A_COLUMN] - scratch[0, A_COLUMN],
+        scratch[1, A_COLUMN + 1] - scratch[0, A_COLUMN + 1],
+    )
     turned_by = ahead[0] * across[1] - ahead[1] * across[0]
     length = across[0] * across[0] + across[1] * across[1]
-    if turned_by * turned_by > BESIDE * BESIDE * square * length:
+    if turned_by * turned_by > LINE_TOLERANCE * LINE_TOLERANCE * square * length:
         return 0
-    count = _cut(room, 2, A_COLUMN, SPARE_COLUMN, start, ahead)
-    count = _cut(room, count, SPARE_COLUMN, A_COLUMN, end, (-ahead[0], -ahead[1]))
-    low = room[0, B_COLUMN + 2]
-    rise = room[1, B_COLUMN + 2] - low
+    count = _clip_by_line(scratch, 2, A_COLUMN, SPARE_COLUMN, start, ahead)
+    count = _clip_by_line(scratch, count, SPARE_COLUMN, A_COLUMN, end, (-ahead[0], -ahead[1]))
+    low = scratch[0, B_COLUMN + 2]
+    rise = scratch[1, B_COLUMN + 2] - low
     kept = 0
     for k in range(count):
-        east = room[k, A_COLUMN] - start[0]
-        north = room[k, A_COLUMN + 1] - start[1]
+        east = scratch[k, A_COLUMN] - start[0]
+        north = scratch[k, A_COLUMN + 1] - start[1]
         aside = ahead[0] * north - ahead[1] * east
-        # Round sides are no longer opposite each other off to a side
-        if aside * aside <= beside * beside * square:
-            share = (ahead[0] * east + ahead[1] * north) / square
+        # With a large tangential offset, round sides do not face each other
+        if aside * aside <= max_offset * max_offset * square:
+            fraction = (ahead[0] * east + ahead[1] * north) / square
             for m in range(3):
-                room[kept, A_COLUMN + m] = room[k, A_COLUMN + m]
-            room[kept, HEIGHT] = low + share * rise
+                scratch[kept, A_COLUMN + m] = scratch[k, A_COLUMN + m]
+            scratch[kept, HEIGHT] = low + fraction * rise
             kept += 1
     return kept
 
 
 @func
-def _heights(
-    room: np.ndarray,
-    count: int,
-    source: int,
-    corner: Vec3,
-    normal: Vec3,
-    axes: Turn,
+def _write_heights(
+    scratch: np.ndarray, count: int, source: int, corner: Vec3, normal: Vec3, axes: Mat3
 ) -> None:
-    """Put how high a face is at the corners of a polygon into scratch."""
+    """Write the height of a face at the corners of a polygon to the scratch array."""
     along = dot(normal, axes[2])
     east = -dot(normal, axes[0]) / along
     north = -dot(normal, axes[1]) / along
     for k in range(count):
-        x = room[k, source] - corner[0]
-        y = room[k, source + 1] - corner[1]
-        room[k, HEIGHT] = corner[2] + east * x + north * y
+        x = scratch[k, source] - corner[0]
+        y = scratch[k, source + 1] - corner[1]
+        scratch[k, HEIGHT] = corner[2] + east * x + north * y
 
 
 @func
-def _is_new(
-    points: np.ndarray,
-    count: int,
-    place: Vec3,
-) -> bool:
-    """Return whether a place is none of those that are already there."""
+def _is_new_point(points: np.ndarray, count: int, place: Vec3) -> bool:
+    """Return True if no contact point exists within MERGE_DISTANCE of a position."""
     for m in range(count):
         way = minus(place, point(points, m))
-        if dot(way, way) <= SAME * SAME:
+        if dot(way, way) <= MERGE_DISTANCE * MERGE_DISTANCE:
             return False
     return True
 
 
 @func
-def _overlay(
-    room: np.ndarray,
-    count_a: int,
-    count_b: int,
-    face_a: Vec3,
-    face_b: Vec3,
-    axes: Turn,
+def _clip_features(
+    scratch: np.ndarray, count_a: int, count_b: int, face_a: Vec3, face_b: Vec3, axes: Mat3
 ) -> tuple[int, int, float]:
-    """Clip two features against each other, of which one at least is a polygon.
+    """Clip two features against each other, at least one of which is a polygon.
 
     Returns:
-        How many corners are left, their first column, and 1 where they lie on a, -1 where on b.
+        The number of corners left, their first column, and 1 if they lie on a, -1 if on b.
     """
     if count_b > 2:
-        count, source = _clip(room, count_a, A_COLUMN, count_b, B_COLUMN, 1.0)
-        _heights(room, count, source, row_point(room, 0, B_COLUMN), face_b, axes)
+        count, source = _clip_polygon(scratch, count_a, A_COLUMN, count_b, B_COLUMN, 1.0)
+        _write_heights(scratch, count, source, scratch_vec3(scratch, 0, B_COLUMN), face_b, axes)
         return count, source, 1.0
-    # The face of a is seen from its back
-    count, source = _clip(room, count_b, B_COLUMN, count_a, A_COLUMN, -1.0)
-    _heights(room, count, source, row_point(room, 0, A_COLUMN), face_a, axes)
+    # The face of a is clockwise in the contact frame
+    count, source = _clip_polygon(scratch, count_b, B_COLUMN, count_a, A_COLUMN, -1.0)
+    _write_heights(scratch, count, source, scratch_vec3(scratch, 0, A_COLUMN), face_a, axes)
     return count, source, -1.0
 
 
 @func
-def _put_point(
-    points: np.ndarray,
-    count: int,
-    place: Vec3,
-    distance: float,
-) -> int:
-    """Add a point unless it is already there; return how many there are."""
-    if not _is_new(points, count, place):
+def _add_point(points: np.ndarray, count: int, place: Vec3, distance: float) -> int:
+    """Add a contact point unless it exists already; return the number of points."""
+    if not _is_new_point(points, count, place):
         return count
     for m in range(3):
         points[count, m] = place[m]
@@ -222,38 +205,39 @@ def _put_point(
 
 
 @func
-def _collect(
-    room: np.ndarray,
+def _add_clipped_points(
+    scratch: np.ndarray,
     count: int,
     source: int,
     sign: float,
-    axes: Turn,
+    axes: Mat3,
     on_a: Vec3Like,
-    most: float,
+    max_distance: float,
     points: np.ndarray,
 ) -> int:
-    """Add the corners that are left and near to the points; return how many there are.
+    """Add clipped corners within the maximum distance as contact points; return their number.
 
-    All lie in the plane of the first, or else no motion of the shapes could leave all at rest.
+    All points lie in the plane of the first one. Otherwise no motion of the shapes could bring all
+    points to rest.
     """
     middle = -0.5 * points[0, 3]
     near = 0
     for k in range(count):
-        if sign * (room[k, source + 2] - room[k, HEIGHT]) <= most:
+        if sign * (scratch[k, source + 2] - scratch[k, HEIGHT]) <= max_distance:
             for m in range(3):
-                room[near, source + m] = room[k, source + m]
-            room[near, HEIGHT] = room[k, HEIGHT]
+                scratch[near, source + m] = scratch[k, source + m]
+            scratch[near, HEIGHT] = scratch[k, HEIGHT]
             near += 1
-    # Of too many, take some from all around
-    taken = min(near, min(MOST_POINTS, points.shape[0]) - 1)
+    # If there are too many corners, select evenly spaced ones
+    taken = min(near, min(MAX_POINTS, points.shape[0]) - 1)
     found = 1
     for m in range(taken):
         k = m * near // taken
-        height = room[k, source + 2]
-        other = room[k, HEIGHT]
-        local = (room[k, source], room[k, source + 1], middle)
-        place = plus(on_a, 1.0, turned(axes, local))
-        found = _put_point(points, found, place, sign * (height - other))
+        height = scratch[k, source + 2]
+        other = scratch[k, HEIGHT]
+        local = (scratch[k, source], scratch[k, source + 1], middle)
+        place = plus(on_a, 1.0, rotate_to_world(axes, local))
+        found = _add_point(points, found, place, sign * (height - other))
     return found
 
 
@@ -261,60 +245,65 @@ def _collect(
 def contact_points(
     table: ShapeTable,
     a: int,
-    turn_a: Turn,
+    rotation_a: Mat3,
     b: int,
-    turn_b: Turn,
+    rotation_b: Mat3,
     offset: Vec3,
     normal: Vec3,
     on_a: Vec3,
     on_b: Vec3,
-    most: float,
+    max_distance: float,
     points: np.ndarray,
-    room: np.ndarray,
+    scratch: np.ndarray,
 ) -> int:
-    """Find points that stand for the contact of two shapes, the nearest ones first.
+    """Compute the contact points of two convex shapes, the deepest one first.
 
     Args:
         table: The shapes.
-        a: Number of the first shape, no half space.
-        turn_a: Axes of the first shape.
-        b: Number of the second shape.
-        turn_b: Axes of the second shape.
-        offset: Position of b less that of a, world axes, m.
-        normal: Unit normal from b to a, as `gap` gives.
-        on_a: Nearest point on a from its position, m.
-        on_b: Nearest point on b from its position, m.
-        most: Largest distance of the shapes at a point, m; the nearest points count in any case.
-        points: (M, 4) place from the position of a, in the plane across the normal midway between
-            the nearest points, and the signed distance along the normal there, m; MOST_POINTS rows
-            hold all. Filled in place.
-        room: Scratch of `make_room`.
+        a: Index of the first shape, which is no half-space.
+        rotation_a: Axes of the first shape.
+        b: Index of the second shape.
+        rotation_b: Axes of the second shape.
+        offset: Position of b minus that of a, world axes, m.
+        normal: Unit normal from b to a, as returned by `gjk_distance`.
+        on_a: Closest point on a, relative to its position, m.
+        on_b: Closest point on b, relative to its position, m.
+        max_distance: Maximum signed distance of the shapes at a contact point, m. The closest
+            points are a contact point in any case.
+        points: (M, 4) position relative to a, in the plane across the normal midway between the
+            closest points, and signed distance along the normal there, m. MAX_POINTS rows hold all
+            points. Written in place.
+        scratch: Scratch array of `make_scratch`.
 
     Returns:
-        How many points there are.
+        The number of contact points.
     """
-    # The nearest points are a contact whatever the features are
+    # The closest points are a contact point, whatever the features are
     distance = dot(minus(minus(on_a, on_b), offset), normal)
-    found = _put_point(points, 0, plus(on_a, -0.5 * distance, normal), distance)
+    found = _add_point(points, 0, plus(on_a, -0.5 * distance, normal), distance)
     if table.kind[a] == SPHERE or table.kind[b] == SPHERE:
         return found
-    axes = _across(normal)
+    axes = _contact_frame(normal)
     start_a = (-on_a[0], -on_a[1], -on_a[2])
     against = (-normal[0], -normal[1], -normal[2])
     aside = (0.0, 0.0, 0.0)
     if table.kind[a] == CYLINDER and table.kind[b] == CYLINDER:
         aside = (offset[0], offset[1], offset[2])
-    count, face_a = put_feature(table, a, turn_a, against, start_a, aside, axes, room, A_COLUMN)
+    count, face_a = write_feature(
+        table, a, rotation_a, against, start_a, aside, axes, scratch, A_COLUMN
+    )
     if table.kind[b] == HALF_SPACE:
         for k in range(count):
-            room[k, HEIGHT] = -distance
-        return _collect(room, count, A_COLUMN, 1.0, axes, on_a, most, points)
+            scratch[k, HEIGHT] = -distance
+        return _add_clipped_points(scratch, count, A_COLUMN, 1.0, axes, on_a, max_distance, points)
     start_b = minus(offset, on_a)
     aside = (-aside[0], -aside[1], -aside[2])
-    count_b, face_b = put_feature(table, b, turn_b, normal, start_b, aside, axes, room, B_COLUMN)
+    count_b, face_b = write_feature(
+        table, b, rotation_b, normal, start_b, aside, axes, scratch, B_COLUMN
+    )
     if count == 2 and count_b == 2:
-        beside = BESIDE * min(table.half[a, 0], table.half[b, 0])
-        count = _lines_meet(room, beside)
-        return _collect(room, count, A_COLUMN, 1.0, axes, on_a, most, points)
-    count, source, sign = _overlay(room, count, count_b, face_a, face_b, axes)
-    return _collect(room, count, source, sign, axes, on_a, most, points)
+        max_offset = LINE_TOLERANCE * min(table.half[a, 0], table.half[b, 0])
+        count = _clip_lines(scratch, max_offset)
+        return _add_clipped_points(scratch, count, A_COLUMN, 1.0, axes, on_a, max_distance, points)
+    count, source, sign = _clip_features(scratch, count, count_b, face_a, face_b, axes)
+    return _add_clipped_points(scratch, count, source, sign, axes, on_a, max_distance, points)

@@ -1,7 +1,8 @@
-"""Convex shapes as one table for compiled code: how far they reach along a direction, their faces.
+"""Convex shapes in one table for compiled code: support points, vertices and faces.
 
-A shape is a sphere, a cylinder along z, a box, the convex hull of points, or the half space z <= 0,
-each in axes of its own. The table holds many shapes; functions take it with the number of one.
+A shape is a sphere, a cylinder along z, a box, the convex hull of points, or the half-space z <= 0,
+each in its own axes. The table holds many shapes; functions take the table and the index of a
+shape.
 """
 
 import math
@@ -15,62 +16,66 @@ from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.rotation import Vec3, Vec3Like
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE, Shape
 
-RIM = 4
-"""Points that stand for the rim of a cylinder's flat side"""
-MOST_CORNERS = 256
-"""Most corners of a face of a hull; scratch holds those of two faces, see `minkowski.ROWS`"""
-COPLANAR = 1e-9
-"""Difference of the planes of two triangles of one face"""
+NUM_RIM_POINTS = 4
+"""Number of points that approximate the rim of a cylinder's cap"""
+MAX_FACE_CORNERS = 256
+"""Maximum number of corners of a hull's face; the scratch array holds two faces, see
+`minkowski.SCRATCH_ROWS`
+"""
+COPLANARITY_TOLERANCE = 1e-9
+"""Maximum difference between the plane equations of two triangles that belong to one face"""
 
 
 class ShapeTable(NamedTuple):
-    """S convex shapes; those that are hulls have V corners and F flat faces in all.
+    """Table of S convex shapes, whose hulls have V vertices and F flat faces in total.
 
     Attributes:
         kind: (S,) SPHERE, CYLINDER, BOX, HULL or HALF_SPACE.
         half: (S, 3) half extents of the bounding box, m.
-        middle: (S, 3) middle of the bounding box; zero but for hulls, m.
-        radius: (S,) distance of the farthest point from the origin, m; inf for a half space.
-        corner: (V, 3) corners of the hulls, m.
-        corners: (S, 2) first corner of each hull, and the one after its last.
-        plane: (F, 4) outward unit normal of each face, and its distance from the origin, m.
-        planes: (S, 2) first face of each hull, and the one after its last.
-        ring: Indices into `corner`: those of each face, turning left seen from outside.
-        rings: (F, 2) first index in `ring` of each face, and the one after its last.
+        centre: (S, 3) centre of the bounding box, m; zero except for hulls.
+        radius: (S,) radius of the bounding sphere about the origin, m; inf for a half-space.
+        vertices: (V, 3) vertices of the hulls, m.
+        vertex_range: (S, 2) first vertex of each hull, and the one after its last.
+        face_planes: (F, 4) outward unit normal of each face, and its distance from the origin, m.
+        face_range: (S, 2) first face of each hull, and the one after its last.
+        face_vertices: Indices into `vertices` of the corners of each face, counterclockwise seen
+            from outside.
+        face_vertex_range: (F, 2) first index in `face_vertices` of each face, and the one after its
+            last.
     """
 
     kind: np.ndarray
     half: np.ndarray
-    middle: np.ndarray
+    centre: np.ndarray
     radius: np.ndarray
-    corner: np.ndarray
-    corners: np.ndarray
-    plane: np.ndarray
-    planes: np.ndarray
-    ring: np.ndarray
-    rings: np.ndarray
+    vertices: np.ndarray
+    vertex_range: np.ndarray
+    face_planes: np.ndarray
+    face_range: np.ndarray
+    face_vertices: np.ndarray
+    face_vertex_range: np.ndarray
 
 
-def hull_shape(points: np.ndarray) -> Shape:
+def make_hull_shape(points: np.ndarray) -> Shape:
     """Make the convex hull of points (V, 3), m.
 
     Raises:
-        ValueError: The points span no volume, or a face has too many corners.
+        ValueError: If the points span no volume, or a face has more than MAX_FACE_CORNERS corners.
     """
     corners, faces = _hull_faces(points)
-    if max(len(ring) for _, ring in faces) > MOST_CORNERS:
-        raise ValueError(f"a face of a hull has more than {MOST_CORNERS} corners: simplify it")
+    if max(len(ring) for _, ring in faces) > MAX_FACE_CORNERS:
+        raise ValueError(f"a face of a hull has more than {MAX_FACE_CORNERS} corners: simplify it")
     half = np.abs(corners).max(axis=0)
     return Shape(HULL, tuple(half.tolist()), tuple(map(tuple, corners.tolist())))
 
 
 def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, list[int]]]]:
-    """Return the corners (V, 3) of a convex hull, and of each face its plane (4,) and its ring.
+    """Compute the vertices (V, 3) of a hull, and the plane (4,) and vertex indices of each face.
 
     Raises:
-        ValueError: The points span no volume.
+        ValueError: If the points span no volume.
     """
-    # SciPy's hulls take long to import, and most shapes do without
+    # Imported here because it is slow and most shapes need no hull
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -79,35 +84,31 @@ def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, 
         raise ValueError(f"a piece with the corners {points.tolist()} m spans no volume") from None
     corners = points[hull.vertices]
     number = {int(old): new for new, old in enumerate(hull.vertices)}
-    # Qhull gives triangles of one face the same plane, but for rounding
+    # Qhull gives all triangles of a face the same plane, up to rounding
     size = float(np.abs(corners).max())
     planes: list[np.ndarray] = []
     members: list[set[int]] = []
     for triangle, equation in zip(hull.simplices, hull.equations, strict=True):
         new = {number[int(k)] for k in triangle}
         for plane, face in zip(planes, members, strict=True):
-            turned = np.abs(plane[:3] - equation[:3]).max() <= COPLANAR
-            if turned and abs(plane[3] - equation[3]) <= COPLANAR * size:
+            is_parallel = np.abs(plane[:3] - equation[:3]).max() <= COPLANARITY_TOLERANCE
+            if is_parallel and abs(plane[3] - equation[3]) <= COPLANARITY_TOLERANCE * size:
                 face |= new
                 break
         else:
             planes.append(equation)
             members.append(new)
     return corners, [
-        (plane * [1, 1, 1, -1], _turning_left(corners, plane[:3], sorted(face)))
+        (plane * [1, 1, 1, -1], _order_counterclockwise(corners, plane[:3], sorted(face)))
         for plane, face in zip(planes, members, strict=True)
     ]
 
 
-def _turning_left(
-    corners: np.ndarray,
-    normal: np.ndarray,
-    face: list[int],
-) -> list[int]:
-    """Order the corners of a face so that they turn left, seen from where its normal points."""
+def _order_counterclockwise(corners: np.ndarray, normal: np.ndarray, face: list[int]) -> list[int]:
+    """Sort the corners of a face counterclockwise, seen against its normal."""
     middle = corners[face].mean(axis=0)
     offset = [corners[k] - middle for k in face]
-    # By hand, as cities have many faces and NumPy takes long for one product
+    # Written out: np.cross is slow for single vectors, and cities have many faces
     a, b, c = normal.tolist()
     x, y, z = offset[0].tolist()
     left = np.array([b * z - c * y, c * x - a * z, a * y - b * x])
@@ -116,10 +117,10 @@ def _turning_left(
 
 
 def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
-    """Put shapes into one table, in their order."""
+    """Make the table of a sequence of shapes, in the same order."""
     half = np.array([shape.half for shape in shapes], dtype=float).reshape(-1, 3)
     middle = np.zeros(half.shape)
-    radius = np.array([reach(shape) for shape in shapes], dtype=float)
+    radius = np.array([bounding_radius(shape) for shape in shapes], dtype=float)
     corner: list[np.ndarray] = []
     plane: list[np.ndarray] = []
     ring: list[int] = []
@@ -127,7 +128,7 @@ def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
     corners = np.zeros((len(shapes), 2), dtype=np.int64)
     planes = np.zeros((len(shapes), 2), dtype=np.int64)
     count = 0
-    # Drones of one kind share a hull, which takes time to compute.
+    # Identical shapes share one hull computation, which is slow.
     hulls = {shape for shape in shapes if shape.kind == HULL}
     known = {shape: _hull_faces(np.array(shape.corners)) for shape in hulls}
     for s, shape in enumerate(shapes):
@@ -149,19 +150,19 @@ def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
     return ShapeTable(
         kind=np.array([shape.kind for shape in shapes], dtype=np.int64),
         half=half,
-        middle=middle,
+        centre=middle,
         radius=radius,
-        corner=np.concatenate([np.zeros((0, 3)), *corner]),
-        corners=corners,
-        plane=np.array(plane).reshape(-1, 4),
-        planes=planes,
-        ring=np.array(ring, dtype=np.int64),
-        rings=np.array(rings, dtype=np.int64).reshape(-1, 2),
+        vertices=np.concatenate([np.zeros((0, 3)), *corner]),
+        vertex_range=corners,
+        face_planes=np.array(plane).reshape(-1, 4),
+        face_range=planes,
+        face_vertices=np.array(ring, dtype=np.int64),
+        face_vertex_range=np.array(rings, dtype=np.int64).reshape(-1, 2),
     )
 
 
-def reach(shape: Shape) -> float:
-    """Return the distance of a shape's farthest point from its origin, m."""
+def bounding_radius(shape: Shape) -> float:
+    """Return the radius of a shape's bounding sphere about its origin, m."""
     if shape.kind == HALF_SPACE:
         return math.inf
     if shape.kind == SPHERE:
@@ -174,9 +175,10 @@ def reach(shape: Shape) -> float:
 
 
 def inscribed_radius(shape: Shape) -> float:
-    """Return the radius of a ball within a shape, m.
+    """Return the radius of a ball inside a shape, m.
 
-    It is the largest one, or for a hull the largest about the mean of its corners.
+    It is the largest such ball, except for a hull: there it is the largest one that is centred at
+    the mean of the vertices.
     """
     if shape.kind != HULL:
         return min(shape.half)
@@ -185,88 +187,79 @@ def inscribed_radius(shape: Shape) -> float:
     return min(float(plane[3] - plane[:3] @ middle) for plane, _ in faces)
 
 
-def holds_origin(hull: Shape) -> bool:
-    """Tell whether the origin is within a hull, and not on its surface."""
+def contains_origin(hull: Shape) -> bool:
+    """Return True if the origin lies strictly inside a hull."""
     _, faces = _hull_faces(np.array(hull.corners))
     return min(float(plane[3]) for plane, _ in faces) > 0
 
 
-def insert_shapes(
-    table: ShapeTable,
-    at: int,
-    new: ShapeTable,
-) -> ShapeTable:
-    """Put the shapes of a table into another one.
+def insert_shapes(table: ShapeTable, at: int, new: ShapeTable) -> ShapeTable:
+    """Insert the shapes of one table into another.
 
     Args:
-        table: The other one.
-        at: Number that the first new shape gets; those from there on move up.
-        new: The shapes to put in.
+        table: The table to extend.
+        at: Index of the first inserted shape; shapes from this index on move up.
+        new: The shapes to insert.
 
     Returns:
-        All shapes.
+        A new table with all shapes.
     """
-    # Corners, faces and rings are in the order of their shapes, so there is one cut in each.
-    corner = int(table.corners[at, 0])
-    plane = int(table.planes[at, 0])
-    ring = int(table.rings[plane, 0]) if plane < len(table.rings) else len(table.ring)
+    # Each array is sorted by shape, so that the new rows are inserted at one place.
+    corner = int(table.vertex_range[at, 0])
+    plane = int(table.face_range[at, 0])
+    ring = (
+        int(table.face_vertex_range[plane, 0])
+        if plane < len(table.face_vertex_range)
+        else len(table.face_vertices)
+    )
 
-    def join(
-        old: np.ndarray,
-        cut: int,
-        inner: np.ndarray,
-        low: int = 0,
-        by: int = 0,
-    ) -> np.ndarray:
+    def join(old: np.ndarray, cut: int, inner: np.ndarray, low: int = 0, by: int = 0) -> np.ndarray:
         return np.concatenate([old[:cut], inner + low, old[cut:] + by])
 
-    corners, planes, rings = len(new.corner), len(new.plane), len(new.ring)
+    corners, planes, rings = len(new.vertices), len(new.face_planes), len(new.face_vertices)
     return ShapeTable(
         kind=join(table.kind, at, new.kind),
         half=join(table.half, at, new.half),
-        middle=join(table.middle, at, new.middle),
+        centre=join(table.centre, at, new.centre),
         radius=join(table.radius, at, new.radius),
-        corner=join(table.corner, corner, new.corner),
-        corners=join(table.corners, at, new.corners, corner, corners),
-        plane=join(table.plane, plane, new.plane),
-        planes=join(table.planes, at, new.planes, plane, planes),
-        ring=join(table.ring, ring, new.ring, corner, corners),
-        rings=join(table.rings, plane, new.rings, ring, rings),
+        vertices=join(table.vertices, corner, new.vertices),
+        vertex_range=join(table.vertex_range, at, new.vertex_range, corner, corners),
+        face_planes=join(table.face_planes, plane, new.face_planes),
+        face_range=join(table.face_range, at, new.face_range, plane, planes),
+        face_vertices=join(table.face_vertices, ring, new.face_vertices, corner, corners),
+        face_vertex_range=join(table.face_vertex_range, plane, new.face_vertex_range, ring, rings),
     )
 
 
 @func
-def _farthest(
-    table: ShapeTable,
-    s: int,
-    d: Vec3Like,
-) -> Vec3:
-    """Return the corner of a hull that is farthest along a direction, the first of several."""
-    best = table.corners[s, 0]
+def _hull_support(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
+    """Return the vertex of a hull that is farthest along a direction, the first of several."""
+    best = table.vertex_range[s, 0]
     most = -np.inf
-    for k in range(table.corners[s, 0], table.corners[s, 1]):
-        along = table.corner[k, 0] * d[0] + table.corner[k, 1] * d[1] + table.corner[k, 2] * d[2]
+    for k in range(table.vertex_range[s, 0], table.vertex_range[s, 1]):
+        along = (
+            table.vertices[k, 0] * d[0] + table.vertices[k, 1] * d[1] + table.vertices[k, 2] * d[2]
+        )
         if along > most:
             best = k
             most = along
-    return table.corner[best, 0], table.corner[best, 1], table.corner[best, 2]
+    return table.vertices[best, 0], table.vertices[best, 1], table.vertices[best, 2]
 
 
 @kernel
-def support(
-    table: ShapeTable,
-    s: int,
-    d: Vec3Like,
-) -> Vec3:
-    """Return a point of shape s that is farthest along a direction.
+def local_support_point(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
+    """Return the support point of a shape along a direction, in the shape's own axes.
+
+    It is a point of the shape that is farthest along the direction.
 
     Args:
-        table: The shapes; s is none of its half spaces.
-        s: Number of the shape.
+        table: The shapes.
+        s: Index of the shape, which is no half-space.
         d: Direction in the shape's axes, of any length but 0.
 
     Returns:
-        The point in the shape's axes, m. Of a sphere it is the centre: GJK adds the radius.
+        The support point in the shape's axes, m. For a sphere it is the centre: the radius is a
+        margin, which callers add (see `minkowski.shape_margin`).
     """
     kind = table.kind[s]
     if kind == SPHERE:
@@ -284,4 +277,4 @@ def support(
             return 0.0, 0.0, rise
         scale = table.half[s, 0] / across
         return scale * d[0], scale * d[1], rise
-    return _farthest(table, s, d)
+    return _hull_support(table, s, d)

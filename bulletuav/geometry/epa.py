@@ -1,9 +1,13 @@
-"""Depth of an overlap of two convex shapes by the expanding polytope algorithm (EPA).
+"""Penetration depth of two overlapping convex shapes by the expanding polytope algorithm (EPA).
 
-A polytope inside the difference of the shapes grows, face by face, where it is nearest to the
-origin (G. van den Bergen, Proximity queries and penetration depth computation on 3D game objects,
-2001). How far the shapes reach along a face's normal is a depth that parts them in any case. That
-of the last face is returned: never less than the true depth.
+A polytope inside the Minkowski difference of the shapes is expanded at its face closest to the
+origin. The support of the difference along a face's normal is an upper bound of the penetration
+depth: moving the shapes apart by it separates them. The result is the bound of the last face, so it
+is never less than the true depth.
+
+References:
+    G. van den Bergen, Proximity queries and penetration depth computation on 3D game objects
+    (2001).
 """
 
 import math
@@ -14,31 +18,33 @@ from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.minkowski import (
-    ANSWER,
-    MOST_FACES,
-    MOST_VERTICES,
-    Turn,
-    put_difference,
-    row_point,
+    DISTANCE_RESULT,
+    MAX_FACES,
+    MAX_VERTICES,
+    Mat3,
+    minkowski_support,
+    scratch_vec3,
 )
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus
 
-EXACT = 1e-9
-"""Difference of the bounds of a depth at which EPA is done, m"""
-RELATIVE = 1e-3
-"""The same as a share of the depth"""
-BEYOND = 1e-10
-"""Height over a triangle above which it sees a point, m: more than rounding makes"""
-FACES = MOST_VERTICES
-"""First row of the triangles: normal, distance from the origin, three rows of points"""
-EDGES = MOST_VERTICES + MOST_FACES
-"""First row of the edges of a hole: two rows of points"""
+ABSOLUTE_TOLERANCE = 1e-9
+"""Difference of the upper and lower bounds of the depth at which EPA has converged, m"""
+RELATIVE_TOLERANCE = 1e-3
+"""The same as a fraction of the depth"""
+VISIBILITY_TOLERANCE = 1e-10
+"""Height over a triangle above which the triangle is visible from a point, m: more than rounding
+errors
+"""
+FIRST_FACE_ROW = MAX_VERTICES
+"""First row of the triangles: normal, distance from the origin, rows of the three vertices"""
+FIRST_EDGE_ROW = MAX_VERTICES + MAX_FACES
+"""First row of the horizon edges: rows of the two vertices"""
 UP = (0.0, 0.0, 1.0)
 
 
 @func
-def _least_axis(v: Vec3) -> Vec3:
-    """Return the axis of the world that is farthest from being along a vector."""
+def _most_perpendicular_axis(v: Vec3) -> Vec3:
+    """Return the coordinate axis with the largest angle to a vector."""
     x = abs(v[0])
     y = abs(v[1])
     z = abs(v[2])
@@ -48,30 +54,22 @@ def _least_axis(v: Vec3) -> Vec3:
 
 
 @func
-def _spread(
-    room: np.ndarray,
-    count: int,
-    w: Vec3,
-) -> float:
-    """Return how far a point is from the line or the plane of others, times their size."""
-    base = row_point(room, 0, 0)
+def _simplex_extent(scratch: np.ndarray, count: int, w: Vec3) -> float:
+    """Return the distance of a point from the other vertices' line or plane, times their extent."""
+    base = scratch_vec3(scratch, 0, 0)
     new = minus(w, base)
     if count == 1:
         return dot(new, new)
-    one = minus(row_point(room, 1, 0), base)
+    one = minus(scratch_vec3(scratch, 1, 0), base)
     across = cross(one, new)
     if count == 2:
         return dot(across, across)
-    return abs(dot(across, minus(row_point(room, 2, 0), base)))
+    return abs(dot(across, minus(scratch_vec3(scratch, 2, 0), base)))
 
 
 @func
-def _way_out(
-    room: np.ndarray,
-    count: int,
-    m: int,
-) -> Vec3:
-    """Return the m-th direction in which to look for a point off the first 1 to 3."""
+def _expansion_direction(scratch: np.ndarray, count: int, m: int) -> Vec3:
+    """Return the m-th direction in which to look for an independent point."""
     sign = 1.0 if m % 2 == 0 else -1.0
     if count == 1:
         return (
@@ -79,161 +77,144 @@ def _way_out(
             sign if m // 2 == 1 else 0.0,
             sign if m // 2 == 2 else 0.0,
         )
-    base = row_point(room, 0, 0)
-    one = minus(row_point(room, 1, 0), base)
+    base = scratch_vec3(scratch, 0, 0)
+    one = minus(scratch_vec3(scratch, 1, 0), base)
     if count == 2:
-        across = cross(one, _least_axis(one))
+        across = cross(one, _most_perpendicular_axis(one))
         if m // 2 == 1:
             across = cross(one, across)
     else:
-        across = cross(one, minus(row_point(room, 2, 0), base))
+        across = cross(one, minus(scratch_vec3(scratch, 2, 0), base))
     return sign * across[0], sign * across[1], sign * across[2]
 
 
 @func
-def _widen(
+def _expand_to_tetrahedron(
     table: ShapeTable,
     a: int,
-    turn_a: Turn,
+    rotation_a: Mat3,
     b: int,
-    turn_b: Turn,
+    rotation_b: Mat3,
     offset: Vec3Like,
     count: int,
-    room: np.ndarray,
+    scratch: np.ndarray,
 ) -> int:
-    """Add points to the first ones until four span a volume; return how many there are."""
+    """Add support points to the simplex until four span a volume; return the number of points."""
     while count < 4:
-        # Of the points farthest out to all sides, take the one that widens most
+        # Of the support points to all sides, use the one that increases the extent most
         best = (0.0, 0.0, 0.0)
         most = 0.0
         for m in range(8 - 2 * count):
-            d = _way_out(room, count, m)
+            d = _expansion_direction(scratch, count, m)
             if dot(d, d) == 0.0:
                 continue
-            w = put_difference(table, a, turn_a, b, turn_b, offset, d, room, count)
-            wide = _spread(room, count, w)
+            w = minkowski_support(table, a, rotation_a, b, rotation_b, offset, d, scratch, count)
+            wide = _simplex_extent(scratch, count, w)
             if wide > most:
                 most = wide
                 best = d
         if most == 0.0:
             return count
-        put_difference(table, a, turn_a, b, turn_b, offset, best, room, count)
+        minkowski_support(table, a, rotation_a, b, rotation_b, offset, best, scratch, count)
         count += 1
     return count
 
 
 @func
-def _put_face(
-    room: np.ndarray,
-    row: int,
-    i: int,
-    j: int,
-    k: int,
-) -> None:
-    """Put a triangle into a row: its points turn left seen from outside."""
-    base = row_point(room, i, 0)
-    normal = cross(minus(row_point(room, j, 0), base), minus(row_point(room, k, 0), base))
+def _write_face(scratch: np.ndarray, row: int, i: int, j: int, k: int) -> None:
+    """Write a triangle to a row; its vertices are counterclockwise seen from outside."""
+    base = scratch_vec3(scratch, i, 0)
+    normal = cross(
+        minus(scratch_vec3(scratch, j, 0), base), minus(scratch_vec3(scratch, k, 0), base)
+    )
     size = math.sqrt(dot(normal, normal))
-    # A flat triangle is never the nearest
-    room[row, 3] = np.inf
+    # A degenerate triangle is never the closest one
+    scratch[row, 3] = np.inf
     if size > 0.0:
         for n in range(3):
-            room[row, n] = normal[n] / size
-        room[row, 3] = dot(row_point(room, row, 0), base)
-    room[row, 4] = i
-    room[row, 5] = j
-    room[row, 6] = k
+            scratch[row, n] = normal[n] / size
+        scratch[row, 3] = dot(scratch_vec3(scratch, row, 0), base)
+    scratch[row, 4] = i
+    scratch[row, 5] = j
+    scratch[row, 6] = k
 
 
 @func
-def _put_edge(
-    room: np.ndarray,
-    edges: int,
-    i: float,
-    j: float,
-) -> int:
-    """Add an edge of a hole, or cancel it against that of the triangle beyond."""
-    for row in range(EDGES, EDGES + edges):
-        if room[row, 0] == j and room[row, 1] == i:
-            last = EDGES + edges - 1
-            room[row, 0] = room[last, 0]
-            room[row, 1] = room[last, 1]
+def _toggle_horizon_edge(scratch: np.ndarray, edges: int, i: float, j: float) -> int:
+    """Add an edge to the horizon, or remove the opposite edge; return the number of edges."""
+    for row in range(FIRST_EDGE_ROW, FIRST_EDGE_ROW + edges):
+        if scratch[row, 0] == j and scratch[row, 1] == i:
+            last = FIRST_EDGE_ROW + edges - 1
+            scratch[row, 0] = scratch[last, 0]
+            scratch[row, 1] = scratch[last, 1]
             return edges - 1
-    room[EDGES + edges, 0] = i
-    room[EDGES + edges, 1] = j
+    scratch[FIRST_EDGE_ROW + edges, 0] = i
+    scratch[FIRST_EDGE_ROW + edges, 1] = j
     return edges + 1
 
 
 @func
-def _grow(
-    room: np.ndarray,
-    faces: int,
-    new: int,
-) -> int:
-    """Replace the triangles that see a new point by those to it.
+def _expand_polytope(scratch: np.ndarray, faces: int, new: int) -> int:
+    """Replace the triangles that are visible from a new vertex by triangles to this vertex.
 
     Returns:
-        How many triangles there are; 0 if too many.
+        The number of triangles; 0 if there would be more than MAX_FACES.
     """
-    w = row_point(room, new, 0)
+    w = scratch_vec3(scratch, new, 0)
     edges = 0
-    row = FACES
-    while row < FACES + faces:
-        if dot(row_point(room, row, 0), w) - room[row, 3] > BEYOND:
-            edges = _put_edge(room, edges, room[row, 4], room[row, 5])
-            edges = _put_edge(room, edges, room[row, 5], room[row, 6])
-            edges = _put_edge(room, edges, room[row, 6], room[row, 4])
-            # The last triangle takes the row of the one that goes
+    row = FIRST_FACE_ROW
+    while row < FIRST_FACE_ROW + faces:
+        if dot(scratch_vec3(scratch, row, 0), w) - scratch[row, 3] > VISIBILITY_TOLERANCE:
+            edges = _toggle_horizon_edge(scratch, edges, scratch[row, 4], scratch[row, 5])
+            edges = _toggle_horizon_edge(scratch, edges, scratch[row, 5], scratch[row, 6])
+            edges = _toggle_horizon_edge(scratch, edges, scratch[row, 6], scratch[row, 4])
+            # Fill the row of the removed triangle with the last one
             faces -= 1
             for k in range(7):
-                room[row, k] = room[FACES + faces, k]
+                scratch[row, k] = scratch[FIRST_FACE_ROW + faces, k]
         else:
             row += 1
-    if faces + edges > MOST_FACES:
+    if faces + edges > MAX_FACES:
         return 0
-    for edge in range(EDGES, EDGES + edges):
-        _put_face(room, FACES + faces, int(room[edge, 0]), int(room[edge, 1]), new)
+    for edge in range(FIRST_EDGE_ROW, FIRST_EDGE_ROW + edges):
+        _write_face(
+            scratch, FIRST_FACE_ROW + faces, int(scratch[edge, 0]), int(scratch[edge, 1]), new
+        )
         faces += 1
     return faces
 
 
 @func
-def _first_faces(room: np.ndarray) -> int:
-    """Put the four triangles of the first four points; return how many there are."""
-    base = row_point(room, 0, 0)
-    one = minus(row_point(room, 1, 0), base)
-    two = minus(row_point(room, 2, 0), base)
-    inside = dot(cross(one, two), minus(row_point(room, 3, 0), base)) < 0.0
+def _make_tetrahedron(scratch: np.ndarray) -> int:
+    """Write the four triangles of the first four vertices; return their number."""
+    base = scratch_vec3(scratch, 0, 0)
+    one = minus(scratch_vec3(scratch, 1, 0), base)
+    two = minus(scratch_vec3(scratch, 2, 0), base)
+    inside = dot(cross(one, two), minus(scratch_vec3(scratch, 3, 0), base)) < 0.0
     j, k = (1, 2) if inside else (2, 1)
-    _put_face(room, FACES, 0, j, k)
-    _put_face(room, FACES + 1, 0, k, 3)
-    _put_face(room, FACES + 2, k, j, 3)
-    _put_face(room, FACES + 3, j, 0, 3)
+    _write_face(scratch, FIRST_FACE_ROW, 0, j, k)
+    _write_face(scratch, FIRST_FACE_ROW + 1, 0, k, 3)
+    _write_face(scratch, FIRST_FACE_ROW + 2, k, j, 3)
+    _write_face(scratch, FIRST_FACE_ROW + 3, j, 0, 3)
     return 4
 
 
 @func
-def _nearest_face(room: np.ndarray, faces: int) -> int:
-    """Return the row of the triangle whose plane is nearest to the origin."""
-    best = FACES
-    for row in range(FACES + 1, FACES + faces):
-        if room[row, 3] < room[best, 3]:
+def _closest_face(scratch: np.ndarray, faces: int) -> int:
+    """Return the row of the triangle whose plane is closest to the origin."""
+    best = FIRST_FACE_ROW
+    for row in range(FIRST_FACE_ROW + 1, FIRST_FACE_ROW + faces):
+        if scratch[row, 3] < scratch[best, 3]:
             best = row
     return best
 
 
 @func
-def _shares(
-    room: np.ndarray,
-    i: int,
-    j: int,
-    k: int,
-    foot: Vec3,
-) -> Vec3:
-    """Return the weights of the corners of a triangle at a point of its plane, none negative."""
-    p = row_point(room, i, 0)
-    q = row_point(room, j, 0)
-    r = row_point(room, k, 0)
+def _barycentric_weights(scratch: np.ndarray, i: int, j: int, k: int, foot: Vec3) -> Vec3:
+    """Return the barycentric weights of a point in the plane of a triangle, clamped at 0."""
+    p = scratch_vec3(scratch, i, 0)
+    q = scratch_vec3(scratch, j, 0)
+    r = scratch_vec3(scratch, k, 0)
     normal = cross(minus(q, p), minus(r, p))
     x = max(dot(cross(minus(q, foot), minus(r, foot)), normal), 0.0)
     y = max(dot(cross(minus(r, foot), minus(p, foot)), normal), 0.0)
@@ -245,106 +226,106 @@ def _shares(
 
 
 @func
-def _mean(
-    room: np.ndarray,
-    i: int,
-    j: int,
-    k: int,
-    shares: Vec3,
-    column: int,
+def _interpolate_face(
+    scratch: np.ndarray, i: int, j: int, k: int, weights: Vec3, column: int
 ) -> Vec3:
-    """Return a weighted mean of three columns of three rows."""
-    mean = plus((0.0, 0.0, 0.0), shares[0], row_point(room, i, column))
-    mean = plus(mean, shares[1], row_point(room, j, column))
-    return plus(mean, shares[2], row_point(room, k, column))
+    """Return the barycentric mean of three columns over the three vertices of a triangle."""
+    mean = plus((0.0, 0.0, 0.0), weights[0], scratch_vec3(scratch, i, column))
+    mean = plus(mean, weights[1], scratch_vec3(scratch, j, column))
+    return plus(mean, weights[2], scratch_vec3(scratch, k, column))
 
 
 @func
-def _foot_face(
-    room: np.ndarray,
-    faces: int,
-    face: int,
-) -> int:
-    """Return the row of the triangle that the foot of the origin on the plane of one is in.
+def _find_projection_face(scratch: np.ndarray, faces: int, face: int) -> int:
+    """Return the row of the triangle that contains the origin's projection on a face's plane.
 
-    Triangles of one flat face of the difference lie in one plane: any of them may come first.
+    Several triangles may lie in the plane of one flat face of the Minkowski difference, and any of
+    them may have been found first.
     """
-    lower = room[face, 3]
-    foot = plus((0.0, 0.0, 0.0), lower, row_point(room, face, 0))
+    lower = scratch[face, 3]
+    foot = plus((0.0, 0.0, 0.0), lower, scratch_vec3(scratch, face, 0))
     best = face
-    least = np.inf
-    for row in range(FACES, FACES + faces):
-        if room[row, 3] - lower <= EXACT:
-            i = int(room[row, 4])
-            j = int(room[row, 5])
-            k = int(room[row, 6])
-            way = minus(_mean(room, i, j, k, _shares(room, i, j, k, foot), 0), foot)
-            outside = dot(way, way)
-            if outside < least:
-                least = outside
+    min_distance = np.inf
+    for row in range(FIRST_FACE_ROW, FIRST_FACE_ROW + faces):
+        if scratch[row, 3] - lower <= ABSOLUTE_TOLERANCE:
+            i = int(scratch[row, 4])
+            j = int(scratch[row, 5])
+            k = int(scratch[row, 6])
+            difference = minus(
+                _interpolate_face(
+                    scratch, i, j, k, _barycentric_weights(scratch, i, j, k, foot), 0
+                ),
+                foot,
+            )
+            outside = dot(difference, difference)
+            if outside < min_distance:
+                min_distance = outside
                 best = row
     return best
 
 
-@deferred(ANSWER)
+@deferred(DISTANCE_RESULT)
 @kernel
-def overlap(
+def epa_penetration(
     table: ShapeTable,
     a: int,
-    turn_a: Turn,
+    rotation_a: Mat3,
     b: int,
-    turn_b: Turn,
+    rotation_b: Mat3,
     offset: Vec3,
     count: int,
-    room: np.ndarray,
+    scratch: np.ndarray,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Return `gap` of two shapes that overlap or touch, spheres as their centres.
+    """Compute the penetration depth of two shapes that overlap or touch.
+
+    Spheres are represented by their centres.
 
     Args:
         table: The shapes.
-        a: Number of the first shape.
-        turn_a: Axes of the first shape.
-        b: Number of the second shape.
-        turn_b: Axes of the second shape.
-        offset: Position of b less that of a, world axes, m.
-        count: Number of points of the difference that are in the first rows of scratch.
-        room: Scratch of `make_room`.
+        a: Index of the first shape.
+        rotation_a: Axes of the first shape.
+        b: Index of the second shape.
+        rotation_b: Axes of the second shape.
+        offset: Position of b minus that of a, world axes, m.
+        count: Number of points of the Minkowski difference in the first rows of the scratch array.
+        scratch: Scratch array of `make_scratch`.
 
     Returns:
-        As `gap`; the depth is at most RELATIVE above the true one where steps suffice. The points
-        differ by about as much from lying it apart.
+        The same as `gjk_distance`: the negative depth, the unit normal from b to a, and the closest
+        points. The depth exceeds the true one by at most RELATIVE_TOLERANCE, unless the polytope
+        reaches MAX_VERTICES. The distance of the points along the normal has about the same error.
     """
-    count = _widen(table, a, turn_a, b, turn_b, offset, count, room)
+    count = _expand_to_tetrahedron(table, a, rotation_a, b, rotation_b, offset, count, scratch)
     if count < 4:
-        # Two spheres with one centre
-        return 0.0, UP, row_point(room, 0, 3), row_point(room, 0, 6)
-    faces = _first_faces(room)
-    least = np.inf
+        # Two spheres with the same centre
+        return 0.0, UP, scratch_vec3(scratch, 0, 3), scratch_vec3(scratch, 0, 6)
+    faces = _make_tetrahedron(scratch)
+    depth_bound = np.inf
     outward = UP
     i, j, k = 0, 1, 2
-    for new in range(count, MOST_VERTICES):
-        face = _nearest_face(room, faces)
-        normal = row_point(room, face, 0)
-        lower = room[face, 3]
+    for new in range(count, MAX_VERTICES):
+        face = _closest_face(scratch, faces)
+        normal = scratch_vec3(scratch, face, 0)
+        lower = scratch[face, 3]
         against = (-normal[0], -normal[1], -normal[2])
-        w = put_difference(table, a, turn_a, b, turn_b, offset, against, room, new)
-        # What this normal needs to part the shapes
+        w = minkowski_support(table, a, rotation_a, b, rotation_b, offset, against, scratch, new)
+        # Moving the shapes apart by this much along the normal separates them
         upper = dot(normal, w)
-        done = upper - lower <= EXACT + RELATIVE * abs(upper)
+        done = upper - lower <= ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * abs(upper)
         if done:
-            face = _foot_face(room, faces, face)
-        if upper < least or done:
-            least = upper
+            face = _find_projection_face(scratch, faces, face)
+        if upper < depth_bound or done:
+            depth_bound = upper
             outward = normal
-            i = int(room[face, 4])
-            j = int(room[face, 5])
-            k = int(room[face, 6])
+            i = int(scratch[face, 4])
+            j = int(scratch[face, 5])
+            k = int(scratch[face, 6])
         if done:
             break
-        faces = _grow(room, faces, new)
+        faces = _expand_polytope(scratch, faces, new)
         if faces == 0:
             break
-    shares = _shares(room, i, j, k, plus((0.0, 0.0, 0.0), least, outward))
-    on_a = _mean(room, i, j, k, shares, 3)
-    on_b = _mean(room, i, j, k, shares, 6)
-    return -least, (-outward[0], -outward[1], -outward[2]), on_a, on_b
+    weights = _barycentric_weights(scratch, i, j, k, plus((0.0, 0.0, 0.0), depth_bound, outward))
+    on_a = _interpolate_face(scratch, i, j, k, weights, 3)
+    on_b = _interpolate_face(scratch, i, j, k, weights, 6)
+    return -depth_bound, (-outward[0], -outward[1], -outward[2]), on_a, on_b

@@ -1,4 +1,4 @@
-"""Reading of Wavefront OBJ files: the corners of each of their objects."""
+"""Reader of Wavefront OBJ files: the vertices of each object."""
 
 import re
 from pathlib import Path
@@ -8,48 +8,47 @@ import numpy as np
 from bulletuav.errors import read_file, require_file, shown
 from bulletuav.parsing import parse_number, plain_digits
 
-MOST_LINES = 1_000_000
-"""Most lines of a file"""
+MAX_LINES = 1_000_000
+"""Maximum number of lines of a file"""
 WORD = re.compile("[^ \t]+")
 
 
 def read_obj(path: str | Path) -> list[np.ndarray]:
-    """Read the corners of each object of a Wavefront OBJ file.
+    """Read the vertices of each object of a Wavefront OBJ file.
 
-    An object begins with a line `o`, and has the corners that its faces name: the engine, too,
-    takes no others.
+    An object starts with a line `o`. Only the vertices that its faces use are read, as Bullet does.
 
     Args:
-        path: Where the file is.
+        path: Path of the file.
 
     Returns:
-        Corners (V, 3) of each object, in the file's units.
+        Vertices (V, 3) of each object, in the units of the file.
 
     Raises:
-        ValueError: A line cannot be read, or there is no face.
-        FileNotFoundError: There is no such file.
+        ValueError: If a line cannot be parsed, or there is no face.
+        FileNotFoundError: If the file does not exist.
     """
-    # A limit, as files may be of anybody
+    # Files may come from untrusted sources, so their size is limited
     path = require_file("mesh", path, "pass the path of a Wavefront OBJ file")
-    # Lines and words end where the engine takes them to end: it must count the same corners
+    # Split lines and words exactly as Bullet does, so that both read the same vertices
     lines = read_file(path, newline="").split("\n")
-    if len(lines) > MOST_LINES:
-        raise ValueError(f"{path}: {len(lines)} lines, at most {MOST_LINES} are read: simplify it")
+    if len(lines) > MAX_LINES:
+        raise ValueError(f"{path}: {len(lines)} lines, at most {MAX_LINES} are read: simplify it")
     corners: list[tuple[float, ...]] = []
     objects: list[set[int]] = [set()]
     for number, line in enumerate(lines, start=1):
-        # Empty lines and comments have words that mean nothing here
+        # Empty lines, comments and unknown keywords are ignored
         word, *values = WORD.findall(line.rstrip("\r")) or [""]
         try:
             if word == "o":
                 objects.append(set())
             elif word == "v":
-                corners.append(_point(values))
+                corners.append(_parse_vertex(values))
             elif word == "f":
-                objects[-1].update(_corner(value, len(corners)) for value in values)
+                objects[-1].update(_parse_index(value, len(corners)) for value in values)
         except ValueError:
             raise ValueError(f"{path}: line {number} is {shown(line)}: it cannot be read") from None
-    # Objects without faces have no corners to take
+    # Objects without faces have no vertices
     points = np.array(corners).reshape(-1, 3)
     found = [points[sorted(one)] for one in objects if one]
     if not found:
@@ -57,21 +56,21 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
     return found
 
 
-def _point(values: list[str]) -> tuple[float, ...]:
-    """Read the coordinates of a corner.
+def _parse_vertex(values: list[str]) -> tuple[float, ...]:
+    """Parse the coordinates of a vertex.
 
     Raises:
-        ValueError: They are not finite numbers.
+        ValueError: If they are not finite numbers.
     """
     x, y, z = map(parse_number, values[:3])
     return x, y, z
 
 
-def _corner(text: str, count: int) -> int:
-    """Read the index of a corner, such as 3, 3/1/2 or -1 (the last one), of those so far.
+def _parse_index(text: str, count: int) -> int:
+    """Parse a vertex index, such as 3, 3/1/2 or -1 (the last vertex), of `count` vertices so far.
 
     Raises:
-        ValueError: There is no such corner.
+        ValueError: If there is no such vertex.
     """
     index = int(plain_digits(text.split("/")[0]))
     place = index - 1 if index > 0 else count + index

@@ -1,7 +1,7 @@
-"""What drones can touch in each world, as one table for compiled code.
+"""Shapes and poses of everything that drones can touch, as one table for compiled code.
 
-Its pieces are convex: the drones themselves, obstacles, bodies that users add, and the pieces of
-city layouts. The ground is the half space z <= 0.
+All shapes are convex: the drones, obstacles, bodies that users add, and the pieces of city layouts.
+The ground is the half-space z <= 0.
 """
 
 from collections.abc import Sequence
@@ -10,35 +10,35 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.geometry.city_grid import CityGrid
-from bulletuav.geometry.convex import ShapeTable, hull_shape, insert_shapes, make_shape_table
+from bulletuav.geometry.convex import ShapeTable, insert_shapes, make_hull_shape, make_shape_table
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import BOX, HALF_SPACE, Shape
 from bulletuav.geometry.solids import Solids
 
 NOWHERE = -2000.0
-"""Coordinate x, y and z of pieces that are not placed, m: far below the ground"""
+"""Coordinate x, y and z of pieces that are not in a world, m: far below the ground"""
 
 
 class Scenery(NamedTuple):
     """Shapes of N drones, R pieces of bodies in each of W worlds, and T pieces of city layouts.
 
-    Poses are in each world's own frame. Bodies that are added later make a new `Scenery`.
+    Poses are in the frame of each world. Adding a body makes a new `Scenery`.
 
     Attributes:
-        table: Shapes of the drones (0 to N - 1), of the pieces of bodies (`first_body` and on), of
-            the pieces of all layouts (`first_piece` and on), and last of the ground.
-        first_body: Number of the first body's shape: N.
-        first_piece: Number of the shape of the first layout's first piece: N + R.
-        ground: Number of the ground's shape: N + R + T.
-        place: (W, R, 3) positions of the pieces of bodies, m; NOWHERE where they are not placed.
-        quaternion: (W, R, 4) their attitudes, body to world.
-        velocity: (W, R, 3) their velocities, m/s.
-        other: (R,) what a contact calls the body that a piece is part of.
-        piece_place: (T, 3) origins of the layouts' pieces, the middles of their bounding boxes, m.
-            They are not turned.
+        table: Shapes of the drones (0 to N - 1), of the pieces of bodies (from `first_body`), of
+            the pieces of all layouts (from `first_piece`), and last of the ground.
+        first_body: Index of the shape of the first body: N.
+        first_piece: Index of the shape of the first piece of the first layout: N + R.
+        ground: Index of the ground's shape: N + R + T.
+        place: (W, R, 3) positions of the pieces of bodies, m; NOWHERE if they are not in the world.
+        quaternion: (W, R, 4) attitudes of the pieces of bodies, body to world.
+        velocity: (W, R, 3) velocities of the pieces of bodies, m/s.
+        other: (R,) index in `Contacts.other` of the body to which a piece belongs.
+        piece_place: (T, 3) origins of the layouts' pieces, the centres of their bounding boxes, m.
+            They are not rotated.
         friction: (R,) coefficients of friction of the pieces of bodies.
-        restitution: (R,) share of the speed that an impact with them gives back.
-        city_grid: The layouts' pieces by cells, and which layout stands in each world.
+        restitution: (R,) coefficients of restitution of the pieces of bodies.
+        city_grid: Grid of the layouts' pieces, and the layout of each world.
     """
 
     table: ShapeTable
@@ -55,13 +55,13 @@ class Scenery(NamedTuple):
     city_grid: CityGrid
 
 
-class Piece(NamedTuple):
+class BodyPiece(NamedTuple):
     """One convex piece of a body.
 
     Attributes:
-        shape: Its shape in axes of its own.
-        place: (3,) its origin in the body's axes, m.
-        quaternion: (4,) its turn, piece to body.
+        shape: Shape of the piece in its own axes.
+        place: (3,) origin of the piece in the body's axes, m.
+        quaternion: (4,) rotation from the piece's axes to the body's.
     """
 
     shape: Shape
@@ -76,24 +76,27 @@ def make_scenery(
     layouts: Sequence[Solids],
     city_grid: CityGrid,
 ) -> Scenery:
-    """Make the table of what stands before anything is added; no obstacle is placed.
+    """Make the scenery of drones, obstacles and city layouts; no obstacle is placed.
 
     Args:
         drones: Shapes of the N drones of a world.
         obstacles: The K obstacles of each world, one piece each.
-        others: What a contact calls each obstacle.
+        others: Index in `Contacts.other` of each obstacle.
         layouts: The city layouts.
         city_grid: The grid of these layouts.
+
+    Returns:
+        The scenery.
     """
     num_worlds = len(city_grid.layout)
     count = len(obstacles)
-    # Pieces of cities never turn, so their boxes are known from the start
+    # Pieces of cities are never rotated, so their bounding boxes are constant
     place = (city_grid.low + city_grid.high) / 2
     half = (city_grid.high - city_grid.low) / 2
     pieces = _city_shapes(layouts, place, half)
     # Order of the table: drones, obstacles, pieces, and the ground last
     shapes = [*drones, *(one.shape for one in obstacles), *pieces, Shape(HALF_SPACE, (np.inf,) * 3)]
-    # Obstacles are nowhere until an episode puts them somewhere
+    # Obstacles are outside the worlds until a reset places them
     upright = np.zeros((num_worlds, count, 4))
     upright[..., 3] = 1.0
     return Scenery(
@@ -112,12 +115,8 @@ def make_scenery(
     )
 
 
-def _city_shapes(
-    layouts: Sequence[Solids],
-    place: np.ndarray,
-    half: np.ndarray,
-) -> list[Shape]:
-    """Make the shapes of all pieces of layouts, about their places (T, 3); half extents (T, 3)."""
+def _city_shapes(layouts: Sequence[Solids], place: np.ndarray, half: np.ndarray) -> list[Shape]:
+    """Make the shapes of all pieces from their centres (T, 3) and half extents (T, 3)."""
     shapes: list[Shape] = []
     for solids in layouts:
         # Boxes come first, then hulls, as in the grid.
@@ -125,7 +124,7 @@ def _city_shapes(
             width, depth, height = half[len(shapes)].tolist()
             shapes.append(Shape(BOX, (width, depth, height)))
         for hull in solids.hulls:
-            shapes.append(hull_shape(hull - place[len(shapes)]))
+            shapes.append(make_hull_shape(hull - place[len(shapes)]))
     return shapes
 
 
@@ -138,16 +137,19 @@ def add_pieces(
     friction: float,
     restitution: float,
 ) -> Scenery:
-    """Make a scenery that has one more body.
+    """Make a scenery with one more body.
 
     Args:
-        scenery: The one before.
+        scenery: The present scenery.
         shapes: Shapes of the P pieces of the body.
-        place: (W, P, 3) their positions, m; NOWHERE in worlds where the body is not.
-        quaternion: (W, P, 4) their attitudes, body to world.
-        other: What a contact calls the body.
+        place: (W, P, 3) positions of the pieces, m; NOWHERE in worlds without the body.
+        quaternion: (W, P, 4) attitudes of the pieces, body to world.
+        other: Index in `Contacts.other` of the body.
         friction: Coefficient of friction.
-        restitution: Share of the speed that an impact gives back.
+        restitution: Coefficient of restitution.
+
+    Returns:
+        The extended scenery.
     """
     count = len(shapes)
     table = insert_shapes(scenery.table, scenery.first_piece, make_shape_table(shapes))

@@ -1,8 +1,7 @@
-"""Solid things that stand still during an episode, made of convex pieces.
+"""Solids that do not move during an episode, made of convex pieces.
 
-A piece is an axis-aligned box, or the convex hull of points for everything else. A mesh is a pair
-of arrays: corners (V, 3), m, and triangles (T, 3), which are indices of corners and turn left seen
-from outside.
+A piece is an axis-aligned box, or the convex hull of points. A mesh is a pair of arrays: vertices
+(V, 3), m, and triangles (T, 3), which are indices of vertices, counterclockwise seen from outside.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 Mesh = tuple[np.ndarray, np.ndarray]
-"""Corners (V, 3), m, and triangles (T, 3)."""
+"""Vertices (V, 3), m, and triangles (T, 3)."""
 
 BOX_TRIANGLES = np.array(
     [
@@ -22,17 +21,17 @@ BOX_TRIANGLES = np.array(
 )  # fmt: skip
 """Triangles of a box.
 
-Corner k has x, y, z at the high end where bits 0, 1, 2 of k are set.
+Corner k has its maximum x, y, z if bits 0, 1, 2 of k are set.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Solids:
-    """Convex pieces: boxes first, then hulls. There are P of them.
+    """P convex pieces: boxes first, then hulls.
 
     Attributes:
         boxes: (B, 2, 3) low and high corner of each box, m.
-        hulls: Corners (V, 3), m, in any order, of each other piece.
+        hulls: Points (V, 3), m, in any order, of each hull.
     """
 
     boxes: np.ndarray
@@ -56,7 +55,7 @@ class Solids:
         return join_meshes(self.faces)
 
     def meshes(self, most: int) -> list[Mesh]:
-        """Split the mesh into parts of about `most` corners of triangles, whole pieces each."""
+        """Split the mesh at piece boundaries into parts of about `most` triangle corners each."""
         corners = [3 * len(triangles) for _, triangles in self.faces]
         part = np.cumsum(corners, dtype=int) // most
         return [
@@ -65,9 +64,9 @@ class Solids:
 
 
 def join_meshes(faces: Sequence[Mesh]) -> Mesh:
-    """Make one mesh of several, which keep their order."""
+    """Join several meshes into one, in their order."""
     vertices = [corners for corners, _ in faces]
-    # Triangles count from the first corner of their own mesh on.
+    # Shift the vertex indices of each mesh by the number of vertices before it.
     firsts = np.cumsum([0] + [len(corners) for corners in vertices])
     triangles = [one + first for (_, one), first in zip(faces, firsts, strict=False)]
     return (
@@ -83,12 +82,12 @@ def box_corners(box: np.ndarray) -> np.ndarray:
 
 
 def _hull_faces(corners: np.ndarray) -> Mesh:
-    """Return the mesh of the convex hull of points (V, 3).
+    """Compute the mesh of the convex hull of points (V, 3).
 
     Raises:
-        ValueError: The points span no volume.
+        ValueError: If the points span no volume.
     """
-    # SciPy's hulls take long to import, and boxes do without.
+    # Imported here because it is slow and boxes do not need it.
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -96,7 +95,7 @@ def _hull_faces(corners: np.ndarray) -> Mesh:
     except QhullError:
         raise ValueError(f"a piece with the corners {corners.tolist()} m spans no volume") from None
     faces = hull.simplices.astype(int)
-    # Turn those faces round whose normal does not point along the outward one of the hull.
+    # Flip faces whose normal points inwards.
     a, b, c = (corners[faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     inward = (normals * hull.equations[:, :3]).sum(axis=1) < 0
@@ -104,11 +103,11 @@ def _hull_faces(corners: np.ndarray) -> Mesh:
     return corners, faces
 
 
-def obj_lines(pieces: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Iterator[str]:
-    """Write pieces as a Wavefront OBJ file, one object each, with all digits.
+def format_obj_lines(pieces: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Iterator[str]:
+    """Format pieces as the lines of a Wavefront OBJ file, one object each, in full precision.
 
     Args:
-        pieces: Name, corners (V, 3) and triangles (T, 3) of each.
+        pieces: Name, vertices (V, 3) and triangles (T, 3) of each piece.
 
     Yields:
         The lines of the file.
@@ -121,21 +120,21 @@ def obj_lines(pieces: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Iterator[
         first += len(corners)
 
 
-def apart_groups(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
-    """Group pieces so that the members of a group keep a distance from each other.
+def group_separated(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
+    """Group pieces so that the members of a group are separated by a minimum distance.
 
-    Greedy graph colouring: few groups, and the same for the same pieces.
+    Greedy graph colouring: it gives few groups, and is deterministic.
 
     Args:
         bounds: (P, 2, 3) bounding boxes of the pieces, m.
-        apart: The distance along at least one axis, m.
+        apart: Minimum distance along at least one axis, m.
 
     Returns:
         Indices of the pieces of each group.
     """
     colour = np.full(len(bounds), -1)
     for p, (low, high) in enumerate(bounds):
-        # Take the first colour that no close piece has.
+        # Use the first colour that no close piece has.
         gap = np.maximum(bounds[:p, 0] - high, low - bounds[:p, 1]).max(axis=1, initial=-np.inf)
         taken = set(colour[:p][gap < apart].tolist())
         colour[p] = next(k for k in range(p + 1) if k not in taken)

@@ -1,4 +1,4 @@
-"""Camera matrices in the conventions of OpenGL, row by column, for column vectors."""
+"""Camera matrices in the conventions of OpenGL, for column vectors."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,23 +6,23 @@ from typing import NamedTuple
 import numpy as np
 
 NEAR = 0.05
-"""Distance along the view axis at which cameras begin to see, m."""
+"""Near clipping distance of cameras along the view axis, m."""
 FAR = 2000.0
-"""Distance along the view axis to which cameras of drones see, m."""
+"""Far clipping distance of the drones' cameras along the view axis, m."""
 
-AIR = (206, 224, 240)
+SKY_COLOUR = (206, 224, 240)
 """Colour of the sky: red, green, blue, from 0 to 255."""
 SKY, LAND, BUILDING, OBSTACLE, DRONE = range(5)
-"""Labels of what a pixel shows."""
+"""Segmentation labels of pixels."""
 
 
 class Picture(NamedTuple):
-    """An image of a camera, H pixels high and W wide.
+    """A camera image, H pixels high and W wide.
 
     Attributes:
         pixels: (H, W, 3) uint8, red, green, blue.
-        depth: (H, W) float32, distance along the view axis, m; FAR where nothing is.
-        labels: (H, W) uint8, what each pixel shows: SKY, LAND, BUILDING, OBSTACLE or DRONE.
+        depth: (H, W) float32, distance along the view axis, m; FAR for the sky.
+        labels: (H, W) uint8, segmentation: SKY, LAND, BUILDING, OBSTACLE or DRONE.
     """
 
     pixels: np.ndarray
@@ -30,12 +30,12 @@ class Picture(NamedTuple):
     labels: np.ndarray
 
 
-class Shot(NamedTuple):
-    """What a camera sees, before anything is drawn.
+class CameraMatrices(NamedTuple):
+    """Matrices and image size of a camera, from which an image is rendered.
 
     Attributes:
-        view: (4, 4) matrix from the world's own frame to the camera's; see `view_matrix`.
-        projection: (4, 4) matrix of the camera; see `projection_matrix`.
+        view: (4, 4) matrix from the world's frame to the camera's; see `view_matrix`.
+        projection: (4, 4) matrix from the camera to clip space; see `projection_matrix`.
         size: Width and height, pixels.
     """
 
@@ -45,21 +45,19 @@ class Shot(NamedTuple):
 
 
 def view_matrix(
-    eye: np.ndarray,
-    target: np.ndarray,
-    up: Sequence[float] = (0.0, 0.0, 1.0),
+    eye: np.ndarray, target: np.ndarray, up: Sequence[float] = (0.0, 0.0, 1.0)
 ) -> np.ndarray:
-    """Return the view matrix of a camera that looks at a point.
+    """Compute the view matrix of a camera that looks at a point.
 
     Args:
-        eye: (3,) where the camera is, m.
-        target: (3,) where it looks, m.
+        eye: (3,) position of the camera, m.
+        target: (3,) point at the centre of the image, m.
         up: Direction that is up in the image.
 
     Returns:
         (4, 4) matrix from the world to the camera: x right, y up, z backward.
     """
-    # The camera's axes in the world are the rows of its rotation.
+    # The rows of the rotation are the camera's axes in the world.
     back = (eye - target) / np.linalg.norm(eye - target)
     right = np.cross(up, back)
     right /= np.linalg.norm(right)
@@ -69,17 +67,13 @@ def view_matrix(
     return matrix
 
 
-def projection_matrix(
-    aspect: float,
-    field_of_view: float,
-    far: float = FAR,
-) -> np.ndarray:
-    """Return the perspective projection from NEAR on.
+def projection_matrix(aspect: float, field_of_view: float, far: float = FAR) -> np.ndarray:
+    """Compute the perspective projection matrix of a camera with near distance NEAR.
 
     Args:
-        aspect: Width of the image over its height.
-        field_of_view: Vertical angle of view, degrees.
-        far: Distance along the view axis to which the camera sees, m. `metres` is for FAR.
+        aspect: Width of the image divided by its height.
+        field_of_view: Vertical field of view, degrees.
+        far: Far clipping distance, m. `linearise_depth` expects FAR.
 
     Returns:
         (4, 4) matrix from the camera to clip space.
@@ -91,12 +85,15 @@ def projection_matrix(
     return matrix
 
 
-def refocused(depth: np.ndarray, far: float) -> np.ndarray:
-    """Correct depths that `metres` gave for a projection that sees to `far`, m."""
+def rescale_depth(depth: np.ndarray, far: float) -> np.ndarray:
+    """Correct depths of `linearise_depth` for a projection with another far distance, m."""
     buffer = (FAR - NEAR * FAR / depth) / (FAR - NEAR)
     return NEAR * far / (far - (far - NEAR) * buffer)
 
 
-def metres(buffer: np.ndarray) -> np.ndarray:
-    """Turn a depth buffer in [0, 1], of a projection to FAR, into depth along the view axis, m."""
+def linearise_depth(buffer: np.ndarray) -> np.ndarray:
+    """Convert a depth buffer in [0, 1] of a projection with far distance FAR to depth, m.
+
+    Depth is the distance along the view axis.
+    """
     return NEAR * FAR / (FAR - (FAR - NEAR) * buffer)

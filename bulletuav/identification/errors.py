@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bulletuav.geometry.rotation import exponential
+from bulletuav.geometry.rotation import exp_map
 from bulletuav.identification.constants import Constant
 from bulletuav.identification.flight import LoggedFlight
 from bulletuav.identification.rollout import STATE_SIZE, Legs, roll_out, simulate_rotors
@@ -136,7 +136,7 @@ def _predict(flight: LoggedFlight, legs: Legs, inputs: _RotorInputs) -> np.ndarr
 
 def tilt_quaternion(log_parameters: np.ndarray) -> tuple[float, float, float, float]:
     """Return the quaternion from the drone's body to the body whose attitude was measured."""
-    return exponential((TILT_UNIT * log_parameters[1], TILT_UNIT * log_parameters[2], 0.0))
+    return exp_map((TILT_UNIT * log_parameters[1], TILT_UNIT * log_parameters[2], 0.0))
 
 
 def compute_differences(

@@ -15,7 +15,7 @@ from bulletuav.identification.smoothing import (
     savgol_window,
 )
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
-from bulletuav.vehicle.battery import speed_share
+from bulletuav.vehicle.battery import battery_speed_ratio
 from bulletuav.vehicle.rotors import RPM
 
 MIN_SAMPLE_INTERVAL = 0.005
@@ -92,7 +92,7 @@ class LoggedFlight:
 def _speed_fractions(volts: np.ndarray, nominal: float, fraction: np.ndarray) -> None:
     """Compute the fractions of the commanded speed that motors reach at voltages (n,)."""
     for k in range(volts.size):
-        fraction[k] = speed_share(volts[k], nominal)
+        fraction[k] = battery_speed_ratio(volts[k], nominal)
 
 
 def logged_speeds(log: Log, airframe: Airframe) -> np.ndarray:

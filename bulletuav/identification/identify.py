@@ -28,7 +28,7 @@ from bulletuav.identification.fitting import (
 from bulletuav.identification.flight import prepare_log
 from bulletuav.identification.logs import OTHER, parse_map, read_log
 from bulletuav.vehicle.airframe import Airframe
-from bulletuav.vehicle.airframes import HEAVIEST, load_airframe
+from bulletuav.vehicle.airframes import MAX_MASS, load_airframe
 
 WINDOW = 0.5
 """Default duration of a window, s"""
@@ -147,7 +147,7 @@ def identify(
     """
     drone = load_airframe(airframe)
     if mass is not None:
-        drone = dataclasses.replace(drone, mass=finite("mass", mass, 1e-3, HEAVIEST))
+        drone = dataclasses.replace(drone, mass=finite("mass", mass, 1e-3, MAX_MASS))
     window = finite("window", window, 0.1, 5.0)
     sources = parse_map(columns)
     check_distinct_logs([Path(log) for log in logs])

@@ -8,8 +8,8 @@ from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
 from bulletuav.dynamics.base import Air, surroundings
 from bulletuav.dynamics.integration import lag_stages, rk4, turn_rotors
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, point, product
-from bulletuav.vehicle.rotors import lag_decay, lagged
-from bulletuav.vehicle.swarm import Swarm, get, put
+from bulletuav.vehicle.rotors import lag_decay, rotor_speed_after
+from bulletuav.vehicle.swarm import Swarm, get_state, set_state
 from bulletuav.vehicle.wakes import Wakes, sum_wakes
 
 STATE_SIZE = 13
@@ -65,7 +65,7 @@ def simulate_rotors(command: np.ndarray, row: np.record, dt: float, speed: np.nd
         now = command[0, r]
         for k in range(command.shape[0]):
             speed[k, r] = now
-            now = lagged(now, command[k, r], decay)
+            now = rotor_speed_after(now, command[k, r], decay)
 
 
 @func
@@ -141,7 +141,7 @@ def roll_out(
             point(track.velocity, first),
             point(track.rates, first),
         )
-        put(swarm, 0, 0, begin)
+        set_state(swarm, 0, 0, begin)
         for r in range(num_rotors):
             swarm.rotor_speed[0, 0, r] = speed[first, r]
         for step in range(legs.num_states * legs.stride):
@@ -154,11 +154,11 @@ def roll_out(
                 wanted[0, r] = command[now, r]
             rotors = turn_rotors(swarm.rotor_speed[0, 0], wanted[0], 1.0, decay[0], row, speeds)
             around = surroundings(air, 0, 0, wakes.felt[0])
-            state = rk4(get(swarm, 0, 0), speeds, rotors, dt, around, row)
+            state = rk4(get_state(swarm, 0, 0), speeds, rotors, dt, around, row)
             if legs.guided:
                 measured = _measured_attitude(track.quaternion, now + 1, tilt)
                 state = (state[0], measured, state[2], point(track.rates, now + 1))
-            put(swarm, 0, 0, state)
+            set_state(swarm, 0, 0, state)
             if (step + 1) % legs.stride == 0:
                 pick = step // legs.stride
                 for k in range(3):

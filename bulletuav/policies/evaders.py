@@ -3,7 +3,7 @@
 import numpy as np
 
 from bulletuav.compiled.functions import cos, sin
-from bulletuav.conflict.measures import offsets
+from bulletuav.conflict.measures import pair_offsets
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.game import Game
 from bulletuav.registry import register
@@ -44,7 +44,7 @@ class FleeWeighted(Game):
 
     def velocities(self, swarm: Swarm) -> np.ndarray:
         """Return full-speed velocities along the summed repulsion; see `Game.velocities`."""
-        ways = offsets(swarm.position)
+        ways = pair_offsets(swarm.position)
         distance = np.maximum(np.linalg.norm(ways, axis=-1, keepdims=True), NEAR)
         there = self.aviary.alive[:, None, :, None]
         push = np.where(there, -ways / distance**3, 0.0).sum(axis=2)
@@ -75,7 +75,7 @@ class FleeGap(Game):
 
     def velocities(self, swarm: Swarm) -> np.ndarray:
         """Return velocities into the widest gap; see `Game.velocities`."""
-        ways = offsets(swarm.position)
+        ways = pair_offsets(swarm.position)
         ways = ways / np.maximum(np.linalg.norm(ways, axis=-1, keepdims=True), NEAR)
         # Cosine of the angle between each direction and its nearest opponent.
         cosine = ways @ self._directions.T

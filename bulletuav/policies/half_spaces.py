@@ -13,7 +13,7 @@ import numpy as np
 
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.geometry.closest_approach import keep_nearest
+from bulletuav.geometry.closest_approach import insert_nearest
 from bulletuav.geometry.rotation import Vec3, cross, dot, plus, vec3
 from bulletuav.policies.linear_program import solve_velocity, write_half_space
 from bulletuav.policies.traffic import Traffic
@@ -84,7 +84,7 @@ def find_nearest_drones(
             offset = vec3(traffic.offset[w], i, k)
             square = dot(offset, offset)
             if square <= reach * reach:
-                found = keep_nearest(near, distance, found, k, square)
+                found = insert_nearest(near, distance, found, k, square)
     return found
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletuav.geometry.closest_approach import distances
+from bulletuav.geometry.closest_approach import paired_distances
 from bulletuav.policies.game import Game
 from bulletuav.policies.intercept import interception, shared_face
 from bulletuav.registry import register
@@ -59,7 +59,7 @@ class AreaMinimising(Game):
         position, task, scene = swarm.position, self.aviary.task, self.aviary.scene
         face, is_beside = np.zeros(position.shape), np.zeros(position.shape[:2], dtype=bool)
         low, high = self.box
-        far = distances(scene.goal, position) > CLOSE
+        far = paired_distances(scene.goal, position) > CLOSE
         chasing = self.aviary.alive & self.opponents().any(axis=2) & far
         for w, i in np.argwhere(chasing).tolist():
             mates = np.flatnonzero(self.aviary.alive[w] & (task.team == task.team[i]))

@@ -8,7 +8,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from bulletuav.conflict.measures import offsets
+from bulletuav.conflict.measures import pair_offsets
 from bulletuav.control.actions import limit_norm
 from bulletuav.policies.base import Policy
 from bulletuav.policies.coverage import Oracle
@@ -106,7 +106,7 @@ class Crash(Scripted):
     def velocities(self, swarm: Swarm) -> np.ndarray:
         """Return velocities to the nearest body; see `Scripted.velocities`."""
         position = swarm.position
-        ways = offsets(position)
+        ways = pair_offsets(position)
         distance = np.linalg.norm(ways, axis=-1)
         alive = self.aviary.alive[:, None] & ~np.eye(position.shape[1], dtype=bool)
         distance = np.where(alive, distance, np.inf)

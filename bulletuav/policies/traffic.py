@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, kernel
-from bulletuav.geometry.convex import hull_shape, make_shape_table
+from bulletuav.geometry.convex import make_hull_shape, make_shape_table
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, vec3
 from bulletuav.geometry.shapes import distance_from_box
 from bulletuav.geometry.solids import Solids
@@ -96,7 +96,7 @@ def tabulate_buildings(layouts: Sequence[Solids]) -> Buildings:
         for hull in solids.hulls:
             # Faces of shapes are relative to the centre of the shape, not to the world origin.
             middle = hull.mean(axis=0)
-            faces = make_shape_table([hull_shape(hull - middle)]).plane
+            faces = make_shape_table([make_hull_shape(hull - middle)]).face_planes
             plane.append(np.column_stack([faces[:, :3], faces[:, 3] + faces[:, :3] @ middle]))
             planes.append((count, count + len(faces)))
             count += len(faces)

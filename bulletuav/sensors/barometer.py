@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.earth.atmosphere import HIGHEST, LOWEST, pressure, pressure_altitude
+from bulletuav.earth.atmosphere import MAX_HEIGHT, MIN_HEIGHT, pressure, pressure_altitude
 from bulletuav.engine.engine import Engine
 from bulletuav.errors import finite
 from bulletuav.registry import register
@@ -97,7 +97,7 @@ class Barometer(Sensor):
         self._drift += moment.flying[:, None] * self._root * self.walk * normal[..., 0]
         error = self.bias + self._drift + self.noise * normal[..., 1]
         # The standard atmosphere is defined within these altitudes only.
-        height = np.clip(self._altitude + moment.after.position[mask, 2], LOWEST, HIGHEST)
+        height = np.clip(self._altitude + moment.after.position[mask, 2], MIN_HEIGHT, MAX_HEIGHT)
         measured = np.clip(pressure(height) + error[mask], *PRESSURES)
         self._pressure[mask] = measured
         self._height[mask] = pressure_altitude(measured) - self._altitude

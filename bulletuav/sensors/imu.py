@@ -16,7 +16,7 @@ from bulletuav.sensors.base import (
     Uncertain,
     vector_labels,
 )
-from bulletuav.vehicle.swarm import Swarm, get
+from bulletuav.vehicle.swarm import Swarm, get_state
 
 MAX_FORCE = 100.0
 """Bound of an observed specific force, m/s^2"""
@@ -70,7 +70,7 @@ def _measure(
     """
     for w in worlds:
         for i in range(reading.shape[1]):
-            _, quaternion, velocity, rates = get(after, w, i)
+            _, quaternion, velocity, rates = get_state(after, w, i)
             start = vec3(before.velocity, w, i)
             force = specific_force(quaternion, start, velocity, period, gravity)
             truth = force, rates

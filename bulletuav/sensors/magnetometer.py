@@ -7,7 +7,13 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.compiled.kernel import kernel
-from bulletuav.earth.magnetism import EPOCH, HIGHEST, LOWEST, decimal_year, magnetic_field
+from bulletuav.earth.magnetism import (
+    EPOCH,
+    MAX_ALTITUDE,
+    MIN_ALTITUDE,
+    decimal_year,
+    magnetic_field,
+)
 from bulletuav.engine.engine import Engine
 from bulletuav.errors import finite
 from bulletuav.geometry.rotation import quat4, to_body
@@ -93,7 +99,7 @@ class Magnetometer(Sensor):
         self._place = (
             finite("latitude", latitude, -90.0, 90.0),
             finite("longitude", longitude, -180.0, 180.0),
-            finite("altitude", altitude, LOWEST, HIGHEST),
+            finite("altitude", altitude, MIN_ALTITUDE, MAX_ALTITUDE),
         )
         self._year = decimal_year(date)
 

@@ -12,7 +12,7 @@ from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3Like, axes, quat4, to_body, vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
-from bulletuav.vehicle.swarm import Swarm, get
+from bulletuav.vehicle.swarm import Swarm, get_state
 
 MIN_DISTANCE, DEFAULT_MAX_FLOW = 0.08, 7.4
 """m, rad/s; minimum distance and maximum flow of a PMW3901 (PixArt's datasheet, as in PX4)"""
@@ -120,7 +120,7 @@ def _measure(
             for k in range(3):
                 flow[w, i, k] = 0.0
             # Is the ground visible and within range?
-            _, quaternion, velocity, rates = get(swarm, w, i)
+            _, quaternion, velocity, rates = get_state(swarm, w, i)
             far = distance[w, i]
             if fails[w, i] or far < nearest or far >= farthest:
                 continue

@@ -7,7 +7,7 @@ import numpy as np
 from bulletuav.compiled.kernel import kernel
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.clearance import measure_clearance
-from bulletuav.geometry.gjk import make_room
+from bulletuav.geometry.gjk import make_scratch
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup
 from bulletuav.vehicle.swarm import Swarm
@@ -103,7 +103,7 @@ def clearances(engine: Engine, swarm: Swarm, mask: np.ndarray, max_distance: flo
         `max_distance` if nothing is nearer, and for drones outside `mask`.
     """
     poses = swarm.position, swarm.quaternion
-    return measure_clearance(engine.scenery, *poses, mask, max_distance, make_room())
+    return measure_clearance(engine.scenery, *poses, mask, max_distance, make_scratch())
 
 
 AHEAD = {

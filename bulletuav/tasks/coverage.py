@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.conflict.measures import offsets
+from bulletuav.conflict.measures import pair_offsets
 from bulletuav.registry import register
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
@@ -189,7 +189,7 @@ class Coverage(Task[CoverageConfig]):
 
     def _drones_too_near(self, frame: Frame) -> np.ndarray:
         """Count the other living drones closer than `min_separation`, (W, N)."""
-        distance = np.linalg.norm(offsets(frame.after.position), axis=-1)
+        distance = np.linalg.norm(pair_offsets(frame.after.position), axis=-1)
         is_near = distance < self.config.min_separation
         is_other = frame.alive[:, None] & ~np.eye(self.context.num_drones, dtype=bool)
         count: np.ndarray = (is_near & is_other).sum(axis=-1).astype(float)

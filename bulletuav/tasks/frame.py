@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.conflict.separation import Conflict, conflict
+from bulletuav.conflict.separation import Conflict, measure_conflict
 from bulletuav.errors import unknown
 from bulletuav.geometry.city_grid import NO_LAYOUT
-from bulletuav.geometry.closest_approach import distances
+from bulletuav.geometry.closest_approach import paired_distances
 from bulletuav.sensors.lidar import Beam
 from bulletuav.vehicle.swarm import Contacts, Swarm
 
@@ -243,7 +243,7 @@ class Frame:
     def conflict(self) -> Conflict:
         """Separations and conflicts within the decision."""
         before, after = self.before.position, self.after.position
-        return conflict(before, after, self.alive, self.d_safe, self.zone)
+        return measure_conflict(before, after, self.alive, self.d_safe, self.zone)
 
     @property
     def known_position(self) -> np.ndarray:
@@ -258,7 +258,7 @@ class Frame:
     @cached_property
     def known_distance(self) -> np.ndarray:
         """(W, N) distance from the measured position to the goal, m."""
-        return distances(self.scene.goal, self.known_position)
+        return paired_distances(self.scene.goal, self.known_position)
 
     @property
     def depleted(self) -> np.ndarray:
@@ -311,12 +311,12 @@ class Frame:
     @cached_property
     def distance(self) -> np.ndarray:
         """(W, N) distance to the goal after the decision, m."""
-        return distances(self.scene.goal, self.after.position)
+        return paired_distances(self.scene.goal, self.after.position)
 
     @cached_property
     def distance_before(self) -> np.ndarray:
         """(W, N) distance to the goal before the decision, m."""
-        return distances(self.scene.goal, self.before.position)
+        return paired_distances(self.scene.goal, self.before.position)
 
 
 class StepResult(NamedTuple):

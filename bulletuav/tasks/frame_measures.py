@@ -10,7 +10,7 @@ from bulletuav.compiled.program import Program
 from bulletuav.conflict.separation import Conflict, fill_conflict, no_conflict
 from bulletuav.contact.contact_state import ContactState
 from bulletuav.contact.contacts import summarize_contacts
-from bulletuav.geometry.closest_approach import fill_distances
+from bulletuav.geometry.closest_approach import fill_paired_distances
 from bulletuav.tasks.frame import (
     MAX_RESTING_SPEED,
     MAX_RESTING_SPIN,
@@ -97,9 +97,9 @@ def _fill_all(
     distances: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     """Write the distances of goals (W, N, 3) from each of three position arrays, (W, N)."""
-    fill_distances(goal, places[0], distances[0])
-    fill_distances(goal, places[1], distances[1])
-    fill_distances(goal, places[2], distances[2])
+    fill_paired_distances(goal, places[0], distances[0])
+    fill_paired_distances(goal, places[1], distances[1])
+    fill_paired_distances(goal, places[2], distances[2])
 
 
 def mark_contacts(measures: FrameMeasures, frame: Frame) -> None:

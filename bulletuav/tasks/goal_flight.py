@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
-from bulletuav.geometry.closest_approach import distances
+from bulletuav.geometry.closest_approach import paired_distances
 from bulletuav.tasks.base import Task, Weighted
 from bulletuav.tasks.config import REBOUND, TaskConfig
 from bulletuav.tasks.ends import affected_drones
@@ -280,7 +280,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
 
     def way_before(self, frame: Frame) -> np.ndarray:
         """Compute `way` before the decision, (W, N) m."""
-        way: np.ndarray = distances(frame.goal_before, frame.before.position)
+        way: np.ndarray = paired_distances(frame.goal_before, frame.before.position)
         way += self._descent(frame.goal_before)
         return way
 

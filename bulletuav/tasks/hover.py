@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.compiled.kernel import kernel
-from bulletuav.geometry.rotation import exponential, point
+from bulletuav.geometry.rotation import exp_map, point
 from bulletuav.registry import register
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
@@ -97,7 +97,7 @@ def _disturb(
             x, y, z = point(axis[w], i)
             length = math.sqrt(x * x + y * y + z * z)
             angle = tilt * disturbed[w, i]
-            turned = exponential((angle * (x / length), angle * (y / length), angle * (z / length)))
+            turned = exp_map((angle * (x / length), angle * (y / length), angle * (z / length)))
             for k in range(4):
                 quaternion[w, i, k] = turned[k]
             # Components are limited to the maximum over sqrt(3), so that norms stay below it

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from bulletuav.geometry.closest_approach import fill_distances
+from bulletuav.geometry.closest_approach import fill_paired_distances
 from bulletuav.registry import register
 from bulletuav.sensors.drone_sight import DRONE_SIGHT
 from bulletuav.tasks.base import Task
@@ -326,8 +326,8 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         found = (nearest != NO_OPPONENT)[..., None]
         for goal, own in ((scene.goal, swarm.position), (scene.goal_velocity, swarm.velocity)):
             np.copyto(goal, np.take_along_axis(own, nearest[..., None], axis=1), where=found)
-        fill_distances(scene.goal, swarm.position, frame.distance)
-        fill_distances(scene.goal, frame.known_position, frame.known_distance)
+        fill_paired_distances(scene.goal, swarm.position, frame.distance)
+        fill_paired_distances(scene.goal, frame.known_position, frame.known_distance)
 
     def terminated(self, frame: Frame) -> np.ndarray:
         """Return which drones are lost or without opponents; derive the events that terms read.

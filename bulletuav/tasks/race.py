@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.geometry.closest_approach import fill_distances
+from bulletuav.geometry.closest_approach import fill_paired_distances
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
@@ -272,8 +272,8 @@ class Race(Task[RaceConfig]):
         memory["touching"][:] = touching
         # Goals may have changed, so recompute the distances
         self._aim(frame.scene)
-        fill_distances(frame.scene.goal, frame.after.position, frame.distance)
-        fill_distances(frame.scene.goal, frame.known_position, frame.known_distance)
+        fill_paired_distances(frame.scene.goal, frame.after.position, frame.distance)
+        fill_paired_distances(frame.scene.goal, frame.known_position, frame.known_distance)
 
     def terminated(self, frame: Frame) -> np.ndarray:
         """Return which drones finished, crashed or left the arena; derive events for terms.

@@ -1,4 +1,4 @@
-"""Airframes: the constants of one kind of drone."""
+"""Airframes: the physical constants of one kind of drone."""
 
 import math
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.errors import as_int, as_sequence, finite, shown
-from bulletuav.geometry.convex import inscribed_radius, reach
-from bulletuav.geometry.obstacle import FRICTION
+from bulletuav.geometry.convex import bounding_radius, inscribed_radius
+from bulletuav.geometry.obstacle import DEFAULT_FRICTION
 from bulletuav.geometry.shapes import Shape
 
 MIN_ROTORS, MAX_ROTORS = 4, 8
-"""Fewest and most rotors of an airframe."""
+"""Minimum and maximum number of rotors of an airframe."""
 _POSITIVE = (
     "mass",
     "inertia",
@@ -26,7 +26,7 @@ _POSITIVE = (
     "efficiency",
     "max_speed",
 )
-"""Constants that must be above 0."""
+"""Constants that must be greater than 0."""
 _NOT_NEGATIVE = (
     "lag_up",
     "lag_down",
@@ -44,36 +44,32 @@ _NOT_NEGATIVE = (
 )
 """Constants that must be at least 0."""
 _WITHOUT = {"ground_effect_reach": "ground_effect_gain", "wake_radius": "wake_share"}
-"""Constants at 0 with which an effect is left out whose size cannot be 0."""
+"""Constants that cannot be 0, and the constant that switches their effect off at 0."""
 STANDARD_GRAVITY = 9.80665
-"""Gravity at the Earth's surface, m/s^2 (CODATA)."""
+"""Standard gravity, m/s^2 (CODATA)."""
 DENSITY = 1.225
-"""Density of the air, kg/m^3: standard atmosphere at sea level."""
+"""Air density of the standard atmosphere at sea level, kg/m^3."""
 
 
-def hover_speed(
-    weight: float,
-    num_rotors: int,
-    thrust_coefficient: float,
-) -> float:
-    """Compute the rotor speed at which thrust k_f w^2 of all rotors equals a weight (N), rad/s."""
+def hover_speed(weight: float, num_rotors: int, thrust_coefficient: float) -> float:
+    """Compute the rotor speed w at which the thrust n k_f w^2 equals a weight (N), rad/s."""
     return math.sqrt(weight / (num_rotors * thrust_coefficient))
 
 
-def reach_of(rotors: tuple[tuple[float, float, int], ...]) -> float:
+def arm_length(rotors: tuple[tuple[float, float, int], ...]) -> float:
     """Compute the distance of the outermost rotor from the centre of mass, m."""
     return max(math.sqrt(x * x + y * y) for x, y, _ in rotors)
 
 
 @dataclass(frozen=True)
 class Pwm:
-    """The Crazyflie's motor command: rpm = slope pwm + intercept.
+    """Motor command of the Crazyflie: rpm = slope pwm + intercept.
 
     Attributes:
-        slope: Rotor speed for each unit of the command, rpm.
+        slope: Rotor speed per unit of the command, rpm.
         intercept: Rotor speed at a command of 0, rpm.
-        minimum: Least command.
-        maximum: Greatest command.
+        minimum: Minimum command.
+        maximum: Maximum command.
     """
 
     slope: float
@@ -84,13 +80,13 @@ class Pwm:
 
 @dataclass(frozen=True)
 class Pack:
-    """A battery of lithium-polymer cells in series.
+    """Battery pack of lithium-polymer cells in series.
 
     Attributes:
         cells: Number of cells.
-        capacity: Energy of a full battery, W h.
-        resistance: Inner resistance, ohm.
-        voltage: Voltage at which the motors reach the speed that is commanded, V.
+        capacity: Energy of the full battery, W h.
+        resistance: Internal resistance, ohm.
+        voltage: Nominal voltage, at which the motors reach the commanded speed, V.
     """
 
     cells: int
@@ -105,36 +101,39 @@ class Airframe:
 
     Attributes:
         name: Name of the robot in the URDF.
-        urdf: The file.
+        urdf: Path of the file.
         mass: Mass, kg.
         inertia: Principal moments of inertia about x, y, z, kg m^2.
-        rotors: Place x, y (m) and turn of each rotor. The turn is +1 where the reaction torque on
-            the body is +z, so the rotor spins clockwise seen from above, else -1.
-        thrust_coefficient: Thrust over the square of the rotor speed, N s^2.
-        torque_ratio: Reaction torque over thrust, m.
-        max_rotor_speed: Greatest rotor speed, rad/s.
-        lag_up: Time constant of a rotor that speeds up, s; 0 for none.
-        lag_down: Time constant of a rotor that slows down, s; 0 for none.
-        drag_xy: Drag of a rotor across its axis, for each m/s and rad/s, N.
-        drag_z: Drag of a rotor along its axis, for each m/s and rad/s, N.
+        rotors: Position x, y (m) and direction of rotation of each rotor. The direction is +1 if
+            the reaction torque on the body is +z (the rotor spins clockwise seen from above), else
+            -1.
+        thrust_coefficient: Thrust divided by the square of the rotor speed, N s^2.
+        torque_ratio: Reaction torque divided by thrust, m.
+        max_rotor_speed: Maximum rotor speed, rad/s.
+        lag_up: Time constant of a rotor that speeds up, s; 0 for no lag.
+        lag_down: Time constant of a rotor that slows down, s; 0 for no lag.
+        drag_xy: Drag of a rotor across its axis, per m/s and rad/s, N.
+        drag_z: Drag of a rotor along its axis, per m/s and rad/s, N.
         drag_height: Height above the centre of mass at which the rotors' drag acts, m.
         propeller_radius: Radius of the propellers, m.
-        rotor_inertia: Moment of inertia of a propeller with its motor's rotor, kg m^2; 0 for none.
-        damping: How fast rates about x, y, z decay by themselves in hover, 1/s.
+        rotor_inertia: Moment of inertia of a propeller and its motor's rotor, kg m^2; 0 to neglect
+            it.
+        damping: Decay rates of the angular velocities about x, y, z in hover, 1/s.
         body_drag: Drag areas of the body in the rotor plane and across it, m^2.
-        ground_effect_gain: Share of a rotor's thrust that a surface right below adds.
+        ground_effect_gain: Thrust that a surface right below adds, as a fraction of a rotor's
+            thrust.
         ground_effect_reach: Height above which there is no ground effect, m.
-        wake_share: Share of the drone's thrust that its wake puts on a drone right below.
-        wake_spread: Growth of the wake's width with the distance below.
-        wake_radius: Width of the wake at its start, m.
-        efficiency: Power at the rotors' shafts over electrical power.
-        electronics: Electrical power of all but the motors, W.
-        pack: The battery, where known.
-        max_speed: Greatest speed that the drone may be asked for, m/s.
-        shape: Collision shape, about the centre of mass.
-        pwm: Motor command for the Crazyflie's own PID, where known.
-        friction: Coefficient of friction of its surface, from 0 to 10.
-        restitution: Share of the speed that an impact gives back, from 0 to 1.
+        wake_share: Force of the wake on a drone right below, as a fraction of the thrust.
+        wake_spread: Growth of the wake's width per distance below.
+        wake_radius: Width of the wake at the rotors, m.
+        efficiency: Power at the rotors' shafts divided by electrical power.
+        electronics: Electrical power of everything except the motors, W.
+        pack: The battery, if known.
+        max_speed: Maximum commanded speed, m/s.
+        shape: Collision shape, relative to the centre of mass.
+        pwm: Motor command for the Crazyflie's own PID, if known.
+        friction: Coefficient of friction of the surface, from 0 to 10.
+        restitution: Coefficient of restitution, from 0 to 1.
     """
 
     name: str
@@ -165,17 +164,17 @@ class Airframe:
     shape: Shape
     pack: Pack | None = None
     pwm: Pwm | None = None
-    friction: float = FRICTION
+    friction: float = DEFAULT_FRICTION
     restitution: float = 0.0
 
     def require_physical(self) -> None:
-        """Refuse constants that the laws cannot compute with.
+        """Raise ValueError for constants outside the domain of the dynamics.
 
-        URDF files are refused as they are read. This is for airframes that are made in Python, such
-        as by `dataclasses.replace`.
+        The reader of URDF files checks its values. This check is for airframes that are made in
+        Python, such as by `dataclasses.replace`.
 
         Raises:
-            ValueError: A constant is no finite number, or 0 or negative where it must not be.
+            ValueError: If a constant is not finite, or is 0 or negative where it must not be.
         """
         of = f"of airframe {self.name!r}"
         for name in (*_POSITIVE, *_NOT_NEGATIVE, "drag_height"):
@@ -196,14 +195,15 @@ class Airframe:
 
     @property
     def collision_radius(self) -> float:
-        """Radius of the sphere about the centre of mass that holds the collision shape, m."""
-        return reach(self.shape)
+        """Radius of the collision shape's bounding sphere about the centre of mass, m."""
+        return bounding_radius(self.shape)
 
     @cached_property
     def thinnest(self) -> float:
-        """Least extent of the collision shape, m: the diameter of a ball within it.
+        """Minimum extent of the collision shape, m: the diameter of a ball inside it.
 
-        A hull's ball is about the mean of its corners, and may be less than its least extent.
+        The ball in a hull is centred at the mean of the vertices, so its diameter may be less than
+        the minimum extent.
         """
         return 2 * inscribed_radius(self.shape)
 
@@ -216,11 +216,11 @@ class Airframe:
     @property
     def arm(self) -> float:
         """Distance of the outermost rotor from the centre of mass, m."""
-        return reach_of(self.rotors)
+        return arm_length(self.rotors)
 
     @property
     def max_thrust(self) -> float:
-        """Thrust of all rotors at full speed, N."""
+        """Thrust of all rotors at maximum speed, N."""
         return len(self.rotors) * self.thrust_coefficient * self.max_rotor_speed**2
 
     def hover_speed(self, gravity: float = STANDARD_GRAVITY) -> float:
@@ -232,9 +232,9 @@ class Airframe:
         return hover_speed(self.mass * gravity, len(self.rotors), self.thrust_coefficient)
 
     def allocation(self) -> np.ndarray:
-        """Return what a newton of each rotor's thrust does to the body.
+        """Return the allocation matrix from the thrust of each rotor to the wrench on the body.
 
         Returns:
-            (4, R): collective thrust (N) and body torques about x, y, z (N m).
+            (4, R): collective thrust (N) and body torques about x, y, z (N m), per N of thrust.
         """
         return np.array([(1, y, -x, turn * self.torque_ratio) for x, y, turn in self.rotors]).T

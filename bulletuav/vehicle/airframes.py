@@ -1,12 +1,12 @@
-"""Airframes by name and from files: one-link URDF files, read into frozen constants.
+"""Airframes by name and from one-link URDF files, read into frozen constants.
 
-A drone of your own is a URDF and nothing else. Beside the standard `<link>` (inertial, one convex
-collision shape, any number of visuals) it holds `<airframe>` with the tags of `Airframe`, and one
-`<rotor x y spin>` for each rotor; see assets/urdf. Tags that a file leaves out get what
+A new drone is one URDF file. Besides the standard `<link>` (inertial, one convex collision shape,
+any number of visuals) it contains `<airframe>` with the tags of `Airframe`, and one `<rotor x y
+spin>` for each rotor; see assets/urdf. Tags that a file leaves out get the values that
 `bulletuav.vehicle.scaling` computes from size and disc loading.
 
-Airframes have names: those of the files in assets/urdf, and those that are registered as kind
-"airframe" (see `bulletuav.registry`), as an `Airframe` or as the path of a URDF.
+Names are those of the files in assets/urdf, and those that are registered as kind "airframe" (see
+`bulletuav.registry`), as an `Airframe` or as the path of a URDF.
 """
 
 import functools
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.errors import printable_text, require_file, shown, unknown
-from bulletuav.geometry.obstacle import FRICTION, MOST_FRICTION
+from bulletuav.geometry.obstacle import DEFAULT_FRICTION, MAX_FRICTION
 from bulletuav.registry import find, register
 from bulletuav.vehicle.airframe import (
     MAX_ROTORS,
@@ -27,7 +27,7 @@ from bulletuav.vehicle.airframe import (
     hover_speed,
 )
 from bulletuav.vehicle.scaling import scaled_constants
-from bulletuav.vehicle.urdf import LARGEST, WIDEST, UrdfFile
+from bulletuav.vehicle.urdf import MAX_LENGTH, MAX_MAGNITUDE, UrdfFile
 
 _PACKAGE = Path(__file__).parents[1]
 URDF_FOLDER = next(
@@ -37,7 +37,7 @@ URDF_FOLDER = next(
 )
 """Folder of the airframes that come with the package.
 
-In the package of a wheel; beside it in a checkout.
+It is inside the package in a wheel, and next to it in a checkout.
 """
 
 TAGS = (
@@ -60,24 +60,24 @@ TAGS = (
     "contact",
 )
 """Tags within `<airframe>`."""
-HEAVIEST = 1e5
-"""Greatest mass, kg."""
-FASTEST = 1000.0
-"""Greatest speed of a drone, m/s."""
-FASTEST_ROTOR = 1e5
-"""Greatest speed of a rotor, rad/s."""
-HEAVIEST_ROTOR = 10.0
-"""Greatest moment of inertia of a rotor, kg m^2."""
-MOST_DAMPING = 1e3
-"""Fastest decay of rates, 1/s."""
-HIGHEST_VOLTAGE = 1e4
-"""Greatest voltage of a battery, V."""
-SLOWEST_LAG = 100.0
-"""Greatest time constant of a motor, s."""
-MOST_DRAG = 1.0
-"""Greatest drag of a rotor, N for each m/s and rad/s."""
-STRONGEST = 1000.0
-"""Greatest thrust of a drone, in its weights."""
+MAX_MASS = 1e5
+"""Maximum mass, kg."""
+MAX_DRONE_SPEED = 1000.0
+"""Maximum speed of a drone, m/s."""
+MAX_ROTOR_SPEED = 1e5
+"""Maximum speed of a rotor, rad/s."""
+MAX_ROTOR_INERTIA = 10.0
+"""Maximum moment of inertia of a rotor, kg m^2."""
+MAX_DAMPING = 1e3
+"""Maximum decay rate of angular velocities, 1/s."""
+MAX_VOLTAGE = 1e4
+"""Maximum voltage of a battery, V."""
+MAX_LAG = 100.0
+"""Maximum time constant of a motor, s."""
+MAX_ROTOR_DRAG = 1.0
+"""Maximum drag of a rotor, N per m/s and rad/s."""
+MAX_THRUST_TO_WEIGHT = 1000.0
+"""Maximum thrust-to-weight ratio."""
 
 
 def available_airframes() -> list[str]:
@@ -90,15 +90,15 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
 
     Args:
         source: A name (of `available_airframes` or registered), `module:Name` of an `Airframe` or
-            of a path, the path of a URDF, which ends in ".urdf", or the airframe itself.
+            of a path, the path of a URDF, which ends in ".urdf", or an `Airframe`.
 
     Returns:
         The airframe.
 
     Raises:
-        ValueError: The name is unknown, or a value is missing or not physical; file, tag and value
-            are named.
-        FileNotFoundError: There is no such file.
+        ValueError: If the name is unknown, or a value is missing or not physical. The message names
+            file, tag and value.
+        FileNotFoundError: If the file does not exist.
     """
     if isinstance(source, Airframe):
         source.require_physical()
@@ -125,7 +125,7 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
 
 
 def _find_by_name(name: str) -> str | Path | Airframe:
-    """Find what a name stands for: a file of the package comes before what is registered."""
+    """Find the airframe or path of a name: files of the package come before registered names."""
     if name in available_airframes():
         return URDF_FOLDER / f"{name}.urdf"
     found: str | Path | Airframe = find("airframe", name, _is_airframe_or_path)
@@ -137,13 +137,12 @@ def _find_by_name(name: str) -> str | Path | Airframe:
 
 
 def _is_airframe_or_path(ingredient: object) -> bool:
-    """Tell whether an object of the registry can be an airframe."""
     return isinstance(ingredient, str | Path | Airframe)
 
 
 @functools.cache
 def _read_shipped(path: Path) -> Airframe:
-    """Read a file of the package, once in a process."""
+    """Read a file of the package, once per process."""
     return _read_airframe(path)
 
 
@@ -151,19 +150,19 @@ def _read_airframe(path: Path) -> Airframe:
     """Read an airframe from a URDF file."""
     urdf = UrdfFile(path)
     urdf.require_one_link()
-    _refuse_unknown_tags(urdf)
+    _require_known_tags(urdf)
     shape = urdf.collision_shape()
     for element in (urdf.root, urdf.element("link")):
         if not element.get("name"):
-            raise urdf.refusal(f"{element.tag} name", "missing", "the engine needs it")
-    # Each number is read within the bounds that the dynamics can compute with.
-    mass = urdf.number(urdf.element("link/inertial/mass"), "value", low=0, most=HEAVIEST)
+            raise urdf.make_error(f"{element.tag} name", "missing", "the engine needs it")
+    # Each number is read within the domain of the dynamics.
+    mass = urdf.number(urdf.element("link/inertial/mass"), "value", low=0, most=MAX_MASS)
     inertia = urdf.inertia()
-    rotors = _rotors(urdf)
-    thrust_coefficient = _positive(urdf, "thrust_coefficient", LARGEST)
-    drag_xy = _not_negative(urdf, "rotor_drag", "xy", MOST_DRAG)
-    propeller_radius = _positive(urdf, "propeller_radius", WIDEST)
-    usual = scaled_constants(
+    rotors = _read_rotors(urdf)
+    thrust_coefficient = _read_positive(urdf, "thrust_coefficient", MAX_MAGNITUDE)
+    drag_xy = _read_non_negative(urdf, "rotor_drag", "xy", MAX_ROTOR_DRAG)
+    propeller_radius = _read_positive(urdf, "propeller_radius", MAX_LENGTH)
+    defaults = scaled_constants(
         inertia,
         rotors,
         thrust_coefficient,
@@ -171,12 +170,22 @@ def _read_airframe(path: Path) -> Airframe:
         propeller_radius,
         hover_speed(mass * STANDARD_GRAVITY, len(rotors), thrust_coefficient),
     )
-    near = _several(urdf, "ground_effect", {"reach": WIDEST}, {"gain": 1.0}, usual.ground_effect)
-    wake = _several(urdf, "wake", {"radius": WIDEST}, {"share": 1.0, "spread": 1.0}, usual.wake)
-    power = _several(urdf, "power", {"efficiency": 1.0}, {"electronics": LARGEST}, usual.power)
-    damping = _several(urdf, "rate_damping", {}, dict.fromkeys("xyz", MOST_DAMPING), usual.damping)
-    body_drag = _several(urdf, "body_drag", {}, {"xy": WIDEST**2, "z": WIDEST**2}, usual.body_drag)
-    turning = _several(urdf, "rotor_inertia", {}, {"value": HEAVIEST_ROTOR}, (0.0,))
+    near = _read_optional(
+        urdf, "ground_effect", {"reach": MAX_LENGTH}, {"gain": 1.0}, defaults.ground_effect
+    )
+    wake = _read_optional(
+        urdf, "wake", {"radius": MAX_LENGTH}, {"share": 1.0, "spread": 1.0}, defaults.wake
+    )
+    power = _read_optional(
+        urdf, "power", {"efficiency": 1.0}, {"electronics": MAX_MAGNITUDE}, defaults.power
+    )
+    damping = _read_optional(
+        urdf, "rate_damping", {}, dict.fromkeys("xyz", MAX_DAMPING), defaults.damping
+    )
+    body_drag = _read_optional(
+        urdf, "body_drag", {}, {"xy": MAX_LENGTH**2, "z": MAX_LENGTH**2}, defaults.body_drag
+    )
+    turning = _read_optional(urdf, "rotor_inertia", {}, {"value": MAX_ROTOR_INERTIA}, (0.0,))
     airframe = Airframe(
         name=urdf.root.get("name", ""),
         urdf=urdf.path,
@@ -184,13 +193,13 @@ def _read_airframe(path: Path) -> Airframe:
         inertia=inertia,
         rotors=rotors,
         thrust_coefficient=thrust_coefficient,
-        torque_ratio=_positive(urdf, "torque_ratio", WIDEST),
-        max_rotor_speed=_positive(urdf, "max_rotor_speed", FASTEST_ROTOR),
-        lag_up=_not_negative(urdf, "motor_lag", "up", SLOWEST_LAG),
-        lag_down=_not_negative(urdf, "motor_lag", "down", SLOWEST_LAG),
+        torque_ratio=_read_positive(urdf, "torque_ratio", MAX_LENGTH),
+        max_rotor_speed=_read_positive(urdf, "max_rotor_speed", MAX_ROTOR_SPEED),
+        lag_up=_read_non_negative(urdf, "motor_lag", "up", MAX_LAG),
+        lag_down=_read_non_negative(urdf, "motor_lag", "down", MAX_LAG),
         drag_xy=drag_xy,
-        drag_z=_not_negative(urdf, "rotor_drag", "z", MOST_DRAG),
-        drag_height=_drag_height(urdf),
+        drag_z=_read_non_negative(urdf, "rotor_drag", "z", MAX_ROTOR_DRAG),
+        drag_height=_read_drag_height(urdf),
         propeller_radius=propeller_radius,
         rotor_inertia=turning[0],
         damping=(damping[0], damping[1], damping[2]),
@@ -202,118 +211,109 @@ def _read_airframe(path: Path) -> Airframe:
         wake_spread=wake[2],
         efficiency=power[0],
         electronics=power[1],
-        max_speed=_positive(urdf, "max_speed", FASTEST),
+        max_speed=_read_positive(urdf, "max_speed", MAX_DRONE_SPEED),
         shape=shape,
-        pack=_pack(urdf),
-        pwm=_pwm(urdf),
-        friction=_contact(urdf, "friction", FRICTION, MOST_FRICTION),
-        restitution=_contact(urdf, "restitution", 0.0, 1.0),
+        pack=_read_pack(urdf),
+        pwm=_read_pwm(urdf),
+        friction=_read_contact(urdf, "friction", DEFAULT_FRICTION, MAX_FRICTION),
+        restitution=_read_contact(urdf, "restitution", 0.0, 1.0),
     )
     _require_flyable(urdf, airframe)
     return airframe
 
 
-def _refuse_unknown_tags(urdf: UrdfFile) -> None:
-    """Refuse tags within `<airframe>` that nobody would read, such as misspelt ones."""
+def _require_known_tags(urdf: UrdfFile) -> None:
+    """Raise ValueError for unknown tags within `<airframe>`, such as misspelt ones."""
     for element in urdf.element("airframe"):
         if isinstance(element.tag, str) and element.tag not in TAGS:
             reason = str(unknown("tag", element.tag, TAGS))
-            raise urdf.refusal(f"airframe/{element.tag}", "unknown", reason)
+            raise urdf.make_error(f"airframe/{element.tag}", "unknown", reason)
 
 
-def _positive(
-    urdf: UrdfFile,
-    tag: str,
-    most: float,
-) -> float:
-    """Read the value of a tag within `<airframe>` that must be above 0."""
+def _read_positive(urdf: UrdfFile, tag: str, most: float) -> float:
+    """Read the value of a tag within `<airframe>` that must be greater than 0."""
     return urdf.number(urdf.element(f"airframe/{tag}"), "value", low=0, most=most)
 
 
-def _not_negative(
-    urdf: UrdfFile,
-    tag: str,
-    attribute: str,
-    most: float,
-) -> float:
+def _read_non_negative(urdf: UrdfFile, tag: str, attribute: str, most: float) -> float:
     """Read an attribute of a tag within `<airframe>` that must be at least 0."""
     element = urdf.element(f"airframe/{tag}")
     return urdf.number(element, attribute, low=0, strict=False, most=most)
 
 
-def _several(
+def _read_optional(
     urdf: UrdfFile,
     tag: str,
     positive: dict[str, float],
     others: dict[str, float],
-    usual: tuple[float, ...],
+    defaults: tuple[float, ...],
 ) -> tuple[float, ...]:
-    """Read the attributes of a tag within `<airframe>` that may be left out.
+    """Read the attributes of an optional tag within `<airframe>`.
 
     Args:
         urdf: The file.
-        tag: The tag; where it stands, it has all attributes.
-        positive: Attributes that must be above 0, with their greatest values.
-        others: Attributes that must be at least 0, with their greatest values.
-        usual: The values where the tag is left out.
+        tag: The tag; if it is there, it needs all attributes.
+        positive: Attributes that must be greater than 0, with their maximum values.
+        others: Attributes that must be at least 0, with their maximum values.
+        defaults: Default values if the tag is left out.
 
     Returns:
         The values, in this order.
     """
     element = urdf.root.find(f"airframe/{tag}")
     if element is None:
-        return usual
+        return defaults
     return (
         *(urdf.number(element, name, low=0, most=most) for name, most in positive.items()),
-        *(_not_negative(urdf, tag, name, most) for name, most in others.items()),
+        *(_read_non_negative(urdf, tag, name, most) for name, most in others.items()),
     )
 
 
-def _drag_height(urdf: UrdfFile) -> float:
-    """Read the height at which the rotors' drag acts, where the file has it."""
+def _read_drag_height(urdf: UrdfFile) -> float:
+    """Read the height at which the rotors' drag acts, 0 if the file has none."""
     element = urdf.element("airframe/rotor_drag")
-    return urdf.number(element, "height", most=WIDEST) if "height" in element.attrib else 0.0
+    return urdf.number(element, "height", most=MAX_LENGTH) if "height" in element.attrib else 0.0
 
 
-def _pack(urdf: UrdfFile) -> Pack | None:
-    """Read the battery, where the file has it."""
+def _read_pack(urdf: UrdfFile) -> Pack | None:
+    """Read the battery, None if the file has none."""
     element = urdf.root.find("airframe/battery")
     if element is None:
         return None
     cells = urdf.number(element, "cells", low=0)
     if cells != int(cells):
-        raise urdf.refusal("battery cells", cells, "a whole number is needed")
+        raise urdf.make_error("battery cells", cells, "a whole number is needed")
     return Pack(
         cells=int(cells),
         capacity=urdf.number(element, "capacity", low=0),
         resistance=urdf.number(element, "resistance", low=0, strict=False),
-        voltage=urdf.number(element, "voltage", low=0, most=HIGHEST_VOLTAGE),
+        voltage=urdf.number(element, "voltage", low=0, most=MAX_VOLTAGE),
     )
 
 
-def _rotors(urdf: UrdfFile) -> tuple[tuple[float, float, int], ...]:
-    """Read the place (m) and the turn of each rotor."""
+def _read_rotors(urdf: UrdfFile) -> tuple[tuple[float, float, int], ...]:
+    """Read the position (m) and direction of rotation of each rotor."""
     elements = urdf.root.findall("airframe/rotor")
     if not MIN_ROTORS <= len(elements) <= MAX_ROTORS:
         reason = f"between {MIN_ROTORS} and {MAX_ROTORS} rotors are supported"
-        raise urdf.refusal("rotor", f"there {len(elements)} times", reason)
+        raise urdf.make_error("rotor", f"there {len(elements)} times", reason)
     turns = {"cw": 1, "ccw": -1}
     for element in elements:
         if element.get("spin") not in turns:
             spin = element.get("spin", "missing")
-            raise urdf.refusal("rotor spin", spin, "it must be cw or ccw, seen from above")
+            raise urdf.make_error("rotor spin", spin, "it must be cw or ccw, seen from above")
     return tuple(
         (
-            urdf.number(element, "x", most=WIDEST),
-            urdf.number(element, "y", most=WIDEST),
+            urdf.number(element, "x", most=MAX_LENGTH),
+            urdf.number(element, "y", most=MAX_LENGTH),
             turns[element.get("spin", "")],
         )
         for element in elements
     )
 
 
-def _pwm(urdf: UrdfFile) -> Pwm | None:
-    """Read the motor command, where the file has it."""
+def _read_pwm(urdf: UrdfFile) -> Pwm | None:
+    """Read the motor command, None if the file has none."""
     element = urdf.root.find("airframe/pwm")
     if element is None:
         return None
@@ -326,39 +326,37 @@ def _pwm(urdf: UrdfFile) -> Pwm | None:
     )
 
 
-def _contact(
-    urdf: UrdfFile,
-    attribute: str,
-    default: float,
-    most: float,
-) -> float:
-    """Read a number of the tag `<contact>` within `<airframe>`, where it is there."""
+def _read_contact(urdf: UrdfFile, attribute: str, default: float, most: float) -> float:
+    """Read an attribute of the optional tag `<contact>` within `<airframe>`."""
     element = urdf.root.find("airframe/contact")
     if element is None or attribute not in element.attrib:
         return default
     value = urdf.number(element, attribute, low=0, strict=False)
     if value > most:
-        raise urdf.refusal(f"contact {attribute}", value, f"at most {most:g} is possible")
+        raise urdf.make_error(f"contact {attribute}", value, f"at most {most:g} is possible")
     return value
 
 
 def _require_flyable(urdf: UrdfFile, airframe: Airframe) -> None:
-    """Refuse airframes that are too heavy to hover, far too strong, or cannot turn."""
+    """Raise ValueError for airframes that cannot hover, cannot rotate, or are far too strong."""
     weight = airframe.mass * STANDARD_GRAVITY
     if airframe.max_thrust <= weight:
         thrust = f"{airframe.max_rotor_speed:g} (thrust {airframe.max_thrust:.4g} N)"
         reason = f"the drone weighs {weight:.4g} N and cannot hover"
-        raise urdf.refusal("max_rotor_speed", thrust, reason)
-    if airframe.max_thrust > STRONGEST * airframe.mass * STANDARD_GRAVITY:
+        raise urdf.make_error("max_rotor_speed", thrust, reason)
+    if airframe.max_thrust > MAX_THRUST_TO_WEIGHT * airframe.mass * STANDARD_GRAVITY:
         thrust = f"{airframe.thrust_coefficient:g} (thrust {airframe.max_thrust:.4g} N)"
-        reason = f"at most {STRONGEST:g} times the weight of {airframe.mass:g} kg can be flown with"
-        raise urdf.refusal("thrust_coefficient", thrust, reason)
+        reason = (
+            f"the thrust must be at most {MAX_THRUST_TO_WEIGHT:g} times the weight of "
+            f"{airframe.mass:g} kg"
+        )
+        raise urdf.make_error("thrust_coefficient", thrust, reason)
     if np.linalg.matrix_rank(airframe.allocation()) < 4:
-        reason = "these rotors cannot turn the body about all three axes"
-        raise urdf.refusal("rotor", airframe.rotors, reason)
+        reason = "these rotors cannot control the torque about all three axes"
+        raise urdf.make_error("rotor", airframe.rotors, reason)
 
 
-# Tell the registry where the package's own airframes are; each file is read when it is asked for.
+# Register the paths of the package's airframes; each file is read when it is first used.
 for _path in URDF_FOLDER.glob("*.urdf"):
     if _path.stem.isidentifier():
         register("airframe", _path.stem)(_path)

@@ -1,4 +1,4 @@
-"""Batteries: their energy, which they give at any power, and the voltage of their cells."""
+"""Batteries: their energy, which is available at any power, and the voltage of their cells."""
 
 import math
 
@@ -10,18 +10,19 @@ from bulletuav.errors import numbers_of
 WATT_HOUR = 3600.0
 """Joules in a watt-hour."""
 VOLTS = np.array([3.27, *(3.69, 3.73, 3.77, 3.80, 3.84, 3.87, 3.95, 4.02, 4.11), 4.20])
-"""Voltage of a resting lithium-polymer cell at charges of 0, 10 % ... 100 %, a common table."""
+"""Open-circuit voltage, V, of a lithium-polymer cell at charges of 0, 10 % ... 100 % (common)."""
 VOLTAGE_POWER = 0.89
-"""Relative change of the rotor speed at one command, over that of the voltage: fit to Crazyflies,
-see docs/truth.md."""
+"""Relative change of the rotor speed at a constant command, divided by the relative change of the
+voltage; fitted to Crazyflies, see docs/truth.md.
+"""
 
 
 @func
 def resting_voltage(charge: float) -> float:
-    """Return the voltage of a lithium-polymer cell at rest, V.
+    """Return the open-circuit voltage of a lithium-polymer cell, V.
 
     Args:
-        charge: Share of the charge that is left, from 0 to 1.
+        charge: State of charge, from 0 to 1.
     """
     place = (VOLTS.size - 1) * min(max(charge, 0.0), 1.0)
     low = min(int(place), VOLTS.size - 2)
@@ -30,31 +31,27 @@ def resting_voltage(charge: float) -> float:
 
 
 @func
-def loaded_voltage(
-    rest: float,
-    power: float,
-    resistance: float,
-) -> float:
-    """Return the voltage of a battery that gives a power: V = E - R P / V.
+def loaded_voltage(rest: float, power: float, resistance: float) -> float:
+    """Return the voltage of a battery under load: V = E - R P / V.
 
     Args:
-        rest: Its voltage E at rest, V.
-        power: Power P that is taken, W.
-        resistance: Inner resistance R, ohm.
+        rest: Open-circuit voltage E, V.
+        power: Power P drawn, W.
+        resistance: Internal resistance R, ohm.
 
     Returns:
-        The voltage, V; half of E where the battery cannot give the power.
+        The voltage, V; half of E if the battery cannot deliver the power.
     """
     return 0.5 * (rest + math.sqrt(max(rest * rest - 4.0 * power * resistance, 0.0)))
 
 
 @func
-def speed_share(voltage: float, nominal: float) -> float:
-    """Return the share of a commanded rotor speed that motors reach at a voltage.
+def battery_speed_ratio(voltage: float, nominal: float) -> float:
+    """Return the ratio of the reached to the commanded rotor speed at a battery voltage.
 
     Args:
         voltage: Voltage of the battery, V.
-        nominal: Voltage at which they reach it, V.
+        nominal: Voltage at which the commanded speed is reached, V.
     """
     return max(1.0 + VOLTAGE_POWER * (voltage / nominal - 1.0), 0.0)
 
@@ -63,7 +60,7 @@ class Battery:
     """The batteries of W worlds of N drones.
 
     Attributes:
-        charge: (W, N) share of the energy that is left, from 0 to 1; full until started otherwise.
+        charge: (W, N) state of charge, from 0 to 1; 1 until `start` sets another value.
         energy: (W, N) energy of a full battery, J.
     """
 
@@ -72,11 +69,11 @@ class Battery:
 
         Args:
             shape: (W, N).
-            capacity: Energy of each, W h: one number for all, (N,) or (W, N). Batteries of
-                infinite capacity never empty.
+            capacity: Energy of each battery, W h: one number for all, (N,) or (W, N). Batteries of
+                infinite capacity never become empty.
 
         Raises:
-            ValueError: A capacity is not above 0.
+            ValueError: If a capacity is not greater than 0.
         """
         given = numbers_of(f"capacity is {capacity!r}:", capacity)
         if not (given > 0).all():
@@ -86,50 +83,41 @@ class Battery:
 
     @property
     def depleted(self) -> np.ndarray:
-        """Which batteries are empty, (W, N) bool."""
+        """Mask of the empty batteries, (W, N) bool."""
         empty: np.ndarray = self.charge <= 0
         return empty
 
     def start(self, k: int | np.ndarray, charge: float | np.ndarray = 1.0) -> None:
-        """Set the charge of worlds at the start of an episode.
+        """Set the state of charge of worlds at the start of an episode.
 
         Args:
             k: Index of the world, or of several.
-            charge: Share of the energy: one number for all, or (N,).
+            charge: State of charge: one number for all, or (N,).
 
         Raises:
-            ValueError: A share is not above 0 and at most 1.
+            ValueError: If a charge is not greater than 0 and at most 1.
         """
         given = numbers_of(f"charge is {charge!r}:", charge)
         if not ((given > 0) & (given <= 1)).all():
-            raise ValueError(f"charge is {charge!r}: a share above 0 and at most 1 is needed")
+            raise ValueError(f"charge is {charge!r}: a number above 0 and at most 1 is needed")
         self.charge[k] = given
 
-    def drain(
-        self,
-        power: np.ndarray,
-        seconds: float,
-        flying: np.ndarray,
-    ) -> None:
-        """Take energy out, down to empty.
+    def drain(self, power: np.ndarray, seconds: float, flying: np.ndarray) -> None:
+        """Draw energy from the batteries, down to empty.
 
         Args:
             power: (W, N) power of each drone, at least 0, W.
-            seconds: How long it is taken.
+            seconds: Duration, s.
             flying: (W, N) bool, the drones whose batteries are drained.
         """
-        drain(power, seconds, flying, self.energy, self.charge)
+        drain_batteries(power, seconds, flying, self.energy, self.charge)
 
 
 @kernel
-def drain(
-    power: np.ndarray,
-    seconds: float,
-    flying: np.ndarray,
-    energy: np.ndarray,
-    charge: np.ndarray,
+def drain_batteries(
+    power: np.ndarray, seconds: float, flying: np.ndarray, energy: np.ndarray, charge: np.ndarray
 ) -> None:
-    """Do what `Battery.drain` does, with batteries of an energy (W, N), J, to their charge."""
+    """Compute `Battery.drain` on arrays: energy (W, N), J, and charge, updated in place."""
     for w in range(charge.shape[0]):
         for i in range(charge.shape[1]):
             # The power of drones that do not fly may be NaN

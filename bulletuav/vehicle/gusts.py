@@ -1,18 +1,21 @@
-"""Gusts: one field of turbulence for each world, the same for all that fly in it.
+"""Gusts: one turbulence field for each world, in which all drones of the world fly.
 
-Intensities and scale lengths are those of MIL-F-8785C at low altitude (altitude h in feet, kept
-within 10 and 1000), with the spectra of Dryden. The field is a sum of plane waves with random
-phases (R. H. Kraichnan, Diffusion by a random velocity field, Physics of Fluids 13, 1970), so that
-a gust follows from place and time alone.
+Intensities and length scales are those of MIL-F-8785C at low altitude (altitude h in feet, clamped
+to 10 and 1000), with Dryden spectra. The field is a sum of plane waves with random phases, so that
+a gust is a function of position and time.
 
-In isotropic turbulence whose gusts along a separation r have the correlation f = exp(-r / L), those
-across it have g = (1 - r / 2L) exp(-r / L) (G. K. Batchelor, The theory of homogeneous turbulence,
-1953). These are Dryden's two, and E = x^4 / (1 + x^2)^3 is their energy spectrum, with x = k L for
-the wave number k. Amplitudes follow it, for horizontal gusts with L_u = L_v and for vertical ones
-with L_w. Waves are the same at every height, and amplitudes change with it: the field has no steps.
+In isotropic turbulence with the longitudinal correlation f = exp(-r / L) of the gusts at a
+separation r, the lateral correlation is g = (1 - r / 2L) exp(-r / L). These are Dryden's, and
+E = x^4 / (1 + x^2)^3 is their energy spectrum, with x = k L for the wave number k. Amplitudes
+follow this spectrum, with L_u = L_v for horizontal and L_w for vertical gusts. The waves are the
+same at all heights and the amplitudes change continuously with height, so the field has no steps.
 
-By Taylor's hypothesis the steady wind carries the field. Each wave also drifts by itself, so that
-gusts change for a drone that hovers in still air. Buildings cast no wind shadows.
+By Taylor's hypothesis the steady wind carries the field. Each wave also drifts with its own speed,
+so that a drone that hovers in still air feels changing gusts. Buildings cast no wind shadows.
+
+References:
+    R. H. Kraichnan, Diffusion by a random velocity field, Physics of Fluids 13 (1970).
+    G. K. Batchelor, The theory of homogeneous turbulence (1953).
 """
 
 import math
@@ -24,30 +27,32 @@ from bulletuav.compiled.kernel import func, kernel
 
 FOOT = 0.3048
 """One foot, m"""
-SLOWEST = 1.0
-"""Speed with which waves drift, each in a direction of its own, m/s"""
-WAVES = 64
+DRIFT_SPEED = 1.0
+"""Maximum drift speed of a wave along its direction, m/s"""
+NUM_WAVES = 64
 """Number of waves in a field; a power of 2"""
-SHORTEST = 0.3
-"""Shortest wavelength, m: over shorter ones a drone takes the mean by its size"""
-STEP = 0.155
-"""Logarithm of the ratio of neighbours' wavelengths; the longest is 6.1 km"""
-DRAWS = WAVES + 4
-"""How many random numbers make a field"""
-ROWS = 7
-"""How many numbers make a wave"""
-FREQUENCY, COSINE, SINE, STEEPNESS, FLATNESS, DRIFT, PHASE = range(ROWS)
-"""Waves per metre, below 0 if left-handed; cosine and sine of the heading; vertical and horizontal
-part of the direction; drift along it, m/s; phase at the origin, turns"""
+MIN_WAVELENGTH = 0.3
+"""Minimum wavelength, m: a drone averages shorter waves by its size"""
+LOG_WAVELENGTH_STEP = 0.155
+"""Logarithm of the ratio of consecutive wavelengths; the longest one is 6.1 km"""
+NUM_DRAWS = NUM_WAVES + 4
+"""Number of random numbers of a field"""
+NUM_WAVE_ROWS = 7
+"""Number of values of a wave"""
+FREQUENCY, COSINE, SINE, STEEPNESS, FLATNESS, DRIFT, PHASE = range(NUM_WAVE_ROWS)
+"""Rows of a wave: waves per metre, negative if left-handed; cosine and sine of the heading;
+vertical and horizontal part of the direction; drift along it, m/s; phase at the origin, turns
+"""
 GOLDEN = 1.2207440846057596
 SPREAD = (1.0 / GOLDEN, 1.0 / (GOLDEN * GOLDEN), 1.0 / (GOLDEN * GOLDEN * GOLDEN))
-"""Steps that spread points evenly over three dimensions: powers of the root of x^4 = x + 1 (M.
-Roberts, The unreasonable effectiveness of quasirandom sequences, 2018)"""
+"""Steps of a quasi-random sequence with even coverage of three dimensions: powers of the root of
+x^4 = x + 1 (M. Roberts, The unreasonable effectiveness of quasirandom sequences, 2018)
+"""
 
 
 @func
 def dryden_scales(altitude: float, wind20: float) -> tuple[float, float, float, float]:
-    """Return scale lengths and intensities of the turbulence by MIL-F-8785C.
+    """Return the length scales and intensities of the turbulence by MIL-F-8785C.
 
     Args:
         altitude: Height above the ground, m.
@@ -63,44 +68,44 @@ def dryden_scales(altitude: float, wind20: float) -> tuple[float, float, float, 
 
 
 @func
-def _part(number: float) -> float:
-    """Return what a number is beyond the next lower whole one."""
+def _fractional_part(number: float) -> float:
+    """Return the fractional part of a number."""
     return number - math.floor(number)
 
 
 @kernel
 def draw_waves(draws: np.ndarray, waves: np.ndarray) -> None:
-    """Make the waves of a field.
+    """Compute the waves of a turbulence field from random numbers.
 
-    The logarithms of wavelengths are spread evenly, and so are directions over the sphere, and
-    drifts. All are shifted by what is drawn, so that any wave is as likely as any other.
+    The logarithms of the wavelengths, the directions on the sphere and the drifts are evenly
+    distributed. All are shifted by random numbers, so that every wave is equally likely.
 
     Args:
-        draws: (DRAWS,) random numbers, uniform from 0 to 1.
-        waves: (ROWS, WAVES) what to write, see `FREQUENCY`.
+        draws: (NUM_DRAWS,) random numbers, uniform from 0 to 1.
+        waves: (NUM_WAVE_ROWS, NUM_WAVES) waves to write, see `FREQUENCY`.
     """
-    for j in range(WAVES):
-        length = SHORTEST * exp(STEP * (j + draws[0]))
-        heading = 2.0 * PI * _part(draws[1] + j * SPREAD[0])
-        steepness = 2.0 * _part(draws[2] + j * SPREAD[1]) - 1.0
-        drift = 2.0 * _part(draws[3] + j * SPREAD[2]) - 1.0
-        # One number tells the hand by its half, and the phase by where in it.
+    for j in range(NUM_WAVES):
+        length = MIN_WAVELENGTH * exp(LOG_WAVELENGTH_STEP * (j + draws[0]))
+        heading = 2.0 * PI * _fractional_part(draws[1] + j * SPREAD[0])
+        steepness = 2.0 * _fractional_part(draws[2] + j * SPREAD[1]) - 1.0
+        drift = 2.0 * _fractional_part(draws[3] + j * SPREAD[2]) - 1.0
+        # One random number gives the handedness and the phase.
         turn = 2.0 * draws[4 + j]
         waves[FREQUENCY, j] = (1.0 if turn < 1.0 else -1.0) / length
         waves[COSINE, j] = cos(heading)
         waves[SINE, j] = sin(heading)
         waves[STEEPNESS, j] = steepness
         waves[FLATNESS, j] = math.sqrt(1.0 - steepness * steepness)
-        waves[DRIFT, j] = SLOWEST * drift
-        waves[PHASE, j] = _part(turn)
+        waves[DRIFT, j] = DRIFT_SPEED * drift
+        waves[PHASE, j] = _fractional_part(turn)
 
 
 @func
 def _sine(turns: float) -> float:
     """Return the sine of at most a quarter turn, with an error below 1e-9.
 
-    By Taylor's series, without branches and quotients: so compiled code takes several waves at
-    once, which it cannot with `bulletuav.compiled.functions.sin`.
+    A Taylor series without branches and divisions, which the compiler vectorises. It does not
+    vectorise `bulletuav.compiled.functions.sin`.
     """
     x = 2.0 * PI * turns
     q = x * x
@@ -110,9 +115,9 @@ def _sine(turns: float) -> float:
 
 @func
 def _amplitude(x: float) -> float:
-    """Return the amplitude of a wave of x radians in a scale length, but for a factor.
+    """Return the amplitude of a wave of x radians per length scale, up to a constant factor.
 
-    As the logarithms of x are spread evenly, a wave's energy is x E.
+    As the logarithms of x are evenly distributed, the energy of a wave is x E.
     """
     y = 1.0 / (1.0 + x * x)
     return x * x * y * math.sqrt(x * y)
@@ -120,18 +125,18 @@ def _amplitude(x: float) -> float:
 
 @func
 def _gain(length: float) -> float:
-    """Return the factor of amplitudes that makes the variance of a gust 1, for a scale length.
+    """Return the factor of the amplitudes that makes the variance of a gust 1, for a length scale.
 
-    Amplitudes a give the variance sum a^2 / 3, for directions are random and a wave's squares are
-    1 / 2 on average. The integral of E is 3 pi / 16, less what lies beyond the shortest wave.
+    Amplitudes a give the variance sum a^2 / 3, because directions are random and the mean square of
+    a wave is 1 / 2. The integral of E is 3 pi / 16, minus the part beyond the shortest wave.
     """
-    beyond = SHORTEST / (2.0 * PI * length)
-    return math.sqrt(3.0 * STEP / (3.0 * PI / 16.0 - beyond))
+    beyond = MIN_WAVELENGTH / (2.0 * PI * length)
+    return math.sqrt(3.0 * LOG_WAVELENGTH_STEP / (3.0 * PI / 16.0 - beyond))
 
 
 @func
-def _add_up(parts: np.ndarray) -> None:
-    """Add the columns of parts (3, WAVES) into the first, halves onto each other."""
+def _sum_columns(parts: np.ndarray) -> None:
+    """Sum the columns of parts (3, NUM_WAVES) into the first one, by pairwise summation."""
     left = parts.shape[1]
     while left > 1:
         left //= 2
@@ -151,12 +156,12 @@ def add_gusts(
     wind20: float,
     wind: np.ndarray,
 ) -> None:
-    """Add the gusts at some places to the wind.
+    """Add the gusts at given positions to the wind.
 
     Args:
-        waves: (W, ROWS, WAVES) waves of each world, see `draw_waves`.
-        parts: (3, WAVES) room for what each wave adds.
-        position: (W, N, 3) the places, m.
+        waves: (W, NUM_WAVE_ROWS, NUM_WAVES) waves of each world, see `draw_waves`.
+        parts: (3, NUM_WAVES) scratch array for the contribution of each wave.
+        position: (W, N, 3) positions, m.
         time: (W,) time of each world, s.
         steady: (W, 3) steady wind, which carries the field, m/s.
         wind20: Wind speed at 20 feet, m/s.
@@ -175,23 +180,23 @@ def add_gusts(
             x = position[w, i, 0] - t * steady[w, 0]
             y = position[w, i, 1] - t * steady[w, 1]
             z = position[w, i, 2] - t * steady[w, 2]
-            for j in range(WAVES):
+            for j in range(NUM_WAVES):
                 level = cosine[j] * x + sine[j] * y
                 along = flatness[j] * level + steepness[j] * z - drift[j] * t
                 turns = frequency[j] * along + phase[j]
-                # Sine and cosine by quarters, without branches
+                # Sine and cosine by symmetry, without branches
                 turns -= np.floor(turns + 0.5)
                 size = abs(turns)
                 c = _sine(0.25 - size)
                 s = math.copysign(_sine(0.25 - abs(0.25 - size)), turns)
-                # The gust turns across the wave: to its left, then ahead and down
+                # The gust rotates in the plane across the wave
                 number = abs(frequency[j])
                 size_u = _amplitude(number * turn_u)
                 across, ahead = size_u * c, size_u * steepness[j] * s
                 east[j] = ahead * cosine[j] - across * sine[j]
                 north[j] = ahead * sine[j] + across * cosine[j]
                 up[j] = -_amplitude(number * turn_w) * flatness[j] * s
-            _add_up(parts)
+            _sum_columns(parts)
             flat = s_u * _gain(length_u)
             wind[w, i, 0] += flat * east[0]
             wind[w, i, 1] += flat * north[0]

@@ -1,4 +1,4 @@
-"""The constants of airframes as rows for the compiled loops."""
+"""Constants of airframes as structured rows for compiled functions."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -19,9 +19,9 @@ EFFECTS = (
     "downwash",
     "voltage",
 )
-"""Effects that can be switched off."""
-USUAL_EFFECTS = EFFECTS[:-1]
-"""Effects that are on unless told otherwise: firmwares make up for the battery's voltage."""
+"""Physical effects that can be switched off."""
+DEFAULT_EFFECTS = EFFECTS[:-1]
+"""Default effects: all except "voltage", as firmware compensates for the battery's voltage."""
 
 PARAMETERS = record_type(
     [
@@ -59,7 +59,7 @@ PARAMETERS = record_type(
         ("restitution", "f8"),
     ]
 )
-"""Type of the rows; `ParameterRow` tells what the fields are."""
+"""Type of the rows; `ParameterRow` documents the fields."""
 
 
 class ParameterRow(Protocol):
@@ -68,37 +68,40 @@ class ParameterRow(Protocol):
     Attributes:
         mass: Mass, kg.
         inertia: (3,) principal moments of inertia about x, y, z, kg m^2.
-        num_rotors: Number of rotors R; the arrays of rotors hold zeros beyond it.
-        rotor_x: (MAX_ROTORS,) place of each rotor along x, m.
-        rotor_y: (MAX_ROTORS,) place of each rotor along y, m.
-        rotor_turn: (MAX_ROTORS,) +1 where the reaction torque is about +z, else -1.
-        thrust_coefficient: k_f, thrust over the square of the rotor speed, N s^2.
-        torque_coefficient: k_m, reaction torque over the square of the rotor speed, N m s^2.
-        max_rotor_speed: Greatest rotor speed, rad/s.
-        lag_up: Time constant of a rotor that speeds up, s; 0 for none.
-        lag_down: Time constant of a rotor that slows down, s; 0 for none.
-        drag_xy: Drag of a rotor across its axis, for each m/s and rad/s, N.
-        drag_z: Drag of a rotor along its axis, for each m/s and rad/s, N.
+        num_rotors: Number of rotors R; arrays of rotors are padded with zeros.
+        rotor_x: (MAX_ROTORS,) position of each rotor along x, m.
+        rotor_y: (MAX_ROTORS,) position of each rotor along y, m.
+        rotor_turn: (MAX_ROTORS,) +1 if the reaction torque is about +z, else -1.
+        thrust_coefficient: k_f, thrust divided by the square of the rotor speed, N s^2.
+        torque_coefficient: k_m, reaction torque divided by the square of the rotor speed, N m s^2.
+        max_rotor_speed: Maximum rotor speed, rad/s.
+        lag_up: Time constant of a rotor that speeds up, s; 0 for no lag.
+        lag_down: Time constant of a rotor that slows down, s; 0 for no lag.
+        drag_xy: Drag of a rotor across its axis, per m/s and rad/s, N.
+        drag_z: Drag of a rotor along its axis, per m/s and rad/s, N.
         drag_height: Height above the centre of mass at which the rotors' drag acts, m.
-        body_drag_xy: Drag of the body in the rotor plane over the square of the speed, N s^2/m^2.
+        body_drag_xy: Drag of the body in the rotor plane divided by the square of the speed,
+            N s^2/m^2.
         body_drag_z: The same across the rotor plane.
-        damping: (3,) torque that damps rates, for each rad/s of them and of the sum of the rotor
-            speeds, N m s^2.
-        rotor_inertia: Moment of inertia of a rotor, kg m^2; 0 for none.
+        damping: (3,) damping torque per rad/s of the body rates and per rad/s of the sum of the
+            rotor speeds, N m s^2.
+        rotor_inertia: Moment of inertia of a rotor, kg m^2; 0 to neglect it.
         propeller_radius: Radius of the propellers, m.
         arm: Distance of the outermost rotor from the centre of mass, m.
-        ground_effect_gain: Share of a rotor's thrust that a surface right below adds; 0 for none.
+        ground_effect_gain: Thrust that a surface right below adds, as a fraction of a rotor's
+            thrust; 0 for none.
         ground_effect_reach: Height above which there is no ground effect, m.
-        ground_effect_fade: One over it, 1/m.
-        wake_share: Share of the thrust that the wake puts on a drone right below; 0 for none.
-        wake_spread: Growth of the wake's width with the distance below.
-        wake_radius: Width of the wake at its start, m.
-        efficiency: Power at the rotors' shafts over electrical power.
-        electronics: Electrical power of all but the motors, W.
-        collision_radius: Radius of the sphere that holds the collision shape, m.
-        thinnest: Least extent of the collision shape, m.
-        friction: Coefficient of friction of its surface.
-        restitution: Share of the speed that an impact gives back.
+        ground_effect_fade: Reciprocal of `ground_effect_reach`, 1/m.
+        wake_share: Force of the wake on a drone right below, as a fraction of the thrust; 0 for
+            none.
+        wake_spread: Growth of the wake's width per distance below.
+        wake_radius: Width of the wake at the rotors, m.
+        efficiency: Power at the rotors' shafts divided by electrical power.
+        electronics: Electrical power of everything except the motors, W.
+        collision_radius: Radius of the collision shape's bounding sphere, m.
+        thinnest: Minimum extent of the collision shape, m.
+        friction: Coefficient of friction of the surface.
+        restitution: Coefficient of restitution.
     """
 
     mass: float
@@ -152,23 +155,23 @@ _COPIED = (
     "friction",
     "restitution",
 )
-"""Fields that an airframe has under the same name, and that no effect switches."""
+"""Fields that have the same name in an airframe, and that no effect switches."""
 
 
 def parameter_rows(
-    airframes: Sequence[Airframe], effects: Sequence[str] = USUAL_EFFECTS
+    airframes: Sequence[Airframe], effects: Sequence[str] = DEFAULT_EFFECTS
 ) -> np.ndarray:
-    """Make the rows that the compiled loops read.
+    """Make the rows of constants that compiled functions read.
 
     Args:
         airframes: Airframe of each of N drones.
-        effects: Names of `EFFECTS`; one that is not named has its constants at zero.
+        effects: Names of `EFFECTS` that are on; the constants of all other effects are 0.
 
     Returns:
         (N,) rows of `PARAMETERS`.
 
     Raises:
-        ValueError: There is no such effect, or an airframe has a constant that is not physical.
+        ValueError: If an effect is unknown, or an airframe has a constant that is not physical.
     """
     for effect in effects:
         if effect not in EFFECTS:

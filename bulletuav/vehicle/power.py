@@ -1,9 +1,13 @@
-"""Power that flight takes, from the velocity through the air or from the torque of the rotors.
+"""Power consumption of flight, from the velocity through the air or from the torque of the rotors.
 
-Level flight: Y. Zeng, J. Xu, R. Zhang, Energy Minimization for Wireless Communication with
-Rotary-Wing UAV, IEEE TWC 18(4), 2019. Climb and descent, which are not in it: axial momentum theory
-and the vortex-ring fit of J. G. Leishman, Principles of Helicopter Aerodynamics (2006), chapter 2.
-What the vertical motion adds in hover is added at every level speed (our choice).
+Level flight follows Zeng, Xu and Zhang. Climb and descent, which their model lacks, follow axial
+momentum theory and Leishman's fit of the vortex-ring state. The power that vertical motion adds in
+hover is added at every level speed (our choice).
+
+References:
+    Y. Zeng, J. Xu, R. Zhang, Energy Minimization for Wireless Communication with Rotary-Wing UAV,
+    IEEE TWC 18(4), 2019.
+    J. G. Leishman, Principles of Helicopter Aerodynamics (2006), chapter 2.
 """
 
 import math
@@ -18,15 +22,15 @@ from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3Like, vec3
 from bulletuav.vehicle.airframe import DENSITY, STANDARD_GRAVITY, Airframe
 
-# Airframes do not tell the following numbers. They get those of Zeng, Xu and Zhang (our choice).
+# Airframes do not contain these constants. They use those of Zeng, Xu and Zhang (our choice).
 PROFILE_DRAG = 0.012
 """Profile drag coefficient of the blades."""
 SOLIDITY = 0.05
-"""Area of the blades over that of the discs."""
+"""Solidity: area of the blades divided by the area of the discs."""
 INDUCED_EXCESS = 0.1
-"""Share of the ideal induced power that real rotors lose on top of it."""
-PARASITE_SHARE = 0.03
-"""Flat-plate area of the fuselage, in disc areas."""
+"""Induced power losses of real rotors, as a fraction of the ideal induced power."""
+PARASITE_AREA_RATIO = 0.03
+"""Flat-plate area of the fuselage divided by the area of the discs."""
 
 
 class RotaryWing(NamedTuple):
@@ -36,14 +40,14 @@ class RotaryWing(NamedTuple):
         blade: Profile power of the blades in hover, W.
         induced: Induced power in hover, W.
         tip_speed: Speed of the blade tips, m/s.
-        induced_velocity: Speed of the air through the discs in hover, m/s.
-        drag_ratio: Flat-plate area of the fuselage over the area of the blades.
+        induced_velocity: Induced velocity in hover, m/s.
+        drag_ratio: Flat-plate area of the fuselage divided by the area of the blades.
         density: Density of the air, kg/m^3.
-        solidity: Area of the blades over that of the discs.
+        solidity: Area of the blades divided by the area of the discs.
         disc_area: Area of the discs of all rotors, m^2.
         weight: Weight, N.
-        efficiency: Power at the shafts over electrical power; 1 where no losses are counted.
-        electronics: Electrical power of all but the motors, W.
+        efficiency: Power at the shafts divided by electrical power; 1 to neglect losses.
+        electronics: Electrical power of everything except the motors, W.
     """
 
     blade: float
@@ -60,7 +64,7 @@ class RotaryWing(NamedTuple):
 
 
 ROTARY_WING = record_type([(name, "f8") for name in RotaryWing._fields])
-"""Type of rows for `propulsion`: np.array of a list of `RotaryWing` with this dtype is (N,)."""
+"""Type of the rows of `propulsion`; np.array of a list of `RotaryWing` with this dtype is (N,)."""
 
 
 def rotary_wing(
@@ -83,17 +87,17 @@ def rotary_wing(
         rotor_speed: Rotor speed in hover, rad/s.
         parasite_area: Flat-plate area of the fuselage, m^2.
         density: Density of the air, kg/m^3.
-        solidity: Area of the blades over that of the discs.
+        solidity: Area of the blades divided by the area of the discs.
         profile_drag: Profile drag coefficient of the blades.
-        induced_excess: Share of the ideal induced power that is lost on top of it.
+        induced_excess: Induced losses as a fraction of the ideal induced power.
 
     Returns:
         The constants.
 
     Raises:
-        ValueError: A number is not finite and above 0.
+        ValueError: If a number is not finite and greater than 0.
     """
-    # All arguments, by their names.
+    # Check all arguments by name.
     for name, value in locals().copy().items():
         if not finite(name, value) > 0:
             raise ValueError(f"{name} is {value!r}: a number above 0 is needed")
@@ -120,7 +124,7 @@ Its constants must not be mixed with those of `W100`.
 W100 = rotary_wing(
     weight=100.0, radius=0.5, disc_area=0.79, rotor_speed=400.0, parasite_area=0.01185
 )
-"""The drone of 100 N of their earlier preprint.
+"""The drone of 100 N of the earlier preprint by Zeng, Xu and Zhang.
 
 Its constants must not be mixed with those of `W20`.
 """
@@ -129,12 +133,12 @@ Its constants must not be mixed with those of `W20`.
 def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> RotaryWing:
     """Compute the constants of an airframe at sea level.
 
-    Small rotors lose much more in their blades than helicopters, of which the formula is. So the
-    power of the blades is what the rotors' torque takes in hover beyond the induced power, and the
-    losses of motors and controllers are those of the airframe.
+    The formula is for helicopters; the blades of small rotors lose much more. Therefore the blade
+    power is the power of the rotors' torque in hover minus the induced power, and the losses of
+    motors and controllers are those of the airframe.
 
     Args:
-        airframe: Its mass, propellers and hover speed count.
+        airframe: The airframe; its mass, propellers and hover speed are used.
         gravity: Gravity, m/s^2.
 
     Returns:
@@ -148,7 +152,7 @@ def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> Rota
         radius=radius,
         disc_area=area,
         rotor_speed=speed,
-        parasite_area=PARASITE_SHARE * area,
+        parasite_area=PARASITE_AREA_RATIO * area,
     )
     shafts = weight * airframe.torque_ratio * speed
     return wing._replace(
@@ -160,11 +164,10 @@ def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> Rota
 
 @func
 def level_power(speed: float, wing: RotaryWing) -> tuple[float, float, float]:
-    """Return the power of straight level flight.
+    """Compute the power of straight level flight by Zeng, Xu and Zhang (2019), eq. 12.
 
-    Zeng, Xu and Zhang (2019), eq. 12. The induced term is there Pi (sqrt(1 + x^2) - x)^(1/2) with
-    x = V^2 / (2 v0^2), a difference that cancels at high speed. The quotient here equals it and
-    does not cancel.
+    Their induced term Pi (sqrt(1 + x^2) - x)^(1/2), with x = V^2 / (2 v0^2), loses precision at
+    high speed by cancellation. The quotient here is equal and does not.
 
     Args:
         speed: Speed through the air, at least 0, m/s.
@@ -186,26 +189,27 @@ def level_power(speed: float, wing: RotaryWing) -> tuple[float, float, float]:
 
 @func
 def axial_inflow(x: float) -> float:
-    """Return the air through the disc in vertical flight: climb rate plus induced velocity.
+    """Return the inflow through the disc in vertical flight: climb rate plus induced velocity.
 
-    Climb: momentum theory. Descent to -2: Leishman's fit of the vortex ring. Faster: the windmill
-    brake of momentum theory. That misses the end of the fit by 0.026, so the fit goes on until they
-    meet, near -2.04 (our choice).
+    Climb: momentum theory. Descent to -2: Leishman's fit of the vortex-ring state. Faster descent:
+        the
+    windmill-brake state of momentum theory. The two differ by 0.026 at the end of the fit, so the
+    fit is continued to their intersection near -2.04 (our choice).
 
     Args:
-        x: Climb rate, in induced velocities of hover; negative in descent.
+        x: Climb rate divided by the induced velocity in hover; negative in descent.
 
     Returns:
-        The inflow, in induced velocities of hover.
+        The inflow divided by the induced velocity in hover.
     """
     # Climb.
     inflow = 0.5 * x + math.sqrt(0.25 * x * x + 1.0)
     if is_any(x < 0.0):
-        # Vortex ring: climb rate plus the fit of the induced velocity.
+        # Vortex-ring state: climb rate plus the fit of the induced velocity.
         ring = x + (1.0 + x * (-1.125 + x * (-1.372 + x * (-1.718 - 0.655 * x))))
         inflow = where(x < 0.0, ring, inflow)
         if is_any(x <= -2.0):
-            # Windmill brake, from where it exceeds the fit.
+            # Windmill-brake state, from where it exceeds the fit.
             brake = max(ring, 0.5 * x - math.sqrt(abs(0.25 * x * x - 1.0)))
             inflow = where(x <= -2.0, brake, inflow)
     return inflow
@@ -213,7 +217,7 @@ def axial_inflow(x: float) -> float:
 
 @func
 def vertical_power(climb: float, wing: RotaryWing) -> float:
-    """Return what a climb adds to the power of hover: weight (Vc + v_i - v0).
+    """Return the power that a climb adds to the power of hover: weight (Vc + v_i - v0).
 
     Args:
         climb: Climb rate Vc, m/s; negative in descent.
@@ -227,12 +231,11 @@ def vertical_power(climb: float, wing: RotaryWing) -> float:
 
 @func
 def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
-    """Return the power at a velocity: that of level flight and climb, with electrical losses.
+    """Return the electrical power at a velocity; also for lanes of velocities.
 
-    Of lanes of velocities, too, as all that it calls.
-
-    The shafts take at least the power of the blades in hover. Rotors turn in descent too, and none
-    of the power that the air gives back is stored (our choice).
+    It is the power of level flight plus that of the climb, with electrical losses. The power at the
+    shafts is at least the blade power in hover: rotors also turn in descent, and no power is
+    recovered (our choice).
 
     Args:
         velocity: (3,) velocity through the air, world axes, m/s.
@@ -249,7 +252,7 @@ def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
 
 @allocating
 def propulsion(velocity: np.ndarray, wings: np.ndarray) -> np.ndarray:
-    """Return `propulsion_power` of all drones.
+    """Compute `propulsion_power` of all drones.
 
     Args:
         velocity: (W, N, 3) velocities through the air, world axes, m/s.
@@ -265,18 +268,14 @@ def propulsion(velocity: np.ndarray, wings: np.ndarray) -> np.ndarray:
     return power
 
 
-def actuator_power(
-    before: np.ndarray,
-    after: np.ndarray,
-    parameters: np.ndarray,
-) -> np.ndarray:
-    """Return the mean power of the rotors against their torque k_m w^2 over a decision.
+def actuator_power(before: np.ndarray, after: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    """Compute the mean power of the rotors against their torque k_m w^2 over a decision.
 
-    The mean is taken by the trapezium rule.
+    The mean is computed by the trapezoidal rule.
 
     Args:
         before: (W, N, R) rotor speeds at the start of the decision, rad/s.
-        after: (W, N, R) rotor speeds at its end, rad/s.
+        after: (W, N, R) rotor speeds at the end of the decision, rad/s.
         parameters: (W, N) rows of `parameters.PARAMETERS`.
 
     Returns:
@@ -289,12 +288,9 @@ def actuator_power(
 
 @kernel
 def fill_actuator_power(
-    before: np.ndarray,
-    after: np.ndarray,
-    parameters: np.ndarray,
-    power: np.ndarray,
+    before: np.ndarray, after: np.ndarray, parameters: np.ndarray, power: np.ndarray
 ) -> None:
-    """Write what `actuator_power` returns to `power` (W, N)."""
+    """Write the result of `actuator_power` to `power` (W, N)."""
     for w in range(power.shape[0]):
         for i in range(power.shape[1]):
             cubes = 0.0

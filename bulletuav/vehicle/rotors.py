@@ -1,7 +1,10 @@
 """Rotors of one drone: first-order speed lag, thrust k_f w^2 and reaction torque k_m w^2.
 
-Their inertia J turns the body back while they speed up, by J dw/dt, and makes them a gyroscope.
-Source: R. Mahony, V. Kumar, P. Corke, Multirotor Aerial Vehicles, IEEE RAM 2012.
+The rotors' inertia J exerts the torque J dw/dt on the body while they accelerate, and a gyroscopic
+torque.
+
+References:
+    R. Mahony, V. Kumar, P. Corke, Multirotor Aerial Vehicles, IEEE RAM 2012.
 """
 
 import math
@@ -15,25 +18,26 @@ from bulletuav.geometry.rotation import Vec3
 from bulletuav.vehicle.parameters import ParameterRow
 
 RPM = 2.0 * math.pi / 60.0
-"""One revolution a minute, rad/s."""
+"""One revolution per minute, rad/s."""
 
 Rotors = tuple[float, Vec3, float, float]
-"""Thrust (N), torque about the body axes (N m), sum of the rotor speeds (rad/s), and their angular
-momentum about the body's z axis (N m s)"""
+"""Thrust (N), torque about the body axes (N m), sum of the rotor speeds (rad/s), and angular
+momentum of the rotors about the body's z axis (N m s)
+"""
 
 
 @func
 def lag_decay(elapsed: float, row: ParameterRow) -> tuple[float, float]:
-    """Return the share of the way to a command that rotors have left after a time.
+    """Return the remaining fraction of a rotor's speed error after a time, for a first-order lag.
 
     Args:
         elapsed: Time since the command, s.
         row: Constants of the drone.
 
     Returns:
-        The share for rotors that speed up, and for rotors that slow down.
+        The fraction for rotors that speed up, and for rotors that slow down.
     """
-    # Most motors have one time constant: they need one exponential.
+    # Most motors have a single time constant, which needs one exponential only.
     up = exp(-elapsed / row.lag_up) if row.lag_up > 0.0 else 0.0
     if row.lag_down == row.lag_up:
         return up, up
@@ -42,20 +46,16 @@ def lag_decay(elapsed: float, row: ParameterRow) -> tuple[float, float]:
 
 
 @func
-def lagged(
-    speed: float,
-    command: float,
-    decay: tuple[float, float],
-) -> float:
-    """Return the speed of a rotor on its way to a command, exact while the command is constant.
+def rotor_speed_after(speed: float, command: float, decay: tuple[float, float]) -> float:
+    """Return the speed of a rotor under a constant command (exact solution of the first-order lag).
 
     Args:
         speed: Speed at the time of the command, rad/s.
-        command: Speed that is commanded, rad/s.
-        decay: What `lag_decay` returns for the time since.
+        command: Commanded speed, rad/s.
+        decay: Result of `lag_decay` for the time since the command.
 
     Returns:
-        The speed now, rad/s.
+        The present speed, rad/s.
     """
     left: float = where(command > speed, decay[0], decay[1])
     return command + (speed - command) * left
@@ -70,37 +70,29 @@ def lag_rates(row: ParameterRow) -> tuple[float, float]:
 
 
 @func
-def spin_up(
-    speed: float,
-    command: float,
-    rate: tuple[float, float],
-) -> float:
-    """Return how fast a rotor speeds up towards a command, rad/s^2; 0 without lag.
+def rotor_acceleration(speed: float, command: float, rate: tuple[float, float]) -> float:
+    """Return the angular acceleration of a rotor towards its command, rad/s^2; 0 without lag.
 
     Args:
-        speed: Its speed, rad/s.
-        command: Speed that is commanded, rad/s.
-        rate: What `lag_rates` returns.
+        speed: Present speed, rad/s.
+        command: Commanded speed, rad/s.
+        rate: Result of `lag_rates`.
     """
     pace: float = where(command > speed, rate[0], rate[1])
     return (command - speed) * pace
 
 
 @func
-def rotor_wrench(
-    speed: np.ndarray,
-    winding: float,
-    row: ParameterRow,
-) -> Rotors:
-    """Return what the rotors do to the body.
+def rotor_wrench(speed: np.ndarray, winding: float, row: ParameterRow) -> Rotors:
+    """Compute the wrench of the rotors on the body, and their angular momentum.
 
     Args:
         speed: (R,) rotor speeds, rad/s.
-        winding: Sum over the rotors of turn dw/dt, rad/s^2: how fast they speed up.
+        winding: Sum over the rotors of turn dw/dt, rad/s^2, from their acceleration.
         row: Constants of the drone.
 
     Returns:
-        What they do.
+        Thrust, torque, sum of the rotor speeds and angular momentum, see `Rotors`.
     """
     square = square_x = square_y = square_turn = total = turn = 0.0
     for r in range(row.num_rotors):
@@ -113,9 +105,9 @@ def rotor_wrench(
         square += squared
         square_x += row.rotor_x[r] * squared
         square_y += row.rotor_y[r] * squared
-    # Thrust at the rotor's place turns the body, and so does its drag torque.
+    # Torques of the thrust at the rotor's position, and of the rotor's drag
     lift = row.thrust_coefficient
     torque_z = row.torque_coefficient * square_turn + row.rotor_inertia * winding
-    # A rotor spins against the torque that it exerts on the body.
+    # A rotor spins opposite to the torque that it exerts on the body.
     momentum = -row.rotor_inertia * turn
     return lift * square, (lift * square_y, -lift * square_x, torque_z), total, momentum

@@ -1,36 +1,40 @@
-"""Constants of airframes for which nobody measured them: those of the Crazyflie, scaled.
+"""Default constants of airframes without measurements, scaled from those of the Crazyflie.
 
-Rotors of one shape that carry their weight at one disc loading do the same things at their own
-size: lengths grow with the propeller, forces with the weight.
+Rotors of the same shape and disc loading are similar: lengths scale with the propeller's radius,
+forces with the weight.
 """
 
 import math
 from typing import NamedTuple
 
-from bulletuav.vehicle.airframe import reach_of
+from bulletuav.vehicle.airframe import arm_length
 
 GROUND_EFFECT_GAIN = 0.27
-"""Share of the thrust that a surface adds to a rotor that touches it (fit, see docs/truth.md)."""
+"""Relative increase of a rotor's thrust at a surface (fit, see docs/truth.md)."""
 GROUND_EFFECT_REACH = 6.2
-"""Height in propeller radii above which there is none (fit: 0.143 m for the Crazyflie)."""
+"""Height in propeller radii above which there is no ground effect (fit: 0.143 m, Crazyflie)."""
 WAKE_SHARE = 0.32
-"""Share of a drone's thrust that its wake puts on a drone just below (fit, see docs/truth.md)."""
+"""Force of the wake on a drone just below, as a fraction of the thrust (fit, see docs/truth.md)."""
 WAKE_SPREAD = 0.1
-"""Growth of the wake's width with the distance below (fit)."""
+"""Growth of the wake's width per distance below (fit)."""
 WAKE_RADIUS = 1.0
-"""Width of the wake at its start, in arms of the drone (fit)."""
+"""Width of the wake at the rotors, in arms of the drone (fit)."""
 AXIAL_DAMPING = 7.2
 """Loss of a rotor's thrust as it climbs, in k_f w / R (fit: damping of 3 1/s for the Crazyflie).
-Blade-element theory without inflow, a s / (4 C_T), would give 12."""
+
+Blade-element theory without inflow, a s / (4 C_T), would give 12.
+"""
 BODY_DRAG = (0.075, 0.52)
-"""Drag areas along and across the rotor plane, in areas of all rotor discs (our estimate, from the
-outlines of a Crazyflie: 5 and 35 cm^2)."""
+"""Drag areas along and across the rotor plane, in areas of all rotor discs.
+
+Our estimate, from the outlines of a Crazyflie: 5 and 35 cm^2.
+"""
 EFFICIENCY = 0.6
-"""Power at the shafts over electrical power (our estimate)."""
+"""Power at the shafts divided by electrical power (our estimate)."""
 
 
 class Scaled(NamedTuple):
-    """Constants that scale; see `Airframe` for what they are."""
+    """Scaled constants; `Airframe` documents them."""
 
     ground_effect: tuple[float, float]
     """Reach and gain"""
@@ -39,7 +43,7 @@ class Scaled(NamedTuple):
     damping: tuple[float, float, float]
     body_drag: tuple[float, float]
     power: tuple[float, float]
-    """Efficiency, and the power of the electronics"""
+    """Efficiency, and power of the electronics"""
 
 
 def scaled_constants(
@@ -52,20 +56,22 @@ def scaled_constants(
 ) -> Scaled:
     """Scale the Crazyflie's constants to another airframe.
 
-    A rotor that moves along its axis gains or loses thrust, which damps roll and pitch (G. J.
-    Leishman, Principles of Helicopter Aerodynamics, 2006, chapter 3). In yaw the rotors' drag damps
-    alone, so the law gives less than was measured on a Crazyflie.
+    A rotor that moves along its axis gains or loses thrust, which damps roll and pitch. Yaw is
+    damped by the rotors' drag only, so the law gives less than was measured on a Crazyflie.
 
     Args:
-        inertia: Principal moments, kg m^2.
-        rotors: Place x, y (m) and turn of each rotor.
+        inertia: Principal moments of inertia, kg m^2.
+        rotors: Position x, y (m) and direction of rotation of each rotor.
         thrust_coefficient: k_f, N s^2.
-        drag_xy: Drag of a rotor across its axis, for each m/s and rad/s, N.
+        drag_xy: Drag of a rotor across its axis, per m/s and rad/s, N.
         propeller_radius: R, m.
-        hover_speed: Rotor speed in hover w, rad/s.
+        hover_speed: Rotor speed w in hover, rad/s.
 
     Returns:
         The constants.
+
+    References:
+        G. J. Leishman, Principles of Helicopter Aerodynamics (2006), chapter 3.
     """
     axial = AXIAL_DAMPING * thrust_coefficient * hover_speed / propeller_radius
     aside = sum(y * y for _, y, _ in rotors)
@@ -73,7 +79,7 @@ def scaled_constants(
     disc_area = len(rotors) * math.pi * propeller_radius**2
     return Scaled(
         ground_effect=(GROUND_EFFECT_REACH * propeller_radius, GROUND_EFFECT_GAIN),
-        wake=(WAKE_RADIUS * reach_of(rotors), WAKE_SHARE, WAKE_SPREAD),
+        wake=(WAKE_RADIUS * arm_length(rotors), WAKE_SHARE, WAKE_SPREAD),
         damping=(
             axial * aside / inertia[0],
             axial * along / inertia[1],

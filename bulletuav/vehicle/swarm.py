@@ -1,4 +1,4 @@
-"""The state of all drones of all worlds, and what touched what."""
+"""State of all drones of all worlds, motion of obstacles, and contacts."""
 
 from typing import NamedTuple
 
@@ -12,16 +12,16 @@ State = tuple[Vec3, Quat4, Vec3, Vec3]
 
 
 class Swarm(NamedTuple):
-    """State of W worlds of N drones, float64, SI units; compiled functions take it as it is.
+    """State of W worlds of N drones, float64, SI units; compiled functions accept it directly.
 
     World axes are ENU, body axes FLU.
 
     Attributes:
-        position: (W, N, 3) centre of mass in the world's own frame, m.
+        position: (W, N, 3) centre of mass in the frame of the world, m.
         quaternion: (W, N, 4) attitude, body to world, (x, y, z, w).
         velocity: (W, N, 3) velocity of the centre of mass, world axes, m/s.
         rates: (W, N, 3) angular velocity, body axes, rad/s.
-        rotor_speed: (W, N, R) rotor speeds, rad/s; R is the largest rotor count in the swarm.
+        rotor_speed: (W, N, R) rotor speeds, rad/s; R is the largest number of rotors in the swarm.
     """
 
     position: np.ndarray
@@ -45,7 +45,7 @@ class Swarm(NamedTuple):
         return swarm
 
     def copy(self) -> "Swarm":
-        """Return the same state in arrays of its own."""
+        """Return a deep copy."""
         return Swarm(*[array.copy() for array in self])
 
     def world(self, index: int) -> "Swarm":
@@ -54,12 +54,12 @@ class Swarm(NamedTuple):
 
 
 class DroneArrays(NamedTuple):
-    """The drones of W worlds of N drones: their state, and what they are.
+    """State and constants of the drones of W worlds of N drones.
 
     Attributes:
         swarm: State of all drones.
-        alive: (W, N) bool, drones that fly; the others neither move nor act.
-        parameters: (W, N) rows of `PARAMETERS`, with which they fly.
+        alive: (W, N) bool, drones that fly; all others neither move nor act.
+        parameters: (W, N) rows of `PARAMETERS`.
     """
 
     swarm: Swarm
@@ -68,7 +68,7 @@ class DroneArrays(NamedTuple):
 
 
 class TimeStep(NamedTuple):
-    """How a decision is divided.
+    """Division of a decision into substeps.
 
     Attributes:
         substeps: Number of substeps.
@@ -80,7 +80,7 @@ class TimeStep(NamedTuple):
 
 
 @func
-def get(swarm: Swarm, w: int, i: int) -> State:
+def get_state(swarm: Swarm, w: int, i: int) -> State:
     """Return the state of one drone as tuples."""
     return (
         vec3(swarm.position, w, i),
@@ -91,8 +91,8 @@ def get(swarm: Swarm, w: int, i: int) -> State:
 
 
 @func
-def put(swarm: Swarm, w: int, i: int, state: State) -> None:
-    """Set the state of one drone, in the form that `get` returns."""
+def set_state(swarm: Swarm, w: int, i: int, state: State) -> None:
+    """Set the state of one drone, in the form of `get_state`."""
     position, quaternion, velocity, rates = state
     for k in range(3):
         swarm.position[w, i, k] = position[k]
@@ -103,8 +103,8 @@ def put(swarm: Swarm, w: int, i: int, state: State) -> None:
 
 
 @func
-def _turned_back(velocity: float, beyond: float, rebound: float) -> float:
-    """Return a velocity across a side, turned back if it leads further beyond that side."""
+def _reflect(velocity: float, beyond: float, rebound: float) -> float:
+    """Return a velocity component across a side, reflected if it leads further beyond this side."""
     return -rebound * velocity if velocity * beyond > 0.0 else velocity
 
 
@@ -118,21 +118,22 @@ def confine(
     rebound: float,
     moved: np.ndarray,
 ) -> bool:
-    """Put drones that left a box back to its sides.
+    """Move drones that left a box back to its sides, and reflect their velocities.
 
-    Across a side that they left, their velocity turns back, and so does the commanded one.
+    The components across the sides that they left are reflected, of the velocity and of the
+    commanded velocity.
 
     Args:
         swarm: The state; changed in place.
         commanded: (W, N, 3) commanded velocities, m/s; changed in place.
-        flown: (W, N) bool, the drones that count.
+        flown: (W, N) bool, the drones to confine.
         low: (3,) low corner of the box, m.
         high: (3,) high corner of the box, m.
-        rebound: Share of the velocity that turns back.
-        moved: (W, N) bool, written: the drones that were put back.
+        rebound: Fraction of the velocity that is reflected.
+        moved: (W, N) bool, written: the drones that were moved back.
 
     Returns:
-        Whether there are any.
+        True if any drone was moved back.
     """
     any_moved = False
     for w in range(flown.shape[0]):
@@ -141,21 +142,21 @@ def confine(
             if not flown[w, i]:
                 continue
             for k in range(3):
-                # Each axis by itself: a drone in a corner has left two or three sides.
+                # Each axis separately: a drone in a corner has left two or three sides.
                 place = swarm.position[w, i, k]
                 inside = min(max(place, low[k]), high[k])
                 if inside == place:
                     continue
                 moved[w, i] = any_moved = True
                 beyond = place - inside
-                swarm.velocity[w, i, k] = _turned_back(swarm.velocity[w, i, k], beyond, rebound)
-                commanded[w, i, k] = _turned_back(commanded[w, i, k], beyond, rebound)
+                swarm.velocity[w, i, k] = _reflect(swarm.velocity[w, i, k], beyond, rebound)
+                commanded[w, i, k] = _reflect(commanded[w, i, k], beyond, rebound)
                 swarm.position[w, i, k] = inside
     return any_moved
 
 
-class Motion(NamedTuple):
-    """Motion of the K obstacles of each world during a decision: straight, without turning.
+class ObstacleMotion(NamedTuple):
+    """Motion of the K obstacles of each world during a decision: straight, without rotation.
 
     Attributes:
         before: (W, K, 3) positions at the start, m.
@@ -168,8 +169,8 @@ class Motion(NamedTuple):
     quaternion: np.ndarray
 
     @classmethod
-    def none(cls, num_worlds: int) -> "Motion":
-        """Make the motion of no obstacles."""
+    def none(cls, num_worlds: int) -> "ObstacleMotion":
+        """Make the motion of zero obstacles."""
         nowhere = np.zeros((num_worlds, 0, 3))
         return cls(before=nowhere, after=nowhere, quaternion=np.zeros((num_worlds, 0, 4)))
 
@@ -181,26 +182,27 @@ CITY = -2
 FIRST_OBSTACLE = -3
 """`other` of a contact with obstacle 0; it is FIRST_OBSTACLE - k for obstacle k.
 
-Bodies that users add go on from there: FIRST_OBSTACLE - K - b for body b beside K obstacles.
+Bodies that users add follow: FIRST_OBSTACLE - K - b for body b in a world of K obstacles.
 """
 
 
 class Contacts(NamedTuple):
     """Contacts of collision shapes during one decision, sorted by world, drone and other.
 
-    There is one row for each touching drone, so a pair gives two rows.
+    There is one row for each drone in contact, so a pair of drones has two rows.
 
     Attributes:
         world: (C,) index of the world.
         drone: (C,) index of the drone.
-        other: (C,) index of the drone that it touches, GROUND, CITY, or FIRST_OBSTACLE - k for
+        other: (C,) index of the drone in contact with it, GROUND, CITY, or FIRST_OBSTACLE - k for
             obstacle k.
-        impulse: (C,) impulse along the contact normals, summed over the decision, N s.
-        point: (C, 3) where they touched first, m.
-        normal: (C, 3) unit vector in which the drone was pushed there.
-        velocity: (C, 3) velocity of the drone's surface against the other's just before, m/s.
-        depth: (C,) how deep their shapes overlapped there, m. Above 0 only in Bullet's own
-            contacts, and where `Dynamics.overlaps` looks: in flight they meet at their surfaces.
+        impulse: (C,) normal impulse, summed over the decision, N s.
+        point: (C, 3) position of the first contact point, m.
+        normal: (C, 3) contact normal there, towards the drone.
+        velocity: (C, 3) relative velocity of the drone's surface to the other's before the impact,
+            m/s.
+        depth: (C,) penetration depth there, m. It is greater than 0 only in Bullet's own contacts,
+            and where `Dynamics.overlaps` is used: in flight, shapes touch at their surfaces.
     """
 
     world: np.ndarray
@@ -214,19 +216,22 @@ class Contacts(NamedTuple):
 
     @classmethod
     def none(cls) -> "Contacts":
-        """Make no contacts."""
-        nobody = np.zeros(0, dtype=np.int64)
-        nowhere = np.zeros((0, 3))
-        nothing = np.zeros(0)
-        return cls(nobody, nobody, nobody, nothing, nowhere, nowhere, nowhere, nothing)
+        """Make an empty table of contacts."""
+        indices = np.zeros(0, dtype=np.int64)
+        vectors = np.zeros((0, 3))
+        scalars = np.zeros(0)
+        return cls(indices, indices, indices, scalars, vectors, vectors, vectors, scalars)
 
     @classmethod
     def merged(cls, **columns: np.ndarray) -> "Contacts":
-        """Make contacts of rows of which several may be of the same drone and other.
+        """Make contacts from rows, of which several may have the same drone and other.
 
         Args:
-            **columns: Attributes by name. Of rows that are one, impulses are added, and the first
-                tells the rest.
+            **columns: Attributes by name. Impulses of rows with the same drone and other are added;
+                all other attributes are those of the first such row.
+
+        Returns:
+            The sorted contacts.
         """
         rows = cls(**columns)
         if not len(rows.world):
@@ -240,7 +245,7 @@ class Contacts(NamedTuple):
         return firsts._replace(impulse=np.add.reduceat(rows.impulse[order], first))
 
     def joined(self, others: "Contacts") -> "Contacts":
-        """Return these and other contacts; of a touch that is in both, these tell the first."""
+        """Merge these contacts with others; of a contact in both, these contacts come first."""
         columns = map(np.concatenate, zip(self, others, strict=True))
         return Contacts.merged(**dict(zip(Contacts._fields, columns, strict=True)))
 
@@ -254,7 +259,7 @@ class Contacts(NamedTuple):
         return Contacts(*(column[rows] for column in self))
 
     def mask(self, shape: tuple[int, int]) -> np.ndarray:
-        """Tell which drones touched anything.
+        """Return which drones have a contact.
 
         Args:
             shape: (W, N).

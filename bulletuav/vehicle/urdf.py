@@ -1,6 +1,6 @@
-"""Reading of one-link URDF files: numbers within bounds, the inertia and the collision shape.
+"""Reader of one-link URDF files: bounded numbers, inertia and collision shape.
 
-Every refusal names the file, the tag and the value.
+Every error message names the file, the tag and the value.
 """
 
 import contextlib
@@ -13,27 +13,27 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.errors import read_file, shown
-from bulletuav.geometry.convex import holds_origin, inscribed_radius
+from bulletuav.geometry.convex import contains_origin, inscribed_radius
 from bulletuav.geometry.mesh_file import read_obj
-from bulletuav.geometry.obstacle import hull_of
+from bulletuav.geometry.obstacle import hull_from_points
 from bulletuav.geometry.rotation import from_euler
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 from bulletuav.parsing import parse_number, read_xml
 
-SMALLEST = 1e-20
-"""Least size of a number but 0: squares of such numbers, and products of a few, are no 0."""
-LARGEST = 1e9
-"""Greatest size of a number: squares of such numbers, and products of a few, are finite."""
-WIDEST = 100.0
-"""Greatest length on a drone, m."""
-THINNEST = 1e-4
-"""Least side of a collision shape, m: the engine's margins are as large as thinner ones."""
-LONGEST = 200
-"""Most characters of a value that a message shows."""
-LONGEST_PATH = 800
-"""Most bytes of the path of a file that a mesh names: from about 1,000 on the engine crashes."""
-PICTURES = ("map_Ka", "map_Kd", "map_Ks", "map_Ns")
-"""Words of a file of materials after which the name of a picture comes."""
+MIN_MAGNITUDE = 1e-20
+"""Minimum magnitude of a non-zero number: products of a few such numbers do not underflow."""
+MAX_MAGNITUDE = 1e9
+"""Maximum magnitude of a number: squares and products of a few such numbers are finite."""
+MAX_LENGTH = 100.0
+"""Maximum length on a drone, m."""
+MIN_SHAPE_SIDE = 1e-4
+"""Minimum side of a collision shape, m: Bullet's margins are as large as thinner ones."""
+MAX_SHOWN_CHARACTERS = 200
+"""Maximum number of characters of a value in a message."""
+MAX_PATH_BYTES = 800
+"""Maximum length of a path that a mesh names, bytes: Bullet crashes from about 1,000 on."""
+TEXTURE_KEYWORDS = ("map_Ka", "map_Kd", "map_Ks", "map_Ns")
+"""Keywords of a material file that are followed by the name of an image."""
 ZERO = r"[+-]?(?:0+\.?0*|\.0+)(?:[eE][+-]?[0-9]+)?"
 """Pattern of a number that is 0."""
 
@@ -42,20 +42,20 @@ class UrdfFile:
     """A URDF file whose values are read by tag and checked.
 
     Attributes:
-        path: Where the file is.
-        root: Its `<robot>` element.
-        widest: Greatest length of a shape, m.
+        path: Path of the file.
+        root: The `<robot>` element.
+        widest: Maximum length of a shape, m.
     """
 
-    def __init__(self, path: Path, widest: float = WIDEST) -> None:
+    def __init__(self, path: Path, widest: float = MAX_LENGTH) -> None:
         """Parse the file.
 
         Args:
-            path: Where it is.
-            widest: Greatest length of a shape, m.
+            path: Path of the file.
+            widest: Maximum length of a shape, m.
 
         Raises:
-            ValueError: It is no XML, or names a mesh that cannot be read.
+            ValueError: If the file is no XML, or names a mesh that cannot be read.
         """
         self.path = path
         self.widest = widest
@@ -65,70 +65,67 @@ class UrdfFile:
     def _require_meshes(self) -> None:
         """Check all meshes and textures that the file names.
 
-        The engine reads them in C++ without checks, from the folder of the file or one above it,
-        or from the current folder. It would wait forever for a pipe or a device.
+        Bullet reads them in C++ without checks, from the folder of the file, a folder above it or
+        the current folder. It would wait forever for a pipe or a device.
 
         Raises:
-            ValueError: A mesh is missing, of another form, or damaged; or a texture is no file.
+            ValueError: If a mesh is missing, damaged or of another format, or a texture is no file.
         """
         for mesh in self.root.iter("mesh"):
             name = mesh.get("filename", "")
             try:
-                files = self._found(name)
+                files = self._find_files(name)
                 for path in files:
                     _require_mesh(path)
             except (OSError, ValueError) as error:
-                raise self.refusal("mesh filename", name, str(error)) from None
+                raise self.make_error("mesh filename", name, str(error)) from None
             if not files:
                 reason = (
-                    "the name of a Wavefront OBJ file (.obj) or binary STL file (.stl) beside the "
+                    "the name of a Wavefront OBJ file (.obj) or binary STL file (.stl) next to the "
                     "URDF is needed, and there is no such file"
                 )
-                raise self.refusal("mesh filename", name or "missing", reason)
+                raise self.make_error("mesh filename", name or "missing", reason)
         for texture in self.root.iter("texture"):
             name = texture.get("filename", "")
             try:
-                self._found(name)
+                self._find_files(name)
             except (OSError, ValueError) as error:
-                raise self.refusal("texture filename", name, str(error)) from None
+                raise self.make_error("texture filename", name, str(error)) from None
 
-    def _found(self, name: str) -> list[Path]:
-        """Find the files that the engine may read by a name.
+    def _find_files(self, name: str) -> list[Path]:
+        """Find the files that Bullet may read for a name.
 
         Raises:
-            ValueError: One is no regular file.
+            ValueError: If one is no regular file.
         """
         local = name.removeprefix("package://").removeprefix("model://")
         paths = [folder / local for folder in (Path(), *self.path.resolve().parents)]
         return [path for path in paths if _is_file(path)]
 
-    def refusal(
-        self,
-        tag: str,
-        value: object,
-        reason: str,
-    ) -> ValueError:
-        """Make the error for a value, for the caller to raise."""
-        text = value if isinstance(value, str) and len(value) < LONGEST else shown(value)
+    def make_error(self, tag: str, value: object, reason: str) -> ValueError:
+        """Return the ValueError for a value of the file."""
+        text = (
+            value if isinstance(value, str) and len(value) < MAX_SHOWN_CHARACTERS else shown(value)
+        )
         return ValueError(f"{self.path}: <{tag}> is {text}: {reason}")
 
     def element(self, tag: str, parent: ElementTree.Element | None = None) -> ElementTree.Element:
-        """Find an element that must be there.
+        """Find a required element.
 
         Args:
-            tag: Its tag, or the path of tags to it.
-            parent: Where to search; the root when left out.
+            tag: Tag of the element, or the path of tags to it.
+            parent: Element to search in; the root if None.
 
         Returns:
             The element.
 
         Raises:
-            ValueError: There is none.
+            ValueError: If there is no such element.
         """
         found = (self.root if parent is None else parent).find(tag)
         if found is None:
             reason = "every airframe needs it; assets/urdf/cf2x.urdf shows the form"
-            raise self.refusal(tag, "missing", reason)
+            raise self.make_error(tag, "missing", reason)
         return found
 
     def number(
@@ -137,22 +134,22 @@ class UrdfFile:
         attribute: str,
         low: float = -math.inf,
         strict: bool = True,
-        most: float = LARGEST,
+        most: float = MAX_MAGNITUDE,
     ) -> float:
         """Read a finite number from an attribute.
 
         Args:
-            element: The element that has it.
-            attribute: Its name.
-            low: The number must be above this.
-            strict: False where the number may also equal `low`.
-            most: Greatest size of the number.
+            element: The element.
+            attribute: Name of the attribute.
+            low: Lower bound, exclusive if `strict`.
+            strict: False if the number may be equal to `low`.
+            most: Maximum magnitude of the number.
 
         Returns:
             The number.
 
         Raises:
-            ValueError: It is missing, no number or out of bounds.
+            ValueError: If the attribute is missing, no number or out of bounds.
         """
         text = element.get(attribute)
         label = f"{element.tag} {attribute}"
@@ -160,65 +157,66 @@ class UrdfFile:
             value = parse_number("missing" if text is None else text)
         except ValueError:
             written = text if text is not None else "missing"
-            raise self.refusal(label, written, "a number is needed") from None
+            raise self.make_error(label, written, "a number is needed") from None
         if value < low or (strict and value == low):
             bound = f"{'above' if strict else 'at least'} {low:g}"
-            raise self.refusal(label, text, f"it must be finite and {bound}")
-        if value != 0 and not SMALLEST <= abs(value) <= most:
-            reason = f"sizes from {SMALLEST:g} to {most:g} can be flown with"
-            raise self.refusal(label, text, reason)
+            raise self.make_error(label, text, f"it must be finite and {bound}")
+        if value != 0 and not MIN_MAGNITUDE <= abs(value) <= most:
+            reason = f"its magnitude must be from {MIN_MAGNITUDE:g} to {most:g}"
+            raise self.make_error(label, text, reason)
         return value
 
     def inertia(self) -> tuple[float, float, float]:
         """Read the principal moments of inertia (x, y, z), kg m^2.
 
         Raises:
-            ValueError: The link frame is not the principal frame, or no body has such moments.
+            ValueError: If the link frame is not the principal frame, or the moments are not
+                physical.
         """
         inertial = self.element("link/inertial")
-        self._require_centred(
+        self._require_zero_origin(
             inertial, "the link frame must be the principal frame at the centre of mass"
         )
         element = self.element("inertia", inertial)
         for key in ("ixy", "ixz", "iyz"):
             if key in element.attrib and self.number(element, key) != 0:
                 reason = "use principal axes: off-diagonal terms must be 0"
-                raise self.refusal(f"inertia {key}", element.get(key), reason)
+                raise self.make_error(f"inertia {key}", element.get(key), reason)
         ixx, iyy, izz = (self.number(element, key, low=0) for key in ("ixx", "iyy", "izz"))
-        # The triangle inequality of moments; rounding must not refuse flat bodies.
+        # Triangle inequality of the moments, with a tolerance for flat bodies
         if 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
             text = f"({ixx:g}, {iyy:g}, {izz:g})"
-            reason = "no body has it: each moment is at most the sum of the other two"
-            raise self.refusal("inertia", text, reason)
+            reason = "it is not physical: each moment must be at most the sum of the other two"
+            raise self.make_error("inertia", text, reason)
         return ixx, iyy, izz
 
     def require_one_link(self) -> None:
-        """Refuse robots of several parts.
+        """Raise ValueError for robots of several links.
 
         Raises:
-            ValueError: There is not exactly one link, or a joint.
+            ValueError: If there is not exactly one link, or there is a joint.
         """
         links = self.root.findall("link")
         if len(links) != 1 or self.root.find("joint") is not None:
             reason = "exactly one link and no joint (propellers are visuals)"
-            raise self.refusal("link", f"{len(links)} links", reason)
+            raise self.make_error("link", f"{len(links)} links", reason)
 
     def collision_shape(self) -> Shape:
         """Read the collision shape of an airframe.
 
         Raises:
-            ValueError: There is not exactly one, it is not centred or turned, or none of cylinder,
-                box, sphere and mesh; or the centre of mass is not within a mesh.
+            ValueError: If there is not exactly one shape, it is shifted or rotated, or no cylinder,
+                box, sphere or mesh; or the centre of mass is not inside the mesh.
         """
         shapes = self.root.findall("link/collision")
         if len(shapes) != 1:
             reason = "exactly one convex shape keeps contacts reproducible"
-            raise self.refusal("collision", f"there {len(shapes)} times", reason)
-        self._require_centred(shapes[0], "the collision shape must be centred and not turned")
+            raise self.make_error("collision", f"there {len(shapes)} times", reason)
+        self._require_zero_origin(shapes[0], "the collision shape must be centred and not turned")
         shape = self.shape(shapes[0])
-        if shape.kind == HULL and not holds_origin(shape):
+        if shape.kind == HULL and not contains_origin(shape):
             reason = "the centre of mass, the mesh's origin, must be within its convex hull"
-            raise self.refusal("mesh", "elsewhere", reason)
+            raise self.make_error("mesh", "elsewhere", reason)
         return shape
 
     def shape(self, collision: ElementTree.Element) -> Shape:
@@ -231,118 +229,115 @@ class UrdfFile:
             The shape in the element's own axes.
 
         Raises:
-            ValueError: It is none of cylinder, box, sphere and mesh, too small or too large.
+            ValueError: If it is no cylinder, box, sphere or mesh, too small or too large.
         """
         geometry = self.element("geometry", collision)
         kinds = [shape.tag for shape in geometry]
         if kinds not in (["cylinder"], ["box"], ["sphere"], ["mesh"]):
             reason = "it must be one cylinder, box, sphere or mesh"
-            raise self.refusal("collision geometry", kinds, reason)
+            raise self.make_error("collision geometry", kinds, reason)
         shape = geometry[0]
         if shape.tag == "sphere":
-            radius = self._side(shape, "radius")
+            radius = self._read_length(shape, "radius")
             return Shape(SPHERE, (radius, radius, radius))
         if shape.tag == "cylinder":
-            radius = self._side(shape, "radius")
-            length = self._side(shape, "length")
+            radius = self._read_length(shape, "radius")
+            length = self._read_length(shape, "length")
             return Shape(CYLINDER, (radius, radius, length / 2))
-        return self._box(shape) if shape.tag == "box" else self._hull(shape)
+        return self._read_box(shape) if shape.tag == "box" else self._read_hull(shape)
 
     def origin(self, parent: ElementTree.Element) -> tuple[np.ndarray, np.ndarray]:
         """Read the `<origin>` of an element.
 
         Args:
-            parent: The element; without an origin it is not moved.
+            parent: The element; a missing origin is the identity.
 
         Returns:
             Position (3,), m, and quaternion (4,).
 
         Raises:
-            ValueError: It is not made of numbers.
+            ValueError: If it does not consist of numbers.
         """
         found = parent.find("origin")
         element = ElementTree.Element("origin") if found is None else found
-        place = self._three(element, "xyz", "0 0 0")
-        roll, pitch, yaw = self._three(element, "rpy", "0 0 0")
+        place = self._read_vector(element, "xyz", "0 0 0")
+        roll, pitch, yaw = self._read_vector(element, "rpy", "0 0 0")
         return np.array(place), np.array(from_euler(roll, pitch, yaw))
 
-    def _three(
-        self,
-        element: ElementTree.Element,
-        attribute: str,
-        default: str = "",
+    def _read_vector(
+        self, element: ElementTree.Element, attribute: str, default: str = ""
     ) -> tuple[float, float, float]:
         """Read three finite numbers from an attribute."""
         text = element.get(attribute, default)
         with contextlib.suppress(ValueError):
             x, y, z = map(parse_number, text.split())
-            if max(abs(x), abs(y), abs(z)) <= LARGEST:
+            if max(abs(x), abs(y), abs(z)) <= MAX_MAGNITUDE:
                 return x, y, z
-        reason = f"three numbers up to {LARGEST:g} are needed"
-        raise self.refusal(f"{element.tag} {attribute}", text or "missing", reason)
+        reason = f"three numbers up to {MAX_MAGNITUDE:g} are needed"
+        raise self.make_error(f"{element.tag} {attribute}", text or "missing", reason)
 
-    def _hull(self, mesh: ElementTree.Element) -> Shape:
-        """Read the convex hull of a mesh, an OBJ file beside this one."""
+    def _read_hull(self, mesh: ElementTree.Element) -> Shape:
+        """Read the convex hull of a mesh, an OBJ file next to the URDF."""
         name = mesh.get("filename", "")
         path = self.path.parent / name
         if not name.lower().endswith(".obj") or not path.is_file():
-            reason = "the name of a Wavefront OBJ file (.obj) beside the URDF is needed"
-            raise self.refusal("mesh filename", name or "missing", reason)
-        scale = self._three(mesh, "scale", "1 1 1")
+            reason = "the name of a Wavefront OBJ file (.obj) next to the URDF is needed"
+            raise self.make_error("mesh filename", name or "missing", reason)
+        scale = self._read_vector(mesh, "scale", "1 1 1")
         if min(scale) <= 0:
-            raise self.refusal("mesh scale", mesh.get("scale"), "it must be above 0")
+            raise self.make_error("mesh scale", mesh.get("scale"), "it must be above 0")
         try:
-            hull = hull_of(str(path), np.concatenate(read_obj(path)) * scale)
+            hull = hull_from_points(str(path), np.concatenate(read_obj(path)) * scale)
         except ValueError as error:
-            raise self.refusal("mesh filename", name, str(error)) from None
+            raise self.make_error("mesh filename", name, str(error)) from None
         size = 2 * max(hull.half)
-        if size > self.widest or 2 * inscribed_radius(hull) < THINNEST:
-            reason = f"its extents must be from {THINNEST:g} to {self.widest:g} m"
-            raise self.refusal("mesh filename", name, reason)
+        if size > self.widest or 2 * inscribed_radius(hull) < MIN_SHAPE_SIDE:
+            reason = f"its extents must be from {MIN_SHAPE_SIDE:g} to {self.widest:g} m"
+            raise self.make_error("mesh filename", name, reason)
         return hull
 
-    def _box(self, shape: ElementTree.Element) -> Shape:
-        """Read a box from its three edges."""
+    def _read_box(self, shape: ElementTree.Element) -> Shape:
+        """Read a box from its three edge lengths."""
         try:
             size = [parse_number(part) for part in shape.get("size", "").split()]
         except ValueError:
             size = []
-        if len(size) == 3 and all(THINNEST <= side <= self.widest for side in size):
+        if len(size) == 3 and all(MIN_SHAPE_SIDE <= side <= self.widest for side in size):
             return Shape(BOX, (size[0] / 2, size[1] / 2, size[2] / 2))
-        reason = f"three positive numbers from {THINNEST:g} to {self.widest:g} are needed"
-        raise self.refusal("box size", shape.get("size", "missing"), reason)
+        reason = f"three positive numbers from {MIN_SHAPE_SIDE:g} to {self.widest:g} are needed"
+        raise self.make_error("box size", shape.get("size", "missing"), reason)
 
-    def _side(self, shape: ElementTree.Element, attribute: str) -> float:
+    def _read_length(self, shape: ElementTree.Element, attribute: str) -> float:
         """Read a length of the collision shape, m."""
         side = self.number(shape, attribute, low=0, most=self.widest)
-        if side < THINNEST:
-            reason = f"at least {THINNEST:g} m is needed"
-            raise self.refusal(f"{shape.tag} {attribute}", shape.get(attribute), reason)
+        if side < MIN_SHAPE_SIDE:
+            reason = f"at least {MIN_SHAPE_SIDE:g} m is needed"
+            raise self.make_error(f"{shape.tag} {attribute}", shape.get(attribute), reason)
         return side
 
-    def _require_centred(self, parent: ElementTree.Element, reason: str) -> None:
-        """Refuse an `<origin>` that is not all zeros."""
+    def _require_zero_origin(self, parent: ElementTree.Element, reason: str) -> None:
+        """Raise ValueError for an `<origin>` with a number other than 0."""
         origin = parent.find("origin")
         for key in ("xyz", "rpy"):
             text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
-            # Other texts are of no number, or of another one than 0
+            # Any other text is no number, or a number other than 0
             if not re.fullmatch(rf"\s*{ZERO}\s+{ZERO}\s+{ZERO}\s*", text, re.ASCII):
-                raise self.refusal(f"{parent.tag} origin {key}", text, reason)
+                raise self.make_error(f"{parent.tag} origin {key}", text, reason)
 
 
 def _is_file(path: Path) -> bool:
-    """Return True for a regular file, False for a folder or nothing.
+    """Return True for a regular file, False for a folder or a missing path.
 
     Raises:
-        ValueError: It is a pipe, a device or the like.
+        ValueError: If the path is a pipe, a device or the like.
     """
     if path.exists() and not path.is_file() and not path.is_dir():
-        raise ValueError(f"{path} is no regular file: give one of a mesh or picture")
+        raise ValueError(f"{path} is not a regular file: a mesh or image file is needed")
     return path.is_file()
 
 
 def _require_mesh(path: Path) -> None:
-    """Raise ValueError for a file of a mesh whose numbers do not fit each other."""
+    """Raise ValueError for a mesh file with inconsistent contents."""
     match path.suffix.lower():
         case ".obj":
             read_obj(path)
@@ -357,28 +352,28 @@ def _require_mesh(path: Path) -> None:
                 )
         case _:
             raise ValueError(
-                f"{path} is of a form that cannot be checked before the engine reads it: convert "
+                f"{path} has a format that cannot be checked before the engine reads it: convert "
                 f"it to a Wavefront OBJ file (.obj), as modelling programs can"
             )
 
 
 def _require_materials(mesh: Path) -> None:
-    """Check the files of materials that an OBJ file names, and the pictures that those name.
+    """Check the material files that an OBJ file names, and the images that these name.
 
     Raises:
-        ValueError: One is no regular file, or has a path that is too long for the engine.
+        ValueError: If one is no regular file, or has a path that is too long for Bullet.
     """
-    for material in _named(mesh, ("mtllib",)):
+    for material in _list_named_files(mesh, ("mtllib",)):
         if _is_file(material):
-            for picture in _named(material, PICTURES):
+            for picture in _list_named_files(material, TEXTURE_KEYWORDS):
                 _is_file(picture)
 
 
-def _named(path: Path, words: tuple[str, ...]) -> list[Path]:
-    """List the files that lines of a file name after one of some words.
+def _list_named_files(path: Path, words: tuple[str, ...]) -> list[Path]:
+    """List the files that a file names after any of some keywords.
 
     Raises:
-        ValueError: A path is longer than `LONGEST_PATH`.
+        ValueError: If a path is longer than `MAX_PATH_BYTES`.
     """
     lines = (line.strip() for line in read_file(path, newline="").split("\n"))
     files = []
@@ -386,9 +381,9 @@ def _named(path: Path, words: tuple[str, ...]) -> list[Path]:
         word, _, name = line.replace("\t", " ").partition(" ")
         if word in words:
             files.append(path.parent / name.strip())
-            if len(os.fsencode(files[-1])) > LONGEST_PATH:
+            if len(os.fsencode(files[-1])) > MAX_PATH_BYTES:
                 raise ValueError(
-                    f"{path}: {word} {shown(name)} makes a path of more than {LONGEST_PATH} bytes, "
-                    f"which the engine cannot take: shorten it"
+                    f"{path}: {word} {shown(name)} makes a path of more than {MAX_PATH_BYTES} "
+                    f"bytes, which the engine cannot read: shorten it"
                 )
     return files

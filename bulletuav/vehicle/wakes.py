@@ -1,8 +1,8 @@
-"""The wakes of drones on each other, summed over the pairs of some worlds.
+"""Downwash between all pairs of drones of some worlds.
 
-Most pairs are too far from each other for a wake, and stay so for a while. So those that may blow
-on each other are listed once, with some leeway, and anew when a drone has moved farther than that.
-What wakes do is worked out for `WIDTH` pairs at once.
+Most pairs are too far apart for a wake, and stay so for a while. Pairs that may interact are kept
+in a Verlet list (neighbour list with a skin), which is rebuilt when a drone has moved farther than
+the skin. The wakes of `WIDTH` pairs are computed in one vector operation.
 """
 
 import math
@@ -19,24 +19,24 @@ from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.wake import WAKE_EDGE, is_in_wake, jet, wake_width_squared
 
-LEEWAY = 0.25
-"""How far drones may move along each axis before pairs are listed anew, m"""
+LIST_SKIN = 0.25
+"""Distance that drones may move along each axis before the list of pairs is rebuilt, m"""
 _ROUNDED = 1.0 + 1e-9
-"""Factor that keeps pairs at the edge of a wake in the list, however distances are rounded"""
+"""Factor that keeps pairs at the edge of a wake in the list despite rounding errors of distances"""
 _WIDTH, _SQUARE, _STRENGTH, _X, _Y, _ARM = range(6)
-"""Rows of `Wakes.numbers`: what `jet` takes, the way to the axis, and the arm squared"""
+"""Rows of `Wakes.numbers`: the arguments of `jet`, the vector to the axis, and the squared arm"""
 
 
 class Wakes(NamedTuple):
-    """Wakes in a group of G worlds of N drones, and room to compute them.
+    """Wakes in a group of G worlds of N drones, with scratch arrays.
 
     Attributes:
         felt: (G, N, 4) downward force (N) and torque about the body's axes (N m) on each drone.
-        pairs: (P, 3) world of the group and indices of two drones that may blow on each other.
-        listed: (1,) how many pairs are listed.
-        place: (G, N, 3) where drones were when they were listed, m.
-        numbers: (6, `WIDTH`) what a wake depends on, of pairs that are computed together.
-        below: (`WIDTH`, 2) world of the group and index of the lower drone of each.
+        pairs: (P, 3) world of the group and indices of two drones whose wakes may interact.
+        listed: (1,) number of pairs in the list.
+        place: (G, N, 3) positions of the drones when the list was built, m.
+        numbers: (6, `WIDTH`) inputs of the wakes of pairs that are computed together.
+        below: (`WIDTH`, 2) world of the group and index of the lower drone of each of these pairs.
     """
 
     felt: np.ndarray
@@ -48,7 +48,7 @@ class Wakes(NamedTuple):
 
     @classmethod
     def of(cls, num_worlds: int, num_drones: int) -> "Wakes":
-        """Make room for a group of worlds; of pairs, only what is used takes memory."""
+        """Allocate arrays for a group of worlds; pairs use memory only when they are listed."""
         most = num_worlds * num_drones * (num_drones - 1) // 2
         return cls(
             felt=np.zeros((num_worlds, num_drones, 4)),
@@ -61,43 +61,38 @@ class Wakes(NamedTuple):
 
 
 @func
-def _has_moved(position: np.ndarray, place: np.ndarray, first: int, last: int) -> bool:
-    """Tell whether a drone is farther than `LEEWAY` from where it was when pairs were listed."""
-    # A sum without branches, which compiles to several numbers at once; NaN counts as moved
+def _is_list_stale(position: np.ndarray, place: np.ndarray, first: int, last: int) -> bool:
+    """Return True if a drone moved farther than `LIST_SKIN` since the list of pairs was built."""
+    # A sum without branches, which the compiler vectorises; NaN counts as moved
     near = 0
     for w in range(first, last):
         for i in range(position.shape[1]):
             for k in range(3):
-                near += abs(position[w, i, k] - place[w - first, i, k]) <= LEEWAY
+                near += abs(position[w, i, k] - place[w - first, i, k]) <= LIST_SKIN
     moved: bool = near < 3 * (last - first) * position.shape[1]
     return moved
 
 
 @func
-def _edge(width_squared: float, leeway: float) -> float:
-    """Return the squared distance beyond which no pair feels a wake while drones have a leeway.
+def _list_range_squared(width_squared: float, skin: float) -> float:
+    """Return the squared distance beyond which a pair needs no entry in the list.
 
-    Two drones come nearer to each other by at most 2 sqrt(2) leeways.
+    Two drones approach each other by at most 2 sqrt(2) skins.
     """
-    reach = math.sqrt(WAKE_EDGE * width_squared) + 3.0 * leeway
+    reach = math.sqrt(WAKE_EDGE * width_squared) + 3.0 * skin
     return reach * reach * _ROUNDED
 
 
 @func
-def _widest_squared(drop: float, row: ParameterRow) -> float:
-    """Return the square of a wake's width so far below; 0 for a drone without a wake."""
+def _max_width_squared(drop: float, row: ParameterRow) -> float:
+    """Return the squared width of a wake at a distance below; 0 for a drone without a wake."""
     return wake_width_squared(drop, row) if row.wake_share > 0.0 else 0.0
 
 
 @func
-def _has_company(
-    position: np.ndarray,
-    w: int,
-    i: int,
-    edge: float,
-) -> bool:
-    """Tell whether a drone of higher index is within a squared horizontal distance of drone i."""
-    # A sum without branches, which compiles to several pairs at once
+def _has_neighbour(position: np.ndarray, w: int, i: int, edge: float) -> bool:
+    """Return True if a drone of higher index is within a squared horizontal distance of drone i."""
+    # A sum without branches, which the compiler vectorises
     far = 0
     for j in range(i + 1, position.shape[1]):
         dx = position[w, j, 0] - position[w, i, 0]
@@ -114,10 +109,10 @@ def _list_pairs(
     parameters: np.ndarray,
     w: int,
     world: int,
-    leeway: float,
+    skin: float,
     wakes: Wakes,
 ) -> None:
-    """List those pairs of world w that may blow on each other while no drone leaves its leeway.
+    """Add the pairs of world w to the list that may interact while no drone leaves its skin.
 
     Args:
         position: (W, N, 3) positions, m.
@@ -125,8 +120,8 @@ def _list_pairs(
         parameters: (W, N) rows of `parameters.PARAMETERS`.
         w: Index of the world.
         world: Its index in the group.
-        leeway: How far drones may move along each axis, m.
-        wakes: What is filled.
+        skin: Skin: distance that drones may move along each axis, m.
+        wakes: Arrays of the group; the list is extended.
     """
     num_drones = position.shape[1]
     place, pairs = wakes.place, wakes.pairs
@@ -138,16 +133,16 @@ def _list_pairs(
         if alive[w, i]:
             lowest = min(lowest, position[w, i, 2])
             highest = max(highest, position[w, i, 2])
-    # How far the widest wake of this world reaches: who is farther from all others is passed over
+    # Range of the widest wake of this world: drones without neighbours in it are skipped
     widest = 0.0
     for i in range(num_drones):
         if alive[w, i]:
-            drop = highest - lowest + 3.0 * leeway
-            widest = max(widest, _widest_squared(drop, parameters[w, i]))
-    edge = _edge(widest, leeway)
+            drop = highest - lowest + 3.0 * skin
+            widest = max(widest, _max_width_squared(drop, parameters[w, i]))
+    edge = _list_range_squared(widest, skin)
     count = wakes.listed[0]
     for i in range(num_drones):
-        if not alive[w, i] or not _has_company(position, w, i, edge):
+        if not alive[w, i] or not _has_neighbour(position, w, i, edge):
             continue
         for j in range(i + 1, num_drones):
             dx = position[w, j, 0] - position[w, i, 0]
@@ -155,13 +150,14 @@ def _list_pairs(
             square = dx * dx + dy * dy
             if square > edge or not alive[w, j]:
                 continue
-            # Either may be the upper one by then
-            drop = abs(position[w, j, 2] - position[w, i, 2]) + 3.0 * leeway
+            # Either drone may become the upper one
+            drop = abs(position[w, j, 2] - position[w, i, 2]) + 3.0 * skin
             wide = max(
-                _widest_squared(drop, parameters[w, i]), _widest_squared(drop, parameters[w, j])
+                _max_width_squared(drop, parameters[w, i]),
+                _max_width_squared(drop, parameters[w, j]),
             )
-            # Also where a position is NaN, with which nobody knows how far drones will move
-            if wide > 0.0 and not square > _edge(wide, leeway):
+            # Pairs with a NaN position are listed, too
+            if wide > 0.0 and not square > _list_range_squared(wide, skin):
                 pairs[count, 0] = world
                 pairs[count, 1] = i
                 pairs[count, 2] = j
@@ -170,7 +166,7 @@ def _list_pairs(
 
 
 @func
-def _take(
+def _load_lane(
     position: np.ndarray,
     rotor_speed: np.ndarray,
     w: int,
@@ -180,7 +176,7 @@ def _take(
     numbers: np.ndarray,
     lane: int,
 ) -> bool:
-    """Take what the wake of a drone on another depends on into a lane; tell whether there is one.
+    """Write the inputs of one drone's wake on another to a lane; return True if there is a wake.
 
     Args:
         position: (W, N, 3) positions, m.
@@ -189,8 +185,8 @@ def _take(
         above: Index of the upper drone.
         below: Index of the lower drone.
         parameters: (W, N) rows of `parameters.PARAMETERS`.
-        numbers: (6, `WIDTH`) where it is written.
-        lane: The lane.
+        numbers: (6, `WIDTH`) array to write to.
+        lane: Index of the lane.
     """
     row = parameters[w, above]
     # From the lower drone to the axis of the wake
@@ -212,7 +208,7 @@ def _take(
 
 
 @func
-def _blow(
+def _apply_lanes(
     quaternion: np.ndarray,
     first: int,
     count: int,
@@ -220,7 +216,7 @@ def _blow(
     below: np.ndarray,
     felt: np.ndarray,
 ) -> None:
-    """Add the wakes of the first so many lanes to what their lower drones feel."""
+    """Compute the wakes of the first `count` lanes, and add them to the lower drones."""
     lanes = lanes_of(numbers, 0)
     push, tip = jet(lanes[_SQUARE], lanes[_WIDTH], lanes[_STRENGTH])
     tip *= lanes[_ARM]
@@ -248,46 +244,46 @@ def sum_wakes(
     first: int,
     last: int,
     is_listed: bool,
-    leeway: float,
+    skin: float,
     wakes: Any,
 ) -> None:
-    """Sum the wakes of all living drones of some worlds on each of them.
+    """Sum the wakes of all living drones of some worlds on each drone.
 
     Args:
         swarm: `Swarm`, state of all drones.
         alive: (W, N) bool.
         parameters: (W, N) rows of `parameters.PARAMETERS`.
         first: Index of the group's first world.
-        last: That after its last one.
-        is_listed: Whether the pairs were listed with `LEEWAY` before, with the same drones alive.
-        leeway: `LEEWAY` for a list that is used again, 0 for one that is not.
-        wakes: `Wakes` of the group; `felt` is filled.
+        last: Index after the group's last world.
+        is_listed: Whether the list was built with `LIST_SKIN` before, with the same drones alive.
+        skin: `LIST_SKIN` for a list that is used again, 0 for a list that is not.
+        wakes: `Wakes` of the group; `felt` is written.
     """
     position = swarm.position
-    if not is_listed or _has_moved(position, wakes.place, first, last):
+    if not is_listed or _is_list_stale(position, wakes.place, first, last):
         wakes.listed[0] = 0
         for w in range(first, last):
-            _list_pairs(position, alive, parameters, w, w - first, leeway, wakes)
-    # Where arrays are is read once: what is written could be that for all the compiler knows
+            _list_pairs(position, alive, parameters, w, w - first, skin, wakes)
+    # Read array pointers once: the compiler must assume that writes may alias them
     rotor_speed, quaternion = swarm.rotor_speed, swarm.quaternion
     felt, pairs, numbers, lower = wakes.felt, wakes.pairs, wakes.numbers, wakes.below
     for world in range(last - first):
         for i in range(position.shape[1]):
             for k in range(4):
                 felt[world, i, k] = 0.0
-    # Of each pair the upper drone blows on the lower one
+    # In each pair the wake of the upper drone acts on the lower one
     lane = 0
     for p in range(wakes.listed[0]):
         world, above, below = pairs[p, 0], pairs[p, 1], pairs[p, 2]
         w = first + world
         if position[w, below, 2] > position[w, above, 2]:
             above, below = below, above
-        if _take(position, rotor_speed, w, above, below, parameters, numbers, lane):
+        if _load_lane(position, rotor_speed, w, above, below, parameters, numbers, lane):
             lower[lane, 0] = world
             lower[lane, 1] = below
             lane += 1
             if lane == WIDTH:
-                _blow(quaternion, first, lane, numbers, lower, felt)
+                _apply_lanes(quaternion, first, lane, numbers, lower, felt)
                 lane = 0
     if lane > 0:
-        _blow(quaternion, first, lane, numbers, lower, felt)
+        _apply_lanes(quaternion, first, lane, numbers, lower, felt)

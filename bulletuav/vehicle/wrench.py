@@ -1,4 +1,4 @@
-"""The wrench on one drone (force and torque) that every six-degree-of-freedom dynamics shares."""
+"""The wrench (force and torque) on one drone, for all dynamics with six degrees of freedom."""
 
 import math
 from typing import NamedTuple
@@ -7,22 +7,23 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, Vec3Like, axes, dot, minus, plus
-from bulletuav.vehicle.aerodynamics import force_of_air, ground_wrench, torque_of_drag
+from bulletuav.vehicle.aerodynamics import drag_torque, ground_wrench, thrust_and_drag
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import Rotors
 
-SMALL_TURN = 0.25
-"""Angle by which a body may turn in one step of RK4, rad"""
-MOST_PARTS = 64
-"""Most parts of a step"""
+MAX_PART_ROTATION = 0.25
+"""Maximum rotation angle of a body in one step of RK4, rad"""
+MAX_PARTS = 64
+"""Maximum number of parts of a step"""
 
-Around = tuple[Vec3, float, float, Vec3, Vec3]
-"""Wind (m/s), height of the surface below (m), gravity (m/s^2), and what pushes from outside: a
-force (N, world axes) and a torque (N m, body axes)"""
+Surroundings = tuple[Vec3, float, float, Vec3, Vec3]
+"""Wind (m/s), height of the surface below (m), gravity (m/s^2), external force (N, world axes) and
+external torque (N m, body axes)
+"""
 
 
 class Wrenches(NamedTuple):
-    """What moves and turns the drones of W worlds of N drones in a substep.
+    """Forces and torques on the drones of W worlds of N drones in a substep.
 
     Attributes:
         force: (W, N, 3) forces at the centres of mass, world axes, N.
@@ -34,23 +35,18 @@ class Wrenches(NamedTuple):
 
 
 @func
-def with_wake(
-    wind: Vec3,
-    surface: float,
-    gravity: float,
-    force: Vec3,
-    torque: Vec3,
-    wake: Quat4,
-) -> Around:
-    """Return what surrounds a drone.
+def make_surroundings(
+    wind: Vec3, surface: float, gravity: float, force: Vec3, torque: Vec3, wake: Quat4
+) -> Surroundings:
+    """Combine the external influences on a drone with its wake force and torque.
 
     Args:
         wind: Velocity of the air, m/s.
         surface: Height of the surface below, m.
         gravity: m/s^2, downwards.
-        force: What pushes it, world axes, N.
-        torque: What turns it, body axes, N m.
-        wake: Force of wakes downwards, N, and their torque, body axes, N m.
+        force: External force, world axes, N.
+        torque: External torque, body axes, N m.
+        wake: Downward force of wakes, N, and their torque, body axes, N m.
     """
     return (
         wind,
@@ -62,31 +58,31 @@ def with_wake(
 
 
 @func
-def wrench(
+def compute_wrench(
     quaternion: Quat4Like,
     velocity: Vec3Like,
     altitude: float,
     speed: np.ndarray,
     rotors: Rotors,
-    around: Around,
+    around: Surroundings,
     lifted: int,
     row: ParameterRow,
 ) -> tuple[Vec3, Vec3]:
-    """Return force and torque on one drone.
+    """Compute force and torque on one drone.
 
     Args:
         quaternion: Attitude, body to world.
         velocity: Velocity, world axes, m/s.
         altitude: Height of the centre of mass in the world, m.
         speed: (R,) rotor speeds, rad/s.
-        rotors: What `rotors.rotor_wrench` returns for them.
-        around: What surrounds the drone.
-        lifted: What `aerodynamics.lifted_rotors` returns.
+        rotors: Result of `rotors.rotor_wrench` for these speeds.
+        around: External influences on the drone.
+        lifted: Result of `aerodynamics.num_lifted_rotors`.
         row: Constants of the drone.
 
     Returns:
-        The force, world axes, N, and the torque, body axes, N m. The torques that depend on the
-        body's rates are in `body_acceleration`.
+        The force, world axes, N, and the torque, body axes, N m. Torques that depend on the body
+        rates are part of `body_acceleration`.
     """
     wind, surface, gravity, push, twist = around
     thrust, torque, total_speed, _ = rotors
@@ -96,9 +92,9 @@ def wrench(
     more, more_x, more_y = ground_wrench(altitude - surface, lean, speed, lifted, row)
     # Drag against the air, which moves with the wind.
     v = minus(velocity, wind)
-    force = force_of_air(v, up, thrust + more, total_speed, row)
-    tipped = torque_of_drag((dot(ahead, v), dot(left, v), 0.0), total_speed, row)
-    # What all stages of a substep have in common is summed first.
+    force = thrust_and_drag(v, up, thrust + more, total_speed, row)
+    tipped = drag_torque((dot(ahead, v), dot(left, v), 0.0), total_speed, row)
+    # Terms that all stages of a substep have in common are summed first.
     held = (push[0], push[1], push[2] - row.mass * gravity)
     turn = plus(torque, 1.0, twist)
     return plus(force, 1.0, held), (
@@ -109,12 +105,8 @@ def wrench(
 
 
 @func
-def damping_torque(
-    rates: Vec3Like,
-    total_speed: float,
-    row: ParameterRow,
-) -> Vec3:
-    """Return the torque c w by which spinning rotors slow a turning body down, N m.
+def damping_torque(rates: Vec3Like, total_speed: float, row: ParameterRow) -> Vec3:
+    """Return the damping torque c w of spinning rotors on a rotating body, N m.
 
     Args:
         rates: Angular velocity w, body axes, rad/s.
@@ -130,16 +122,12 @@ def damping_torque(
 
 @func
 def body_acceleration(
-    rates: Vec3Like,
-    torque: Vec3Like,
-    total_speed: float,
-    momentum: float,
-    row: ParameterRow,
+    rates: Vec3Like, torque: Vec3Like, total_speed: float, momentum: float, row: ParameterRow
 ) -> Vec3:
     """Return the angular acceleration by Euler's equation, J^-1 (M - w x (J w + h) - c w).
 
     h is the angular momentum of the rotors. c w is the damping by rotors that move through the air
-    as the body turns; it grows with their speeds.
+    as the body rotates; it grows with the rotor speeds.
 
     Args:
         rates: Angular velocity w, body axes, rad/s.
@@ -155,11 +143,11 @@ def body_acceleration(
     jy = row.inertia[1]
     jz = row.inertia[2]
     turned = damping_torque(rates, total_speed, row)
-    # What the rates do is summed before the torque, which is known last.
+    # Terms of the rates are summed before the torque, which is known last.
     x = turned[0] + rates[1] * (momentum + (jz - jy) * rates[2])
     y = turned[1] + rates[0] * ((jx - jz) * rates[2] - momentum)
     z = turned[2] + (jy - jx) * rates[0] * rates[1]
-    # Written with 1 / J, divisions that several calls for one drone share.
+    # With 1 / J, so that the compiler computes the divisions once for several calls.
     return (
         (torque[0] - x) * (1.0 / jx),
         (torque[1] - y) * (1.0 / jy),
@@ -168,21 +156,16 @@ def body_acceleration(
 
 
 @func
-def rate_slopes(
-    rates: Vec3,
-    torque: Vec3,
-    total_speed: float,
-    momentum: float,
-    dt: float,
-    row: ParameterRow,
+def rk4_rate_slopes(
+    rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: ParameterRow
 ) -> Vec3:
-    """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
+    """Return six times the weighted mean of the four slopes of the body rates (RK4), rad/s^2."""
     # At the start, twice in the middle, and at the end of the step
     k1 = body_acceleration(rates, torque, total_speed, momentum, row)
     k2 = body_acceleration(plus(rates, 0.5 * dt, k1), torque, total_speed, momentum, row)
     k3 = body_acceleration(plus(rates, 0.5 * dt, k2), torque, total_speed, momentum, row)
     k4 = body_acceleration(plus(rates, dt, k3), torque, total_speed, momentum, row)
-    # Not divided by six: the caller does that once for all parts
+    # The caller divides by six once for all parts
     return (
         k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
         k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
@@ -191,35 +174,27 @@ def rate_slopes(
 
 
 @func
-def free_rates(
-    rates: Vec3,
-    dt: float,
-    row: ParameterRow,
-) -> Vec3:
-    """Return the body rates after a time in which no torque acts, rad/s."""
-    parts = spin_parts(rates, dt, SMALL_TURN)
+def free_rates(rates: Vec3, dt: float, row: ParameterRow) -> Vec3:
+    """Return the body rates after a time of torque-free rotation, rad/s."""
+    parts = num_spin_steps(rates, dt, MAX_PART_ROTATION)
     step = dt / parts
     for _ in range(parts):
-        slope = rate_slopes(rates, (0.0, 0.0, 0.0), 0.0, 0.0, step, row)
+        slope = rk4_rate_slopes(rates, (0.0, 0.0, 0.0), 0.0, 0.0, step, row)
         rates = plus(rates, step / 6.0, slope)
     return rates
 
 
 @func
-def spin_parts(
-    spin: Vec3Like,
-    dt: float,
-    small: float,
-) -> int:
-    """Return into how many parts a step is cut so that precession is followed, 1 to MOST_PARTS.
+def num_spin_steps(spin: Vec3Like, dt: float, small: float) -> int:
+    """Return the number of parts of a step that resolve the precession, from 1 to MAX_PARTS.
 
     Args:
         spin: Angular velocity, any axes, rad/s.
         dt: Duration of the step, s.
-        small: Angle by which a body may turn in a part, rad.
+        small: Maximum rotation angle of a body in a part, rad.
     """
     angle = math.sqrt(dot(spin, spin)) * dt
-    # Also 1 where it is not finite, which is told elsewhere
+    # Also 1 for angles that are not finite, which are reported elsewhere
     if not small < angle < np.inf:
         return 1
-    return int(min(float(MOST_PARTS), 1.0 + angle / small))
+    return int(min(float(MAX_PARTS), 1.0 + angle / small))

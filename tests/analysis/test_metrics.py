@@ -8,7 +8,7 @@ import bulletuav
 from bulletuav.analysis.metrics import METRICS, Meter, estimate, jain, soonest_conflict
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets
-from bulletuav.conflict.measures import offsets, time_to_conflict
+from bulletuav.conflict.measures import pair_offsets, time_to_conflict
 from bulletuav.geometry.solids import Solids
 from bulletuav.policies import find_policy
 
@@ -26,7 +26,7 @@ def test_soonest_conflict_agrees_with_the_measure_of_all_pairs():
     for _ in range(20):
         position, velocity = rng.uniform(-60, 60, (3, 6, 3)), rng.uniform(-20, 20, (3, 6, 3))
         alive = rng.uniform(size=(3, 6)) < 0.8
-        times = time_to_conflict(offsets(position), offsets(velocity), 5.0)
+        times = time_to_conflict(pair_offsets(position), pair_offsets(velocity), 5.0)
         pairs = alive[:, :, None] & alive[:, None] & ~np.eye(6, dtype=bool)
         expected = np.where(pairs, times, np.inf).min(axis=(1, 2))
         np.testing.assert_allclose(soonest_conflict(position, velocity, alive, 5.0), expected)

@@ -15,7 +15,7 @@ from bulletuav.conflict.measures import (
     conflict_probability,
     conflict_probability_of,
     in_cylinder,
-    offsets,
+    pair_offsets,
     time_to_conflict,
 )
 
@@ -216,7 +216,7 @@ def test_all_pairs_of_500_at_once():
     root = rng.normal(size=(500, 3, 3))
     covariance = root @ root.swapaxes(1, 2) + 0.1 * np.eye(3)
     both = covariance[:, None] + covariance
-    apart, passing = offsets(position), offsets(velocity)
+    apart, passing = pair_offsets(position), pair_offsets(velocity)
     results = {
         "apart": np.linalg.norm(apart, axis=-1),
         "in cylinder": in_cylinder(apart, 20.0, 10.0),

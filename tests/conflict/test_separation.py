@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from bulletuav.conflict.separation import conflict
-from bulletuav.geometry.closest_approach import closest_squared
+from bulletuav.conflict.separation import measure_conflict
+from bulletuav.geometry.closest_approach import closest_squared_distances
 
 D_SAFE, ZONE = 0.5, 1.0
 
@@ -20,7 +20,7 @@ def pair_by_pair(before, after, alive):
             if i == j:
                 continue
             gap, later = before[w, j] - before[w, i], after[w, j] - after[w, i]
-            start, least = map(math.sqrt, closest_squared(tuple(gap), tuple(later)))
+            start, least = map(math.sqrt, closest_squared_distances(tuple(gap), tuple(later)))
             separation[w, i] = least if least < separation[w, i] else separation[w, i]
             onsets[w, i] += least < D_SAFE <= start
             depth = (ZONE - least) / (ZONE - D_SAFE)
@@ -36,7 +36,7 @@ def test_separations_have_the_bits_of_pairs_one_by_one(shape):
     after[:, ::2] = before[:, ::2]  # pairs that stand still
     for alive in (np.ones(shape, dtype=bool), rng.random(shape) < 0.7):
         for got, expected in zip(
-            conflict(before, after, alive, D_SAFE, ZONE),
+            measure_conflict(before, after, alive, D_SAFE, ZONE),
             pair_by_pair(before, after, alive),
             strict=True,
         ):
@@ -47,7 +47,7 @@ def test_a_drone_that_is_nowhere_is_near_to_nobody():
     before = np.arange(9.0).reshape(1, 3, 3) / 9
     before[0, 1] = math.nan
     after, alive = before.copy(), np.ones((1, 3), dtype=bool)
-    found = conflict(before, after, alive, D_SAFE, ZONE)
+    found = measure_conflict(before, after, alive, D_SAFE, ZONE)
     apart = 2 / 3 * math.sqrt(3)
     np.testing.assert_allclose(found.separation[0, [0, 2]], apart)
     assert found.separation[0, 1] == math.inf
@@ -58,7 +58,7 @@ def test_a_drone_that_is_nowhere_is_near_to_nobody():
 def test_nearness_begins_at_the_edge_of_the_zone(gap):
     before, alive = np.zeros((1, 2, 3)), np.ones((1, 2), dtype=bool)
     before[0, 1, 2] = gap
-    found = conflict(before, before, alive, D_SAFE, ZONE)
+    found = measure_conflict(before, before, alive, D_SAFE, ZONE)
     assert found.nearness.tolist() == [[max(0.0, (ZONE - gap) / (ZONE - D_SAFE))] * 2]
     assert found.separation.tolist() == [[gap] * 2]
     assert not found.onsets.any()
@@ -69,8 +69,8 @@ def test_separations_follow_their_drones():
     before = rng.uniform(-1.0, 1.0, (1, 11, 3))
     after, alive = before + rng.normal(0.0, 0.5, before.shape), rng.random((1, 11)) < 0.8
     order = rng.permutation(11)
-    one = conflict(before, after, alive, D_SAFE, ZONE)
-    other = conflict(before[:, order], after[:, order], alive[:, order], D_SAFE, ZONE)
+    one = measure_conflict(before, after, alive, D_SAFE, ZONE)
+    other = measure_conflict(before[:, order], after[:, order], alive[:, order], D_SAFE, ZONE)
     np.testing.assert_array_equal(other.separation, one.separation[:, order])
     np.testing.assert_array_equal(other.onsets, one.onsets[:, order])
     np.testing.assert_allclose(other.nearness, one.nearness[:, order], rtol=1e-14)

@@ -13,7 +13,7 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Flight
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.convex import ShapeTable
-from bulletuav.geometry.gjk import gap, make_room
+from bulletuav.geometry.gjk import gjk_distance, make_scratch
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes
 from bulletuav.geometry.scenery import NOWHERE
@@ -22,7 +22,7 @@ from bulletuav.geometry.solids import Solids
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
-from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
+from bulletuav.vehicle.swarm import Contacts, ObstacleMotion, Swarm
 
 CLIMB = (0.0, 0.0, 1.0, 0.0)
 """Setpoint of a velocity: 1 m/s upwards"""
@@ -143,7 +143,7 @@ class Rig:
         after = before
         if self.drift.any():
             after = before + self.substeps * self.dt * self.drift
-        motion = Motion(before, after, self.turn)
+        motion = ObstacleMotion(before, after, self.turn)
         contacts = self.dynamics.fly(self.swarm, self.alive, level, wanted, self.wind, motion)
         self.obstacle = after
         self.engine.set_obstacles(after, self.turn, self._everywhere)
@@ -259,7 +259,7 @@ def _gaps(table, a, b, place_a, turn_a, place_b, turn_b, room):  # type: ignore[
             place_b[m, 2] - place_a[m, 2],
         )
         turn = level if table.kind[b] == HALF_SPACE else axes(qb)
-        found[m] = gap(table, a, axes(qa), b, turn, offset, (0.0, 0.0, 0.0), room)[0]
+        found[m] = gjk_distance(table, a, axes(qa), b, turn, offset, (0.0, 0.0, 0.0), room)[0]
     return found
 
 
@@ -273,5 +273,5 @@ def measure_gaps(
     turn_b: np.ndarray,
 ) -> np.ndarray:
     """Return the distances (M,) of shape a from shape b of a table at M pairs of poses, m."""
-    found: np.ndarray = _gaps(table, a, b, place_a, turn_a, place_b, turn_b, make_room())
+    found: np.ndarray = _gaps(table, a, b, place_a, turn_a, place_b, turn_b, make_scratch())
     return found

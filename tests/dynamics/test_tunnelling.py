@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Motion
+from bulletuav.vehicle.swarm import FIRST_OBSTACLE, ObstacleMotion
 
 BODIES = (
     Obstacle("box", (0.5, 0.5, 0.5)),
@@ -88,7 +88,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots, contacts):
     places[np.arange(shots), chosen] = target
     turns = Rotation.random(shots * len(BODIES), rng=rng).as_quat().reshape(shots, len(BODIES), 4)
     bench.engine.set_obstacles(places, turns, np.ones(shots, dtype=bool))
-    bench.motion = Motion(places, places, turns)
+    bench.motion = ObstacleMotion(places, places, turns)
     distance = np.array([body.radius for body in BODIES])[chosen] + 1.0
     speed = rng.uniform(5, 40, shots)
     bench.swarm.position[:, 0] = target - distance[:, None] * aim
@@ -180,7 +180,7 @@ def test_a_moving_body_hits_a_drone_that_hovers(make_bench, dynamics, contacts):
     seen = []
     for k in range(20):
         places = [np.array([[(-3.0 + 0.2 * step, 0.0, 10.0)]]) for step in (k, k + 1)]
-        bench.motion = Motion(*places, turn)
+        bench.motion = ObstacleMotion(*places, turn)
         contacts = bench.fly(
             level, (hover,) * 4 if level == SetpointLevel.ROTOR else (0.0, 0.0, 10.0, 0.0)
         )

@@ -13,9 +13,9 @@ from bulletuav.earth import (
     pressure_altitude,
     temperature,
 )
-from bulletuav.earth.atmosphere import HIGHEST, LOWEST
+from bulletuav.earth.atmosphere import MAX_HEIGHT, MIN_HEIGHT
 
-heights = st.floats(LOWEST, HIGHEST)
+heights = st.floats(MIN_HEIGHT, MAX_HEIGHT)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_other_air_at_sea_level():
 
 
 def test_any_shape():
-    height = np.linspace(LOWEST, HIGHEST, 12).reshape(2, 2, 3)
+    height = np.linspace(MIN_HEIGHT, MAX_HEIGHT, 12).reshape(2, 2, 3)
     for function in (temperature, pressure, density, geopotential_height):
         assert function(height).shape == (2, 2, 3)
         assert function(height)[1, 0, 2] == pytest.approx(float(function(height[1, 0, 2])))

@@ -11,7 +11,7 @@ from bulletuav.earth import Origin, geodetic_to_ecef, magnetic_field
 from bulletuav.earth.magnetism import (
     COSINE_RATES,
     COSINES,
-    DEGREE,
+    MAX_DEGREE,
     SINE_RATES,
     SINES,
     decimal_year,
@@ -138,7 +138,7 @@ def test_the_dipole_lies_where_it_is_published():
 def test_there_is_a_coefficient_of_each_degree_and_order():
     assert [len(row) for row in COSINES] == [len(row) for row in SINES] == list(range(2, 15))
     assert {row[0] for row in SINES} == {0.0}
-    assert len(COSINES) == DEGREE
+    assert len(COSINES) == MAX_DEGREE
     # Sums of the columns 2025.0 of igrf14coeffs.txt
     assert sum(map(sum, COSINES)) == pytest.approx(-26449.7, abs=0.05)
     assert sum(map(sum, SINES)) == pytest.approx(487.6, abs=0.05)
@@ -154,7 +154,7 @@ def potential(position):
     radius = np.linalg.norm(position)
     longitude = np.arctan2(position[1], position[0])
     total = 0.0
-    for n in range(1, DEGREE + 1):
+    for n in range(1, MAX_DEGREE + 1):
         for m in range(n + 1):
             # Schmidt's factor, and the sign of Condon and Shortley that scipy has
             factor = math.sqrt((2 - (m == 0)) * math.factorial(n - m) / math.factorial(n + m))

@@ -18,7 +18,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.c_extension import SWITCH, CExtension, Extension, load
 from bulletuav.engine.calls import MAX_RAYS, SURFACE_GROUP, bullet
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.vehicle.swarm import Motion
+from bulletuav.vehicle.swarm import ObstacleMotion
 
 needs_extension = pytest.mark.skipif(
     os.environ.get(SWITCH) == "0", reason="the extension is turned off"
@@ -94,7 +94,7 @@ def test_fast_flight_among_moving_obstacles_is_the_same_to_the_bit(pair):
     touched = 0
     for step in range(12):
         before = np.tile(((-1.0 + 0.4 * step, 0, 3.0), (1.0, 0.3 * step, 5.0)), (2, 1, 1))
-        motion = Motion(before, before + (0.4, 0.3, 0), turns)
+        motion = ObstacleMotion(before, before + (0.4, 0.3, 0), turns)
         setpoint = np.broadcast_to((0.0, 0, 4, 0), (2, 6, 4)).copy()
         contacts = [
             one.dynamics.fly(

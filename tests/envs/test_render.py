@@ -8,8 +8,8 @@ import pytest
 import bulletuav
 from bulletuav.envs.marks import DRONE, GOAL
 from bulletuav.envs.renderer import GRID
-from bulletuav.geometry.view import AIR, FAR, projection_matrix, view_matrix
 from bulletuav.geometry.view import DRONE as VIEW_DRONE
+from bulletuav.geometry.view import FAR, SKY_COLOUR, projection_matrix, view_matrix
 
 
 def ring(picture):
@@ -29,7 +29,7 @@ def test_headless_picture_shows_drones_goals_ground_and_sky(task, dynamics):
     picture = env.render()
     assert picture.shape == (240, 320, 3)
     assert picture.dtype == np.uint8
-    for colour in (DRONE, GOAL, GRID, AIR):
+    for colour in (DRONE, GOAL, GRID, SKY_COLOUR):
         assert (picture == colour).all(axis=-1).any()
     env.step({agent: env.action_space(agent).high for agent in env.agents})
     assert (env.render() != picture).any()

@@ -10,13 +10,18 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
 
-from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
-from bulletuav.geometry.convex import MOST_CORNERS, RIM, hull_shape, make_shape_table
-from bulletuav.geometry.gjk import gap, make_room
-from bulletuav.geometry.minkowski import ROWS
+from bulletuav.geometry.contact_points import MAX_POINTS, contact_points
+from bulletuav.geometry.convex import (
+    MAX_FACE_CORNERS,
+    NUM_RIM_POINTS,
+    make_hull_shape,
+    make_shape_table,
+)
+from bulletuav.geometry.gjk import gjk_distance, make_scratch
+from bulletuav.geometry.minkowski import SCRATCH_ROWS
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE, Shape
 
-ROOM = make_room()
+ROOM = make_scratch()
 UPRIGHT = Rotation.identity()
 LYING = Rotation.from_euler("x", 90, degrees=True)
 MANY = 40
@@ -27,8 +32,12 @@ SHAPES = {
     "wire": Shape(CYLINDER, (0.01, 0.01, 10.0)),
     "roof": Shape(BOX, (2.0, 3.0, 4.0)),
     "plate": Shape(BOX, (0.04, 0.05, 0.001)),
-    "prism": hull_shape(np.array([(x, y, z) for x, y in [(0, 0), (1, 0), (0, 1)] for z in (0, 1)])),
-    "column": hull_shape(np.array([(np.cos(t), np.sin(t), z) for t in RING for z in (-1.0, 1)])),
+    "prism": make_hull_shape(
+        np.array([(x, y, z) for x, y in [(0, 0), (1, 0), (0, 1)] for z in (0, 1)])
+    ),
+    "column": make_hull_shape(
+        np.array([(np.cos(t), np.sin(t), z) for t in RING for z in (-1.0, 1)])
+    ),
     "ground": Shape(HALF_SPACE, (np.inf, np.inf, np.inf)),
 }
 NAMES = list(SHAPES)
@@ -40,12 +49,12 @@ def columns(turn):
     return tuple(map(tuple, turn.as_matrix().T.tolist()))
 
 
-def contacts(pair, turn_a, turn_b, offset, most=0.01, rows=MOST_POINTS):
+def contacts(pair, turn_a, turn_b, offset, most=0.01, rows=MAX_POINTS):
     """Distance, normal, and the points (M, 4) of one pose."""
     a, b = (NAMES.index(name) for name in pair)
     there = tuple(map(float, offset))
     pose = (TABLE, a, columns(turn_a), b, columns(turn_b), there)
-    distance, normal, on_a, on_b = gap(*pose, (0.0, 0.0, 0.0), ROOM)
+    distance, normal, on_a, on_b = gjk_distance(*pose, (0.0, 0.0, 0.0), ROOM)
     points = np.full((rows, 4), np.nan)
     count = contact_points(*pose, normal, on_a, on_b, most, points, ROOM)
     assert np.isnan(points[count:]).all()
@@ -70,8 +79,10 @@ def same_places(points, expected):
 def test_a_level_drone_stands_on_its_rim():
     distance, _, points = contacts(("drone", "ground"), UPRIGHT, UPRIGHT, [0, 0, -0.016])
     assert distance == pytest.approx(0.001)
-    angle = 2 * np.pi * np.arange(RIM) / RIM
-    rim = np.stack([0.05 * np.cos(angle), 0.05 * np.sin(angle), np.full(RIM, -0.0155)], axis=1)
+    angle = 2 * np.pi * np.arange(NUM_RIM_POINTS) / NUM_RIM_POINTS
+    rim = np.stack(
+        [0.05 * np.cos(angle), 0.05 * np.sin(angle), np.full(NUM_RIM_POINTS, -0.0155)], axis=1
+    )
     same_places(points, rim)
     np.testing.assert_allclose(points[:, 3], 0.001)
 
@@ -89,7 +100,7 @@ def test_the_rim_of_a_leaning_drone_begins_at_its_lowest_point(lean):
     turn = Rotation.from_rotvec([lean, 0, 0])
     distance, _, points = contacts(("drone", "ground"), turn, UPRIGHT, [0, 0, -0.1], most=1.0)
     # The lowest point is the witness, the others are the rest of the rim
-    assert len(points) == RIM
+    assert len(points) == NUM_RIM_POINTS
     assert points[:, 3].min() == points[0, 3] == distance
     local = turn.inv().apply(points[:, :3] + (points[:, 3:] - 0.5 * distance) * [0, 0, 1])
     np.testing.assert_allclose(np.hypot(local[:, 0], local[:, 1]), 0.05, atol=1e-12)
@@ -107,7 +118,7 @@ def test_a_drone_over_the_edge_of_a_roof_has_points_on_the_roof_only():
     points = contacts(("drone", "roof"), UPRIGHT, UPRIGHT, [-1.98, 0, -4.016])[2]
     assert points[:, 0].max() == pytest.approx(0.02, abs=1e-9)
     # Shapely clips the same octagon
-    angle = 2 * np.pi * np.arange(RIM) / RIM
+    angle = 2 * np.pi * np.arange(NUM_RIM_POINTS) / NUM_RIM_POINTS
     octagon = Polygon(0.05 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     left = octagon.intersection(Polygon([(-1, -1), (0.02, -1), (0.02, 1), (-1, 1)]))
     corners = {tuple(np.round(place, 8)) for place in left.exterior.coords}
@@ -193,7 +204,7 @@ def test_far_points_are_left_out():
 
 def test_of_too_many_points_some_from_all_around_are_kept():
     points = contacts(("column", "ground"), UPRIGHT, UPRIGHT, [0, 0, -1.0])[2]
-    assert MOST_POINTS - 1 <= len(points) <= MOST_POINTS
+    assert MAX_POINTS - 1 <= len(points) <= MAX_POINTS
     angle = np.sort(np.arctan2(points[1:, 1], points[1:, 0]))
     assert np.diff(angle).max() <= 3 * 2 * np.pi / MANY + 1e-9
     few = contacts(("column", "ground"), UPRIGHT, UPRIGHT, [0, 0, -1.0], rows=5)[2]
@@ -247,17 +258,19 @@ def _outside(shape, turn, place):
 
 def test_scratch_holds_two_faces_of_most_corners():
     """Two plates, one turned by half a corner: all their sides cross, in 512 points."""
-    assert 2 * MOST_CORNERS <= ROWS
-    angle = 2 * np.pi * np.arange(MOST_CORNERS) / MOST_CORNERS
-    plate = hull_shape(np.array([(np.cos(t), np.sin(t), z) for t in angle for z in (-0.1, 0.1)]))
+    assert 2 * MAX_FACE_CORNERS <= SCRATCH_ROWS
+    angle = 2 * np.pi * np.arange(MAX_FACE_CORNERS) / MAX_FACE_CORNERS
+    plate = make_hull_shape(
+        np.array([(np.cos(t), np.sin(t), z) for t in angle for z in (-0.1, 0.1)])
+    )
     table = make_shape_table([plate, plate])
-    half = np.pi / MOST_CORNERS
+    half = np.pi / MAX_FACE_CORNERS
     pose = (0, columns(UPRIGHT), 1, columns(Rotation.from_euler("z", half)), (0.0, 0.0, -0.201))
-    distance, normal, on_a, on_b = gap(table, *pose, (0.0, 0.0, 0.0), ROOM)
-    points = np.zeros((MOST_POINTS, 4))
+    distance, normal, on_a, on_b = gjk_distance(table, *pose, (0.0, 0.0, 0.0), ROOM)
+    points = np.zeros((MAX_POINTS, 4))
     count = contact_points(table, *pose, normal, on_a, on_b, 0.01, points, ROOM)
     assert distance == pytest.approx(0.001)
-    assert count == MOST_POINTS
+    assert count == MAX_POINTS
     crossing = np.cos(half) / np.cos(half / 2)
     np.testing.assert_allclose(np.hypot(*points[1:, :2].T), crossing, atol=1e-9)
     np.testing.assert_allclose(points[:, 2:], [(-0.1005, 0.001)] * count, atol=1e-9)

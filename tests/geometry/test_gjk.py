@@ -7,11 +7,11 @@ import pytest
 from convex_reference import deepest, from_centre, outside, polytopes, separation
 from scipy.spatial.transform import Rotation
 
-from bulletuav.geometry.convex import hull_shape, make_shape_table
-from bulletuav.geometry.gjk import gap, make_room
+from bulletuav.geometry.convex import make_hull_shape, make_shape_table
+from bulletuav.geometry.gjk import gjk_distance, make_scratch
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE, Shape
 
-ROOM = make_room()
+ROOM = make_scratch()
 NO_GUESS = (0.0, 0.0, 0.0)
 UPRIGHT = np.eye(3)
 CUBE = np.array(list(itertools.product((-1.0, 1), repeat=3)))
@@ -20,7 +20,7 @@ CUBE = np.array(list(itertools.product((-1.0, 1), repeat=3)))
 def dented(half, seed):
     """A hull of eight corners, near those of a box."""
     dent = np.random.default_rng(seed).uniform(-0.1, 0.1, CUBE.shape) * min(half)
-    return hull_shape(CUBE * half + dent)
+    return make_hull_shape(CUBE * half + dent)
 
 
 SHAPES = {
@@ -53,10 +53,10 @@ def columns(turn):
 
 
 def measure(pair, turn_a, turn_b, offset, guess=NO_GUESS):
-    """`gap` of one pose; vectors as arrays."""
+    """`gjk_distance` of one pose; vectors as arrays."""
     a, b = (NAMES.index(name) for name in pair)
     there = tuple(map(float, offset))
-    found = gap(TABLE, a, columns(turn_a), b, columns(turn_b), there, guess, ROOM)
+    found = gjk_distance(TABLE, a, columns(turn_a), b, columns(turn_b), there, guess, ROOM)
     return found[0], *map(np.array, found[1:])
 
 

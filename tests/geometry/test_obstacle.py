@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bulletuav.geometry.convex import inscribed_radius, reach
+from bulletuav.geometry.convex import bounding_radius, inscribed_radius
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE
 
@@ -24,7 +24,7 @@ TETRAHEDRON = ((0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 3.0
 def test_shapes_of_obstacles(obstacle, kind, half, radius):
     assert obstacle.shape.kind == kind
     assert obstacle.shape.half == half
-    assert obstacle.radius == reach(obstacle.shape) == radius
+    assert obstacle.radius == bounding_radius(obstacle.shape) == radius
     hash(obstacle)
 
 

@@ -9,7 +9,7 @@ from bulletuav.city.generator import generate
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.engine import RAY_METHODS, Engine
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.raycast import walk
+from bulletuav.geometry.raycast import cast_scenery_rays
 from bulletuav.geometry.solids import Solids, box_corners
 from bulletuav.vehicle.airframes import load_airframe
 
@@ -98,7 +98,7 @@ def test_rays_left_to_the_engine(make_world):
     engine = make_world(Solids(TOWER, (RAMP,)))
     for compiled, expected in ((True, []), (False, [0])):
         ray = np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1, int)
-        _, left = walk(engine.scenery, *ray, compiled)
+        _, left = cast_scenery_rays(engine.scenery, *ray, compiled)
         assert left.tolist() == expected
 
 

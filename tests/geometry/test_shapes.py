@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 import bulletuav
 from bulletuav.engine.calls import bullet
 from bulletuav.geometry.convex import make_shape_table
-from bulletuav.geometry.raycast import meet_drones
-from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE, inside
+from bulletuav.geometry.raycast import cast_drone_rays
+from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE, intersect_primitive
 from bulletuav.vehicle.swarm import Swarm
 
 HALF = {SPHERE: (0.5, 0.5, 0.5), CYLINDER: (0.5, 0.5, 0.2), BOX: (0.5, 0.3, 0.2)}
@@ -30,7 +30,7 @@ HALF = {SPHERE: (0.5, 0.5, 0.5), CYLINDER: (0.5, 0.5, 0.2), BOX: (0.5, 0.3, 0.2)
 )
 def test_lines_through_shapes_by_hand(kind, start, change, shares):
     np.testing.assert_allclose(
-        inside(kind, HALF[kind], tuple(map(float, start)), tuple(map(float, change))),
+        intersect_primitive(kind, HALF[kind], tuple(map(float, start)), tuple(map(float, change))),
         shares,
         atol=1e-12,
     )
@@ -44,7 +44,7 @@ def test_lines_that_miss(kind):
         ((-2, 0, 0.6), (4, 0, 0)),
         ((9, 9, 9), (0, 0, 0)),
     ):
-        enters, leaves = inside(
+        enters, leaves = intersect_primitive(
             kind, HALF[kind], tuple(map(float, start)), tuple(map(float, change))
         )
         assert enters > leaves
@@ -55,7 +55,7 @@ def test_points_between_are_inside_and_the_others_outside(kind):
     rng = np.random.default_rng(0)
     half = np.array(HALF[kind])
     for start, change in zip(rng.uniform(-1, 1, (300, 3)), rng.normal(size=(300, 3)), strict=True):
-        enters, leaves = inside(kind, tuple(half), tuple(start), tuple(change))
+        enters, leaves = intersect_primitive(kind, tuple(half), tuple(start), tuple(change))
         share = rng.uniform(-2, 2, 50)
         share = share[np.minimum(abs(share - enters), abs(share - leaves)) > 1e-6]
         point = start + share[:, None] * change
@@ -95,7 +95,7 @@ def test_the_engine_sees_bodies_at_rest_the_same(urdf, geometry):
     reference = np.array([hit[2] for hit in hits])
     bullet.disconnect(client)
     fraction = np.ones(len(start))
-    meet_drones(
+    cast_drone_rays(
         fraction,
         start,
         end,

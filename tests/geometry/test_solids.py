@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from bulletuav.city.generator import generate
-from bulletuav.geometry.city_grid import GRID_CELL, NO_LAYOUT, make_city_grid, meets
-from bulletuav.geometry.solids import Solids, apart_groups, box_corners
+from bulletuav.geometry.city_grid import GRID_CELL, NO_LAYOUT, make_city_grid, overlaps_piece
+from bulletuav.geometry.solids import Solids, box_corners, group_separated
 
 CUBE = np.array([(0.0, 0, 0), (1, 1, 1)])
 CORNER = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])  # a tetrahedron of 1/6 m^3
@@ -105,7 +105,7 @@ def gap(one, two):
 @pytest.mark.parametrize("apart", [0.0, 1.54, 20.0])
 def test_members_of_a_group_keep_their_distance(apart):
     bounds = random_boxes(np.random.default_rng(1), 120, 30, 12)
-    groups = apart_groups(bounds, apart)
+    groups = group_separated(bounds, apart)
     assert sorted(p for group in groups for p in group) == list(range(120))
     for group in groups:
         assert all(gap(bounds[a], bounds[b]) >= apart for a, b in itertools.combinations(group, 2))
@@ -117,40 +117,42 @@ def test_a_regular_city_needs_one_group_and_four_where_streets_are_too_narrow(ap
     """`urban`: blocks of 44.7214 m with streets of 20.2265 m."""
     city = generate("urban", 447.2136, np.random.default_rng(0))
     assert len(city.solids.boxes) == 100
-    assert len(apart_groups(city.solids.bounds, apart)) == count
+    assert len(group_separated(city.solids.bounds, apart)) == count
 
 
 def test_blocks_that_touch_all_around_need_four():
     low = np.array([(i, j, 0) for i in range(8) for j in range(8)], dtype=float)
-    groups = apart_groups(np.stack([low, low + 1], axis=1), 0.5)
+    groups = group_separated(np.stack([low, low + 1], axis=1), 0.5)
     assert [len(group) for group in groups] == [16] * 4
 
 
 def test_boxes_that_touch_or_overlap_are_in_different_groups():
     for shift in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1), (0.5, 0.5, 0.5)):
-        assert len(apart_groups(np.array([CUBE, CUBE + shift]), 1e-9)) == 2
+        assert len(group_separated(np.array([CUBE, CUBE + shift]), 1e-9)) == 2
 
 
 def test_exactly_that_distance_is_enough():
-    assert len(apart_groups(np.array([CUBE, CUBE + (1.5, 0, 0)]), 0.5)) == 1
-    assert len(apart_groups(np.array([CUBE, CUBE + (1.499, 0, 0)]), 0.5)) == 2
+    assert len(group_separated(np.array([CUBE, CUBE + (1.5, 0, 0)]), 0.5)) == 1
+    assert len(group_separated(np.array([CUBE, CUBE + (1.499, 0, 0)]), 0.5)) == 2
 
 
 def test_groups_are_the_same_for_the_same_pieces():
     bounds = random_boxes(np.random.default_rng(2), 80, 20, 12)
-    for one, two in zip(apart_groups(bounds, 1.0), apart_groups(bounds.copy(), 1.0), strict=True):
+    for one, two in zip(
+        group_separated(bounds, 1.0), group_separated(bounds.copy(), 1.0), strict=True
+    ):
         np.testing.assert_array_equal(one, two)
 
 
 def test_no_pieces_are_no_groups():
-    assert apart_groups(NO_BOXES, 1.0) == []
+    assert group_separated(NO_BOXES, 1.0) == []
 
 
 # The atlas
 
 
 def overlaps(bounds, low, high):
-    """`meets`, asked of each piece."""
+    """`overlaps_piece`, asked of each piece."""
     return any((piece[0] <= high).all() and (piece[1] >= low).all() for piece in bounds)
 
 
@@ -171,7 +173,7 @@ def test_the_grid_finds_what_asking_every_piece_finds(spread):
         rng, 2000, 1.3 * spread, spread / 5
     ):  # some reach over the grid's edge, some lie beyond
         expected = [overlaps(layouts[k].bounds, low, high) for k in (1, 0)]
-        assert [meets(city_grid, w, tuple(low), tuple(high)) for w in range(3)] == [
+        assert [overlaps_piece(city_grid, w, tuple(low), tuple(high)) for w in range(3)] == [
             expected[0],
             False,
             expected[1],
@@ -184,11 +186,11 @@ def test_columns_reach_from_the_ground_to_the_sky():
     city_grid = make_city_grid((Solids(np.array([[(10.0, 20, 30), (12, 24, 31)]])),), 1)
     city_grid.layout[:] = 0
     inf = np.inf
-    assert meets(city_grid, 0, (11.0, 22.0, -inf), (11.0, 22.0, inf))
-    assert meets(city_grid, 0, (10.0, 20.0, -inf), (10.0, 20.0, inf))  # a touch counts
-    assert not meets(city_grid, 0, (9.999, 22.0, -inf), (9.999, 22.0, inf))
-    assert not meets(city_grid, 0, (11.0, 22.0, -inf), (11.0, 22.0, 29.999))
-    assert not meets(city_grid, 0, (11.0, 22.0, 31.001), (11.0, 22.0, inf))
+    assert overlaps_piece(city_grid, 0, (11.0, 22.0, -inf), (11.0, 22.0, inf))
+    assert overlaps_piece(city_grid, 0, (10.0, 20.0, -inf), (10.0, 20.0, inf))  # a touch counts
+    assert not overlaps_piece(city_grid, 0, (9.999, 22.0, -inf), (9.999, 22.0, inf))
+    assert not overlaps_piece(city_grid, 0, (11.0, 22.0, -inf), (11.0, 22.0, 29.999))
+    assert not overlaps_piece(city_grid, 0, (11.0, 22.0, 31.001), (11.0, 22.0, inf))
 
 
 def test_pieces_at_the_grids_edge_are_found_and_beyond_it_is_nothing():
@@ -199,9 +201,9 @@ def test_pieces_at_the_grids_edge_are_found_and_beyond_it_is_nothing():
     city_grid = make_city_grid((Solids(edge),), 1)
     city_grid.layout[:] = 0
     assert (city_grid.reach, city_grid.cells) == (reach, 8)
-    assert meets(city_grid, 0, (reach - 0.5, 0.0, 1.0), (reach + 0.5, 0.0, 1.0))
-    assert meets(city_grid, 0, (-reach - 9, -reach - 9, 1.0), (-reach, -reach, 1.0))
-    assert meets(city_grid, 0, (-1e6, -1e6, -1e6), (1e6, 1e6, 1e6))
+    assert overlaps_piece(city_grid, 0, (reach - 0.5, 0.0, 1.0), (reach + 0.5, 0.0, 1.0))
+    assert overlaps_piece(city_grid, 0, (-reach - 9, -reach - 9, 1.0), (-reach, -reach, 1.0))
+    assert overlaps_piece(city_grid, 0, (-1e6, -1e6, -1e6), (1e6, 1e6, 1e6))
     for x, y in (
         (reach + 0.1, 0.0),
         (1e6, 0.0),
@@ -209,13 +211,13 @@ def test_pieces_at_the_grids_edge_are_found_and_beyond_it_is_nothing():
         (-reach - 0.1, -reach),
         (-reach, -reach - 0.1),
     ):
-        assert not meets(city_grid, 0, (x, y, 1.0), (x, y, 1.0))
+        assert not overlaps_piece(city_grid, 0, (x, y, 1.0), (x, y, 1.0))
 
 
 def test_an_atlas_of_nothing_meets_nothing():
     for layouts in ((), (Solids(NO_BOXES),)):
         city_grid = make_city_grid(layouts, 2)
-        assert not meets(city_grid, 1, (-1e3, -1e3, -1e3), (1e3, 1e3, 1e3))
+        assert not overlaps_piece(city_grid, 1, (-1e3, -1e3, -1e3), (1e3, 1e3, 1e3))
         if layouts:
             city_grid.layout[:] = 0
-            assert not meets(city_grid, 1, (-1e3, -1e3, -1e3), (1e3, 1e3, 1e3))
+            assert not overlaps_piece(city_grid, 1, (-1e3, -1e3, -1e3), (1e3, 1e3, 1e3))

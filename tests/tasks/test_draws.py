@@ -5,7 +5,7 @@ import pytest
 
 import bulletuav
 from bulletuav.compiled.kernel import kernel
-from bulletuav.geometry.rotation import exponential
+from bulletuav.geometry.rotation import exp_map
 from bulletuav.tasks.hover import Hover
 from bulletuav.tasks.parts.draws import draw_uniform, get_random_source
 from bulletuav.tasks.parts.headings import draw_velocities, unit_directions
@@ -52,7 +52,7 @@ def by_numpy(hover, rng):
     turn = np.radians(config.start_tilt) * rng.uniform(0, 1, (len(axis), 1)) * axis
     scales = (config.start_speed, config.start_rates)
     motion = [rng.uniform(-1, 1, shape) / np.sqrt(3) * scale for scale in scales]
-    quaternion = np.array([exponential(one) for one in turn])
+    quaternion = np.array([exp_map(one) for one in turn])
     return hover.target + offset, hover.target, motion[0], quaternion, motion[1]
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from bulletuav.conflict.separation import conflict
+from bulletuav.conflict.separation import measure_conflict
 from bulletuav.tasks.base import merge_weights
 from bulletuav.tasks.observations.neighbours import AHEAD, NOW, nearest, write_nearest_present
 from bulletuav.tasks.starts import check_overlap
@@ -20,7 +20,7 @@ def test_conflict_agrees_with_dense_sampling_of_the_straight_paths(seed, drones)
     before, after = rng.uniform(-10, 10, (2, 1, drones, 3))
     alive = rng.uniform(size=(1, drones)) < 0.8
     d_safe = 5.0
-    result = conflict(before, after, alive, d_safe, 2 * d_safe)
+    result = measure_conflict(before, after, alive, d_safe, 2 * d_safe)
     paths = before[0] + np.linspace(0, 1, 4001)[:, None, None] * (after[0] - before[0])
     for i in range(drones):
         gaps = np.array(
@@ -48,15 +48,15 @@ def test_a_fast_pass_between_two_decisions_is_seen_and_counted_once():
     before = np.array([[(-10.0, 0, 0), (10.0, 1, 0)]])
     passing = before * [-1, 1, 1]
     alive = np.ones((1, 2), dtype=bool)
-    during = conflict(before, passing, alive, 5.0, 10.0)
+    during = measure_conflict(before, passing, alive, 5.0, 10.0)
     np.testing.assert_allclose(during.separation, 1.0)
     np.testing.assert_array_equal(during.onsets, 1)
-    np.testing.assert_array_equal(conflict(passing, passing, alive, 5.0, 10.0).onsets, 0)
+    np.testing.assert_array_equal(measure_conflict(passing, passing, alive, 5.0, 10.0).onsets, 0)
     near = np.array([[(0.0, 0, 0), (4.0, 0, 0)]])
     nearer = np.array([[(0.0, 0, 0), (3.0, 0, 0)]])
     # It lasts, it does not begin.
-    np.testing.assert_array_equal(conflict(near, nearer, alive, 5.0, 10.0).onsets, 0)
-    np.testing.assert_array_equal(conflict(near, nearer, alive, 3.5, 7.0).onsets, 1)
+    np.testing.assert_array_equal(measure_conflict(near, nearer, alive, 5.0, 10.0).onsets, 0)
+    np.testing.assert_array_equal(measure_conflict(near, nearer, alive, 3.5, 7.0).onsets, 1)
 
 
 @given(st.integers(0, 10**6), st.integers(1, 8))

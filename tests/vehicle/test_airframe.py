@@ -165,7 +165,7 @@ REFUSED = [
         "max_rotor_speed",
         "cannot hover",
     ),
-    ('izz="2.93e-5"', 'izz="3.9e-5"', "inertia", "no body has it"),
+    ('izz="2.93e-5"', 'izz="3.9e-5"', "inertia", "it is not physical"),
     ('izz="2.93e-5"', 'izz="0"', "inertia izz", "0"),
     ('ixy="0"', 'ixy="1e-6"', "inertia ixy", "principal axes"),
     ('ixy="0"', 'ixy="abc"', "inertia ixy", "a number is needed"),
@@ -398,7 +398,7 @@ def test_a_mesh_that_is_a_pipe_is_refused_before_anything_waits_for_it(tmp_path)
     os.mkfifo(tmp_path / "pipe.obj")
     path = tmp_path / "drone.urdf"
     path.write_text('<robot><visual><mesh filename="pipe.obj"/></visual></robot>')
-    with pytest.raises(ValueError, match=r"<mesh filename> is pipe\.obj: .* no regular file"):
+    with pytest.raises(ValueError, match=r"<mesh filename> is pipe\.obj: .* not a regular file"):
         UrdfFile(path)
 
 
@@ -467,7 +467,7 @@ def test_nothing_waits_for_a_pipe_that_a_mesh_or_urdf_names(visual, pipe, tmp_pa
     )
     (tmp_path / pipe).unlink(missing_ok=True)
     os.mkfifo(tmp_path / pipe)
-    with pytest.raises(ValueError, match=f"{pipe} is no regular file"):
+    with pytest.raises(ValueError, match=f"{pipe} is not a regular file"):
         load_airframe(path)
 
 

@@ -3,9 +3,9 @@ import pytest
 
 from bulletuav.vehicle.battery import (
     Battery,
+    battery_speed_ratio,
     loaded_voltage,
     resting_voltage,
-    speed_share,
 )
 
 # W, W, W, m/s, see test_power.py
@@ -105,6 +105,6 @@ def test_a_loaded_cell_by_hand():
 
 
 def test_motors_turn_slower_at_a_lower_voltage():
-    assert speed_share(3.57, 3.57) == 1.0
-    assert speed_share(0.9 * 3.57, 3.57) == pytest.approx(1 - 0.089)
-    assert speed_share(0.0, 3.57) == pytest.approx(0.11)
+    assert battery_speed_ratio(3.57, 3.57) == 1.0
+    assert battery_speed_ratio(0.9 * 3.57, 3.57) == pytest.approx(1 - 0.089)
+    assert battery_speed_ratio(0.0, 3.57) == pytest.approx(0.11)

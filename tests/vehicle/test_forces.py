@@ -7,10 +7,16 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from bulletuav import available_airframes, load_airframe
-from bulletuav.vehicle.aerodynamics import drag, ground_effect, ground_wrench, lifted_rotors
+from bulletuav.vehicle.aerodynamics import drag, ground_effect, ground_wrench, num_lifted_rotors
 from bulletuav.vehicle.parameters import EFFECTS, parameter_rows
-from bulletuav.vehicle.rotors import lag_decay, lag_rates, lagged, rotor_wrench, spin_up
-from bulletuav.vehicle.wrench import body_acceleration, damping_torque, wrench
+from bulletuav.vehicle.rotors import (
+    lag_decay,
+    lag_rates,
+    rotor_acceleration,
+    rotor_speed_after,
+    rotor_wrench,
+)
+from bulletuav.vehicle.wrench import body_acceleration, compute_wrench, damping_torque
 
 G = 9.80665
 NAMES = available_airframes()
@@ -31,8 +37,8 @@ def wrench_of(row, speed, quaternion=LEVEL, velocity=ZERO, altitude=1e9, **air):
     speed = np.asarray(speed, float)
     rotors = rotor_wrench(speed, 0.0, row)
     around = still_air(**air)
-    lifted = lifted_rotors(altitude - around[1], velocity[2], 0.0, row)
-    force, torque = wrench(
+    lifted = num_lifted_rotors(altitude - around[1], velocity[2], 0.0, row)
+    force, torque = compute_wrench(
         quaternion, np.array(velocity), altitude, speed, rotors, around, lifted, row
     )
     return np.array(force), np.array(torque)
@@ -42,7 +48,7 @@ def wrench_of(row, speed, quaternion=LEVEL, velocity=ZERO, altitude=1e9, **air):
 
 
 def after(speed, command, elapsed, row):
-    return lagged(speed, command, lag_decay(elapsed, row))
+    return rotor_speed_after(speed, command, lag_decay(elapsed, row))
 
 
 def test_lag_is_the_exact_step_response_up_and_down():
@@ -57,7 +63,7 @@ def test_without_lag_the_command_is_the_speed():
     _, row = row_of("cf2x", ())
     assert after(5.0, 900.0, 1e-3, row) == 900.0
     assert after(900.0, 5.0, 1e-3, row) == 5.0
-    assert spin_up(5.0, 900.0, lag_rates(row)) == 0
+    assert rotor_acceleration(5.0, 900.0, lag_rates(row)) == 0
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -92,7 +98,7 @@ def test_faster_clockwise_rotors_turn_the_crazyflie_to_the_left():
 def test_rotors_that_speed_up_turn_the_body_by_their_own_momentum():
     """2.697e-8 kg m^2 at 100 rad/s in 0.065 s: 4.149e-5 N m at first, against the rotor's spin."""
     _, row = row_of("cf2x")
-    first = spin_up(1700.0, 1800.0, lag_rates(row))
+    first = rotor_acceleration(1700.0, 1800.0, lag_rates(row))
     assert first == pytest.approx(100 / 0.065)
     calm = rotor_wrench(np.full(4, 1700.0), 0.0, row)
     faster = rotor_wrench(np.full(4, 1700.0), first, row)
@@ -282,7 +288,7 @@ def test_rotors_that_are_left_out_have_no_ground_effect(height, climb, turn):
     airframe, row = row_of("cf2x")
     speed = np.full(4, airframe.hover_speed())
     lean = tuple(Rotation.from_rotvec(turn).as_matrix()[2])
-    lifted = lifted_rotors(height, climb, 0.01, row)
+    lifted = num_lifted_rotors(height, climb, 0.01, row)
     for now in (height, height + 0.01 * climb):
         whole = ground_wrench(now, lean, speed, 4, row)
         assert ground_wrench(now, lean, speed, lifted, row) == whole
@@ -291,10 +297,10 @@ def test_rotors_that_are_left_out_have_no_ground_effect(height, climb, turn):
 def test_a_surface_lifts_all_rotors_or_none():
     airframe, row = row_of("firefly")
     edge = airframe.ground_effect_reach + airframe.arm
-    assert lifted_rotors(edge + 0.001, 0.0, 0.01, row) == 0
-    assert lifted_rotors(edge - 0.001, 0.0, 0.01, row) == 6
-    assert lifted_rotors(edge + 0.001, -1.0, 0.01, row) == 6
-    assert lifted_rotors(0.01, 0.0, 0.01, row_of("firefly", ())[1]) == 0
+    assert num_lifted_rotors(edge + 0.001, 0.0, 0.01, row) == 0
+    assert num_lifted_rotors(edge - 0.001, 0.0, 0.01, row) == 6
+    assert num_lifted_rotors(edge + 0.001, -1.0, 0.01, row) == 6
+    assert num_lifted_rotors(0.01, 0.0, 0.01, row_of("firefly", ())[1]) == 0
 
 
 def test_thrust_grows_near_the_surface_wherever_it_is():

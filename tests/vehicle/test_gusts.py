@@ -8,11 +8,11 @@ import pytest
 from scipy.integrate import quad
 
 from bulletuav.vehicle.gusts import (
+    DRIFT_SPEED,
     FREQUENCY,
-    ROWS,
-    SHORTEST,
-    SLOWEST,
-    WAVES,
+    MIN_WAVELENGTH,
+    NUM_WAVE_ROWS,
+    NUM_WAVES,
     _amplitude,
     _gain,
     _sine,
@@ -98,8 +98,8 @@ def test_variance_and_shape_at_a_point(ensemble, height):
 @pytest.mark.parametrize("shift", [0.0, 0.3, 0.999])
 def test_energies_of_waves_add_up_to_one(height, shift):
     """Also of those of a single world, whatever it drew."""
-    waves = np.zeros((ROWS, WAVES))
-    draw_waves(np.full(WAVES + 4, shift), waves)
+    waves = np.zeros((NUM_WAVE_ROWS, NUM_WAVES))
+    draw_waves(np.full(NUM_WAVES + 4, shift), waves)
     for length in scales(height)[0]:
         numbers = 2 * np.pi * length * np.abs(waves[FREQUENCY])
         amplitudes = _gain(length) * np.array([_amplitude(x) for x in numbers])
@@ -142,7 +142,7 @@ def test_a_drone_that_hovers_in_still_air_feels_gusts_that_change(ensemble, r):
     for height in (10.0, 50.0):
         lengths, place = scales(height)[0], (3.0, 4.0, height)
         for k, length in enumerate(lengths):
-            found = correlation(ensemble, place, place, r * length / SLOWEST)[k]
+            found = correlation(ensemble, place, place, r * length / DRIFT_SPEED)[k]
             assert found == pytest.approx(np.exp(-r) * (1 - r / 3), abs=0.06)
 
 
@@ -182,7 +182,7 @@ def vertical(one, other, k):
         both = np.sqrt(energy(number, lengths[0]) * energy(number, lengths[1]))
         return both * (upward if k == 2 else level) * number
 
-    return quad(part, np.log(1e-5), np.log(2 * np.pi / SHORTEST), limit=2000)[0]
+    return quad(part, np.log(1e-5), np.log(2 * np.pi / MIN_WAVELENGTH), limit=2000)[0]
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def test_a_hull_by_hand(hull_urdf):
             Rotation.random(300, rng=np.random.default_rng(0)).apply((0.1, 0, 0)),
             "1 1 1",
             "",
-            "the hull has 300 corners, at most 256 are possible",
+            "the hull has 300 corners, at most 256 are supported",
         ),
     ],
 )
@@ -84,7 +84,7 @@ def test_meshes_that_cannot_be(hull_urdf, corners, scale, lines, said):
 @pytest.mark.parametrize("name", ["", "../hull.stl", "gone.obj"])
 def test_a_mesh_must_be_an_obj_beside_the_urdf(urdf, name):
     path = urdf("cf2x", (CYLINDER, f'<mesh filename="{name}"/>'))
-    with pytest.raises(ValueError, match="beside the URDF is needed"):
+    with pytest.raises(ValueError, match="next to the URDF is needed"):
         load_airframe(path)
 
 

@@ -11,7 +11,7 @@ from bulletuav.compiled.lanes import WIDTH
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wake import downwash
-from bulletuav.vehicle.wakes import LEEWAY, Wakes, sum_wakes
+from bulletuav.vehicle.wakes import LIST_SKIN, Wakes, sum_wakes
 
 G = 9.80665
 NAMES = available_airframes()
@@ -131,7 +131,7 @@ def test_the_edge_of_wakes_leaves_nothing_out():
 
 
 @pytest.mark.parametrize("shape", [(1, 2), (1, 40), (3, 10), (5, 1)])
-@pytest.mark.parametrize("way", ["a little", "as far as the leeway", "far", "somewhere"])
+@pytest.mark.parametrize("way", ["a little", "as far as the skin", "far", "somewhere"])
 def test_a_list_of_pairs_holds_until_a_drone_moves_too_far(shape, way):
     """Against pairs that are listed anew, to the bit."""
     rng = np.random.default_rng(sum(shape))
@@ -143,14 +143,14 @@ def test_a_list_of_pairs_holds_until_a_drone_moves_too_far(shape, way):
     alive = rng.random(shape) < 0.8
     listed, felt = Wakes.of(*shape), 0
     for drawn in range(20):
-        # Many are near the edge of wakes, where the leeway matters
+        # Many are near the edge of wakes, where the skin matters
         swarm.position[:] = rng.uniform(0, 1, (*shape, 3)) * (3 + drawn / 4, 3, 1 + drawn)
-        sum_wakes(swarm, alive, parameters, 0, shape[0], False, LEEWAY, listed)
+        sum_wakes(swarm, alive, parameters, 0, shape[0], False, LIST_SKIN, listed)
         pairs = listed.pairs[: listed.listed[0]].copy()
-        step = {"a little": 0.3, "as far as the leeway": 1.0, "far": 3.0, "somewhere": 30.0}[way]
+        step = {"a little": 0.3, "as far as the skin": 1.0, "far": 3.0, "somewhere": 30.0}[way]
         sides = rng.choice([-1.0, 1.0], swarm.position.shape)
-        swarm.position[:] += LEEWAY * (1 - 1e-12) * step * sides
-        sum_wakes(swarm, alive, parameters, 0, shape[0], True, LEEWAY, listed)
+        swarm.position[:] += LIST_SKIN * (1 - 1e-12) * step * sides
+        sum_wakes(swarm, alive, parameters, 0, shape[0], True, LIST_SKIN, listed)
         kept = np.array_equal(listed.pairs[: listed.listed[0]], pairs)
         assert kept or step > 1.0
         anew = Wakes.of(*shape)
@@ -193,6 +193,6 @@ def test_airframes_without_a_wake_are_not_listed():
     swarm = swarm_of([cf2x] * 2, [(0, 0, 1), (0, 0, 1.4)])
     parameters = parameter_rows([cf2x] * 2, ())[None]
     wakes = Wakes.of(1, 2)
-    sum_wakes(swarm, all_alive(2), parameters, 0, 1, False, LEEWAY, wakes)
+    sum_wakes(swarm, all_alive(2), parameters, 0, 1, False, LIST_SKIN, wakes)
     assert wakes.listed[0] == 0
     assert (wakes.felt == 0).all()

@@ -6,7 +6,14 @@ import pytest
 import bulletuav
 from bulletuav.envs.airspace import Airspace
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.vehicle.wind import PROFILES, TURBULENCE, Profile, Wind, as_profile, speed_share
+from bulletuav.vehicle.wind import (
+    PROFILES,
+    TURBULENCE,
+    Profile,
+    Wind,
+    as_profile,
+    profile_speed_ratio,
+)
 
 FOOT = 0.3048
 
@@ -44,7 +51,7 @@ def test_named_levels():
 )
 def test_profiles_by_hand(feet, profile, share):
     law, number = as_profile(profile)
-    found = speed_share(feet * FOOT, law == "log", number)
+    found = profile_speed_ratio(feet * FOOT, law == "log", number)
     assert found == pytest.approx(share, abs=1e-6)
     wind = Wind((3.0, -4.0, 0.5), 0.0, 1, as_profile(profile))
     found = wind.sample(np.array([[(1.0, 2.0, feet * FOOT)]]), np.zeros(1))[0, 0]
@@ -54,7 +61,7 @@ def test_profiles_by_hand(feet, profile, share):
 @pytest.mark.parametrize("law", PROFILES)
 def test_wind_never_falls_with_height(law):
     _, number = as_profile(law)
-    shares = [speed_share(h, law == "log", number) for h in np.linspace(-1, 400, 2000)]
+    shares = [profile_speed_ratio(h, law == "log", number) for h in np.linspace(-1, 400, 2000)]
     assert (np.diff(shares) >= 0).all()
     assert np.abs(np.diff(shares)).max() < 0.6
 
@@ -159,7 +166,7 @@ def test_a_wind_function_that_answers_wrongly_is_named_and_nothing_is_lost(answe
     )
     aviary.reset(seeds=0)
     good[0] = False
-    with pytest.raises(ValueError, match="the wind function gave shape"):
+    with pytest.raises(ValueError, match="the wind function returned shape"):
         aviary.step(np.zeros((1, 1, 4)))
     good[0] = True
     assert aviary.steps[0] == 0

@@ -12,11 +12,11 @@ from bulletuav.analysis.metrics.custom import (
 )
 from bulletuav.analysis.metrics.formulas import jain, soonest_conflict
 from bulletuav.analysis.metrics.standard import METRICS
-from bulletuav.conflict.separation import conflict
+from bulletuav.conflict.separation import measure_conflict
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.step import Step
-from bulletuav.geometry.closest_approach import distances
+from bulletuav.geometry.closest_approach import paired_distances
 from bulletuav.vehicle.power import actuator_power
 from bulletuav.vehicle.swarm import Swarm
 
@@ -43,7 +43,7 @@ class Meter:
         # Of each drone, m: path length; initial distance to its goal plus the path length of the
         # goal; distance to its goal now.
         self._goal = aviary.scene.goal.copy()
-        self._initial_distance = distances(aviary.swarm.position, self._goal)
+        self._initial_distance = paired_distances(aviary.swarm.position, self._goal)
         self._path_length = np.zeros(shape)
         self._goal_distance = np.zeros(shape)
         # Effort: the state before the decision, and the change of velocity in the previous
@@ -110,7 +110,7 @@ class Meter:
         """Count conflicts and near misses, each of which both drones of a pair report."""
         self._conflicts += (info["conflicts"] * flown).sum(axis=1) / 2
         # A near miss is a conflict at half the distance.
-        close = conflict(
+        close = measure_conflict(
             before.position,
             after.position,
             flown,
@@ -125,8 +125,8 @@ class Meter:
     def _record_path_length(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:
         """Add the path lengths of the drones and of their goals."""
         goal = self._aviary.scene.goal
-        self._path_length += flown * distances(before.position, after.position)
-        self._initial_distance += flown * distances(self._goal, goal)
+        self._path_length += flown * paired_distances(before.position, after.position)
+        self._initial_distance += flown * paired_distances(self._goal, goal)
         self._goal = goal.copy()
 
     def _record_effort(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func
 from bulletuav.compiled.program import Program
-from bulletuav.geometry.closest_approach import closest_squared, keep_nearest
+from bulletuav.geometry.closest_approach import closest_squared_distances, insert_nearest
 from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
@@ -172,7 +172,7 @@ def _min_distance_within(
         gap[1] + horizon * speed[1],
         gap[2] + horizon * speed[2],
     )
-    return math.sqrt(closest_squared(gap, later)[1])
+    return math.sqrt(closest_squared_distances(gap, later)[1])
 
 
 @func
@@ -220,7 +220,7 @@ def write_nearest_known(
             for j in range(known.shape[1]):
                 if known[w, i, j]:
                     theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
-                    found = keep_nearest(
+                    found = insert_nearest(
                         near, least, found, j, _min_distance_within(theirs, own, horizon)
                     )
             for slot in range(found):
@@ -256,7 +256,7 @@ def write_nearest_present(
             for j in range(present.shape[1]):
                 if present[w, j] and j != i:
                     theirs = (vec3(position, w, j), vec3(velocity, w, j))
-                    found = keep_nearest(
+                    found = insert_nearest(
                         near, least, found, j, _min_distance_within(theirs, own, horizon)
                     )
             for slot in range(found):
@@ -295,7 +295,7 @@ def write_nearest_obstacles(
                 for k in range(3):
                     square += (obstacle[w, j, k] - position[w, i, k]) ** 2
                 gap = max(math.sqrt(square) - radius[j], 0.0)
-                found = keep_nearest(near, distance, found, j, gap)
+                found = insert_nearest(near, distance, found, j, gap)
             for slot in range(found):
                 j = near[slot]
                 first = PER_OBSTACLE * slot

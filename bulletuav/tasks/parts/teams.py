@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import kernel
 from bulletuav.errors import shown
-from bulletuav.geometry.closest_approach import closest_squared, offset
+from bulletuav.geometry.closest_approach import closest_squared_distances, offset
 from bulletuav.geometry.rotation import dot
 
 NO_OPPONENT = -1
@@ -107,7 +107,7 @@ def measure_chase(
             for j in range(before.shape[1]):
                 if team[j] == 0 and flown[w, j]:
                     later = offset(after, w, i, j)
-                    start, way = closest_squared(offset(before, w, i, j), later)
+                    start, way = closest_squared_distances(offset(before, w, i, j), later)
                     first = min(first, start)
                     last = min(last, dot(later, later))
                     if way < nearest:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, kernel
-from bulletuav.geometry.closest_approach import closest_squared, offset
+from bulletuav.geometry.closest_approach import closest_squared_distances, offset
 from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
 from bulletuav.registry import register
 from bulletuav.tasks.ingredients import reward
@@ -185,7 +185,7 @@ def update_encounters(
                 # Relative motion, and closest approach within the decision
                 gap, speed = offset(before.position, w, i, j), offset(before.velocity, w, i, j)
                 along, fast = dot(gap, speed), dot(speed, speed)
-                _, least = closest_squared(gap, offset(after.position, w, i, j))
+                _, least = closest_squared_distances(gap, offset(after.position, w, i, j))
                 state = encounter[w, i, j]
                 # Only approaching drones begin encounters and make efforts
                 if along < 0.0:

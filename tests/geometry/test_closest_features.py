@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bulletuav.geometry.convex import make_shape_table, support
-from bulletuav.geometry.gjk import gap, make_room
-from bulletuav.geometry.nearest import UNKNOWN, direct, nearest
+from bulletuav.geometry.closest_features import UNKNOWN, closest_features, solve_closest_features
+from bulletuav.geometry.convex import local_support_point, make_shape_table
+from bulletuav.geometry.gjk import gjk_distance, make_scratch
 from bulletuav.geometry.rotation import axes
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE, Shape
 
@@ -20,7 +20,7 @@ SHAPES = [
     Shape(SPHERE, (0.1, 0.1, 0.1)),
 ]
 TABLE = make_shape_table(SHAPES)
-ROOM = make_room()
+ROOM = make_scratch()
 NO_GUESS = (0.0, 0.0, 0.0)
 LEVEL = Rotation.identity()
 ON_EDGE = Rotation.from_euler("y", 90, degrees=True)
@@ -32,10 +32,10 @@ def posed(turn_a, turn_b, offset):
 
 
 def solved(a, turn_a, b, turn_b, offset, d):
-    """`direct` along a direction of any length; vectors as arrays."""
+    """`solve_closest_features` along a direction of any length; vectors as arrays."""
     turn_a, turn_b, offset = posed(turn_a, turn_b, offset)
     d = tuple((np.array(d) / np.linalg.norm(d)).tolist())
-    distance, *rest = direct(TABLE, a, turn_a, b, turn_b, offset, d)
+    distance, *rest = solve_closest_features(TABLE, a, turn_a, b, turn_b, offset, d)
     return distance, *map(np.array, rest)
 
 
@@ -76,7 +76,7 @@ def reach(s, turn, d):
     """How far a shape reaches along a direction, m."""
     swell = SHAPES[s].half[0] if SHAPES[s].kind == SPHERE else 0.0
     local = turn.inv().apply(d)
-    return local @ np.array(support(TABLE, s, tuple(local.tolist()))) + swell
+    return local @ np.array(local_support_point(TABLE, s, tuple(local.tolist()))) + swell
 
 
 @pytest.mark.parametrize("pair", list(itertools.combinations_with_replacement(range(4), 2)))
@@ -88,11 +88,13 @@ def test_answers_agree_with_gjk_and_planes_prove_them(pair):
         turn_a, turn_b, bent = Rotation.random(3, rng=rng)
         way = bent.apply([1.0, 0.0, 0.0])
         pose = posed(turn_a, turn_b, 5 * way)
-        found = gap(TABLE, a, pose[0], b, pose[1], pose[2], NO_GUESS, ROOM)
+        found = gjk_distance(TABLE, a, pose[0], b, pose[1], pose[2], NO_GUESS, ROOM)
         offset = 5 * way + np.array(found[1]) * (found[0] - apart)
         pose = posed(turn_a, turn_b, offset)
-        exact = gap(TABLE, a, pose[0], b, pose[1], pose[2], NO_GUESS, ROOM)
-        distance, normal, on_a, on_b = nearest(TABLE, a, pose[0], b, *pose[1:], NO_GUESS, ROOM)
+        exact = gjk_distance(TABLE, a, pose[0], b, pose[1], pose[2], NO_GUESS, ROOM)
+        distance, normal, on_a, on_b = closest_features(
+            TABLE, a, pose[0], b, *pose[1:], NO_GUESS, ROOM
+        )
         assert distance == pytest.approx(exact[0], abs=1e-10)
         normal, on_a, on_b = map(np.array, (normal, on_a, on_b))
         np.testing.assert_allclose(on_a - on_b - offset, distance * normal, atol=1e-12)

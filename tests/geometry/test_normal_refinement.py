@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletuav.geometry.convex import make_shape_table
-from bulletuav.geometry.direction import sharpened
-from bulletuav.geometry.gjk import gap, make_room
+from bulletuav.geometry.gjk import gjk_distance, make_scratch
+from bulletuav.geometry.normal_refinement import refine_normal
 from bulletuav.geometry.rotation import axes
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE, Shape
 
@@ -19,7 +19,7 @@ SHAPES = [
     Shape(BOX, (0.1, 0.1, 0.1)),
 ]
 TABLE = make_shape_table(SHAPES)
-ROOM = make_room()
+ROOM = make_scratch()
 CLOSE = 1e-4
 
 
@@ -27,8 +27,8 @@ def direction(a, turn_a, b, turn_b, offset):
     """Return distance, direction and nearest points of two shapes."""
     turn_a, turn_b = axes(tuple(turn_a.as_quat())), axes(tuple(turn_b.as_quat()))
     offset = tuple(float(one) for one in offset)
-    distance, *rest = gap(TABLE, a, turn_a, b, turn_b, offset, (0.0, 0.0, 0.0), ROOM)
-    return distance, *map(np.array, sharpened(TABLE, a, turn_a, b, turn_b, offset, *rest))
+    distance, *rest = gjk_distance(TABLE, a, turn_a, b, turn_b, offset, (0.0, 0.0, 0.0), ROOM)
+    return distance, *map(np.array, refine_normal(TABLE, a, turn_a, b, turn_b, offset, *rest))
 
 
 def near(a, turn_a, b, turn_b, way):
