@@ -150,11 +150,7 @@ class Cache:
     """An open file of each folder in which this process compiles; to close it frees its locks"""
 
     def __init__(
-        self,
-        function: Callable[..., Any],
-        folder: Path,
-        suffix: str = "",
-        apart: bool = False,
+        self, function: Callable[..., Any], folder: Path, suffix: str = "", apart: bool = False
     ) -> None:
         """Open the cache of a function; nothing is read before it is asked.
 

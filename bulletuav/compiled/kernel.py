@@ -187,12 +187,7 @@ def elementwise(function: Callable[..., Any]) -> Elementwise:
     return Elementwise(function)
 
 
-def _without_owner(
-    context: Any,
-    builder: Any,
-    kind: Any,
-    value: Any,
-) -> Any:
+def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     """Return the code that takes the owner out of an array, or of all arrays in a tuple."""
     if isinstance(kind, numba.types.Array):
         array = cgutils.create_struct_proxy(kind)(context, builder, value=value)
@@ -214,12 +209,7 @@ def borrowed(_: Any, value: Any) -> Any:
     is done with it. The caller keeps the arrays alive.
     """
 
-    def generate(
-        context: Any,
-        builder: Any,
-        _: Any,
-        arguments: Any,
-    ) -> Any:
+    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
         return _without_owner(context, builder, value, arguments[0])
 
     return value(value), generate
@@ -264,13 +254,7 @@ class _Fields(AttributeTemplate):  # type: ignore[misc]
 
 
 @numba.extending.lower_getattr_generic(InMemory)  # type: ignore[untyped-decorator]
-def _load_field(
-    context: Any,
-    builder: Any,
-    kind: InMemory,
-    address: Any,
-    name: str,
-) -> Any:
+def _load_field(context: Any, builder: Any, kind: InMemory, address: Any, name: str) -> Any:
     """Return the code that reads one field, or tells the address of one that is a tuple."""
     k = kind.whole.fields.index(name)
     whole = builder.bitcast(address, context.get_value_type(kind.whole).as_pointer())
@@ -280,12 +264,7 @@ def _load_field(
     return builder.load(field)
 
 
-def _store_parts(
-    builder: Any,
-    kind: Any,
-    value: Any,
-    place: Any,
-) -> None:
+def _store_parts(builder: Any, kind: Any, value: Any, place: Any) -> None:
     """Write a tuple part by part: as one value of hundreds of words it takes long to compile."""
     if not isinstance(kind, numba.types.BaseTuple):
         builder.store(value, place)
@@ -307,12 +286,7 @@ def in_memory(_: Any, value: Any) -> Any:
     if isinstance(value, InMemory):
         return value(value), lambda _, __, ___, arguments: arguments[0]
 
-    def generate(
-        context: Any,
-        builder: Any,
-        _: Any,
-        arguments: Any,
-    ) -> Any:
+    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
         place = cgutils.alloca_once(builder, context.get_value_type(value))
         _store_parts(builder, value, _without_owner(context, builder, value, arguments[0]), place)
         return builder.bitcast(place, cgutils.voidptr_t)

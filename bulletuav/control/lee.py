@@ -34,11 +34,7 @@ from bulletuav.vehicle.wrench import damping_torque
 
 
 @func
-def velocity_setpoint(
-    position: Vec3Like,
-    target: Vec3Like,
-    gain: GainRow,
-) -> Vec3:
+def velocity_setpoint(position: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
     """Step from POSITION to VELOCITY: fly towards the target, slowly enough to brake.
 
     Args:
@@ -65,11 +61,7 @@ def velocity_setpoint(
 
 
 @func
-def acceleration_setpoint(
-    velocity: Vec3Like,
-    target: Vec3Like,
-    gain: GainRow,
-) -> Vec3:
+def acceleration_setpoint(velocity: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
     """Step from VELOCITY to ACCELERATION.
 
     Args:
@@ -221,11 +213,7 @@ def attitude_error(quaternion: Quat4Like, desired: tuple[Vec3, Vec3, Vec3]) -> V
 
 
 @func
-def rates_setpoint(
-    quaternion: Quat4Like,
-    desired: tuple[Vec3, Vec3, Vec3],
-    gain: GainRow,
-) -> Vec3:
+def rates_setpoint(quaternion: Quat4Like, desired: tuple[Vec3, Vec3, Vec3], gain: GainRow) -> Vec3:
     """Step from ATTITUDE to RATES: -(w_R / 2z) e_R with e_R = vee(Rc^T R - R^T Rc) / 2.
 
     Args:
@@ -249,11 +237,7 @@ def rates_setpoint(
 
 @func
 def torque_setpoint(
-    rates: Vec3Like,
-    target: Vec3Like,
-    total_speed: float,
-    row: np.record,
-    gain: GainRow,
+    rates: Vec3Like, target: Vec3Like, total_speed: float, row: np.record, gain: GainRow
 ) -> Vec3:
     """Step from RATES to a body torque: -k_W (W - W_target) + W x J W + c W_target.
 
@@ -285,11 +269,7 @@ def torque_setpoint(
 
 @func
 def mix(
-    thrust: float,
-    torque: Vec3Like,
-    row: np.record,
-    gain: GainRow,
-    command: np.ndarray,
+    thrust: float, torque: Vec3Like, row: np.record, gain: GainRow, command: np.ndarray
 ) -> None:
     """Share collective thrust and torques out among the rotors, within what each can do.
 

@@ -43,11 +43,7 @@ def _fresh(memory: np.ndarray, first: int, last: int) -> bool:
 
 
 @func
-def felt_acceleration(
-    velocity: Vec3Like,
-    memory: np.ndarray,
-    dt: float,
-) -> Vec3:
+def felt_acceleration(velocity: Vec3Like, memory: np.ndarray, dt: float) -> Vec3:
     """Return how a drone was accelerated since the last call, as an accelerometer would tell.
 
     Args:

@@ -42,12 +42,7 @@ def clipped(value: float, limit: float) -> float:
 
 
 @func
-def integrated(
-    integral: Vec3Like,
-    error: Vec3Like,
-    dt: float,
-    limit: Vec3,
-) -> Vec3:
+def integrated(integral: Vec3Like, error: Vec3Like, dt: float, limit: Vec3) -> Vec3:
     """Advance the integral of an error by one step.
 
     Args:
@@ -98,11 +93,7 @@ def pid_force(
 
 
 @func
-def pid_torque(
-    error: Vec3Like,
-    rates: Vec3Like,
-    integral: Vec3Like,
-) -> Vec3:
+def pid_torque(error: Vec3Like, rates: Vec3Like, integral: Vec3Like) -> Vec3:
     """Compute the roll, pitch and yaw command that turns the drone to the attitude wanted.
 
     Args:

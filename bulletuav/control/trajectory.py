@@ -131,12 +131,7 @@ class Trajectory:
         self._keep(PPoly(terms.transpose(2, 0, 1)[::-1], ends), *ends[[0, -1]])
         return self
 
-    def _keep(
-        self,
-        curve: BSpline | PPoly,
-        begin: float,
-        end: float,
-    ) -> None:
+    def _keep(self, curve: BSpline | PPoly, begin: float, end: float) -> None:
         """Keep the curve and its derivatives."""
         self._place, self._velocity = curve, curve.derivative(1)
         self._acceleration = curve.derivative(2)
@@ -202,12 +197,7 @@ class Tracker:
             (frame.drag_xy * self._sideways,) * 2 + (frame.drag_z * self._upwards,)
         )
 
-    def setpoint(
-        self,
-        time: float,
-        position: np.ndarray,
-        velocity: np.ndarray,
-    ) -> np.ndarray:
+    def setpoint(self, time: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Tell how to accelerate now.
 
         Args:

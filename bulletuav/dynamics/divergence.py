@@ -12,11 +12,7 @@ FASTEST_SPIN = 9.9e3  # rad/s
 
 
 @kernel
-def any_lost(
-    swarm: Swarm,
-    alive: np.ndarray,
-    lost: np.ndarray,
-) -> bool:
+def any_lost(swarm: Swarm, alive: np.ndarray, lost: np.ndarray) -> bool:
     """Tell whether the speed or spin of a living drone left all bounds, or is NaN.
 
     Writes the first one's world and index to `lost` (2,).

@@ -19,12 +19,7 @@ Speeds = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @func
 def slope_of(
-    state: State,
-    speed: np.ndarray,
-    rotors: Rotors,
-    around: Around,
-    lifted: int,
-    row: np.record,
+    state: State, speed: np.ndarray, rotors: Rotors, around: Around, lifted: int, row: np.record
 ) -> State:
     """Return the time derivative of a state under rotors at some speed (R,)."""
     position, quaternion, velocity, rates = state
@@ -52,11 +47,7 @@ def slope_of(
 
 
 @func
-def _moved(
-    state: State,
-    time: float,
-    slope: State,
-) -> State:
+def _moved(state: State, time: float, slope: State) -> State:
     """Return state + time * slope."""
     x, q, v, w = state
     dx, dq, dv, dw = slope
@@ -87,12 +78,7 @@ def _moved(
 
 @func
 def rk4(
-    state: State,
-    speeds: Speeds,
-    rotors: Stages,
-    dt: float,
-    around: Around,
-    row: np.record,
+    state: State, speeds: Speeds, rotors: Stages, dt: float, around: Around, row: np.record
 ) -> State:
     """Return a state after one classical Runge-Kutta step."""
     lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
@@ -129,12 +115,7 @@ def stepped(
 
 
 @func
-def lag_stages(
-    parameters: np.ndarray,
-    w: int,
-    dt: float,
-    decay: np.ndarray,
-) -> None:
+def lag_stages(parameters: np.ndarray, w: int, dt: float, decay: np.ndarray) -> None:
     """Fill `decay` (N, 6): lag of rotors that speed up and slow down, thrice.
 
     It is that until the begin, the middle and the end of a substep.

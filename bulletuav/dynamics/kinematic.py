@@ -43,13 +43,7 @@ def limited(vector: Vec3, limit: float) -> Vec3:
 
 @func
 def _relaxed(
-    velocity: Vec3,
-    command: Vec3,
-    wind: Vec3,
-    pull: Vec3,
-    lag: float,
-    drag: float,
-    dt: float,
+    velocity: Vec3, command: Vec3, wind: Vec3, pull: Vec3, lag: float, drag: float, dt: float
 ) -> tuple[Vec3, Vec3]:
     """Solve v' = (v_cmd - v) / lag - drag (v - wind) + pull for dt.
 

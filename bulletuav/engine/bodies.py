@@ -97,12 +97,7 @@ def _make_still(
     return body
 
 
-def make_solids(
-    client: int,
-    shape: Shape,
-    colour: Colour,
-    poses: Iterable[Pose],
-) -> list[Body]:
+def make_solids(client: int, shape: Shape, colour: Colour, poses: Iterable[Pose]) -> list[Body]:
     """Make bodies of one shape that nothing but `EngineCalls.pose` moves.
 
     Args:
@@ -119,11 +114,7 @@ def make_solids(
     return [_make_still(client, collision, SURFACE_GROUP, visual, *pose) for pose in poses]
 
 
-def make_ghost(
-    client: int,
-    shape: Shape,
-    colour: Colour,
-) -> Body:
+def make_ghost(client: int, shape: Shape, colour: Colour) -> Body:
     """Make a body far below the ground that only pictures show."""
     visual = _visual_shape(client, shape, colour)
     body: Body = bullet.createMultiBody(0, -1, visual, OFFSTAGE, physicsClientId=client)
@@ -145,11 +136,7 @@ def _collision_shape(client: int, shape: Shape) -> ShapeNumber:
     return number
 
 
-def _visual_shape(
-    client: int,
-    shape: Shape,
-    colour: Colour,
-) -> ShapeNumber:
+def _visual_shape(client: int, shape: Shape, colour: Colour) -> ShapeNumber:
     """Make what pictures show of a shape."""
     if shape.kind in (HULL, CYLINDER):
         # The renderer rounds the ends of its own cylinders.
@@ -175,10 +162,7 @@ def rims(cylinder: Shape, sides: int) -> np.ndarray:
 
 
 def make_city(
-    client: int,
-    solids: Solids,
-    apart: float,
-    places: Iterable[Iterable[float]],
+    client: int, solids: Solids, apart: float, places: Iterable[Iterable[float]]
 ) -> list[tuple[list[Body], list[Body]]]:
     """Make a city in each world: meshes that only rays meet, and compounds that drones touch.
 
@@ -225,11 +209,7 @@ def _handed(name: str, values: np.ndarray) -> list[Any]:
     return handed
 
 
-def _make_mesh(
-    client: int,
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-) -> ShapeNumber:
+def _make_mesh(client: int, vertices: np.ndarray, triangles: np.ndarray) -> ShapeNumber:
     """Make a collision shape of triangles (T, 3) of vertices (V, 3), m."""
     mesh: ShapeNumber = bullet.createCollisionShape(
         bullet.GEOM_MESH,
@@ -263,11 +243,7 @@ def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
     return parts
 
 
-def _make_compound(
-    client: int,
-    solids: Solids,
-    pieces: np.ndarray,
-) -> ShapeNumber:
+def _make_compound(client: int, solids: Solids, pieces: np.ndarray) -> ShapeNumber:
     """Make one collision shape of convex pieces.
 
     It goes through a file, as Bullet's other ways take sixteen pieces at most.
@@ -306,11 +282,7 @@ def _make_facade(client: int, corner: np.ndarray) -> Body:
     return facade
 
 
-def _flat_visual(
-    client: int,
-    corner: np.ndarray,
-    colour: Colour,
-) -> ShapeNumber:
+def _flat_visual(client: int, corner: np.ndarray, colour: Colour) -> ShapeNumber:
     """Make a visual of triangles (T, 3, 3) with corners of their own: faces look flat."""
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -68,9 +68,7 @@ def _of_urdf(path: Path) -> list[Piece]:
 
 
 def _centred(
-    shape: Shape,
-    place: np.ndarray | None = None,
-    quaternion: np.ndarray = UPRIGHT,
+    shape: Shape, place: np.ndarray | None = None, quaternion: np.ndarray = UPRIGHT
 ) -> Piece:
     """Make a piece at a pose; a hull gets its origin in the middle of its bounding box."""
     origin = np.zeros(3) if place is None else place

@@ -120,13 +120,7 @@ class BodyTable:
         bodies_of = np.array(made, dtype=np.int32).reshape(len(made), len(self._offset))
         return bodies_of.T.copy()
 
-    def add(
-        self,
-        shape: Shape,
-        colour: Colour,
-        poses: Iterable[Pose],
-        other: int,
-    ) -> None:
+    def add(self, shape: Shape, colour: Colour, poses: Iterable[Pose], other: int) -> None:
         """Make a piece of a body that stands still.
 
         Args:

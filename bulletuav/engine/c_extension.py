@@ -288,11 +288,7 @@ class CExtension:
         )
 
     def apply(
-        self,
-        mask: np.ndarray,
-        position: np.ndarray,
-        force: np.ndarray,
-        torque: np.ndarray,
+        self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray
     ) -> None:
         """Give drones one force and one torque each; see `EngineCalls.apply`."""
         self.library.batch_apply(
@@ -305,12 +301,7 @@ class CExtension:
         """Advance everything by one substep."""
         self.library.batch_step(self.session)
 
-    def rays(
-        self,
-        start: np.ndarray,
-        end: np.ndarray,
-        groups: int,
-    ) -> np.ndarray:
+    def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
         """Cast rays; see `EngineCalls.rays`."""
         fraction = np.empty(len(start))
         self.library.batch_rays(
@@ -323,12 +314,7 @@ class CExtension:
         )
         return fraction
 
-    def pose(
-        self,
-        body: np.ndarray,
-        position: np.ndarray,
-        quaternion: np.ndarray,
-    ) -> None:
+    def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
         """Put bodies somewhere, at rest; see `EngineCalls.pose`."""
         self.library.batch_pose(
             self.session,
@@ -338,12 +324,7 @@ class CExtension:
             _at(quaternion),
         )
 
-    def velocity(
-        self,
-        body: np.ndarray,
-        velocity: np.ndarray,
-        omega: np.ndarray,
-    ) -> None:
+    def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
         """Give bodies velocities; see `EngineCalls.velocity`."""
         self.library.batch_velocity(
             self.session,
@@ -353,11 +334,6 @@ class CExtension:
             _at(omega),
         )
 
-    def filter(
-        self,
-        body: np.ndarray,
-        group: int,
-        meets: int,
-    ) -> None:
+    def filter(self, body: np.ndarray, group: int, meets: int) -> None:
         """Set which bodies meet; see `EngineCalls.filter`."""
         self.library.batch_filter(self.session, len(body), _at(body, np.int32), group, meets)

@@ -102,11 +102,7 @@ class EngineCalls:
         self.velocity(bodies, velocity.reshape(-1, 3)[chosen], omega.reshape(-1, 3)[chosen])
 
     def apply(
-        self,
-        mask: np.ndarray,
-        position: np.ndarray,
-        force: np.ndarray,
-        torque: np.ndarray,
+        self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray
     ) -> None:
         """Give drones one force and one torque each for the next step.
 
@@ -129,12 +125,7 @@ class EngineCalls:
         """Advance everything by one substep."""
         bullet.stepSimulation(self._client)
 
-    def rays(
-        self,
-        start: np.ndarray,
-        end: np.ndarray,
-        groups: int,
-    ) -> np.ndarray:
+    def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
         """Cast rays.
 
         Args:
@@ -158,12 +149,7 @@ class EngineCalls:
             fraction[part] = [hit[HIT_FRACTION] for hit in hits]
         return fraction
 
-    def pose(
-        self,
-        body: np.ndarray,
-        position: np.ndarray,
-        quaternion: np.ndarray,
-    ) -> None:
+    def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
         """Put bodies somewhere, at rest.
 
         Args:
@@ -174,12 +160,7 @@ class EngineCalls:
         for one, place, turn in zip(body, position, quaternion, strict=True):
             bullet.resetBasePositionAndOrientation(one, place, turn, self._client)
 
-    def velocity(
-        self,
-        body: np.ndarray,
-        velocity: np.ndarray,
-        omega: np.ndarray,
-    ) -> None:
+    def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
         """Give bodies velocities.
 
         Args:
@@ -190,12 +171,7 @@ class EngineCalls:
         for one, speed, spin in zip(body, velocity.tolist(), omega.tolist(), strict=True):
             bullet.resetBaseVelocity(one, speed, spin, self._client)
 
-    def filter(
-        self,
-        body: np.ndarray,
-        group: int,
-        meets: int,
-    ) -> None:
+    def filter(self, body: np.ndarray, group: int, meets: int) -> None:
         """Set which bodies meet; this drops their cached contacts.
 
         Args:

@@ -94,9 +94,7 @@ class LayoutBodies:
 
     @staticmethod
     def _move(
-        calls: EngineCalls | CExtension,
-        made: tuple[list[int], list[int]],
-        place: np.ndarray,
+        calls: EngineCalls | CExtension, made: tuple[list[int], list[int]], place: np.ndarray
     ) -> None:
         """Put meshes and compounds at one place."""
         bodies = np.array(made[0] + made[1], dtype=np.int32)

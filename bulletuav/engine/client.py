@@ -26,11 +26,7 @@ def connect(live: bool) -> int:
     return client
 
 
-def configure(
-    client: int,
-    dt: float,
-    live: bool,
-) -> None:
+def configure(client: int, dt: float, live: bool) -> None:
     """Set a client up so that worlds cannot feel each other.
 
     Islands of bodies that touch are solved one by one and to the full iteration count, and pairs

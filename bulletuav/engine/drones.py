@@ -52,12 +52,7 @@ def drawn_files(airframes: Iterable[Airframe]) -> Iterator[dict[Path, Path]]:
         yield files
 
 
-def make_drone(
-    client: int,
-    airframe: Airframe,
-    file: Path,
-    place: np.ndarray,
-) -> Body:
+def make_drone(client: int, airframe: Airframe, file: Path, place: np.ndarray) -> Body:
     """Make one drone.
 
     Args:

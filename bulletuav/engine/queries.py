@@ -166,13 +166,7 @@ class EngineQueries(ABC):
             land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
         return surface
 
-    def separation(
-        self,
-        world: int,
-        one: PlacedShape,
-        two: PlacedShape,
-        within: float,
-    ) -> float:
+    def separation(self, world: int, one: PlacedShape, two: PlacedShape, within: float) -> float:
         """Measure the closest distance of two collision shapes in a world.
 
         Shapes with a position are moved there, bodies and all. Others stay where they are.
@@ -200,11 +194,7 @@ class EngineQueries(ABC):
         )
 
     def _bodies_at(
-        self,
-        world: int,
-        who: int,
-        position: np.ndarray | None,
-        quaternion: np.ndarray | None,
+        self, world: int, who: int, position: np.ndarray | None, quaternion: np.ndarray | None
     ) -> list[int]:
         """List the bodies of someone in a world; those that can move are put there."""
         bodies = self._bullet.bodies.bodies_of(world, who)
@@ -242,12 +232,7 @@ class EngineQueries(ABC):
         with self._bullet.renderer.collision_shapes(world, *poses, mask[world]):
             return self._bullet.renderer.picture(world, view, projection, size)
 
-    def look_at(
-        self,
-        world: int,
-        target: np.ndarray,
-        distance: float,
-    ) -> None:
+    def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the live window at a place.
 
         Args:

@@ -24,12 +24,7 @@ PITCH = -35.0
 class SceneRenderer:
     """A renderer of one world at a time: it moves the floor and the facades there."""
 
-    def __init__(
-        self,
-        client: int,
-        bodies: BodyTable,
-        offset: np.ndarray,
-    ) -> None:
+    def __init__(self, client: int, bodies: BodyTable, offset: np.ndarray) -> None:
         """Prepare to draw.
 
         Args:
@@ -49,11 +44,7 @@ class SceneRenderer:
             bullet.resetBasePositionAndOrientation(body, place, [0, 0, 0, 1], self._client)
 
     def picture(
-        self,
-        world: int,
-        view: np.ndarray,
-        projection: np.ndarray,
-        size: tuple[int, int],
+        self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]
     ) -> Picture:
         """Take a picture of a world; see `Engine.picture`."""
         self.show_city(world)
@@ -81,11 +72,7 @@ class SceneRenderer:
 
     @contextlib.contextmanager
     def collision_shapes(
-        self,
-        world: int,
-        position: np.ndarray,
-        quaternion: np.ndarray,
-        mask: np.ndarray,
+        self, world: int, position: np.ndarray, quaternion: np.ndarray, mask: np.ndarray
     ) -> Iterator[None]:
         """Show the collision shapes of drones in place of the drones, for pictures taken meanwhile.
 
@@ -124,12 +111,7 @@ class SceneRenderer:
                 body, -1, shapeIndex=index, rgbaColor=colour, physicsClientId=self._client
             )
 
-    def look_at(
-        self,
-        world: int,
-        target: np.ndarray,
-        distance: float,
-    ) -> None:
+    def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the live window at a place in a world; see `Engine.look_at`."""
         place = (target + self._offset[world]).tolist()
         bullet.resetDebugVisualizerCamera(distance, YAW, PITCH, place, physicsClientId=self._client)

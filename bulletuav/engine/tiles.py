@@ -38,11 +38,7 @@ def tile_offset(world: int) -> np.ndarray:
 
 @kernel
 def localise(
-    place: np.ndarray,
-    offset: np.ndarray,
-    omega: np.ndarray,
-    mask: np.ndarray,
-    swarm: Swarm,
+    place: np.ndarray, offset: np.ndarray, omega: np.ndarray, mask: np.ndarray, swarm: Swarm
 ) -> None:
     """Write positions and body rates of drones, given in Bullet's frame, into a swarm.
 
@@ -67,11 +63,7 @@ def localise(
 
 @kernel
 def globalise(
-    place: np.ndarray,
-    offset: np.ndarray,
-    omega: np.ndarray,
-    mask: np.ndarray,
-    swarm: Swarm,
+    place: np.ndarray, offset: np.ndarray, omega: np.ndarray, mask: np.ndarray, swarm: Swarm
 ) -> None:
     """Write where the drones of a swarm are in Bullet's frame: the reverse of `localise`.
 
@@ -93,11 +85,7 @@ def globalise(
 
 
 @func
-def _is_covered(
-    here: Vec3Like,
-    scenery: Scenery,
-    w: int,
-) -> bool:
+def _is_covered(here: Vec3Like, scenery: Scenery, w: int) -> bool:
     """Tell whether a body or a building may stand above or below a point.
 
     It goes by the bounding spheres of bodies and the bounding boxes of buildings.
@@ -116,12 +104,7 @@ def _is_covered(
 
 
 @kernel
-def cover(
-    position: np.ndarray,
-    mask: np.ndarray,
-    scenery: Scenery,
-    surface: np.ndarray,
-) -> int:
+def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.ndarray) -> int:
     """Find the drones whose surface below takes a ray to find.
 
     Those are drones with a body or a building in their column. Below others lies the ground.
@@ -149,9 +132,7 @@ def cover(
 
 @allocating
 def columns(
-    position: np.ndarray,
-    surface: np.ndarray,
-    count: int,
+    position: np.ndarray, surface: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Make the rays of the drones that `cover` found.
 
@@ -178,12 +159,7 @@ def columns(
 
 
 @kernel
-def land(
-    surface: np.ndarray,
-    who: np.ndarray,
-    start: np.ndarray,
-    fraction: np.ndarray,
-) -> None:
+def land(surface: np.ndarray, who: np.ndarray, start: np.ndarray, fraction: np.ndarray) -> None:
     """Write the heights that the rays of `columns` met: the ground's where they met nothing.
 
     Args:

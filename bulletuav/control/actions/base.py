@@ -81,12 +81,7 @@ ActionMaker = Callable[[ActionContext], Action]
 class Compiled:
     """A decoder that is a compiled function, which programs call without Python."""
 
-    def __init__(
-        self,
-        kernel: Callable[..., None],
-        width: int,
-        *numbers: Any,
-    ) -> None:
+    def __init__(self, kernel: Callable[..., None], width: int, *numbers: Any) -> None:
         """Keep the function and what it needs.
 
         Args:
@@ -105,12 +100,7 @@ class Compiled:
 
 
 @func
-def limit_drone(
-    vector: np.ndarray,
-    limit: float,
-    w: int,
-    i: int,
-) -> None:
+def limit_drone(vector: np.ndarray, limit: float, w: int, i: int) -> None:
     """Do what `limit_norm` does with the vector of one drone, in place."""
     square = 0.0
     for k in range(3):

@@ -15,10 +15,7 @@ CHOICES = ("discrete", "discrete_27")
 
 @kernel
 def _decode(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-    table: np.ndarray,
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, table: np.ndarray
 ) -> None:
     """Write the velocities of `table` (C, 3) that were chosen."""
     for w in range(action.shape[0]):
@@ -29,11 +26,7 @@ def _decode(
             setpoint[w, i, 3] = 0.0
 
 
-def _directions(
-    name: str,
-    context: ActionContext,
-    directions: np.ndarray,
-) -> Action:
+def _directions(name: str, context: ActionContext, directions: np.ndarray) -> Action:
     """Make an action that chooses among velocities at max_speed; the first of them is to stay.
 
     Those that climb faster than max_climb are shortened to it.

@@ -23,11 +23,7 @@ UP, YAW = 2, 3
 
 @kernel
 def _decode_limited(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-    most: float,
-    climb: float,
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, most: float, climb: float
 ) -> None:
     """Write vectors of up to `most`, and `climb` upwards: velocities, or accelerations."""
     for w in range(action.shape[0]):

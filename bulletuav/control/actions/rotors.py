@@ -17,10 +17,7 @@ HOVER_RPM_RANGE = 0.05
 
 @kernel
 def _decode_thrust(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-    most: np.ndarray,
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, most: np.ndarray
 ) -> None:
     """Write the rotor speeds, at most `most` (N,), of action `rotor`."""
     for w in range(action.shape[0]):
@@ -30,11 +27,7 @@ def _decode_thrust(
 
 
 @kernel
-def _decode_rpm(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-) -> None:
+def _decode_rpm(action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray) -> None:
     """Write the rotor speeds of action `rpm`."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
@@ -44,10 +37,7 @@ def _decode_rpm(
 
 @kernel
 def _decode_change(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-    hover: np.ndarray,
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, hover: np.ndarray
 ) -> None:
     """Write the rotor speeds of action `hover_rpm`, about those of `hover` (N,)."""
     for w in range(action.shape[0]):
