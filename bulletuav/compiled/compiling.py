@@ -36,8 +36,8 @@ def invoke(
     Returns:
         LLVM value of the result.
     """
-    form = context.call_conv.get_function_type(result, arguments)
-    function = builder.inttoptr(address, form.as_pointer())
+    function_type = context.call_conv.get_function_type(result, arguments)
+    function = builder.inttoptr(address, function_type.as_pointer())
     status, done = context.call_conv.call_function(builder, function, result, arguments, values)
     with cgutils.if_unlikely(builder, status.is_error):
         context.call_conv.return_status_propagate(builder, status)

@@ -34,7 +34,7 @@ _SOON = 0.01
 
 
 @contextlib.contextmanager
-def signals_later() -> Iterator[None]:
+def delay_signals() -> Iterator[None]:
     """Delay Python's signal handlers, such as that of an interrupt, until shortly after the block.
 
     An exception raised within compilation would free LLVM's objects twice.
@@ -60,7 +60,7 @@ def signals_later() -> Iterator[None]:
             threading.Timer(_SOON, signal.raise_signal, [number]).start()
 
 
-class Door(NamedTuple):
+class DeferredEntry(NamedTuple):
     """Entry point of a deferred function, through which machine code resolves its address.
 
     Attributes:
@@ -79,22 +79,22 @@ class Door(NamedTuple):
     def symbol(self) -> str:
         """Name of the entry point in machine code."""
         kinds = hashlib.sha256(repr(self.arguments).encode()).hexdigest()[:24]
-        return f"{self.module}.{self.name}.{kinds}.door"
+        return f"{self.module}.{self.name}.{kinds}.deferred"
 
     def is_met(self) -> bool:
         """Register the entry point with LLVM, without compiling the function; return True."""
-        if self not in _OPENERS:
-            _OPENERS[self] = ctypes.CFUNCTYPE(None, ctypes.c_int64)(self._answer)
-        llvm.add_symbol(self.symbol, ctypes.cast(_OPENERS[self], ctypes.c_void_p).value)
+        if self not in _RESOLVERS:
+            _RESOLVERS[self] = ctypes.CFUNCTYPE(None, ctypes.c_int64)(self._resolve)
+        llvm.add_symbol(self.symbol, ctypes.cast(_RESOLVERS[self], ctypes.c_void_p).value)
         return True
 
-    def _answer(self, place: int) -> None:
+    def _resolve(self, place: int) -> None:
         """Write the address of the function, or `_FAILED`, to the address `place`.
 
         The calling machine code waits for it, and calls again if nothing was written.
         """
         try:
-            with signals_later():
+            with delay_signals():
                 address = self.address()
         except Exception:
             _LOG.exception("%s.%s", self.module, self.name)
@@ -115,7 +115,7 @@ class Door(NamedTuple):
         return found.address(self.arguments)
 
 
-_OPENERS: dict[Door, Any] = {}
+_RESOLVERS: dict[DeferredEntry, Any] = {}
 """C callbacks that resolve the entry points; they live as long as the process"""
 
 
@@ -125,12 +125,12 @@ def compile_deferred() -> None:
     Raises:
         TypeError: If a function does not return the type that was declared.
     """
-    opened: set[Door] = set()
+    resolved: set[DeferredEntry] = set()
     # A deferred function may call other deferred functions
-    while waiting := [door for door in list(_OPENERS) if door not in opened]:
-        for door in waiting:
-            door.address()
-        opened.update(waiting)
+    while waiting := [entry for entry in list(_RESOLVERS) if entry not in resolved]:
+        for entry in waiting:
+            entry.address()
+        resolved.update(waiting)
 
 
 def deferred(result: Any) -> Callable[[Function], Function]:
@@ -151,31 +151,35 @@ def deferred(result: Any) -> Callable[[Function], Function]:
         parts = inspect.signature(compiled.py_func).parameters.values()
 
         def define(_: Any, *arguments: Any) -> Any:
-            door = Door(function.__module__, function.__name__, result, arguments)
-            return result(*arguments), functools.partial(_through, door)
+            entry = DeferredEntry(function.__module__, function.__name__, result, arguments)
+            return result(*arguments), functools.partial(_write_deferred_call, entry)
 
         # Numba reads the argument names from the signature
         first = inspect.Parameter("context", inspect.Parameter.POSITIONAL_ONLY)
         define.__signature__ = inspect.Signature([first, *parts])  # type: ignore[attr-defined]
-        compiled.door = types.Function(make_intrinsic_template(compiled, define, function.__name__))
+        compiled.deferred_type = types.Function(
+            make_intrinsic_template(compiled, define, function.__name__)
+        )
         return function
 
     return decorate
 
 
-def _through(door: Door, context: Any, builder: Any, _: Any, values: Any) -> Any:
+def _write_deferred_call(
+    entry: DeferredEntry, context: Any, builder: Any, _: Any, values: Any
+) -> Any:
     """Generate a call of a deferred function through its entry point."""
-    door.is_met()
+    entry.is_met()
     library = context.active_code_library
-    library.doors = (*getattr(library, "doors", ()), door)
+    library.deferred_entries = (*getattr(library, "deferred_entries", ()), entry)
     # The resolved address is stored in a global variable of the caller's module
-    word, name = context.get_value_type(types.intp), f"{door.symbol}.address"
+    word, name = context.get_value_type(types.intp), f"{entry.symbol}.address"
     place = builder.module.globals.get(name)
     if place is None:
         place = cgutils.add_global_variable(builder.module, word, name)
         place.linkage, place.initializer = "internal", word(0)
     look, ask, known = (
-        builder.append_basic_block(f"door.{part}") for part in ("look", "ask", "known")
+        builder.append_basic_block(f"deferred.{part}") for part in ("look", "ask", "known")
     )
     builder.branch(look)
     builder.position_at_end(look)
@@ -183,13 +187,13 @@ def _through(door: Door, context: Any, builder: Any, _: Any, values: Any) -> Any
     builder.cbranch(builder.icmp_unsigned("==", address, word(0)), ask, known)
     # Loop until an address is written: a signal may have interrupted the callback
     builder.position_at_end(ask)
-    form = ir.FunctionType(ir.VoidType(), [word])
-    opener = cgutils.get_or_insert_function(builder.module, form, door.symbol)
-    builder.call(opener, [builder.ptrtoint(place, word)])
+    function_type = ir.FunctionType(ir.VoidType(), [word])
+    resolver = cgutils.get_or_insert_function(builder.module, function_type, entry.symbol)
+    builder.call(resolver, [builder.ptrtoint(place, word)])
     builder.branch(look)
     builder.position_at_end(known)
     with cgutils.if_unlikely(builder, builder.icmp_unsigned("==", address, word(_FAILED))):
         builder.store(word(0), place)
-        text = f"{door.module}.{door.name} could not be compiled; see the error that was logged"
+        text = f"{entry.module}.{entry.name} could not be compiled; see the error that was logged"
         context.call_conv.return_user_exc(builder, RuntimeError, (text,))
-    return invoke(context, builder, address, door.result, door.arguments, values)
+    return invoke(context, builder, address, entry.result, entry.arguments, values)

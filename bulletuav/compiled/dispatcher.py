@@ -193,7 +193,7 @@ class Cache:
         """Store the machine code for a signature."""
         library = compiled.library
         linked = (need for other in library._linking_libraries for need in _asked(other))
-        library.needs = tuple(dict.fromkeys((*getattr(library, "doors", ()), *linked)))
+        library.needs = tuple(dict.fromkeys((*getattr(library, "deferred_entries", ()), *linked)))
         if self._is_apart():
             # Callers copy this stub, of which numba reads only the name
             name = compiled.fndesc.mangled_name
@@ -205,7 +205,7 @@ class Cache:
                 _replace(file, dumps((library.needs, compiled._reduce())))
                 self._forget_old(file)
             except OSError as error:
-                _tell_once(f"{error}: compiled functions are not stored for later runs")
+                _warn_once(f"{error}: compiled functions are not stored for later runs")
         self._link(compiled)
 
     @contextlib.contextmanager
@@ -294,7 +294,7 @@ def _name_helpers() -> None:
 
 
 @functools.cache
-def _tell_once(text: str) -> None:
+def _warn_once(text: str) -> None:
     """Log a warning once in a process."""
     _LOG.warning(text)
 
@@ -377,11 +377,11 @@ class Dispatcher(_Stored):
     """A compiled function that Python and compiled code can call.
 
     Attributes:
-        door: Numba type of the function for compiled callers if it is deferred, else None; see
-            `bulletuav.compiled.deferred`.
+        deferred_type: Numba type of the function for compiled callers if it is deferred, else None;
+            see `bulletuav.compiled.deferred`.
     """
 
-    door: Any = None
+    deferred_type: Any = None
     _folder: Path | None = None
     _inner: Any = None
 
@@ -430,7 +430,7 @@ class Dispatcher(_Stored):
     @property
     def _numba_type_(self) -> Any:
         """Numba type of the function for compiled callers."""
-        return self.door or types.Dispatcher(self.inner)
+        return self.deferred_type or types.Dispatcher(self.inner)
 
     def compiled(self, arguments: tuple[Any, ...]) -> Any:
         """Compile or load the specialisation for compiled callers, and return numba's result.

@@ -5,7 +5,7 @@ square roots in each lane, with the same bits as with floats on any processor. `
 branches. `lanes_row` and `lanes_of` are the counterparts of rows of constants and of arrays. In
 memory, the lanes of each number are contiguous.
 
-    lanes_of(room(numbers), 0)[k]  # number k of all drones
+    lanes_of(lane_zeros(numbers), 0)[k]  # number k of all drones
 """
 
 import math
@@ -30,7 +30,7 @@ from numba.core.typing.templates import (
 from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
-from bulletuav.compiled.plain import LaneNumbers, choose, in_python
+from bulletuav.compiled.plain import LaneNumbers, in_python, select_lanes
 from bulletuav.compiled.stamps import stamp_of
 
 # numba's codegen respects processor features that environment variables disable
@@ -103,7 +103,7 @@ class LanesRow(types.Type):  # type: ignore[misc]
 LANES, MASK = Lanes(), Mask()
 
 
-def room(*shape: int) -> np.ndarray:
+def lane_zeros(*shape: int) -> np.ndarray:
     """Return an array (..., `WIDTH`) of zeros, aligned to a cache line.
 
     Args:
@@ -115,13 +115,13 @@ def room(*shape: int) -> np.ndarray:
     return numbers[first : first + count].reshape(*shape, WIDTH)
 
 
-def _model(kind: type, form: Any) -> None:
+def _model(kind: type, llvm_type: Any) -> None:
     """Register the LLVM type of a numba type."""
 
     @register_model(kind)
     class _Model(models.PrimitiveModel):  # type: ignore[misc]
         def __init__(self, manager: Any, one: Any) -> None:
-            super().__init__(manager, one, form)
+            super().__init__(manager, one, llvm_type)
 
 
 _model(Lanes, VECTOR)
@@ -213,7 +213,7 @@ _of_lanes(max, 2, LANES, _second_if(">"))
 _of_lanes(min, 2, LANES, _second_if("<"))
 
 
-@in_python(choose)
+@in_python(select_lanes)
 @intrinsic  # type: ignore[untyped-decorator]
 def where(typing: Any, condition: Any, one: Any, other: Any) -> Any:
     """Return `one` where a condition holds, else `other`, for floats or in each lane.

@@ -169,7 +169,7 @@ class LaneNumbers(np.ndarray):
     __itruediv__ = np.ndarray.__truediv__  # type: ignore[assignment]
 
 
-def choose(condition: Any, one: Any, other: Any) -> Any:
+def select_lanes(condition: Any, one: Any, other: Any) -> Any:
     """Return `one` where a condition holds, else `other`, for numbers or in each lane."""
     if isinstance(condition, np.ndarray):
         return np.where(condition, one, other).view(LaneNumbers)
@@ -179,14 +179,14 @@ def choose(condition: Any, one: Any, other: Any) -> Any:
 def _greater(first: Any, *others: Any) -> Any:
     """Return the maximum in each lane, as Python's `max` does."""
     for other in others:
-        first = choose(other > first, other, first)
+        first = select_lanes(other > first, other, first)
     return first
 
 
 def _lesser(first: Any, *others: Any) -> Any:
     """Return the minimum in each lane, as Python's `min` does."""
     for other in others:
-        first = choose(other < first, other, first)
+        first = select_lanes(other < first, other, first)
     return first
 
 

@@ -18,11 +18,11 @@ from numba.np.arrayobj import populate_array
 
 from bulletuav.compiled.compiling import invoke
 from bulletuav.compiled.dispatcher import Dispatcher
-from bulletuav.compiled.forms import TupleForm, form_of, type_of
 from bulletuav.compiled.kernel import InMemory, kernel
 from bulletuav.compiled.plain import SWITCH
+from bulletuav.compiled.specialisation import TupleKey, specialisation_key, type_from_key
 
-Turn = Callable[[], None]
+Callback = Callable[[], None]
 """A Python callback, a step of a program that needs Python"""
 _WORD = types.int64
 _KIND = types.TypeRef(_WORD)
@@ -40,7 +40,7 @@ class _Call(NamedTuple):
 
     kernel: Callable[..., Any] | None
     arguments: tuple[Any, ...]
-    turns: list[Turn]
+    callbacks: list[Callback]
 
 
 class Program:
@@ -59,7 +59,7 @@ class Program:
         self.table = np.zeros((0, 2), dtype=np.int64)
 
     def call(
-        self, kernel: Callable[..., Any], *arguments: Any, otherwise: Turn | None = None
+        self, kernel: Callable[..., Any], *arguments: Any, otherwise: Callback | None = None
     ) -> None:
         """Add a call of a function compiled by `bulletuav.compiled.kernel`.
 
@@ -70,15 +70,15 @@ class Program:
         """
         self._calls.append(_Call(kernel, arguments, [] if otherwise is None else [otherwise]))
 
-    def turn(self, turn: Turn) -> None:
+    def callback(self, callback: Callback) -> None:
         """Add a Python callback; consecutive callbacks are one step of the program."""
         if self._calls and self._calls[-1].kernel is None:
-            self._calls[-1].turns.append(turn)
+            self._calls[-1].callbacks.append(callback)
         else:
-            self._calls.append(_Call(None, (), [turn]))
+            self._calls.append(_Call(None, (), [callback]))
 
     @property
-    def calls(self) -> Sequence[tuple[Callable[..., Any] | None, tuple[Any, ...], list[Turn]]]:
+    def calls(self) -> Sequence[tuple[Callable[..., Any] | None, tuple[Any, ...], list[Callback]]]:
         """The steps: function (None if the callbacks always run), arguments and callbacks."""
         return self._calls
 
@@ -97,16 +97,16 @@ class Program:
         last = len(self._calls) - 1
         k = run_calls(self.table, 0)
         while k >= 0:
-            for turn in self._calls[k].turns:
-                turn()
+            for callback in self._calls[k].callbacks:
+                callback()
             k = run_calls(self.table, k + 1) if k < last else -1
 
     def interpret(self) -> None:
         """Run all calls one by one from Python, for debugging or for a single run."""
-        for function, arguments, turns in self._calls:
+        for function, arguments, callbacks in self._calls:
             if function is None or function(*arguments):
-                for turn in turns:
-                    turn()
+                for callback in callbacks:
+                    callback()
 
     def compile(self) -> None:
         """Look up the addresses of all functions and arguments; otherwise the first run does."""
@@ -115,15 +115,15 @@ class Program:
         table = np.zeros((len(self._calls), 2), dtype=np.int64)
         kept: list[np.ndarray] = []
         # Most calls share tuples and arrays, which live as long as the calls: ids are unique
-        forms: dict[int, Any] = {}
+        keys: dict[int, Any] = {}
         known: dict[int, list[int]] = {}
         records: dict[int, np.ndarray] = {}
         for row, (made, arguments, _) in zip(table, self._calls, strict=True):
             if made is not None:
                 for one in arguments:
-                    if id(one) not in forms:
-                        forms[id(one)] = form_of(one)
-                function, caller = _addresses(made, tuple(forms[id(one)] for one in arguments))
+                    if id(one) not in keys:
+                        keys[id(one)] = specialisation_key(one)
+                function, caller = _addresses(made, tuple(keys[id(one)] for one in arguments))
                 numbers = [function]
                 for one in arguments:
                     if is_nested(one):
@@ -175,13 +175,13 @@ def by_world(program: Program, arrays: Iterable[np.ndarray]) -> ByWorld | None:
     steps: list[int] = []
     words: list[int] = []
     begins: list[int] = []
-    for function, arguments, turns in program.calls:
+    for function, arguments, callbacks in program.calls:
         parts = list(_arrays_in(arguments))
         strides = [_world_stride(array, known) for array in parts]
-        if function is None or turns or None in strides or any(map(is_nested, arguments)):
+        if function is None or callbacks or None in strides or any(map(is_nested, arguments)):
             return None
         begins.append(len(words))
-        address, _ = _addresses(function, tuple(map(form_of, arguments)))
+        address, _ = _addresses(function, tuple(map(specialisation_key, arguments)))
         words.append(address)
         steps.append(0)
         for value, is_first in _of_one_world(arguments, iter(strides)):
@@ -300,13 +300,13 @@ def _in_memory(value: Any) -> tuple[Any, Any]:
 
 
 @cache
-def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
+def _addresses(kernel: Any, keys: tuple[Any, ...]) -> tuple[int, int]:
     """Return the addresses of a compiled function, and of the caller that unpacks its arguments.
 
     Raises:
         TypeError: If the function returns neither a bool nor nothing.
     """
-    arguments = tuple(map(_argument_type, forms))
+    arguments = tuple(map(_argument_type, keys))
     result = kernel.compiled(arguments).signature.return_type
     if result not in (types.none, types.boolean):
         raise TypeError(f"{kernel.__name__} returns {result}: a bool, or nothing, is needed")
@@ -315,11 +315,11 @@ def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
     return kernel.address(arguments), caller.address((_WORD, kind))
 
 
-def _argument_type(form: Any) -> types.Type:
+def _argument_type(key: Any) -> types.Type:
     """Return the numba type of an argument; nested records (see `is_nested`) are addresses."""
-    kind = type_of(form)
+    kind = type_from_key(key)
     is_record = isinstance(kind, types.NamedTuple)
-    nested = is_record and any(isinstance(part, TupleForm) for part in form.parts)
+    nested = is_record and any(isinstance(part, TupleKey) for part in key.parts)
     return InMemory(kind) if nested else kind
 
 

@@ -21,7 +21,7 @@ DEGREE = 5
 MOST_POINTS = 100_000
 
 
-class Target(NamedTuple):
+class TrajectoryPoint(NamedTuple):
     """Where a trajectory is at one time.
 
     Attributes:
@@ -137,7 +137,7 @@ class Trajectory:
         self._acceleration = curve.derivative(2)
         self.begin, self.end = float(begin), float(end)
 
-    def at(self, time: float) -> Target:
+    def at(self, time: float) -> TrajectoryPoint:
         """Tell where the trajectory is.
 
         Args:
@@ -152,7 +152,7 @@ class Trajectory:
         time = finite("time", time)
         place = self._place(min(max(time, self.begin), self.end))
         velocity = self._moving(self._velocity, time)
-        return Target(place[:3], velocity, self.acceleration(time), float(place[3]))
+        return TrajectoryPoint(place[:3], velocity, self.acceleration(time), float(place[3]))
 
     def acceleration(self, time: float) -> np.ndarray:
         """Tell the acceleration alone, (3,) m/s^2; see `at`."""

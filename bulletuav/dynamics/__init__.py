@@ -18,7 +18,7 @@ def find_dynamics(source: str | type[Dynamics]) -> type[Dynamics]:
         source: A registered name, `module:Name`, or a class derived from `Dynamics`.
 
     Returns:
-        The class. It is constructed with a `Flight`.
+        The class. It is constructed with a `FlightSetup`.
 
     Raises:
         ValueError: If no dynamics has that name (the message lists the nearest names), if `source`

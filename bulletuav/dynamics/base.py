@@ -83,7 +83,7 @@ def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Around:
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlightSetup:
     """Constructor argument of a dynamics: worlds, drone parameters, controllers and time step.
 
     Attributes:
@@ -170,7 +170,7 @@ class Dynamics(ABC):
         if "name" not in vars(cls):
             cls.name = cls.__name__
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: FlightSetup) -> None:
         """Initialise the contact solver and the external loads.
 
         Args:
@@ -210,7 +210,7 @@ class Dynamics(ABC):
         if type(self).place is Dynamics.place:
             self._add_start(program, swarm, mask)
         else:  # an author's own
-            program.turn(lambda: self.place(swarm, mask))
+            program.callback(lambda: self.place(swarm, mask))
 
     def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
         """Add a call that initialises the drones of a mask from their state to a program."""
@@ -328,7 +328,7 @@ class Dynamics(ABC):
             program: Program that the calls are added to.
             decision: Inputs of the decision; setpoints are at the level `consumes` or above.
         """
-        program.turn(lambda: self._advance_decision(decision))
+        program.callback(lambda: self._advance_decision(decision))
 
     def touched(self) -> Contacts:
         """Return the contacts of the last decision."""
@@ -382,7 +382,7 @@ class Dynamics(ABC):
         def look() -> None:
             surface[:] = engine.surface_below(position, alive)
 
-        program.turn(look)
+        program.callback(look)
 
     def _require_finite(self, swarm: Swarm) -> None:
         """Raise RuntimeError for a position, attitude or rotor speed that is not finite."""

@@ -13,7 +13,7 @@ from numba import types
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.gather import copy_numbers, four, gathered, three
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.compiled.lanes import WIDTH, is_any, lanes_of, lanes_row, room, where
+from bulletuav.compiled.lanes import WIDTH, is_any, lane_zeros, lanes_of, lanes_row, where
 from bulletuav.control.cascade import Cascade
 from bulletuav.dynamics.integration import stepped, turn_rotors
 from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
@@ -88,24 +88,24 @@ class Blocks(NamedTuple):
             swarm=Swarm(*(array.reshape(1, -1, array.shape[2]) for array in swarm)),
             rows=parameters,
             numbers=numbers,
-            packed=room(blocks, numbers.shape[2]),
-            held=room(blocks, 11),
+            packed=lane_zeros(blocks, numbers.shape[2]),
+            held=lane_zeros(blocks, 11),
             decay=np.zeros((worlds, num_drones, 6)),
-            lag=room(blocks, 6),
+            lag=lane_zeros(blocks, 6),
             flown=np.zeros(blocks, dtype=bool),
             alike=np.zeros(blocks, dtype=bool),
             together=np.zeros(blocks * WIDTH, dtype=bool),
             wakes=Wakes.of(worlds, num_drones),
             command=np.zeros((worlds, num_drones, num_rotors)),
-            rotors=room(5, num_rotors),
+            rotors=lane_zeros(5, num_rotors),
             alone=np.zeros((3, num_rotors)),
-            state=room(13),
+            state=lane_zeros(13),
             steering=Steering.of(cascade, blocks),
         )
 
 
 @kernel
-def pack(blocks: Any, air: Any, first: int) -> None:
+def pack_blocks(blocks: Any, air: Any, first: int) -> None:
     """Pack the parameters, rotor lag and air of a group's drones into blocks, once a decision.
 
     Args:

@@ -19,9 +19,9 @@ from bulletuav.compiled.program import Program
 from bulletuav.contact.contacts import meet_all, place_obstacles, remember_all
 from bulletuav.contact.rest import Contact, bears, wake
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Decision, Dynamics, Flight
+from bulletuav.dynamics.base import Decision, Dynamics, FlightSetup
 from bulletuav.dynamics.drive import Scratch, drive
-from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
+from bulletuav.engine.c_extension import EnginePort, substep, surface_below, write_states
 from bulletuav.geometry.rotation import plus, quat4, vec3
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Contacts, DroneArrays, Swarm
@@ -68,8 +68,8 @@ def _choose_driven(alive: np.ndarray, contact: Contact, driven: np.ndarray) -> N
 
 
 @allocating
-def advance(
-    decision: Decision, contact: Contact, scratch: Scratch, port: Port, near_ground: bool
+def advance_bullet(
+    decision: Decision, contact: Contact, scratch: Scratch, port: EnginePort, near_ground: bool
 ) -> None:
     """Fly all substeps of one decision in one call, through the C extension.
 
@@ -112,7 +112,7 @@ class BulletDynamics(Dynamics):
     contacts = ("impulse", "stop", "bullet")
     sleeps = True
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: FlightSetup) -> None:
         """Allocate the work arrays, and create the bodies of the drones in Bullet.
 
         Args:
@@ -145,12 +145,12 @@ class BulletDynamics(Dynamics):
         # C reads the arrays without strides
         assert all(array.flags.c_contiguous for array in (*drones.swarm, drones.alive))
         if self.flight.contacts == "bullet":
-            program.turn(lambda: self._fly_in_engine(decision))
+            program.callback(lambda: self._fly_in_engine(decision))
         elif port is None:
-            program.turn(lambda: self._fly_by_calls(decision))
+            program.callback(lambda: self._fly_by_calls(decision))
         else:
             engine = (port, self._near_ground)
-            program.call(advance, decision, self.contact, self._scratch, *engine)
+            program.call(advance_bullet, decision, self.contact, self._scratch, *engine)
 
     def touched(self) -> Contacts:
         """Return the contacts of the last decision; see the base class."""

@@ -217,7 +217,7 @@ def _pieces(kind: int, levels: np.ndarray, w: int, substeps: int) -> int:
 
 
 @allocating
-def advance(decision: Decision, contact: Contact, kind: int) -> None:
+def advance_kinematic(decision: Decision, contact: Contact, kind: int) -> None:
     """Fly all substeps of one decision in all worlds.
 
     Args:
@@ -291,7 +291,7 @@ class Kinematic(Dynamics):
 
     def add_flight(self, program: Program, decision: Decision) -> None:
         """Add all substeps as one compiled call; see the base class."""
-        program.call(advance, decision, self.contact, self.kind)
+        program.call(advance_kinematic, decision, self.contact, self.kind)
 
 
 @register("dynamics")

@@ -22,7 +22,7 @@ from bulletuav.dynamics.blocks import (
     fly_block,
     is_block,
     is_steered,
-    pack,
+    pack_blocks,
 )
 from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
 from bulletuav.dynamics.steering import pack_steering
@@ -87,7 +87,7 @@ def _mark(
 
 
 @kernel
-def advance(decision: Decision, contact: Contact, blocks: Blocks) -> None:
+def advance_rigid_body(decision: Decision, contact: Contact, blocks: Blocks) -> None:
     """Fly all substeps of one decision in all worlds.
 
     Args:
@@ -110,7 +110,7 @@ def advance(decision: Decision, contact: Contact, blocks: Blocks) -> None:
         for w in range(first, last):
             lag_stages(parameters, w, dt, blocks.decay[w - first])
         if alive.size >= FEWEST:
-            pack(blocks, air, first * num_drones)
+            pack_blocks(blocks, air, first * num_drones)
             pack_steering(blocks.steering, setpoints, first * num_drones)
         for substep in range(step.substeps):
             _mark(drones, contact, blocks, first, last, dt)
@@ -156,4 +156,6 @@ class RigidBody(Dynamics):
 
     def add_flight(self, program: Program, decision: Decision) -> None:
         """Add all substeps as one compiled call; see the base class."""
-        program.call(advance, decision, self.contact, Blocks.of(decision.drones, decision.cascade))
+        program.call(
+            advance_rigid_body, decision, self.contact, Blocks.of(decision.drones, decision.cascade)
+        )

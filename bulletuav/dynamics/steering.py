@@ -6,7 +6,7 @@ import numpy as np
 
 from bulletuav.compiled.gather import copy_numbers, gathered
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.compiled.lanes import WIDTH, lanes_of, lanes_row, room
+from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_of, lanes_row
 from bulletuav.control.cascade import LEE, Cascade, rates_of_motion, turn_by
 from bulletuav.control.lee import nose
 from bulletuav.control.observers import PUSHES, learned
@@ -64,11 +64,11 @@ class Steering(NamedTuple):
             is_lee=cascade.controller == LEE,
             nominal_numbers=nominal_numbers,
             gain_numbers=gain_numbers,
-            nominal=room(blocks, nominal_numbers.shape[2]),
-            gain=room(blocks, gain_numbers.shape[2]),
-            goal=room(blocks, 6),
+            nominal=lane_zeros(blocks, nominal_numbers.shape[2]),
+            gain=lane_zeros(blocks, gain_numbers.shape[2]),
+            goal=lane_zeros(blocks, 6),
             level=np.full(blocks, ALONE),
-            remembered=room(memory.shape[2]),
+            remembered=lane_zeros(memory.shape[2]),
         )
 
 

@@ -81,7 +81,7 @@ def _centred(
     return Piece(moved, origin + to_world(quaternion, middle), quaternion)
 
 
-def pose_of(
+def check_pose(
     position: Sequence[float], quaternion: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Check where a body is to stand.

@@ -17,7 +17,7 @@ from numba import types
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import allocating, kernel
 from bulletuav.engine.calls import VISIBLE
-from bulletuav.engine.tiles import columns, cover, globalise, land, localise
+from bulletuav.engine.tiles import cover, globalise, localise, vertical_rays, write_surface
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.raycast import walk
 from bulletuav.geometry.scenery import Scenery
@@ -64,7 +64,7 @@ class Extension(NamedTuple):
     missing: str
 
 
-def load(engine: str) -> Extension:
+def load_extension(engine: str) -> Extension:
     """Load the extension.
 
     Args:
@@ -99,7 +99,7 @@ NO_SESSION = 0
 """Session of a port through which nothing is asked of Bullet"""
 
 
-class Port(NamedTuple):
+class EnginePort(NamedTuple):
     """What compiled code needs to run substeps by itself.
 
     Attributes:
@@ -130,7 +130,9 @@ class Port(NamedTuple):
 
 
 @allocating
-def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: np.ndarray) -> None:
+def surface_below(
+    port: EnginePort, position: np.ndarray, mask: np.ndarray, surface: np.ndarray
+) -> None:
     """Write the height of the surface below drones, as `Engine.surface_below` does.
 
     Args:
@@ -147,10 +149,10 @@ def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: n
 
 @deferred(types.none)
 @allocating
-def _cast_down(port: Port, position: np.ndarray, surface: np.ndarray, covered: int) -> None:
+def _cast_down(port: EnginePort, position: np.ndarray, surface: np.ndarray, covered: int) -> None:
     """Write the height of what is below drones for which `cover` wrote NaN."""
-    who, start, end = columns(position, surface, covered)
-    fraction, left = walk(port.scenery, start, end, who[:, 0], port.compiled)
+    drone, start, end = vertical_rays(position, surface, covered)
+    fraction, left = walk(port.scenery, start, end, drone[:, 0], port.compiled)
     # Bullet answers the others.
     count = left.shape[0]
     if count > 0:
@@ -160,17 +162,17 @@ def _cast_down(port: Port, position: np.ndarray, surface: np.ndarray, covered: i
         for k in range(count):
             m = left[k]
             for axis in range(3):
-                origin = port.offset[who[m, 0], 0, axis]
+                origin = port.offset[drone[m, 0], 0, axis]
                 first[k, axis] = start[m, axis] + origin
                 last[k, axis] = end[m, axis] + origin
         port.rays(port.session, count, first.ctypes, last.ctypes, VISIBLE, share.ctypes)
         for k in range(count):
             fraction[left[k]] = share[k]
-    land(surface, who, start, fraction)
+    write_surface(surface, drone, start, fraction)
 
 
 @kernel
-def substep(port: Port, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm) -> None:
+def substep(port: EnginePort, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm) -> None:
     """Do what `Engine.apply_wrenches`, `step` and `read_states` do, in one call.
 
     Args:
@@ -195,7 +197,7 @@ def substep(port: Port, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm) -> N
 
 
 @kernel
-def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
+def write_states(port: EnginePort, swarm: Swarm, mask: np.ndarray) -> None:
     """Do what `Engine.write_states` does.
 
     Args:
@@ -216,7 +218,7 @@ def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
 
 
 @kernel
-def bring_out(port: Port, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> None:
+def bring_out(port: EnginePort, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> None:
     """Write the states of drones of `mask` (W, N), and note that they are not parked any more."""
     write_states(port, swarm, mask)
     for w in range(mask.shape[0]):

@@ -7,7 +7,7 @@ from bulletuav.engine.screen import require_screen
 from bulletuav.engine.silence import silenced
 
 
-def connect(live: bool) -> int:
+def open_client(live: bool) -> int:
     """Open a client.
 
     Args:

@@ -12,7 +12,7 @@ import numpy as np
 
 from bulletuav.engine.bodies import Body, rims
 from bulletuav.engine.calls import bullet
-from bulletuav.engine.client import connect, disconnect
+from bulletuav.engine.client import disconnect, open_client
 from bulletuav.engine.silence import silenced
 from bulletuav.geometry.shapes import CYLINDER, Shape
 from bulletuav.vehicle.airframe import Airframe
@@ -109,7 +109,7 @@ def require_loadable(airframes: Iterable[Airframe]) -> None:
 @functools.cache
 def _try_once(urdf: Path, _: bytes) -> None:
     """Load a URDF in a client of its own, once for what is in the file."""
-    client = connect(live=False)
+    client = open_client(live=False)
     try:
         _load(client, urdf, urdf, (0.0, 0.0, 0.0))
     finally:

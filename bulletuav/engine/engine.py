@@ -14,9 +14,15 @@ from functools import cached_property
 import numpy as np
 
 from bulletuav.compiled.program import Program
-from bulletuav.engine.body_source import BodySource, pieces_of, pose_of
+from bulletuav.engine.body_source import BodySource, check_pose, pieces_of
 from bulletuav.engine.body_table import Contents
-from bulletuav.engine.c_extension import NO_SESSION, CExtension, Port, bring_out, load
+from bulletuav.engine.c_extension import (
+    NO_SESSION,
+    CExtension,
+    EnginePort,
+    bring_out,
+    load_extension,
+)
 from bulletuav.engine.calls import DRONE_GROUP, SOLID, EngineCalls, bullet
 from bulletuav.engine.client import disconnect
 from bulletuav.engine.drones import require_loadable
@@ -34,7 +40,7 @@ from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Swarm
 
 ENGINE_VERSION: int = bullet.getAPIVersion()
-EXTENSION = load(bullet.__file__)
+EXTENSION = load_extension(bullet.__file__)
 
 RAY_METHODS = {"compiled": True, "bullet": False}
 """Who answers rays, and whether it is compiled code"""
@@ -164,7 +170,7 @@ class Engine(EngineQueries):
         )
 
     @property
-    def port(self) -> Port | None:
+    def port(self) -> EnginePort | None:
         """Arrays and functions for compiled code to run substeps; None without the C extension."""
         calls = self._bullet.calls
         if not isinstance(calls, CExtension):
@@ -172,15 +178,15 @@ class Engine(EngineQueries):
         return self._port(calls.session, calls.library)
 
     @property
-    def surface_port(self) -> Port | None:
+    def surface_port(self) -> EnginePort | None:
         """What `port` is, for `surface_below` alone: compiled rays do not need Bullet."""
         if self._compiled and self._extension.library is not None:
             return self._port(NO_SESSION, self._extension.library)
         return self.port
 
-    def _port(self, session: int, library: PyDLL) -> Port:
+    def _port(self, session: int, library: PyDLL) -> EnginePort:
         """Put together what compiled code needs."""
-        return Port(
+        return EnginePort(
             session=session,
             substep=library.batch_substep,
             write=library.batch_write,
@@ -261,7 +267,7 @@ class Engine(EngineQueries):
 
         `check` is shown what would stand then, and may raise an error before anything has changed.
         """
-        place, turn = pose_of(position, quaternion)
+        place, turn = check_pose(position, quaternion)
         pieces = pieces_of(source)
         # An obstacle tells what a mesh does not.
         like = source if isinstance(source, Obstacle) else PLAIN
@@ -333,7 +339,7 @@ class Engine(EngineQueries):
         """Add to a program what `set_states` does."""
         port = self.port
         if port is None or self._contacts:
-            program.turn(lambda: self.set_states(swarm, mask))
+            program.callback(lambda: self.set_states(swarm, mask))
         else:
             program.call(bring_out, port, swarm, mask, self._out)
 

@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.engine.body_table import BodyTable, Contents
 from bulletuav.engine.c_extension import POSTFIX, CExtension, Extension
 from bulletuav.engine.calls import EngineCalls, bullet
-from bulletuav.engine.client import configure, connect
+from bulletuav.engine.client import configure, open_client
 from bulletuav.engine.rendering import SceneRenderer
 from bulletuav.engine.silence import silenced
 
@@ -67,7 +67,7 @@ def make_in_bullet(
         RuntimeError: There is no screen for a window.
         ValueError: Bullet cannot load the URDF of an airframe.
     """
-    client = connect(live)
+    client = open_client(live)
     clients.append(client)
     configure(client, dt, live)
     bodies = BodyTable(client, contents, at_once)

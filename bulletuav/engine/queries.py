@@ -17,7 +17,7 @@ from bulletuav.engine.calls import (
     bullet,
 )
 from bulletuav.engine.in_bullet import InBullet
-from bulletuav.engine.tiles import columns, cover, land, within_tile
+from bulletuav.engine.tiles import cover, vertical_rays, within_tile, write_surface
 from bulletuav.geometry.city_grid import make_city_grid
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.raycast import meet_drones, walk
@@ -162,8 +162,8 @@ class EngineQueries(ABC):
         surface = np.empty(self.shape)
         count = cover(position, mask, self._scenery, surface)
         if count:
-            who, start, end = columns(position, surface, count)
-            land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
+            who, start, end = vertical_rays(position, surface, count)
+            write_surface(surface, who, start, self.cast_rays(start, end, who[:, 0]))
         return surface
 
     def separation(self, world: int, one: PlacedShape, two: PlacedShape, within: float) -> float:

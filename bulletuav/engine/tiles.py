@@ -131,7 +131,7 @@ def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.
 
 
 @allocating
-def columns(
+def vertical_rays(
     position: np.ndarray, surface: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Make the rays of the drones that `cover` found.
@@ -144,34 +144,36 @@ def columns(
     Returns:
         (world, drone) (M, 2); start and end (M, 3) of rays straight down, m.
     """
-    who = np.empty((count, 2), np.int64)
+    drone = np.empty((count, 2), np.int64)
     start, end = np.empty((count, 3)), np.empty((count, 3))
     m = 0
     for w in range(surface.shape[0]):
         for i in range(surface.shape[1]):
             if np.isnan(surface[w, i]):
-                who[m, 0], who[m, 1] = w, i
+                drone[m, 0], drone[m, 1] = w, i
                 for k in range(3):
                     start[m, k] = end[m, k] = position[w, i, k]
                 end[m, 2] -= RAY_LENGTH
                 m += 1
-    return who, start, end
+    return drone, start, end
 
 
 @kernel
-def land(surface: np.ndarray, who: np.ndarray, start: np.ndarray, fraction: np.ndarray) -> None:
-    """Write the heights that the rays of `columns` met: the ground's where they met nothing.
+def write_surface(
+    surface: np.ndarray, drone: np.ndarray, start: np.ndarray, fraction: np.ndarray
+) -> None:
+    """Write the heights that the rays of `vertical_rays` met: the ground's where they met nothing.
 
     Args:
         surface: (W, N) heights, m, which are written.
-        who: (M, 2) world and drone of each ray.
+        drone: (M, 2) world and drone of each ray.
         start: (M, 3) starts of the rays, m.
         fraction: (M,) share of each ray before it met something, 1 where it met nothing.
     """
-    for m in range(who.shape[0]):
+    for m in range(drone.shape[0]):
         met = fraction[m] < 1.0
         height = start[m, 2] - RAY_LENGTH * fraction[m] if met else 0.0
-        surface[who[m, 0], who[m, 1]] = height
+        surface[drone[m, 0], drone[m, 1]] = height
 
 
 @allocating

@@ -172,10 +172,10 @@ class EpisodeStart:
         program.call(renew, state.alive, fresh, state.present, self._due)
         # Python's turns together, as each takes the way out of compiled code and back
         if worlds.sensors.sensors:
-            program.turn(self._reset_sensors)
-        program.turn(self._place_scene)
-        program.turn(self._keep_contacts)
-        program.turn(lambda: worlds.measure(state.swarm, state.swarm, self._fresh_drones))
+            program.callback(self._reset_sensors)
+        program.callback(self._place_scene)
+        program.callback(self._keep_contacts)
+        program.callback(lambda: worlds.measure(state.swarm, state.swarm, self._fresh_drones))
         return program
 
     def _make_still(self) -> Program:

@@ -42,7 +42,7 @@ class Kept:
     def add(self, bound: Bound, out: np.ndarray) -> None:
         """Add to the program that an ingredient fills `out`."""
         if bound.loop is None:  # it takes all drones at once
-            self._program.turn(lambda: bound.fill(self._frame, out))
+            self._program.callback(lambda: bound.fill(self._frame, out))
             return
         arguments = [self._argument(name, source) for name, source in bound.sources.items()]
         self._program.call(bound.loop, *arguments, out)
@@ -59,7 +59,7 @@ class Kept:
         def copy() -> None:
             kept[...] = source.read(self._frame)
 
-        self._program.turn(copy)
+        self._program.callback(copy)
         return kept
 
 
@@ -84,7 +84,7 @@ def add_outcome(program: Program, task: Task[Any], frame: Frame, judgement: Judg
     # A task that judges by itself takes Python's turn
     kind, bound = type(task), task.bound
     if kind.evaluate_step is not Task.evaluate_step:
-        program.turn(evaluate)
+        program.callback(evaluate)
         return
     # Own methods where there are some, and compiled ingredients beside them
     own = None if kind.terminated is Task.terminated else task.terminated
@@ -102,7 +102,7 @@ def add_judgement(program: Program, task: Task[Any], frame: Frame, judgement: Ju
         _add_terms(program, task, frame, judgement)
     # Terms that users add, by the task's own way or as ingredients
     if kind.extra_terms is not Task.extra_terms:
-        program.turn(lambda: _copy(task.extra_terms(frame), judgement))
+        program.callback(lambda: _copy(task.extra_terms(frame), judgement))
         return
     kept = Kept(program, frame)
     for name, term in bound.extra.items():
@@ -120,7 +120,7 @@ def _add_flags(
     """Add to a program that `out` tells where any ingredient does, or what a task's own method."""
     if own is not None:
         method = own
-        program.turn(lambda: np.copyto(out, method(frame)))
+        program.callback(lambda: np.copyto(out, method(frame)))
         return
     kept = Kept(program, frame)
     for bound in bounds[:1]:
@@ -134,14 +134,14 @@ def _add_flags(
 def _add_terms(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
     """Add to a program that a task's own reward terms are worked out."""
     if type(task).reward_terms is not Task.reward_terms:
-        program.turn(lambda: _copy(task.reward_terms(frame), judgement))
+        program.callback(lambda: _copy(task.reward_terms(frame), judgement))
         return
     kept = Kept(program, frame)
     for name, term in task.bound.terms.items():
         kept.add(term, judgement.terms[name])
     if any(task.weights.get(name) for name in task.computed_terms):
         own = {name: judgement.terms[name] for name in task.bound.terms}
-        program.turn(lambda: _copy(task.compute_terms(frame, own), judgement))
+        program.callback(lambda: _copy(task.compute_terms(frame, own), judgement))
 
 
 def _copy(terms: Mapping[str, np.ndarray], judgement: Judgement) -> None:

@@ -15,7 +15,7 @@ from waiting import LONG
 
 import bulletuav.engine.engine as engine_module
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.engine.c_extension import SWITCH, CExtension, Extension, load
+from bulletuav.engine.c_extension import SWITCH, CExtension, Extension, load_extension
 from bulletuav.engine.calls import MAX_RAYS, SURFACE_GROUP, bullet
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.vehicle.swarm import Motion
@@ -180,14 +180,16 @@ def test_after_close_calls_are_the_engines_errors(make_bench):
 
 def test_the_switch_turns_it_off(monkeypatch):
     monkeypatch.setenv(SWITCH, "0")
-    assert load(bullet.__file__) == Extension(None, "", f"turned off by {SWITCH}=0")
+    assert load_extension(bullet.__file__) == Extension(None, "", f"turned off by {SWITCH}=0")
 
 
 @needs_extension
 def test_a_module_that_lacks_a_function_is_named(make_bench):
-    assert load(_ctypes.__file__).missing.endswith("does not offer b3InitStepSimulationCommand")
+    assert load_extension(_ctypes.__file__).missing.endswith(
+        "does not offer b3InitStepSimulationCommand"
+    )
     assert (
-        load("/nowhere/pybullet.so").missing
+        load_extension("/nowhere/pybullet.so").missing
         == "pybullet.so does not offer a loaded pybullet module"
     )
     make_bench("bullet").place().spin(0.0)  # what was found before still works
@@ -196,14 +198,14 @@ def test_a_module_that_lacks_a_function_is_named(make_bench):
 def test_an_installation_without_it_says_what_is_needed(monkeypatch):
     monkeypatch.delenv(SWITCH, raising=False)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert "a C compiler" in load(bullet.__file__).missing
+    assert "a C compiler" in load_extension(bullet.__file__).missing
 
 
 @pytest.mark.parametrize("path", [_ctypes.__file__, "/nowhere/_batch.so"])
 def test_a_stale_build_says_to_install_again(monkeypatch, path):
     monkeypatch.delenv(SWITCH, raising=False)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: SimpleNamespace(origin=path))
-    assert "install bulletuav again" in load(bullet.__file__).missing
+    assert "install bulletuav again" in load_extension(bullet.__file__).missing
 
 
 @needs_extension

@@ -16,4 +16,4 @@ class Remember(Stage):
         """Add the calls; see `Stage`."""
         task = worlds.task
         if task.has_own("update_memory"):
-            program.turn(lambda: task.update_memory(worlds.frame, worlds.rng))
+            program.callback(lambda: task.update_memory(worlds.frame, worlds.rng))

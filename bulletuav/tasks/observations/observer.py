@@ -323,7 +323,7 @@ class _Shown:
         """Add to a program that they are written."""
         if self._block.add is not None and self._block.add(program, frame, out):
             return
-        program.turn(lambda: self.fill(frame, out))
+        program.callback(lambda: self.fill(frame, out))
 
 
 def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> set[str]:

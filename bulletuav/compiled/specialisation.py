@@ -16,7 +16,7 @@ _C_ORDER, _F_ORDER, _WRITEABLE = 1, 2, 0x400
 """Bits of an array's `flags.num`"""
 
 
-class ArrayForm(NamedTuple):
+class ArrayKey(NamedTuple):
     """Key of an array's numba type; `flags` are the bits of NumPy's `flags.num`."""
 
     dtype: np.dtype[Any]
@@ -24,28 +24,28 @@ class ArrayForm(NamedTuple):
     flags: int
 
 
-class TupleForm(NamedTuple):
+class TupleKey(NamedTuple):
     """Key of a tuple's numba type."""
 
     kind: type
     parts: tuple[Any, ...]
 
 
-def form_of(value: Any) -> Any:
+def specialisation_key(value: Any) -> Any:
     """Return the key of an argument: two arguments with equal keys have the same numba type."""
     if isinstance(value, np.ndarray):
-        return ArrayForm(value.dtype, value.ndim, value.flags.num)
+        return ArrayKey(value.dtype, value.ndim, value.flags.num)
     if isinstance(value, tuple):
-        return TupleForm(type(value), tuple(map(form_of, value)))
+        return TupleKey(type(value), tuple(map(specialisation_key, value)))
     return _SCALARS.get(type(value)) or numba.typeof(value)
 
 
-def type_of(form: Any) -> types.Type:
+def type_from_key(key: Any) -> types.Type:
     """Return the numba type of arguments with a key, equal to `numba.typeof` of the argument."""
-    if isinstance(form, ArrayForm):
-        layout = "C" if form.flags & _C_ORDER else "F" if form.flags & _F_ORDER else "A"
-        readonly = not form.flags & _WRITEABLE
-        return types.Array(from_dtype(form.dtype), form.ndim, layout, readonly=readonly)
-    if isinstance(form, TupleForm):
-        return types.BaseTuple.from_types(tuple(map(type_of, form.parts)), form.kind)
-    return form
+    if isinstance(key, ArrayKey):
+        layout = "C" if key.flags & _C_ORDER else "F" if key.flags & _F_ORDER else "A"
+        readonly = not key.flags & _WRITEABLE
+        return types.Array(from_dtype(key.dtype), key.ndim, layout, readonly=readonly)
+    if isinstance(key, TupleKey):
+        return types.BaseTuple.from_types(tuple(map(type_from_key, key.parts)), key.kind)
+    return key
