@@ -393,6 +393,6 @@ class Dynamics(ABC):
                 w, i = broken[0].tolist()
                 world = self.flight.engine.first_world + w
                 raise RuntimeError(
-                    f"dynamics {self.name!r} returned a {field} that is not finite for drone {i} "
-                    f"in world {world}"
+                    f"dynamics {self.name!r} gave drone {i} in world {world} a {field} that is "
+                    f"not finite"
                 )

@@ -1,4 +1,4 @@
-"""The calls of `EngineCalls` for all bodies at once, through the C extension `_batch.c`.
+"""Calls of `EngineCalls` for all bodies together, through the C extension `_batch.c`.
 
 The extension is optional: it makes flights several times as fast.
 """
@@ -25,9 +25,9 @@ from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import Wrenches
 
 SWITCH = "BULLETUAV_BATCH"
-"""Environment variable; 0 turns the extension off"""
+"""Environment variable that disables the extension if it is 0"""
 POSTFIX = "_bulletuav"
-"""Ending of the names of the functions that Bullet calls in a plugin"""
+"""Suffix of the names of the functions that Bullet calls in a plugin"""
 
 _POINTER = ctypes.c_void_p
 _INT = ctypes.c_int
@@ -46,17 +46,17 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "batch_velocity": (None, [_POINTER, _COUNT] + [_POINTER] * 3),
     "batch_filter": (None, [_POINTER, _COUNT, _POINTER, _INT, _INT]),
 }
-"""Result and arguments of each function of the extension"""
+"""Types of the result and the arguments of each function of the extension"""
 _NOT_BUILT = "not built: a C compiler and Python's headers are needed when bulletuav is installed"
 
 
 class Extension(NamedTuple):
-    """The C extension, or the reason why there is none.
+    """The C extension, or the reason why it is not available.
 
     Attributes:
-        library: The loaded library; None where there is none.
-        path: Its file; empty where none was found.
-        missing: The reason why there is none; empty where there is one.
+        library: The loaded library; None if it is not available.
+        path: Path of the library; empty if no file was found.
+        missing: Reason why the library is not available; empty if it is.
     """
 
     library: ctypes.PyDLL | None
@@ -65,13 +65,13 @@ class Extension(NamedTuple):
 
 
 def load_extension(engine: str) -> Extension:
-    """Load the extension.
+    """Load the C extension.
 
     Args:
-        engine: File of the pybullet module that is loaded already.
+        engine: Path of the pybullet module that is already loaded.
 
     Returns:
-        The extension, or the reason why there is none.
+        The extension, or the reason why it is not available.
     """
     if os.environ.get(SWITCH) == "0":
         return Extension(None, "", f"turned off by {SWITCH}=0")
@@ -79,7 +79,7 @@ def load_extension(engine: str) -> Extension:
     if spec is None or spec.origin is None:
         return Extension(None, "", _NOT_BUILT)
     try:
-        # A PyDLL keeps the interpreter lock: Bullet is not made for threads.
+        # A PyDLL keeps the interpreter lock, as Bullet is not thread-safe.
         library = ctypes.PyDLL(spec.origin)
         for name, (result, arguments) in _SIGNATURES.items():
             function = getattr(library, name)
@@ -96,24 +96,24 @@ def load_extension(engine: str) -> Extension:
 
 
 NO_SESSION = 0
-"""Session of a port through which nothing is asked of Bullet"""
+"""Session of a port that never calls Bullet"""
 
 
 class EnginePort(NamedTuple):
-    """What compiled code needs to run substeps by itself.
+    """Arrays and C functions with which compiled code runs substeps without Python.
 
     Attributes:
         session: Address of the extension's session.
         substep: The extension's function `batch_substep`.
         write: The extension's function `batch_write`.
         rays: The extension's function `batch_rays`.
-        place: (W, N, 3) positions as Bullet gave them, in its own frame, m.
-        omega: (W, N, 3) angular velocities as Bullet gave them, world axes, rad/s.
+        place: (W, N, 3) positions from Bullet, in its frame, m.
+        omega: (W, N, 3) angular velocities from Bullet, world axes, rad/s.
         offset: (W, 1, 3) origins of the tiles, m.
         obstacle_radius: (K,) radii of the obstacles' bounding spheres, m.
-        city_grid: The cities, and which stands in each world.
-        scenery: What drones can touch.
-        compiled: Whether rays are answered without Bullet.
+        city_grid: Pieces of the city layouts, and the present layout of each world.
+        scenery: Collision shapes of bodies and buildings.
+        compiled: Whether rays are cast by compiled code instead of Bullet.
     """
 
     session: int
@@ -136,10 +136,10 @@ def surface_below(
     """Write the height of the surface below drones, as `Engine.surface_below` does.
 
     Args:
-        port: Of the engine.
-        position: (W, N, 3) of the drones, m.
-        mask: (W, N) bool, drones that are asked for.
-        surface: (W, N) heights z, m, which are written; -inf outside `mask`.
+        port: Port of the engine.
+        position: (W, N, 3) positions of the drones, m.
+        mask: (W, N) bool, drones to find the surface for.
+        surface: (W, N) heights z, m; written; -inf outside `mask`.
     """
     covered = cover(position, mask, port.scenery, surface)
     if covered == 0:
@@ -150,10 +150,10 @@ def surface_below(
 @deferred(types.none)
 @allocating
 def _cast_down(port: EnginePort, position: np.ndarray, surface: np.ndarray, covered: int) -> None:
-    """Write the height of what is below drones for which `cover` wrote NaN."""
+    """Write the height of the surface below the drones for which `cover` wrote NaN."""
     drone, start, end = vertical_rays(position, surface, covered)
     fraction, left = walk(port.scenery, start, end, drone[:, 0], port.compiled)
-    # Bullet answers the others.
+    # Bullet casts the remaining rays.
     count = left.shape[0]
     if count > 0:
         first = np.empty((count, 3))
@@ -173,15 +173,15 @@ def _cast_down(port: EnginePort, position: np.ndarray, surface: np.ndarray, cove
 
 @kernel
 def substep(port: EnginePort, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm) -> None:
-    """Do what `Engine.apply_wrenches`, `step` and `read_states` do, in one call.
+    """Run `Engine.apply_wrenches`, `Engine.step` and `Engine.read_states` in one call.
 
     Args:
-        port: Of the engine.
-        wrenches: Of all drones.
+        port: Port of the engine.
+        wrenches: Forces and torques on all drones.
         mask: (W, N) bool, drones that fly.
-        swarm: Whose positions, attitudes and velocities are written.
+        swarm: State of all drones; positions, attitudes and velocities are written.
     """
-    # Addresses of the arrays: C reads and writes them where they stand
+    # C reads and writes the arrays in place
     port.substep(
         port.session,
         mask.ctypes,
@@ -192,20 +192,20 @@ def substep(port: EnginePort, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm
         swarm.velocity.ctypes,
         port.omega.ctypes,
     )
-    # From the engine's tiles and axes to those of each world
+    # Convert to the frame of each world
     localise(port.place, port.offset, port.omega, mask, swarm)
 
 
 @kernel
 def write_states(port: EnginePort, swarm: Swarm, mask: np.ndarray) -> None:
-    """Do what `Engine.write_states` does.
+    """Set poses and velocities of drones in Bullet, as `Engine.write_states` does.
 
     Args:
-        port: Of the engine.
+        port: Port of the engine.
         swarm: The states.
         mask: (W, N) bool, drones to set.
     """
-    # To the engine's tiles and axes
+    # Convert to Bullet's frame
     globalise(port.place, port.offset, port.omega, mask, swarm)
     port.write(
         port.session,
@@ -219,7 +219,7 @@ def write_states(port: EnginePort, swarm: Swarm, mask: np.ndarray) -> None:
 
 @kernel
 def bring_out(port: EnginePort, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> None:
-    """Write the states of drones of `mask` (W, N), and note that they are not parked any more."""
+    """Set the states of the drones of `mask` (W, N) in Bullet, and mark them as not parked."""
     write_states(port, swarm, mask)
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
@@ -227,17 +227,17 @@ def bring_out(port: EnginePort, swarm: Swarm, mask: np.ndarray, out: np.ndarray)
 
 
 def _at(array: np.ndarray, kind: type = np.float64) -> int:
-    """Give the address of an array that C can read as it lies."""
+    """Return the address of a C-contiguous array."""
     assert array.dtype == kind, array.dtype
     assert array.flags.c_contiguous
     return array.ctypes.data
 
 
 class CExtension:
-    """The extension's functions for the drones of one client; they are those of `EngineCalls`.
+    """Functions of the C extension for the drones of one client, with the API of `EngineCalls`.
 
     Attributes:
-        session: Address of what it remembers.
+        session: Address of the extension's session.
         library: The loaded extension.
     """
 
@@ -246,16 +246,16 @@ class CExtension:
 
         Args:
             library: The loaded extension.
-            body: (n,) numbers that Bullet gave the drones.
+            body: (n,) ids of the drones' bodies in Bullet.
 
         Raises:
-            RuntimeError: Bullet does not answer as expected.
+            RuntimeError: If Bullet does not answer as expected.
         """
         self.library = library
         self._body = np.ascontiguousarray(body, dtype=np.int32)
         session: int | None = library.batch_open(len(body), _at(self._body, np.int32))
         if not session:
-            raise RuntimeError("the engine answers the plugin otherwise than its own calls")
+            raise RuntimeError("the engine answers the plugin differently from its own calls")
         weakref.finalize(self, library.batch_close, session)
         self.session = session
 
@@ -267,7 +267,7 @@ class CExtension:
         velocity: np.ndarray,
         omega: np.ndarray,
     ) -> None:
-        """Write poses and velocities of the drones into arrays; see `EngineCalls.read`."""
+        """Read poses and velocities of drones into arrays; see `EngineCalls.read`."""
         self.library.batch_read(
             self.session,
             _at(mask, bool),
@@ -282,7 +282,7 @@ class CExtension:
         velocity: np.ndarray,
         omega: np.ndarray,
     ) -> None:
-        """Give drones poses and velocities; see `EngineCalls.write`."""
+        """Set poses and velocities of drones; see `EngineCalls.write`."""
         self.library.batch_write(
             self.session,
             _at(mask, bool),
@@ -292,7 +292,7 @@ class CExtension:
     def apply(
         self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray
     ) -> None:
-        """Give drones one force and one torque each; see `EngineCalls.apply`."""
+        """Apply a force and a torque to each drone; see `EngineCalls.apply`."""
         self.library.batch_apply(
             self.session,
             _at(mask, bool),
@@ -300,7 +300,7 @@ class CExtension:
         )
 
     def step(self) -> None:
-        """Advance everything by one substep."""
+        """Advance the simulation by one substep."""
         self.library.batch_step(self.session)
 
     def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
@@ -317,7 +317,7 @@ class CExtension:
         return fraction
 
     def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
-        """Put bodies somewhere, at rest; see `EngineCalls.pose`."""
+        """Set poses of bodies, at rest; see `EngineCalls.pose`."""
         self.library.batch_pose(
             self.session,
             len(body),
@@ -327,7 +327,7 @@ class CExtension:
         )
 
     def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
-        """Give bodies velocities; see `EngineCalls.velocity`."""
+        """Set velocities of bodies; see `EngineCalls.velocity`."""
         self.library.batch_velocity(
             self.session,
             len(body),
@@ -337,5 +337,5 @@ class CExtension:
         )
 
     def filter(self, body: np.ndarray, group: int, meets: int) -> None:
-        """Set which bodies meet; see `EngineCalls.filter`."""
+        """Set collision filters of bodies; see `EngineCalls.filter`."""
         self.library.batch_filter(self.session, len(body), _at(body, np.int32), group, meets)

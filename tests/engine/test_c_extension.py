@@ -212,7 +212,7 @@ def test_a_stale_build_says_to_install_again(monkeypatch, path):
 @pytest.mark.parametrize("path", [_ctypes.__file__, "/nowhere/plugin.so"])
 def test_a_refused_plugin_warns_and_flies_on(monkeypatch, path):
     monkeypatch.setattr(engine_module, "EXTENSION", engine_module.EXTENSION._replace(path=path))
-    with pytest.warns(UserWarning, match="refused the plugin.*bulletuav doctor"):
+    with pytest.warns(UserWarning, match="could not load the plugin.*bulletuav doctor"):
         one = bench.Bench("bullet")
     assert one.engine.port is None
     one.place().spin(0.0)
