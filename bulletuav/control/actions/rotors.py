@@ -1,4 +1,4 @@
-"""Actions with a number for each rotor."""
+"""Action types with a number for each rotor."""
 
 import math
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from bulletuav.registry import register
 from bulletuav.vehicle.rotors import RPM
 
 HOVER_RPM_RANGE = 0.05
-"""Share of the hover speed by which action `hover_rpm` can change it"""
+"""Largest change of action `hover_rpm`, as a fraction of the hover speed"""
 
 
 @kernel
@@ -55,9 +55,9 @@ def _per_rotor(
     decode: Callable[..., None],
     *numbers: np.ndarray,
 ) -> Action:
-    """Make an action with a number for each rotor; `high` (N,) bounds the numbers of each drone.
+    """Create an action with a number for each rotor; `high` (N,) bounds the numbers of each drone.
 
-    `decode` and its numbers make a `Compiled`.
+    `decode` and its numbers are the arguments of a `Compiled`.
     """
     counts = [len(airframe.rotors) for airframe in context.airframes]
     exists = np.arange(max(counts)) < np.array(counts)[:, None]
