@@ -7,7 +7,7 @@ from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import DYNAMICS, find_dynamics
-from bulletuav.dynamics.base import Flight
+from bulletuav.dynamics.base import FlightSetup
 from bulletuav.engine.engine import Engine
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.airframes import available_airframes, load_airframe
@@ -96,7 +96,7 @@ class Bench:
         )
         parameters = np.tile(parameter_rows(airframes, effects), tiled)
         self.dynamics = kind(
-            Flight(
+            FlightSetup(
                 engine=self.engine,
                 parameters=parameters,
                 cascade=cascade,

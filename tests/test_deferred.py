@@ -12,7 +12,7 @@ from forking import forking
 from numba import types
 
 from bulletuav.compiled import deferred as module
-from bulletuav.compiled.deferred import Door, compile_deferred, deferred
+from bulletuav.compiled.deferred import DeferredEntry, compile_deferred, deferred
 from bulletuav.compiled.kernel import func, kernel
 
 
@@ -135,8 +135,8 @@ def test_a_wrong_type_of_the_result_is_told(caplog):
     texts = [str(one.exc_info[1]) for one in caplog.records]
     assert texts == ["wrong returns float64, but is deferred as int64"] * 2
     # compile_deferred of other tests would meet it again
-    for door in [one for one in module._OPENERS if one.name == "wrong"]:
-        del module._OPENERS[door]
+    for entry in [one for one in module._RESOLVERS if one.name == "wrong"]:
+        del module._RESOLVERS[entry]
 
 
 def give_up(number, _):
@@ -151,19 +151,19 @@ def give_up(number, _):
     ],
 )
 def test_a_signal_meanwhile_is_told_after_it(monkeypatch, caplog, number, handler, raised, kind):
-    find_address, numbers = Door.address, np.ones(1, dtype=kind)
+    find_address, numbers = DeferredEntry.address, np.ones(1, dtype=kind)
 
-    def interrupted(door):
+    def interrupted(entry):
         for _ in range(3):
             os.kill(os.getpid(), number)
             be_idle(0.02)
-        return find_address(door)
+        return find_address(entry)
 
     def grow_and_wait():
         call_grow(numbers, True)
         be_idle(10.0)
 
-    monkeypatch.setattr(Door, "address", interrupted)
+    monkeypatch.setattr(DeferredEntry, "address", interrupted)
     before = signal.signal(number, handler)
     try:
         with pytest.raises(raised):
@@ -171,20 +171,20 @@ def test_a_signal_meanwhile_is_told_after_it(monkeypatch, caplog, number, handle
     finally:
         signal.signal(number, before)
     assert numbers[0] == 10
-    waits = f"{number.name} waits until this is compiled"
+    waits = f"{number.name} is delayed until compilation ends"
     assert [one.message for one in caplog.records].count(waits) == 3
 
 
 def test_whoever_gets_no_answer_asks_again(monkeypatch):
-    find_address, asked, told = Door.address, [], []
+    find_address, asked, told = DeferredEntry.address, [], []
 
-    def ask(door):
-        asked.append(door.name)
+    def ask(entry):
+        asked.append(entry.name)
         if len(asked) == 1:
             raise SystemExit
-        return find_address(door)
+        return find_address(entry)
 
-    monkeypatch.setattr(Door, "address", ask)
+    monkeypatch.setattr(DeferredEntry, "address", ask)
     monkeypatch.setattr(sys, "unraisablehook", lambda one: told.append(one.exc_type))
     numbers = np.ones(1, dtype=np.int16)
     call_grow(numbers, True)

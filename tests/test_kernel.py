@@ -147,7 +147,10 @@ def test_where_nothing_can_be_kept_it_is_told_once(monkeypatch, caplog, tmp_path
     squared = kernel.kernel(lambda x: x * x)
     assert (squared(3), squared(0.5)) == (9, 0.25)
     (told,) = [one.message for one in caplog.records]
-    assert told == "[Errno 28] No space left on device: what is compiled is not kept for later runs"
+    assert (
+        told
+        == "[Errno 28] No space left on device: compiled functions are not stored for later runs"
+    )
 
 
 def test_who_is_interrupted_before_it_is_linked_is_compiled_anew(monkeypatch, tmp_path):
@@ -443,7 +446,7 @@ def test_long_compilation_is_logged_once(monkeypatch, caplog, tmp_path):
     for number in (1, 1.0, 1j, True, np.float32(1.0)):
         compiled(number)
     assert [one.message for one in caplog.records] == [
-        "compiling for this machine, for a minute or two; later runs start at once"
+        "compiling for this machine, for a minute or two; later runs start immediately"
     ]
     assert compilation.num_functions == len(list(tmp_path.glob("*.nbc"))) == 5
     assert compilation.seconds >= 5 * 1000.0

@@ -116,7 +116,7 @@ def test_a_program_calls_plain_functions_and_turns_in_order():
 
     program, out = Program(), np.zeros(1)
     program.call(stop, out, otherwise=lambda: said.append("no"))
-    program.turn(lambda: said.append("turn"))
+    program.callback(lambda: said.append("turn"))
     program.call(stop, out, otherwise=lambda: said.append("yes"))
     with plain_kernels():
         program.run()

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import bulletuav.compiled.program
-from bulletuav.compiled.forms import form_of, type_of
 from bulletuav.compiled.kernel import allocating, kernel
 from bulletuav.compiled.program import Program, by_world
+from bulletuav.compiled.specialisation import specialisation_key, type_from_key
 from bulletuav.envs.aviary import Aviary
 
 ROW = np.dtype([("mass", "f8"), ("arms", "f8", (3,)), ("count", "i8")])
@@ -147,20 +147,20 @@ def test_types_follow_from_forms():
     pair = Pair(grid, still)
     tuples = [(), (grid,), (grid, grid), (1.0, (2, True)), pair, Nested(pair, rows, 2.0)]
     for value in [*arrays, *scalars, *tuples, ctypes.CFUNCTYPE(ctypes.c_int)(lambda: 0)]:
-        form = form_of(value)
-        assert type_of(form) == numba.typeof(value), value
-        assert hash(form) == hash(form_of(value))
+        key = specialisation_key(value)
+        assert type_from_key(key) == numba.typeof(value), value
+        assert hash(key) == hash(specialisation_key(value))
 
 
 def test_turns_of_python_come_in_their_places():
     said, out = [], np.zeros(1)
     program = Program()
-    program.turn(lambda: said.append(("begin", out[0])))
+    program.callback(lambda: said.append(("begin", out[0])))
     program.call(add, out, np.ones(1), out)
-    program.turn(lambda: said.append(("middle", out[0])))
-    program.turn(lambda: said.append(("and on", out[0])))
+    program.callback(lambda: said.append(("middle", out[0])))
+    program.callback(lambda: said.append(("and on", out[0])))
     program.call(add, out, np.ones(1), out)
-    program.turn(lambda: said.append(("end", out[0])))
+    program.callback(lambda: said.append(("end", out[0])))
     program.run()
     assert said == [("begin", 0), ("middle", 1), ("and on", 1), ("end", 2)]
     said.clear()
@@ -197,7 +197,7 @@ def test_calls_can_be_added_after_a_run():
 def test_an_error_of_a_turn_ends_the_run_and_the_next_one_begins_anew():
     out, program, faults = np.zeros(1), Program(), [1, 0]
     program.call(add, out, np.ones(1), out)
-    program.turn(lambda: 1 / (1 - faults.pop(0)))
+    program.callback(lambda: 1 / (1 - faults.pop(0)))
     program.call(add, out, np.ones(1), out)
     with pytest.raises(ZeroDivisionError):
         program.run()
@@ -343,5 +343,5 @@ def test_worlds_are_not_run_alone_where_that_is_unclear():
     assert alone is not None
     # One drone's row in all worlds is no array of worlds that begins with the first of them
     assert by_world(program, [out.T]) is None
-    program.turn(lambda: None)
+    program.callback(lambda: None)
     assert by_world(program, [out]) is None

@@ -72,7 +72,7 @@ def flight(dynamics: str, worlds: int, drones: int, how: str):
         aviary.step(back)
     assert aviary.alive.all()
     # What comes before the flight in a decision takes next to nothing
-    calls = aviary.program.table[: aviary.program.names.index("advance") + 1].copy()
+    calls = aviary.program.table[: aviary.program.names.index("advance_rigid_body") + 1].copy()
 
     def fly() -> None:
         for action in (there, back):

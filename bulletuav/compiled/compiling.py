@@ -1,4 +1,4 @@
-"""How functions are compiled in less time than numba takes: fewer forms, and less of each."""
+"""Measures that shorten numba's compilation: fewer specialisations, and less code for each."""
 
 import contextlib
 import gc
@@ -11,11 +11,11 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
 OBJECTS = 20_000
-"""New objects before Python looks for garbage while it compiles; Python's own number is far less"""
+"""Garbage collection threshold during compilation, new objects; far above Python's default"""
 
 
 def any_number(kind: Any) -> Any:
-    """Give the type of all numbers for that of a single one; other types as they are."""
+    """Return the general type of a literal's type; other types unchanged."""
     is_single = isinstance(kind, (types.IntegerLiteral, types.BooleanLiteral))
     return kind.literal_type if is_single else kind
 
@@ -23,18 +23,21 @@ def any_number(kind: Any) -> Any:
 def invoke(
     context: Any, builder: Any, address: Any, result: Any, arguments: tuple[Any, ...], values: Any
 ) -> Any:
-    """Write a call of what is at an address (a number), after which an error goes on up.
+    """Generate a call of the function at an address; its errors are propagated to the caller.
 
     Args:
-        context: Numba's, as it gives both to who writes code.
-        builder: As there.
-        address: Where the function is.
-        result: Numba's type of what it returns.
-        arguments: Those of its arguments.
-        values: The arguments.
+        context: Numba's target context.
+        builder: LLVM's IR builder.
+        address: Address of the function, an integer value.
+        result: Numba type of the return value.
+        arguments: Numba types of the arguments.
+        values: LLVM values of the arguments.
+
+    Returns:
+        LLVM value of the result.
     """
-    form = context.call_conv.get_function_type(result, arguments)
-    function = builder.inttoptr(address, form.as_pointer())
+    function_type = context.call_conv.get_function_type(result, arguments)
+    function = builder.inttoptr(address, function_type.as_pointer())
     status, done = context.call_conv.call_function(builder, function, result, arguments, values)
     with cgutils.if_unlikely(builder, status.is_error):
         context.call_conv.return_status_propagate(builder, status)
@@ -43,12 +46,13 @@ def invoke(
 
 @contextlib.contextmanager
 def seldom_collected() -> Iterator[None]:
-    """Let Python look for garbage less often.
+    """Run garbage collection less often in the `with` block.
 
-    Compilation makes many objects, of which most stay: a tenth of its time goes into searches.
+    Compilation creates many objects, most of which survive: garbage collection takes a tenth of
+    its time.
     """
     usual = gc.get_threshold()
-    # 0 is never
+    # 0 disables garbage collection
     if 0 < usual[0] < OBJECTS:
         gc.set_threshold(OBJECTS, 50, 50)
     try:
@@ -58,21 +62,21 @@ def seldom_collected() -> Iterator[None]:
 
 
 class _Part(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
-    """Code of a function that callers copy, for LLVM.
+    """LLVM code library of a function that is inlined into its callers.
 
-    Numba makes machine code of it by itself, too, which nobody would call. That takes a tenth of
-    all that compilation takes.
+    Numba would also generate machine code of the function alone, which is never called. That takes
+    a tenth of the compilation time.
     """
 
     def _optimize_final_module(self) -> None:
-        """Leave it as it is: it is optimised where it is copied to."""
+        """Do nothing: the code is optimised as part of its callers."""
 
     def _finalize_final_module(self) -> None:
-        """Keep the code for callers, and make machine code of its variable alone.
+        """Keep the code for callers, and generate machine code only for its environment variable.
 
         Numba writes the address of the function's environment there.
         """
-        # Before they are gone: code with addresses of this process is not stored
+        # Checked before the globals are removed: code with addresses of this process is not stored
         self._finalize_dynamic_globals()
         self._finalized = True
         variables = map(str, self._get_module_for_linking().global_variables)
@@ -82,10 +86,10 @@ class _Part(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
 
 
 class PartCompiler(Compiler):  # type: ignore[misc]  # numba has no types
-    """Compiles a function that callers copy."""
+    """Compiler of functions that are inlined into their callers."""
 
     def _compile_core(self) -> Any:
-        """Take a library of ours instead of numba's."""
+        """Compile into a `_Part` instead of numba's code library."""
         state = self.state
         state.library = _Part(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()

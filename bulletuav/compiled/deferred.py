@@ -1,7 +1,8 @@
-"""Functions that are compiled when they are first called, not when their callers are.
+"""Deferred functions: compiled at their first call instead of together with their callers.
 
-Who touches nothing need not wait until all of contacts is compiled. A caller asks for the address
-of such a function when it gets there, and keeps it: later calls look at memory once more.
+A flight without contacts need not wait until the contact solver is compiled. A compiled caller
+resolves the address of a deferred function at its first call and stores it; later calls cost one
+load from memory.
 """
 
 import contextlib
@@ -27,25 +28,25 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a compiled function; the decorator keeps its signature."""
 _LOG = logging.getLogger(__name__)
 _FAILED = 1
-"""In the place of an address: there is none"""
+"""Value in place of an address if compilation failed"""
 _SOON = 0.01
-"""Time after which a signal is told that came while a function was compiled, s"""
+"""Delay after compilation before a signal that arrived meanwhile is raised again, s"""
 
 
 @contextlib.contextmanager
-def signals_later() -> Iterator[None]:
-    """Let what programs do at a signal, such as an interrupt, wait until shortly after this.
+def delay_signals() -> Iterator[None]:
+    """Delay Python's signal handlers, such as that of an interrupt, until shortly after the block.
 
-    Compilation cannot be left just anywhere: LLVM's objects would be freed twice.
+    An exception raised within compilation would free LLVM's objects twice.
     """
-    # Python runs handlers in its main thread alone
+    # Python runs signal handlers only in the main thread
     is_main = threading.current_thread() is threading.main_thread()
     signals = signal.valid_signals() if is_main else ()
     handlers = {one: what for one in signals if callable(what := signal.getsignal(one))}
     noted: list[int] = []
 
     def note(number: int, _: Any) -> None:
-        _LOG.warning("%s waits until this is compiled", signal.Signals(number).name)
+        _LOG.warning("%s is delayed until compilation ends", signal.Signals(number).name)
         noted.append(number)
 
     for one in handlers:
@@ -59,14 +60,14 @@ def signals_later() -> Iterator[None]:
             threading.Timer(_SOON, signal.raise_signal, [number]).start()
 
 
-class Door(NamedTuple):
-    """What machine code asks for the address of a function when it gets there.
+class DeferredEntry(NamedTuple):
+    """Entry point of a deferred function, through which machine code resolves its address.
 
     Attributes:
         module: Name of the function's module.
-        name: Its name there.
-        result: Numba's type of what it returns.
-        arguments: Those of its arguments.
+        name: Name of the function in its module.
+        result: Numba type of the return value.
+        arguments: Numba types of the arguments.
     """
 
     module: str
@@ -76,24 +77,24 @@ class Door(NamedTuple):
 
     @property
     def symbol(self) -> str:
-        """The name of the door in machine code."""
+        """Name of the entry point in machine code."""
         kinds = hashlib.sha256(repr(self.arguments).encode()).hexdigest()[:24]
-        return f"{self.module}.{self.name}.{kinds}.door"
+        return f"{self.module}.{self.name}.{kinds}.deferred"
 
     def is_met(self) -> bool:
-        """Tell LLVM where the door is; what is behind it need not be compiled."""
-        if self not in _OPENERS:
-            _OPENERS[self] = ctypes.CFUNCTYPE(None, ctypes.c_int64)(self._answer)
-        llvm.add_symbol(self.symbol, ctypes.cast(_OPENERS[self], ctypes.c_void_p).value)
+        """Register the entry point with LLVM, without compiling the function; return True."""
+        if self not in _RESOLVERS:
+            _RESOLVERS[self] = ctypes.CFUNCTYPE(None, ctypes.c_int64)(self._resolve)
+        llvm.add_symbol(self.symbol, ctypes.cast(_RESOLVERS[self], ctypes.c_void_p).value)
         return True
 
-    def _answer(self, place: int) -> None:
-        """Write the address of the function, or `_FAILED`, to where machine code reads it.
+    def _resolve(self, place: int) -> None:
+        """Write the address of the function, or `_FAILED`, to the address `place`.
 
-        That waits in the middle of a flight, and asks again if nothing is written.
+        The calling machine code waits for it, and calls again if nothing was written.
         """
         try:
-            with signals_later():
+            with delay_signals():
                 address = self.address()
         except Exception:
             _LOG.exception("%s.%s", self.module, self.name)
@@ -101,10 +102,10 @@ class Door(NamedTuple):
         ctypes.c_int64.from_address(place).value = address
 
     def address(self) -> int:
-        """Compile or load the function; tells its address.
+        """Compile or load the function, and return its address.
 
         Raises:
-            TypeError: It returns something else than was told.
+            TypeError: If the function does not return the type that was declared.
         """
         found = dispatcher_of(self.module, self.name)
         assert found is not None, f"{self.module} has no compiled {self.name} any more"
@@ -114,34 +115,35 @@ class Door(NamedTuple):
         return found.address(self.arguments)
 
 
-_OPENERS: dict[Door, Any] = {}
-"""What C calls to open each door that machine code has; it lives as long as the process"""
+_RESOLVERS: dict[DeferredEntry, Any] = {}
+"""C callbacks that resolve the entry points; they live as long as the process"""
 
 
 def compile_deferred() -> None:
-    """Compile or load all that was deferred, for flights in real time, which cannot wait for it.
+    """Compile or load all deferred functions, for flights in real time, which cannot wait later.
 
     Raises:
-        TypeError: A function returns something else than was told.
+        TypeError: If a function does not return the type that was declared.
     """
-    opened: set[Door] = set()
-    # What is behind a door may have doors of its own
-    while waiting := [door for door in list(_OPENERS) if door not in opened]:
-        for door in waiting:
-            door.address()
-        opened.update(waiting)
+    resolved: set[DeferredEntry] = set()
+    # A deferred function may call other deferred functions
+    while waiting := [entry for entry in list(_RESOLVERS) if entry not in resolved]:
+        for entry in waiting:
+            entry.address()
+        resolved.update(waiting)
 
 
 def deferred(result: Any) -> Callable[[Function], Function]:
-    """Compile a function when a compiled caller first gets to it.
+    """Return a decorator that defers the compilation of a function to its first call.
 
-    It stands above `kernel` or `allocating`, in a module. Compiled callers give no keywords.
+    The decorator is applied on top of `kernel` or `allocating`, to functions of a module. Compiled
+    callers pass arguments by position only.
 
     Args:
-        result: Numba's type of what the function returns: its callers are compiled without it.
+        result: Numba type of the return value; callers are compiled before the function is.
 
     Raises:
-        RuntimeError: Where it is called, if it cannot be compiled; the reason is logged.
+        RuntimeError: At the call, if the function cannot be compiled; the reason is logged.
     """
 
     def decorate(function: Function) -> Function:
@@ -149,45 +151,49 @@ def deferred(result: Any) -> Callable[[Function], Function]:
         parts = inspect.signature(compiled.py_func).parameters.values()
 
         def define(_: Any, *arguments: Any) -> Any:
-            door = Door(function.__module__, function.__name__, result, arguments)
-            return result(*arguments), functools.partial(_through, door)
+            entry = DeferredEntry(function.__module__, function.__name__, result, arguments)
+            return result(*arguments), functools.partial(_write_deferred_call, entry)
 
-        # Numba reads the names of its arguments
+        # Numba reads the argument names from the signature
         first = inspect.Parameter("context", inspect.Parameter.POSITIONAL_ONLY)
         define.__signature__ = inspect.Signature([first, *parts])  # type: ignore[attr-defined]
-        compiled.door = types.Function(make_intrinsic_template(compiled, define, function.__name__))
+        compiled.deferred_type = types.Function(
+            make_intrinsic_template(compiled, define, function.__name__)
+        )
         return function
 
     return decorate
 
 
-def _through(door: Door, context: Any, builder: Any, _: Any, values: Any) -> Any:
-    """Write a call through a door."""
-    door.is_met()
+def _write_deferred_call(
+    entry: DeferredEntry, context: Any, builder: Any, _: Any, values: Any
+) -> Any:
+    """Generate a call of a deferred function through its entry point."""
+    entry.is_met()
     library = context.active_code_library
-    library.doors = (*getattr(library, "doors", ()), door)
-    # The address stays in the caller's own code
-    word, name = context.get_value_type(types.intp), f"{door.symbol}.address"
+    library.deferred_entries = (*getattr(library, "deferred_entries", ()), entry)
+    # The resolved address is stored in a global variable of the caller's module
+    word, name = context.get_value_type(types.intp), f"{entry.symbol}.address"
     place = builder.module.globals.get(name)
     if place is None:
         place = cgutils.add_global_variable(builder.module, word, name)
         place.linkage, place.initializer = "internal", word(0)
     look, ask, known = (
-        builder.append_basic_block(f"door.{part}") for part in ("look", "ask", "known")
+        builder.append_basic_block(f"deferred.{part}") for part in ("look", "ask", "known")
     )
     builder.branch(look)
     builder.position_at_end(look)
     address = builder.load(place)
     builder.cbranch(builder.icmp_unsigned("==", address, word(0)), ask, known)
-    # Until there is an answer: a signal may have come before it was written
+    # Loop until an address is written: a signal may have interrupted the callback
     builder.position_at_end(ask)
-    form = ir.FunctionType(ir.VoidType(), [word])
-    opener = cgutils.get_or_insert_function(builder.module, form, door.symbol)
-    builder.call(opener, [builder.ptrtoint(place, word)])
+    function_type = ir.FunctionType(ir.VoidType(), [word])
+    resolver = cgutils.get_or_insert_function(builder.module, function_type, entry.symbol)
+    builder.call(resolver, [builder.ptrtoint(place, word)])
     builder.branch(look)
     builder.position_at_end(known)
     with cgutils.if_unlikely(builder, builder.icmp_unsigned("==", address, word(_FAILED))):
         builder.store(word(0), place)
-        text = f"{door.module}.{door.name} could not be compiled; see the error that was logged"
+        text = f"{entry.module}.{entry.name} could not be compiled; see the error that was logged"
         context.call_conv.return_user_exc(builder, RuntimeError, (text,))
-    return invoke(context, builder, address, door.result, door.arguments, values)
+    return invoke(context, builder, address, entry.result, entry.arguments, values)

@@ -1,15 +1,14 @@
-"""What numba does with a function of ours: compile it once, store it, and link it.
+"""Numba dispatchers that compile, cache and link each kernel once.
 
 Plain numba copies the machine code of every function that is called into each of its callers, and
-optimizes and stores the copy again there. Where calls are nested ten deep, as in contacts, that
-takes ten times as long. Here a kernel is compiled once. Its callers call it where it is, as
-functions of different object files call each other. Functions that become part of their callers
-(`func`) are copied as before.
+optimises and stores the copy again there. For calls nested ten deep, as in the contact solver, that
+takes ten times as long. Here a kernel is compiled once, and its callers are linked to its symbol,
+as functions of different object files are. Inlined functions (`func`) are copied as before.
 
-Numba also writes a wrapper that takes apart what Python gives, which for tuples of arrays is longer
-than the function itself. Here only what Python calls gets one.
+Numba also generates a wrapper that unpacks Python arguments. For tuples of arrays the wrapper is
+longer than the function itself. Here only functions that Python calls get a wrapper.
 
-And numba stamps what it stores with the function's own file alone; see `bulletuav.compiled.stamps`.
+Numba invalidates cached code by the function's own file only; see `bulletuav.compiled.stamps`.
 """
 
 import contextlib
@@ -47,7 +46,7 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None
 
-# A child process forked while another thread compiles would wait for the lock forever
+# A child process forked while another thread compiles would inherit a locked lock
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=global_compiler_lock.acquire,
@@ -57,40 +56,41 @@ if hasattr(os, "register_at_fork"):
 
 _LOG = logging.getLogger(__name__)
 MANY = 20
-"""Functions that a process compiles before it logs why nothing else happens"""
+"""Number of functions that a process compiles before it logs the reason of the delay"""
 FIRST = ("MainProcess", "-1")
-"""Ends of the names of the processes that log it: of several workers the first"""
+"""Suffixes of the names of processes that log it: the main process and the first worker"""
 PATIENCE = 300.0
-"""Time after which a process that compiles is taken for one that was stopped, s"""
+"""Time after which a process that holds a compilation lock is assumed to be stopped, s"""
 
 
 class Compilation:
-    """What a process has compiled so far.
+    """Count and time of the functions that a process has compiled.
 
     Attributes:
-        num_functions: Functions that were compiled, and not loaded.
-        watch: Called with this after each of them, in place of the line that is logged once.
+        num_functions: Number of functions that were compiled, not loaded from the cache.
+        watch: Callback that is called with this object after each compiled function, instead of
+            the message that is logged once.
     """
 
     def __init__(self) -> None:
-        """Start with nothing."""
+        """Start with a count of 0."""
         self.num_functions = 0
         self.watch: Callable[[Compilation], None] | None = None
         self._depth, self._begin, self._seconds = 0, 0.0, 0.0
 
     @property
     def seconds(self) -> float:
-        """Time that compilation has taken, with what goes on now, s."""
+        """Time spent on compilation, including a compilation that is running, s."""
         running = time.monotonic() - self._begin if self._depth else 0.0
         return self._seconds + running
 
     def forget_watch(self) -> None:
-        """Call nothing from now on."""
+        """Remove the callback."""
         self.watch = None
 
     @contextlib.contextmanager
     def count(self) -> Iterator[None]:
-        """Count a function that is compiled meanwhile, within its callers or not."""
+        """Count a function that is compiled in the `with` block; blocks may be nested."""
         if self._depth == 0:
             self._begin = time.monotonic()
         self._depth += 1
@@ -105,25 +105,25 @@ class Compilation:
             self.watch(self)
         elif self.num_functions == MANY and current_process().name.endswith(FIRST):
             _LOG.warning(
-                "compiling for this machine, for a minute or two; later runs start at once"
+                "compiling for this machine, for a minute or two; later runs start immediately"
             )
 
 
 COMPILATION = Compilation()
-"""That of this process"""
+"""Compilation count of this process"""
 if hasattr(os, "register_at_fork"):
     # Workers must not write between the lines of the process that shows progress
     os.register_at_fork(after_in_child=COMPILATION.forget_watch)
 
 
 class Need(NamedTuple):
-    """A function that machine code calls where it is.
+    """A compiled function that other machine code is linked to.
 
     Attributes:
-        module: Name of its module.
-        name: Its name there.
-        arguments: Numba's types of its arguments.
-        symbol: Its name in the machine code.
+        module: Name of the function's module.
+        name: Name of the function in its module.
+        arguments: Numba types of the arguments.
+        symbol: Symbol of the function in machine code.
     """
 
     module: str
@@ -132,7 +132,7 @@ class Need(NamedTuple):
     symbol: str
 
     def is_met(self) -> bool:
-        """Compile or load the function, and tell whether that gives it under the same symbol."""
+        """Compile or load the function, and check whether it has the expected symbol."""
         found = dispatcher_of(self.module, self.name)
         if found is None:
             return False
@@ -142,49 +142,45 @@ class Need(NamedTuple):
 class Cache:
     """Machine code of a function on disk, with a stamp of all files that the function depends on.
 
-    Each form of its arguments is a file of its own, whose name tells what it is. Numba's own cache
-    reads an index first, and makes all that compilation needs before it looks.
+    Each specialisation is a separate file, and the file name identifies it. Numba's own cache reads
+    an index first, and sets up the compiler before it looks for stored code.
     """
 
     _locks: ClassVar[dict[Path, int]] = {}
-    """An open file of each folder in which this process compiles; to close it frees its locks"""
+    """Open lock file of each folder in which this process compiles; closing it frees its locks"""
 
     def __init__(
-        self,
-        function: Callable[..., Any],
-        folder: Path,
-        suffix: str = "",
-        apart: bool = False,
+        self, function: Callable[..., Any], folder: Path, suffix: str = "", apart: bool = False
     ) -> None:
-        """Open the cache of a function; nothing is read before it is asked.
+        """Create the cache of a function; files are read only on demand.
 
         Args:
             function: The function.
-            folder: Where its machine code is.
-            suffix: Tells two forms of a function from each other.
-            apart: Whether callers call it where it is.
+            folder: Folder of its machine code.
+            suffix: Distinguishes two variants of a function.
+            apart: Whether callers are linked to the function instead of copying it.
         """
         self._py_func, self._folder, self._suffix = function, folder, suffix
         self._apart = apart
 
     @property
     def cache_path(self) -> str:
-        """Where machine code is; numba tells it with its statistics."""
+        """Folder of the machine code; numba reports it with its statistics."""
         return str(self._folder)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Load machine code for some types of arguments; None where there is none."""
+        """Load the machine code for a signature; None if it is not stored."""
         try:
             data = self._file(signature, context).read_bytes()
         except FileNotFoundError:
             return None
         if not data.endswith(pickle.STOP):
-            return None  # the system stopped before all of it was on disk
+            return None  # the file is incomplete, as after a crash of the system
         _name_helpers()
         if b"hashsecret" in data:
-            # Numba names these where it is imported, which takes longer than most
+            # Numba registers these symbols when it imports this module, which is slow
             import_module("numba.cpython.hashing")
-        # Made by this user: nobody else can write there
+        # Unpickling is safe: only this user can write to the folder
         needs, payload = pickle.loads(data)
         if not all(need.is_met() for need in needs):
             return None
@@ -194,32 +190,32 @@ class Cache:
         return compiled
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Store machine code."""
+        """Store the machine code for a signature."""
         library = compiled.library
         linked = (need for other in library._linking_libraries for need in _asked(other))
-        library.needs = tuple(dict.fromkeys((*getattr(library, "doors", ()), *linked)))
+        library.needs = tuple(dict.fromkeys((*getattr(library, "deferred_entries", ()), *linked)))
         if self._is_apart():
-            # What is stored for callers to copy: the name alone, which numba reads
+            # Callers copy this stub, of which numba reads only the name
             name = compiled.fndesc.mangled_name
             library._shared_module = llvm.parse_assembly(f'define void @"{name}"() {{ ret void }}')
-        # Addresses of this process would be wrong in another
+        # Addresses of this process are invalid in another process
         if not library.has_dynamic_globals:
             file = self._file(signature, compiled.target_context)
             try:
                 _replace(file, dumps((library.needs, compiled._reduce())))
                 self._forget_old(file)
             except OSError as error:
-                _tell_once(f"{error}: what is compiled is not kept for later runs")
+                _warn_once(f"{error}: compiled functions are not stored for later runs")
         self._link(compiled)
 
     @contextlib.contextmanager
     def alone(self, signature: Any, context: Any) -> Iterator[None]:
-        """Keep other processes from compiling the function for some types meanwhile.
+        """Lock a specialisation, so that other processes do not compile it at the same time.
 
-        They would compile it under another symbol, and callers of either would be compiled once
-        more by the next process. They compile other functions at the same time. No function calls
-        itself, by others or not: so nobody waits for whoever waits for them. Without locks, or a
-        folder that can be written, each goes on by itself.
+        They would compile it under another symbol, and the next process would have to compile the
+        callers again. Other functions are not locked. Functions are not recursive, so that the
+        locks cannot deadlock. Without locks, or without a writable folder, processes compile
+        independently.
         """
         name = self._file(signature, context).name.encode()
         place = int(hashlib.sha256(name).hexdigest()[:15], 16)
@@ -240,14 +236,14 @@ class Cache:
                     fcntl.lockf(lock, fcntl.LOCK_UN, 1, place)
 
     def _file(self, signature: Any, context: Any) -> Path:
-        """Name the file for some types of arguments."""
+        """Return the path of the file for a signature."""
         function = self._py_func
         cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
         kinds = repr(sigutils.normalize_signature(signature))
         key = hashlib.sha256(f"{kinds} {_machine(context.codegen())}".encode())
         code = function.__code__
         key.update(code.co_code)
-        # Functions of one line may differ in these alone
+        # Two functions of the same line may differ only in these
         constants = [one for one in code.co_consts if not isinstance(one, CodeType | frozenset)]
         key.update(repr((constants, code.co_names)).encode())
         key.update(dumps(cells) if cells else b"")
@@ -256,7 +252,7 @@ class Cache:
 
     @functools.cached_property
     def _base(self) -> str:
-        """What names of all files of the function begin with."""
+        """Prefix of the names of all files of the function."""
         function = self._py_func
         code = function.__code__
         place = f"{code.co_filename} {function.__qualname__} {code.co_firstlineno} {self._suffix}"
@@ -264,20 +260,20 @@ class Cache:
         return f"{name}-{hashlib.sha256(place.encode()).hexdigest()[:12]}"
 
     def _forget_old(self, file: Path) -> None:
-        """Remove what other versions of the function's files have left."""
+        """Remove machine code of the function with other stamps."""
         stamp = file.name.split(".")[1]
         for other in self._folder.glob(f"{self._base}.*"):
             if other.name.split(".")[1] != stamp:
                 other.unlink(missing_ok=True)
 
     def _is_apart(self) -> bool:
-        """Tell whether callers call it where it is: if they can find it again."""
+        """Check whether callers are linked to the function: they must find it in its module."""
         home = sys.modules.get(self._py_func.__module__)
         found = getattr(home, self._py_func.__name__, None)
         return self._apart and getattr(found, "py_func", None) is self._py_func
 
     def _link(self, compiled: Any) -> None:
-        """Tell a library what its callers need, and take away what they would copy."""
+        """Set the dependencies of a library's callers, and remove the code that they would copy."""
         library, function = compiled.library, self._py_func
         library.asked = library.needs
         if self._is_apart():
@@ -289,29 +285,29 @@ class Cache:
 
 @functools.cache
 def _name_helpers() -> None:
-    """Tell LLVM where functions of numba's are that stored machine code calls.
+    """Register with LLVM the runtime functions of numba that stored machine code calls.
 
-    Numba does it while it gets ready to compile, which takes longer than all that is loaded.
+    Numba registers them when it sets up the compiler, which takes longer than loading all kernels.
     """
     for name, address in _nrt_python.c_helpers.items():
         llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 @functools.cache
-def _tell_once(text: str) -> None:
-    """Log a warning, once in a process."""
+def _warn_once(text: str) -> None:
+    """Log a warning once in a process."""
     _LOG.warning(text)
 
 
 def _wait_for(lock: int, place: int) -> None:
-    """Lock a byte of a file, unless another process holds it for longer than compilation takes.
+    """Lock a byte of a file; give up after `PATIENCE` seconds.
 
-    The byte need not be there.
+    The byte need not exist.
     """
     assert fcntl is not None
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
-        # It ends with the process, and is not handed on to forks
+        # The lock ends with the process, and forks do not inherit it
         with contextlib.suppress(BlockingIOError):
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
             return
@@ -319,7 +315,7 @@ def _wait_for(lock: int, place: int) -> None:
 
 
 def _replace(file: Path, data: bytes) -> None:
-    """Write a file at a stroke: another process may write or read it now."""
+    """Write a file atomically: another process may read or write it at the same time."""
     part = file.with_name(f".part-{os.getpid()}-{file.name}")
     try:
         part.write_bytes(data)
@@ -329,24 +325,24 @@ def _replace(file: Path, data: bytes) -> None:
 
 
 def _asked(library: Any) -> tuple[Need, ...]:
-    """Tell what is needed by whoever links a library; numba's own need nothing."""
+    """Return the functions that callers of a library must be linked to; none for numba's own."""
     return getattr(library, "asked", ())
 
 
 class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
-    """A compiled function that looks for stored machine code before all else."""
+    """A numba dispatcher that looks for stored machine code before it sets up the compiler."""
 
     def compile(self, sig: Any) -> Any:
-        """Load machine code for some types of arguments, or compile it; tells where it is.
+        """Load or compile the machine code for a signature, and return its entry point.
 
-        Numba does the same, and takes the time of each call of LLVM meanwhile.
+        Numba's own method also measures the time of each call of LLVM, which is slower.
         """
         kinds, result = sigutils.normalize_signature(sig)
         with global_compiler_lock:
             if kinds not in self.overloads and isinstance(self._cache, Cache):
                 found = self._cache.load_overload(sig, self.targetctx)
                 if found is None:
-                    # Another process may have compiled it while this one waited
+                    # Another process may have compiled it while this process waited for the lock
                     with self._cache.alone(sig, self.targetctx):
                         found = self._cache.load_overload(sig, self.targetctx)
                         if found is None:
@@ -359,30 +355,33 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
         return super().compile(sig)
 
     def _make(self, sig: Any, kinds: Any, result: Any) -> Any:
-        """Compile and store what no process has; tells where it is."""
+        """Compile and store the machine code for a signature, and return its entry point."""
         with COMPILATION.count(), self._compiling_counter:
             self._cache_misses[sig] += 1
             made = self._compiler.compile(kinds, result)
-            # Linked before callers may find it, whatever happens meanwhile
+            # Store and link it before callers can find it, even if an interrupt follows
             self._cache.save_overload(sig, made)
             self.add_overload(made)
         return made.entry_point
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Find the form for a call: one for all numbers in its place; numba makes one for each."""
+        """Find the specialisation for a call, with one for all literals of a type.
+
+        Numba would compile one specialisation for each literal number.
+        """
         named = {name: any_number(kind) for name, kind in kws.items()}
         return super().get_call_template(tuple(map(any_number, args)), named)
 
 
 class Dispatcher(_Stored):
-    """A compiled function as Python calls it.
+    """A compiled function that Python and compiled code can call.
 
     Attributes:
-        door: What compiled callers find under its name if it is compiled later than they are; see
-            `bulletuav.compiled.deferred`.
+        deferred_type: Numba type of the function for compiled callers if it is deferred, else None;
+            see `bulletuav.compiled.deferred`.
     """
 
-    door: Any = None
+    deferred_type: Any = None
     _folder: Path | None = None
     _inner: Any = None
 
@@ -393,14 +392,21 @@ class Dispatcher(_Stored):
         targetoptions: Mapping[str, Any] | None = None,
         pipeline_class: type = Compiler,
     ) -> None:
-        """Prepare it; it is not compiled before it is called."""
+        """Create the dispatcher; the function is compiled when it is called.
+
+        Args:
+            py_func: The Python function.
+            locals: Numba types of local variables.
+            targetoptions: Options of numba.
+            pipeline_class: Numba's compiler class.
+        """
         options = {**(targetoptions or {}), "no_cfunc_wrapper": True}
         super().__init__(py_func, dict(locals or {}), options, pipeline_class)
 
     @property
     def inner(self) -> Any:
-        """The same function for callers that are compiled, without a wrapper for Python."""
-        # One for all threads: code that calls another one would not find this one's
+        """Dispatcher of the same function for compiled callers, without a wrapper for Python."""
+        # All threads must share one dispatcher, as callers are linked to its symbols
         with global_compiler_lock:
             if self._inner is None:
                 self._inner = self._make_inner()
@@ -408,11 +414,11 @@ class Dispatcher(_Stored):
 
     @functools.cached_property
     def plain(self) -> Callable[..., Any]:
-        """The function as plain Python; see `bulletuav.compiled.plain`."""
+        """Plain Python version of the function; see `bulletuav.compiled.plain`."""
         return plain_function(self.py_func)
 
     def _make_inner(self) -> _Stored:
-        """Make the function for callers that are compiled."""
+        """Create the dispatcher for compiled callers."""
         options = {**self.targetoptions, "no_cpython_wrapper": True}
         apart = not options.get("forceinline")
         pipeline = Compiler if apart else PartCompiler
@@ -423,32 +429,32 @@ class Dispatcher(_Stored):
 
     @property
     def _numba_type_(self) -> Any:
-        """What compiled callers find under the function's name."""
-        return self.door or types.Dispatcher(self.inner)
+        """Numba type of the function for compiled callers."""
+        return self.deferred_type or types.Dispatcher(self.inner)
 
     def compiled(self, arguments: tuple[Any, ...]) -> Any:
-        """Compile it for other machine code, or load it; tells all about it.
+        """Compile or load the specialisation for compiled callers, and return numba's result.
 
         Args:
-            arguments: Numba's types of its arguments.
+            arguments: Numba types of the arguments.
         """
         self.inner.compile(arguments)
         return self.inner.overloads[arguments]
 
     def address(self, arguments: tuple[Any, ...]) -> int:
-        """Tell where its machine code for some types of arguments is."""
+        """Return the address of the specialisation for types of arguments."""
         made = self.compiled(arguments)
         place: int = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
         return place
 
     def keep_in(self, folder: Path) -> None:
-        """Keep both on disk."""
+        """Cache the machine code of the function, with and without wrapper, in a folder."""
         self._folder = folder
         self._cache = Cache(self.py_func, folder)
 
 
 def _switched(dispatcher: Dispatcher, *arguments: Any, **named: Any) -> Any:
-    """Call a function as Python does where kernels may run as plain Python."""
+    """Call a function from Python, as plain Python if the switch is on."""
     if not SWITCH.is_on:
         return CPUDispatcher.__call__(dispatcher, *arguments, **named)
     named = {name: as_compiled(value) for name, value in named.items()}
@@ -459,9 +465,9 @@ def _switched(dispatcher: Dispatcher, *arguments: Any, **named: Any) -> Any:
 def plain_kernels() -> Iterator[None]:
     """Run kernels that this thread calls in the `with` block as plain Python.
 
-    Where `NUMBA_DISABLE_JIT=1` is set they always do.
+    With `NUMBA_DISABLE_JIT=1` all kernels always run as plain Python.
     """
-    # Only now, as a call from Python takes three times as long then
+    # Set only when needed, as calls from Python take three times as long with it
     if "__call__" not in vars(Dispatcher):
         Dispatcher.__call__ = _switched
     before, SWITCH.is_on = SWITCH.is_on, True
@@ -477,12 +483,12 @@ if SWITCH.is_on:
 
 
 def dispatcher_of(module: str, name: str) -> Dispatcher | None:
-    """Find a compiled function by its place; None if something else is there."""
+    """Return the compiled function of that name in a module; None if there is none."""
     found = getattr(import_module(module), name, None)
     return found if isinstance(found, Dispatcher) else None
 
 
 @functools.cache
 def _machine(codegen: Any) -> str:
-    """Tell for what Python and processor machine code is made."""
+    """Describe the Python version and the processor that machine code is compiled for."""
     return repr((sys.implementation.cache_tag, codegen.magic_tuple()))

@@ -1,12 +1,12 @@
-"""Functions of numbers that give the same bits on any processor and with any C library.
+"""Elementary functions with the same bits on any processor and with any C library.
 
-Those of C libraries and of NumPy differ in the last bit from one processor to another. These use
-nothing but sums, products, quotients and square roots, which are exact to the last bit by IEEE 754.
-Errors are below four units in the last place, and below one of `exp` and `log`. They take numbers
-in compiled code, and arrays in Python.
+The functions of C libraries and of NumPy differ in the last bit between processors. These functions
+use only sums, products, quotients and square roots, which IEEE 754 rounds correctly. Errors are
+below four units in the last place, and below one for `exp` and `log`. The functions take numbers in
+compiled code, and also arrays in Python.
 
-Methods: reduction of the argument by W. J. Cody and W. Waite, Software Manual for the Elementary
-Functions (1980), and Taylor series of what is left.
+Methods: argument reduction by W. J. Cody and W. Waite, Software Manual for the Elementary Functions
+(1980), and Taylor series of the reduced argument.
 """
 
 import math
@@ -34,21 +34,21 @@ LARGEST, SMALLEST = 709.782712893384, -745.1332191019412
 """Arguments beyond which `exp` is infinite and 0"""
 SQRT_HALF = math.sqrt(0.5)
 FAR = 1e5
-"""Angle up to which whole right angles are taken off without an error, rad"""
+"""Largest angle whose reduction by multiples of pi / 2 is exact, rad"""
 
 
 def _ldexp(exponent: Any) -> Any:
-    """Do in Python what `two_to` does."""
+    """Python version of `two_to`."""
     return np.ldexp(exponent * 0.0 + 1.0, np.asarray(exponent).astype(np.int32))
 
 
 @in_python(_ldexp)
 @intrinsic  # type: ignore[untyped-decorator]
 def two_to(_: Any, exponent: Any) -> Any:
-    """Return 2 to the power of a whole number from -1022 to 1023, put together of its bits.
+    """Return 2 to the power of an integer from -1022 to 1023, assembled from its bits.
 
-    In lanes, too, whose whole numbers are floats. `math.ldexp` does the same by a call of the C
-    library, which takes longer than all of `exp`.
+    Lanes are supported, too; their integers are floats. `math.ldexp` would call the C library,
+    which takes longer than all of `exp`.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Any) -> Any:
@@ -76,7 +76,7 @@ def exp(x: float) -> float:
 
 @func
 def moderate_exp(x: float) -> float:
-    """Return e to the power of x, from -700 to 700, of a number or in each lane."""
+    """Return e to the power of x, for x from -700 to 700, for a number or in each lane."""
     # x = k ln 2 + r, with |r| below 0.35
     k = math.floor(x / LN2 + 0.5)
     high = x - k * LN2_HIGH
@@ -190,8 +190,8 @@ def _cosine(r: float) -> float:
 
 @func
 def _turned(x: float, quarters: int) -> float:
-    """Return the sine of x + `quarters` right angles."""
-    # Far out, a remainder; then the nearest multiple of a right angle
+    """Return the sine of x + `quarters` pi / 2."""
+    # Reduce large angles by the remainder; then subtract the nearest multiple of pi / 2
     near = math.copysign(abs(x) % (2.0 * PI), x) if abs(x) > FAR else x
     k = math.floor(near / (0.5 * PI) + 0.5)
     # Subtracted in three parts, so that no bits are lost

@@ -1,4 +1,4 @@
-"""Arrays of drones to lanes and back: numbers of `WIDTH` drones, counted on from world to world."""
+"""Gather numbers of `WIDTH` drones, numbered consecutively over the worlds, and scatter them."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ def _require_c_order(function: str, array: np.ndarray) -> None:
 
 
 def _gather(array: np.ndarray, first: int, number: int) -> Any:
-    """Do in Python what `gathered` does."""
+    """Python version of `gathered`."""
     _require_c_order("gathered", array)
     rows = array.reshape(array.shape[0] * array.shape[1], -1)
     drones = np.minimum(np.arange(first, first + WIDTH), len(rows) - 1)
@@ -29,7 +29,7 @@ def _gather(array: np.ndarray, first: int, number: int) -> Any:
 
 
 def _scatter(array: np.ndarray, first: int, count: int, value: np.ndarray) -> None:
-    """Do in Python what `scatter` does."""
+    """Python version of `scatter`."""
     _require_c_order("scatter", array)
     numbers = np.broadcast_to(value, WIDTH)[:count]
     array.reshape(-1)[first : first + count] = numbers.astype(array.dtype)
@@ -38,12 +38,13 @@ def _scatter(array: np.ndarray, first: int, count: int, value: np.ndarray) -> No
 @in_python(_gather)
 @intrinsic  # type: ignore[untyped-decorator]
 def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
-    """Return a number of each of `WIDTH` drones, counted on from world to world.
+    """Return a number of each of `WIDTH` drones as lanes, or a bool of each as a mask.
 
     Args:
-        array: (W, N, K) K numbers of each drone, or (W, N) one; C order. Of bools a condition.
-        first: The first drone. Behind the last of all it is that one again.
-        number: Which of the K numbers; 0 of one.
+        array: (W, N, K) float64 or bool, or (W, N); C order.
+        first: Number of the first drone, counted over all worlds. Lanes after the last drone of all
+            worlds repeat that drone.
+        number: Index along the last axis; 0 for an array (W, N).
     """
     if array.layout != "C" or array.dtype not in (types.float64, types.boolean):
         return None
@@ -75,13 +76,13 @@ def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
 @in_python(_scatter)
 @intrinsic  # type: ignore[untyped-decorator]
 def scatter(_: Any, array: Any, first: Any, count: Any, value: Any) -> Any:
-    """Write a number of each of the first drones of a block.
+    """Write a number of each of the first drones of a block into an array.
 
     Args:
-        array: (W, N) numbers, of which whole ones are cut; C order.
-        first: The first drone, counted on from world to world.
-        count: How many drones, at most `WIDTH`.
-        value: Lanes with their numbers.
+        array: (W, N) numbers, in C order; for an integer array, numbers are truncated.
+        first: Number of the first drone, counted over all worlds.
+        count: Number of drones, at most `WIDTH`.
+        value: Lanes with the numbers.
     """
     if array.layout != "C":
         return None
@@ -108,13 +109,13 @@ def lane_numbers(_: Any) -> Any:
 
 @func
 def three(array: np.ndarray, first: int) -> Any:
-    """Return the first three numbers of the drones from one on, of an array as of `gathered`."""
+    """Return the first three numbers of `WIDTH` drones from `first` on as lanes; see `gathered`."""
     return gathered(array, first, 0), gathered(array, first, 1), gathered(array, first, 2)
 
 
 @func
 def four(array: np.ndarray, first: int) -> Any:
-    """Return the first four numbers of the drones from one on."""
+    """Return the first four numbers of `WIDTH` drones from `first` on as lanes."""
     return (
         gathered(array, first, 0),
         gathered(array, first, 1),
@@ -125,7 +126,7 @@ def four(array: np.ndarray, first: int) -> Any:
 
 @func
 def copy_numbers(source: np.ndarray, drone: int, packed: np.ndarray, block: int) -> None:
-    """Copy all numbers (W, N, K) of the drones from one on into a block (B, K, `WIDTH`)."""
+    """Copy all numbers (W, N, K) of `WIDTH` drones from `drone` on into a block (B, K, `WIDTH`)."""
     lanes = lanes_of(packed, block)
     for k in range(source.shape[2]):
         lanes[k] = gathered(source, drone, k)

@@ -1,8 +1,8 @@
-"""Compilation of the hot loops by numba, with a cache on disk that cannot go stale.
+"""Decorators that compile the hot loops with numba, with a disk cache that cannot go stale.
 
-`kernel` compiles loops over arrays, `allocating` those that make arrays, `func` the functions of
-one drone that they call, and `elementwise` functions of numbers that broadcast over arrays. How
-they are stored and linked is documented in `bulletuav.compiled.dispatcher`.
+`kernel` compiles loops over arrays, `allocating` loops that create arrays, `func` inlined functions
+of one drone that the loops call, and `elementwise` functions of numbers that broadcast over arrays.
+`bulletuav.compiled.dispatcher` documents how they are stored and linked.
 """
 
 import contextlib
@@ -31,18 +31,18 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _OPTIONS = {"nopython": True, "boundscheck": None, "error_model": "numpy"}
 _FOLDERS_KEPT = 8
 _ONE_BY_ONE = 20_000
-"""Numbers that take a tenth of the time in which numba makes a function of arrays"""
+"""Count of numbers whose evaluation takes a tenth of the time to compile a function of arrays"""
 
 
 def cache_folder() -> Path:
-    """Make the folder for the compiled kernels of this installation of the package.
+    """Create the cache folder for the compiled kernels of this installation of the package.
 
-    It is below `NUMBA_CACHE_DIR`, or else below the user's cache folder. Where neither can be
-    written to, it is below the folder for temporary files, if nobody else can write there: what
-    numba reads from its cache can run code.
+    The folder is in `NUMBA_CACHE_DIR`, or else in the user's cache folder. If that is not writable,
+    it is in the folder for temporary files, in a subfolder that only this user can write to: numba
+    executes code that it reads from its cache.
 
     Raises:
-        OSError: No folder can be written to.
+        OSError: If no folder is writable.
     """
     chosen = (
         numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
@@ -54,7 +54,7 @@ def cache_folder() -> Path:
     for base in candidates:
         folder = base / "bulletuav-kernels" / installation
         with contextlib.suppress(OSError):
-            # Others may write to the folder for temporary files, but must not to ours in it.
+            # Other users may write to the folder for temporary files, but not to our subfolder.
             if base == spare and not _is_private(spare):
                 continue
             folder.mkdir(parents=True, exist_ok=True)
@@ -67,7 +67,7 @@ def cache_folder() -> Path:
 
 
 def _is_private(folder: Path) -> bool:
-    """Make a folder, and tell whether only this user can write to it."""
+    """Create a folder, and check whether only this user can write to it."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     about = folder.lstat()
     others_write = stat.S_IMODE(about.st_mode) & (stat.S_IWGRP | stat.S_IWOTH)
@@ -76,8 +76,8 @@ def _is_private(folder: Path) -> bool:
 
 
 def _forget_old_folders(current: Path) -> None:
-    """Remove the folders of other installations, but for the ones used last."""
-    # Another process may be tidying too: what it has removed is no error.
+    """Remove the folders of other installations, except the most recently used ones."""
+    # Another process may remove the same folders at the same time.
     with contextlib.suppress(OSError):
         os.utime(current)
         others = [path for path in current.parent.iterdir() if path != current]
@@ -90,48 +90,48 @@ _CACHE = cache_folder()
 
 
 def kernel(function: Function) -> Function:
-    """Compile a loop over arrays, cached on disk until its file, or one it imports, changes.
+    """Compile a loop over arrays, cached on disk until its file, or a file it imports, changes.
 
-    Division by zero gives inf or NaN as in numpy. Nothing is reordered (no fast-math), so results
-    are reproducible. It makes and returns no arrays of its own. So references to those that it is
-    given need not be counted, which can take longer than the work.
+    Division by zero gives inf or NaN as in NumPy. Operations are not reordered (no fast-math), so
+    that results are reproducible. A kernel neither creates nor returns arrays. References to its
+    arguments are therefore not counted, which could take longer than the loop.
     """
     return _compiled(function, forceinline=False, _nrt=False)
 
 
 def func(function: Function) -> Function:
-    """Compile a function of one drone's numbers, which becomes part of every kernel that calls it.
+    """Compile a function of one drone that is inlined into every kernel that calls it.
 
-    Numbers are computed as in `kernel`, and arrays treated as there.
+    The floating-point rules and the restrictions on arrays are those of `kernel`.
     """
     return _compiled(function, forceinline=True, _nrt=False)
 
 
 def allocating(function: Function) -> Function:
-    """Compile a loop as `kernel` does that makes arrays, or calls one that returns some."""
+    """Compile a loop as `kernel` does, which may create arrays or call functions that do."""
     return _compiled(function, forceinline=False, _nrt=True)
 
 
 def uncached(function: Function, forceinline: bool = False) -> Function:
-    """Compile a function anew in each process: one of users, whose source may be a text.
+    """Compile a user's function, without a cache on disk, as it may have no source file.
 
     Args:
         function: The function.
-        forceinline: Whether it becomes part of its callers.
+        forceinline: Whether the function is inlined into its callers.
     """
     options = {**_OPTIONS, "forceinline": forceinline}
     return cast(Function, Dispatcher(function, targetoptions=options))
 
 
 class Elementwise:
-    """A compiled function of numbers, which also takes arrays.
+    """A compiled function of numbers, which broadcasts over arrays.
 
-    Numba makes a function of arrays anew in each process, in a third of a second. So the first
-    numbers of arrays are computed one by one.
+    Numba compiles a function of arrays again in each process, which takes a third of a second.
+    Therefore the first elements of arrays are computed one by one.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        """Take a function of numbers; see `elementwise`."""
+        """Wrap a function of numbers; see `elementwise`."""
         functools.update_wrapper(self, function)
         self._function = function
         self._left = _ONE_BY_ONE
@@ -141,16 +141,16 @@ class Elementwise:
     @overload
     def __call__(self, *numbers: float | np.ndarray) -> np.ndarray: ...
     def __call__(self, *numbers: Any) -> Any:
-        """Compute it, of numbers or of arrays."""
+        """Evaluate the function for numbers, or elementwise for arrays."""
         if SWITCH.is_on:
             return np.vectorize(self.plain, otypes=[np.float64])(*numbers)[()]
-        # A list: a generator that is left early would swallow an interrupt
+        # A list, as a generator that is not exhausted would swallow an interrupt
         if all([isinstance(number, float | int) for number in numbers]):  # noqa: C419
             return np.float64(self._of_numbers(*map(float, numbers)))
         if self._left > 0:
             arrays = list(map(np.asarray, numbers))
             self._left -= np.broadcast(*arrays).size
-            # Those of which a function of arrays would give the same type and order in memory
+            # Arrays for which a compiled function of arrays has the same result type and layout
             is_plain = all(one.ndim < 2 or one.flags.c_contiguous for one in arrays)
             if is_plain and np.result_type(*arrays) == np.float64:
                 return np.vectorize(self._of_numbers, otypes=[np.float64])(*arrays)[()]
@@ -158,7 +158,7 @@ class Elementwise:
 
     @functools.cached_property
     def plain(self) -> Callable[..., Any]:
-        """The function of numbers as plain Python."""
+        """Plain Python version of the function of numbers."""
         return plain_function(self._function)
 
     @functools.cached_property
@@ -167,7 +167,7 @@ class Elementwise:
 
     @functools.cached_property
     def _of_arrays(self) -> Any:
-        # Numba gets ready to compile: it writes a loop, also around stored machine code
+        # Set up the compiler: numba generates a loop even around stored machine code
         cpu_target.target_context.refresh()
         made = numba.vectorize(nopython=True)(self._function)
         made._dispatcher.cache = Cache(self._function, _CACHE, "-elementwise")
@@ -175,25 +175,21 @@ class Elementwise:
 
     @property
     def _numba_type_(self) -> Any:
-        """What compiled callers find under the function's name."""
+        """Numba type of the function for compiled callers."""
         return cpu_target.typing_context.resolve_value_type(self._of_arrays)
 
 
 def elementwise(function: Callable[..., Any]) -> Elementwise:
-    """Compile a function of numbers to a number, which also takes arrays that broadcast.
+    """Compile a function of numbers, which also broadcasts over arrays.
 
-    Kernels call it with numbers, users with arrays. It takes no keywords: numbers come in order.
+    Kernels call the function with numbers, Python code also with arrays. Arguments are passed by
+    position only.
     """
     return Elementwise(function)
 
 
-def _without_owner(
-    context: Any,
-    builder: Any,
-    kind: Any,
-    value: Any,
-) -> Any:
-    """Return the code that takes the owner out of an array, or of all arrays in a tuple."""
+def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """Generate code that removes the owner from an array, or from all arrays in a tuple."""
     if isinstance(kind, numba.types.Array):
         array = cgutils.create_struct_proxy(kind)(context, builder, value=value)
         array.meminfo = array.meminfo.type(None)
@@ -208,46 +204,41 @@ def _without_owner(
 @in_python(lambda value: value)
 @numba.extending.intrinsic  # type: ignore[untyped-decorator]
 def borrowed(_: Any, value: Any) -> Any:
-    """Return arrays, or tuples of them, for which nobody counts references.
+    """Return an array, or a tuple of arrays, without reference counting.
 
-    Whoever takes an array out of a tuple counts a reference to it, which can cost more than what
-    is done with it. The caller keeps the arrays alive.
+    Reading an array from a tuple normally increments its reference count, which can cost more than
+    the work on the array. The caller must keep the arrays alive.
     """
 
-    def generate(
-        context: Any,
-        builder: Any,
-        _: Any,
-        arguments: Any,
-    ) -> Any:
+    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
         return _without_owner(context, builder, value, arguments[0])
 
     return value(value), generate
 
 
 class InMemory(numba.types.Type):  # type: ignore[misc]  # numba has no types
-    """Type of a named tuple of which compiled functions hand on the address; see `in_memory`.
+    """Numba type of a named tuple that compiled functions pass by its address; see `in_memory`.
 
     Attributes:
-        whole: Type of the named tuple.
+        whole: Numba type of the named tuple.
     """
 
     def __init__(self, whole: Any) -> None:
-        """Tell the type of the named tuple."""
+        """Create the type from the numba type of the named tuple."""
         self.whole = whole
         super().__init__(f"in memory {whole.name}")
 
 
 @numba.extending.register_model(InMemory)
 class _Address(numba.extending.models.PrimitiveModel):  # type: ignore[misc]
-    """How `InMemory` is passed: as an address."""
+    """Data model of `InMemory`: an address."""
 
     def __init__(self, manager: Any, kind: InMemory) -> None:
         super().__init__(manager, kind, cgutils.voidptr_t)
 
 
 _NAMED = (numba.types.NamedTuple, numba.types.NamedUniTuple)
-"""Numba's types of named tuples"""
+"""Numba types of named tuples"""
 
 
 @numba.extending.infer_getattr
@@ -264,14 +255,8 @@ class _Fields(AttributeTemplate):  # type: ignore[misc]
 
 
 @numba.extending.lower_getattr_generic(InMemory)  # type: ignore[untyped-decorator]
-def _load_field(
-    context: Any,
-    builder: Any,
-    kind: InMemory,
-    address: Any,
-    name: str,
-) -> Any:
-    """Return the code that reads one field, or tells the address of one that is a tuple."""
+def _load_field(context: Any, builder: Any, kind: InMemory, address: Any, name: str) -> Any:
+    """Generate code that reads one field, or returns the address of a field that is a tuple."""
     k = kind.whole.fields.index(name)
     whole = builder.bitcast(address, context.get_value_type(kind.whole).as_pointer())
     field = cgutils.gep_inbounds(builder, whole, 0, k)
@@ -280,13 +265,8 @@ def _load_field(
     return builder.load(field)
 
 
-def _store_parts(
-    builder: Any,
-    kind: Any,
-    value: Any,
-    place: Any,
-) -> None:
-    """Write a tuple part by part: as one value of hundreds of words it takes long to compile."""
+def _store_parts(builder: Any, kind: Any, value: Any, place: Any) -> None:
+    """Generate code that stores a tuple by parts, as values of hundreds of words compile slowly."""
     if not isinstance(kind, numba.types.BaseTuple):
         builder.store(value, place)
         return
@@ -298,21 +278,16 @@ def _store_parts(
 @in_python(lambda value: value)
 @numba.extending.intrinsic  # type: ignore[untyped-decorator]
 def in_memory(_: Any, value: Any) -> Any:
-    """Return a named tuple of which others are given the address, and read what they need.
+    """Return a named tuple that is passed to compiled functions by address.
 
-    A tuple of arrays is hundreds of words, which every call would copy. Nobody counts references
-    to its arrays, as with `borrowed`. It must not leave the function that calls this, which keeps
-    the arrays alive. Its fields are read by name.
+    A tuple of arrays is hundreds of words, which every call would copy. References to its arrays
+    are not counted, as with `borrowed`. The tuple must not outlive the function that calls
+    `in_memory`, and that function keeps the arrays alive. Fields are read by name.
     """
     if isinstance(value, InMemory):
         return value(value), lambda _, __, ___, arguments: arguments[0]
 
-    def generate(
-        context: Any,
-        builder: Any,
-        _: Any,
-        arguments: Any,
-    ) -> Any:
+    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
         place = cgutils.alloca_once(builder, context.get_value_type(value))
         _store_parts(builder, value, _without_owner(context, builder, value, arguments[0]), place)
         return builder.bitcast(place, cgutils.voidptr_t)
@@ -321,7 +296,7 @@ def in_memory(_: Any, value: Any) -> Any:
 
 
 def _compiled(function: Function, **options: bool) -> Function:
-    """Compile a function with numba's options, and keep it on disk."""
+    """Compile a function with numba's options and the cache on disk."""
     compiled = Dispatcher(function, targetoptions={**_OPTIONS, **options})
     compiled.keep_in(_CACHE)
     return cast(Function, compiled)

@@ -1,11 +1,11 @@
-"""Numbers of several drones as one: formulas of one drone then compute `WIDTH` drones at once.
+"""SIMD vectors of numbers of several drones: formulas of one drone then compute `WIDTH` drones.
 
-A compiled function that is given `Lanes` instead of floats adds, multiplies, divides and takes
-roots in each lane as it does with floats, and to the same bits on any processor. Branches are
-`where`. Rows of constants and arrays of numbers have forms with lanes, too: `lanes_row` and
-`lanes_of`. They lie number by number, each with its lanes side by side.
+A compiled function that receives `Lanes` instead of floats adds, multiplies, divides and takes
+square roots in each lane, with the same bits as with floats on any processor. `where` replaces
+branches. `lanes_row` and `lanes_of` are the counterparts of rows of constants and of arrays. In
+memory, the lanes of each number are contiguous.
 
-    lanes_of(room(numbers), 0)[k]  # number k of all drones
+    lanes_of(lane_zeros(numbers), 0)[k]  # number k of all drones
 """
 
 import math
@@ -30,72 +30,72 @@ from numba.core.typing.templates import (
 from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
-from bulletuav.compiled.plain import LaneNumbers, choose, in_python
+from bulletuav.compiled.plain import LaneNumbers, in_python, select_lanes
 from bulletuav.compiled.stamps import stamp_of
 
-# numba's codegen knows the features that the environment took away, too
+# numba's codegen respects processor features that environment variables disable
 WIDTH = 8 if "+avx512f" in cpu_target.target_context.codegen().magic_tuple()[2] else 4
-"""Drones in a block. Eight numbers fit into one vector of AVX-512; others have half its registers,
-and four take less time there. Bits do not depend on it."""
+"""Drones in a block: eight for AVX-512, whose vectors have eight numbers, else four, as other
+processors have half the registers. Results do not depend on it, to the bit."""
 _STAMP = f"{WIDTH} {stamp_of(__file__)}"
-"""Part of the types' names: machine code for them is old when this file is"""
+"""Part of the types' names, so that cached machine code is invalid when this file changes"""
 _NUMBER = ir.DoubleType()
 VECTOR = ir.VectorType(_NUMBER, WIDTH)
-"""Lanes in machine code"""
+"""LLVM type of lanes"""
 BITS = ir.VectorType(ir.IntType(1), WIDTH)
-"""A mask in machine code"""
+"""LLVM type of a mask"""
 _LINE = 8
-"""Numbers in a line of a processor's cache"""
+"""Numbers in a cache line"""
 _ALIGNED = 8
-"""Arrays begin at multiples of a number, not of a vector"""
+"""Alignment of arrays, bytes: that of a number, not of a vector"""
 
 
 class Lanes(types.Type):  # type: ignore[misc]  # numba has no types
-    """Type of numbers of several drones."""
+    """Numba type of a vector with one number of each of `WIDTH` drones."""
 
     def __init__(self) -> None:
-        """Name it."""
+        """Create the type."""
         super().__init__(f"Lanes {_STAMP}")
 
     def can_convert_from(self, _: Any, other: Any) -> Any:
-        """Tell that a number may stand for lanes that are all the same."""
+        """Allow the conversion of a number to lanes of equal numbers."""
         return Conversion.safe if isinstance(other, types.Number) else None
 
     def unify(self, _: Any, other: Any) -> Any:
-        """Tell what a variable is that holds lanes or a number."""
+        """Return the type of a variable that is assigned both lanes and numbers."""
         return self if isinstance(other, types.Number) else None
 
 
 class Mask(types.Type):  # type: ignore[misc]
-    """Type of comparisons of lanes."""
+    """Numba type of the result of a comparison of lanes."""
 
     def __init__(self) -> None:
-        """Name it."""
+        """Create the type."""
         super().__init__(f"Mask {_STAMP}")
 
 
 class LanesArray(types.Type):  # type: ignore[misc]
-    """Type of an array of lanes: an address.
+    """Numba type of an array of lanes, represented by its address.
 
     Attributes:
-        columns: Numbers in a row of an array of two axes.
+        columns: Numbers in a row of a two-dimensional array.
     """
 
     def __init__(self, columns: int) -> None:
-        """Tell the length of rows."""
+        """Create the type for a length of rows."""
         self.columns = columns
         super().__init__(f"LanesArray {columns} {_STAMP}")
 
 
 class LanesRow(types.Type):  # type: ignore[misc]
-    """Type of rows of constants with lanes: an address.
+    """Numba type of a row of constants whose fields are lanes, represented by its address.
 
     Attributes:
-        record: Type of the row of one drone, of numbers of 8 bytes.
+        record: Numba type of the row of one drone; all its numbers have 8 bytes.
     """
 
     def __init__(self, record: Any) -> None:
-        """Tell the type of one drone's row."""
+        """Create the type from that of one drone's row."""
         self.record = record
         super().__init__(f"LanesRow {record.name} {_STAMP}")
 
@@ -103,11 +103,11 @@ class LanesRow(types.Type):  # type: ignore[misc]
 LANES, MASK = Lanes(), Mask()
 
 
-def room(*shape: int) -> np.ndarray:
-    """Make an array (..., `WIDTH`) of zeros that begins where a line of the processor's cache does.
+def lane_zeros(*shape: int) -> np.ndarray:
+    """Return an array (..., `WIDTH`) of zeros, aligned to a cache line.
 
     Args:
-        shape: All axes but the last.
+        shape: All axes except the last.
     """
     count = math.prod(shape) * WIDTH
     numbers = np.zeros(count + _LINE)
@@ -115,13 +115,13 @@ def room(*shape: int) -> np.ndarray:
     return numbers[first : first + count].reshape(*shape, WIDTH)
 
 
-def _model(kind: type, form: Any) -> None:
-    """Tell numba how a type is held in machine code."""
+def _model(kind: type, llvm_type: Any) -> None:
+    """Register the LLVM type of a numba type."""
 
     @register_model(kind)
     class _Model(models.PrimitiveModel):  # type: ignore[misc]
         def __init__(self, manager: Any, one: Any) -> None:
-            super().__init__(manager, one, form)
+            super().__init__(manager, one, llvm_type)
 
 
 _model(Lanes, VECTOR)
@@ -132,7 +132,7 @@ _model(LanesRow, _NUMBER.as_pointer())
 
 @lower_cast(types.Number, Lanes)  # type: ignore[untyped-decorator]
 def _spread(context: Any, builder: Any, kind: Any, _: Any, value: Any) -> Any:
-    """Write the same number into all lanes."""
+    """Generate code that broadcasts a number to all lanes."""
     nothing = ir.Constant(VECTOR, ir.Undefined)
     number = context.cast(builder, value, kind, types.float64)
     first = builder.insert_element(nothing, number, ir.IntType(32)(0))
@@ -141,13 +141,13 @@ def _spread(context: Any, builder: Any, kind: Any, _: Any, value: Any) -> Any:
 
 
 def _of_lanes(operation: Any, count: int, result: Any, write: Callable[..., Any]) -> None:
-    """Give an operation or a function a form for lanes.
+    """Register the implementation of an operator or function for lanes.
 
     Args:
-        operation: The operation or function.
-        count: Number of its arguments, of which one at least has lanes.
-        result: Numba's type of its result.
-        write: Function of LLVM's builder and the values of the arguments.
+        operation: The operator or function.
+        count: Number of its arguments, of which at least one is lanes.
+        result: Numba type of its result.
+        write: Generates the code, from LLVM's builder and the values of the arguments.
     """
 
     class _Template(AbstractTemplate):  # type: ignore[misc]
@@ -165,7 +165,7 @@ def _of_lanes(operation: Any, count: int, result: Any, write: Callable[..., Any]
 
 
 def _intrinsic(name: str) -> Callable[..., Any]:
-    """Return what writes a call of a function of LLVM's in each lane."""
+    """Return a function that generates a call of an LLVM intrinsic in each lane."""
     kind = ir.FunctionType(VECTOR, [VECTOR])
 
     def write(builder: Any, value: Any) -> Any:
@@ -176,18 +176,18 @@ def _intrinsic(name: str) -> Callable[..., Any]:
 
 
 def _of_two(order: str) -> Callable[..., Any]:
-    """Return what writes an order of the processor that takes two numbers."""
+    """Return a function that generates a binary LLVM instruction."""
     return lambda builder, one, other: getattr(builder, order)(one, other)
 
 
 def _compared(sign: str) -> Callable[..., Any]:
-    """Return what writes a comparison: False for NaN, but True of `!=`."""
+    """Return a function that generates a comparison: False for NaN, except for `!=`."""
     order = "fcmp_unordered" if sign == "!=" else "fcmp_ordered"
     return lambda builder, one, other: getattr(builder, order)(sign, one, other)
 
 
 def _second_if(sign: str) -> Callable[..., Any]:
-    """Return what writes the second number where it compares so with the first, else the first."""
+    """Return a function that generates `second if second sign first else first`."""
     test = _compared(sign)
     return lambda builder, one, other: builder.select(test(builder, other, one), other, one)
 
@@ -208,17 +208,17 @@ _of_lanes(operator.neg, 1, LANES, lambda builder, value: builder.fneg(value))
 _of_lanes(abs, 1, LANES, _intrinsic("fabs"))
 _of_lanes(math.sqrt, 1, LANES, _intrinsic("sqrt"))
 _of_lanes(math.floor, 1, LANES, _intrinsic("floor"))
-# As in Python, also of NaN: max(a, b) is b where b > a
+# As in Python, also for NaN: max(a, b) is b where b > a
 _of_lanes(max, 2, LANES, _second_if(">"))
 _of_lanes(min, 2, LANES, _second_if("<"))
 
 
-@in_python(choose)
+@in_python(select_lanes)
 @intrinsic  # type: ignore[untyped-decorator]
 def where(typing: Any, condition: Any, one: Any, other: Any) -> Any:
-    """Return one number if a condition holds, else the other, of floats and in each lane.
+    """Return `one` where a condition holds, else `other`, for floats or in each lane.
 
-    Both are computed, which must do no harm.
+    Both values are evaluated.
     """
     result = LANES if isinstance(condition, Mask) else typing.unify_types(one, other)
 
@@ -235,7 +235,7 @@ def where(typing: Any, condition: Any, one: Any, other: Any) -> Any:
 @in_python(lambda condition: bool(np.any(condition)))
 @intrinsic  # type: ignore[untyped-decorator]
 def is_any(_: Any, condition: Any) -> Any:
-    """Tell whether a condition holds in any lane, or of a number."""
+    """Return True if a condition holds in any lane; a bool is returned unchanged."""
 
     def generate(_: Any, builder: Any, __: Any, values: Any) -> Any:
         if not isinstance(condition, Mask):
@@ -247,10 +247,10 @@ def is_any(_: Any, condition: Any) -> Any:
 
 
 class _PlainArray:
-    """What `LanesArray` is in Python: rows (numbers, `WIDTH`) of an array, copied when read."""
+    """Python counterpart of `LanesArray`: rows (numbers, `WIDTH`) of an array, copied when read."""
 
     def __init__(self, numbers: np.ndarray, columns: int = 1) -> None:
-        """Take the numbers, with those in a row of an array of two axes."""
+        """Wrap the numbers of an array with that many columns."""
         self._numbers, self._columns = numbers, columns
 
     def _row(self, index: Any) -> Any:
@@ -264,10 +264,10 @@ class _PlainArray:
 
 
 class _PlainRow:
-    """What `LanesRow` is in Python: fields of a row as attributes."""
+    """Python counterpart of `LanesRow`: fields of a row as attributes."""
 
     def __init__(self, rows: np.ndarray, packed: np.ndarray, block: int) -> None:
-        """Take the numbers (numbers, `WIDTH`) of one block."""
+        """Wrap the numbers (numbers, `WIDTH`) of one block."""
         assert rows.dtype.fields is not None
         self._fields, self._numbers = rows.dtype.fields, packed[block]
 
@@ -282,7 +282,7 @@ class _PlainRow:
 
 
 def _plain_lanes_of(array: np.ndarray, first: int) -> _PlainArray:
-    """Do in Python what `lanes_of` does."""
+    """Python version of `lanes_of`."""
     return _PlainArray(array[first] if array.ndim == 3 else array[first:])
 
 
@@ -292,8 +292,8 @@ def lanes_of(_: Any, array: Any, first: Any) -> Any:
     """Return an array (numbers, `WIDTH`), or one block of (blocks, numbers, `WIDTH`), as lanes.
 
     Args:
-        array: The array, C order.
-        first: Index along its first axis: the number, or the block, that it begins with.
+        array: The array, in C order.
+        first: Index along its first axis: the first number, or the block.
     """
 
     def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
@@ -312,8 +312,8 @@ def lanes_row(_: Any, rows: Any, packed: Any, block: Any) -> Any:
     """Return the rows of a block of drones as one row of lanes.
 
     Args:
-        rows: Any array of rows: tells their type.
-        packed: (blocks, numbers, `WIDTH`) the numbers of the rows, C order.
+        rows: An array of such rows; only its type is used.
+        packed: (blocks, numbers, `WIDTH`) the numbers of the rows, in C order.
         block: Index of the block.
     """
 
@@ -327,7 +327,7 @@ def lanes_row(_: Any, rows: Any, packed: Any, block: Any) -> Any:
 
 
 def _load(builder: Any, place: Any) -> Any:
-    """Write the reading of lanes."""
+    """Generate code that loads lanes."""
     loaded = builder.load(builder.bitcast(place, VECTOR.as_pointer()))
     loaded.align = _ALIGNED
     return loaded
@@ -350,7 +350,7 @@ class _Fields(AttributeTemplate):  # type: ignore[misc]
 
 @lower_getattr_generic(LanesRow)  # type: ignore[untyped-decorator]
 def _field(context: Any, builder: Any, kind: LanesRow, address: Any, name: str) -> Any:
-    """Read one field. Whole numbers are those of the first drone: others do not share a block."""
+    """Generate code that reads a field; integers are equal for all drones of a block."""
     field, first = kind.record.typeof(name), kind.record.offset(name) // 8 * WIDTH
     place = builder.gep(address, [ir.IntType(64)(first)])
     if isinstance(field, types.NestedArray):
@@ -361,7 +361,7 @@ def _field(context: Any, builder: Any, kind: LanesRow, address: Any, name: str) 
 
 
 def _is_index(kind: Any) -> bool:
-    """Tell whether a type is that of an index along one or two axes."""
+    """Check whether a type is that of an index along one or two axes."""
     parts = tuple(kind) if isinstance(kind, types.BaseTuple) else (kind,)
     return len(parts) <= 2 and all(isinstance(part, types.Integer) for part in parts)
 
@@ -389,7 +389,7 @@ class _Setting(AbstractTemplate):  # type: ignore[misc]
 
 
 def _place(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    """Return the address of one number of an array of lanes."""
+    """Generate code that computes the address of one number of an array of lanes."""
     (kind, index), word = given.args[:2], ir.IntType(64)
     if isinstance(index, types.BaseTuple):
         parts = zip(cgutils.unpack_tuple(builder, values[1], 2), index, strict=True)
@@ -403,14 +403,14 @@ def _place(context: Any, builder: Any, given: Any, values: Any) -> Any:
 @lower_builtin(operator.getitem, LanesArray, types.Integer)  # type: ignore[untyped-decorator]
 @lower_builtin(operator.getitem, LanesArray, types.BaseTuple)  # type: ignore[untyped-decorator]
 def _get(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    """Read lanes."""
+    """Generate code that reads an element of an array of lanes."""
     return _load(builder, _place(context, builder, given, values))
 
 
 @lower_builtin(operator.setitem, LanesArray, types.Integer, Lanes)  # type: ignore[untyped-decorator]
 @lower_builtin(operator.setitem, LanesArray, types.BaseTuple, Lanes)  # type: ignore[untyped-decorator]
 def _set(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    """Write lanes."""
+    """Generate code that writes an element of an array of lanes."""
     place = builder.bitcast(_place(context, builder, given, values), VECTOR.as_pointer())
     builder.store(values[2], place).align = _ALIGNED
     return context.get_dummy_value()

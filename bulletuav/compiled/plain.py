@@ -1,12 +1,12 @@
 """Kernels as plain Python, for debuggers, prints and coverage.
 
-Numba's own switch `NUMBA_DISABLE_JIT=1` does it for a process, the option `debug=True` for one
-environment, and `dispatcher.plain_kernels` for what a thread calls within it. Results have the same
-bits as those of machine code; a decision takes some hundred times as long.
+Numba's own switch `NUMBA_DISABLE_JIT=1` enables it for a process, the option `debug=True` for one
+environment, and `dispatcher.plain_kernels` for the calls of a thread in a `with` block. Results are
+equal to those of machine code to the bit; a decision takes about a hundred times as long.
 
-A kernel's plain function has the code that stands in its file. Only its constants, and the names
-that it uses, are others: they behave as in compiled code. Division by zero gives inf or NaN,
-functions of `math` raise nothing, and numbers of several drones are arrays.
+The plain function of a kernel has the code of its source file. Its constants and globals are
+replaced by versions that behave as in compiled code: division by zero gives inf or NaN, functions
+of `math` raise no errors, and numbers of several drones are arrays.
 """
 
 import ast
@@ -35,49 +35,49 @@ SWITCH = _Switch()
 
 
 class Intrinsic:
-    """A function that writes machine code in compiled callers, and is plain Python elsewhere.
+    """A function that generates code in compiled callers, and is plain Python elsewhere.
 
     Attributes:
         plain: The function in Python.
     """
 
     def __init__(self, compiled: Any, plain: Callable[..., Any]) -> None:
-        """Join both.
+        """Combine an intrinsic with its Python version.
 
         Args:
             compiled: Numba's intrinsic.
-            plain: A function that does the same in Python.
+            plain: Equivalent Python function.
         """
         self._compiled, self.plain = compiled, plain
         self.__name__, self.__doc__ = compiled.__name__, compiled.__doc__
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call the function in Python."""
+        """Call the Python version."""
         return self.plain(*arguments)
 
     @property
     def _numba_type_(self) -> Any:
-        """What compiled callers find under the function's name."""
+        """Numba type of the function for compiled callers."""
         return cpu_target.typing_context.resolve_value_type(self._compiled)
 
 
 def in_python(plain: Callable[..., Any]) -> Callable[[Any], Any]:
-    """Return a decorator of numba's intrinsics that adds a function which does the same."""
+    """Return a decorator of numba's intrinsics that adds an equivalent Python function."""
     return lambda compiled: Intrinsic(compiled, plain)
 
 
 def record_type(fields: Any, align: bool = False) -> np.dtype[Any]:
-    """Make the type of rows whose fields are attributes, in compiled code and in Python.
+    """Return the NumPy type of rows whose fields are attributes, in compiled code and in Python.
 
     Args:
-        fields: As of `numpy.dtype`.
-        align: As there.
+        fields: Fields, as for `numpy.dtype`.
+        align: Whether to align the fields, as for `numpy.dtype`.
     """
     return np.dtype((np.record, np.dtype(fields, align=align)))
 
 
 def plain_function(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a kernel's function as plain Python; lines and files are those of its source."""
+    """Return a kernel as a plain Python function, with the files and lines of its source."""
     scope, cells = function.__globals__, function.__closure__
     code = _with_products(function)
     read = [one.argval for one in dis.get_instructions(code) if one.opname == "LOAD_GLOBAL"]
@@ -94,10 +94,10 @@ def plain_function(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _with_products(function: Callable[..., Any]) -> types.CodeType:
-    """Return a function's code, in which whole powers are products, as in compiled code.
+    """Return a function's code with integer powers replaced by products, as in compiled code.
 
-    Those of Python are the C library's, whose last bit may differ. The code of a function whose
-    source is not to be had stays as it is.
+    Python computes powers by the C library, whose last bit may differ. The code of a function
+    without source is returned unchanged.
     """
     code = function.__code__
     if not any(one.argrepr == "**" for one in dis.get_instructions(code)):
@@ -109,7 +109,7 @@ def _with_products(function: Callable[..., Any]) -> types.CodeType:
     tree = _Products().visit(ast.parse(source))
     definition = tree.body[0]
     definition.decorator_list = []
-    # An outer function gives it the variables that it closes over
+    # The outer function defines the closure variables
     outer = ast.parse(f"def outer({', '.join(code.co_freevars)}):\n    return {function.__name__}")
     outer.body[0].body.insert(0, definition)  # type: ignore[attr-defined]
     ast.increment_lineno(ast.fix_missing_locations(outer), code.co_firstlineno - 1)
@@ -120,10 +120,10 @@ def _with_products(function: Callable[..., Any]) -> types.CodeType:
 
 
 class _Products(ast.NodeTransformer):
-    """Writes `x ** 2` as a call of `_product`."""
+    """Replaces integer powers such as `x ** 2` by calls of `_product`."""
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
-        """Replace a whole power."""
+        """Replace an integer power."""
         self.generic_visit(node)
         exponent = node.right
         is_whole = isinstance(exponent, ast.Constant) and isinstance(exponent.value, int)
@@ -134,7 +134,7 @@ class _Products(ast.NodeTransformer):
 
 
 def _product(x: Any, exponent: int) -> Any:
-    """Multiply as compiled code does."""
+    """Return an integer power, multiplied in the order of compiled code."""
     result, square = 1.0, x
     while exponent:
         if exponent % 2:
@@ -144,7 +144,7 @@ def _product(x: Any, exponent: int) -> Any:
 
 
 def as_compiled(value: Any) -> Any:
-    """Return numbers, and tuples of them, as NumPy's: they divide by zero as compiled code does."""
+    """Convert floats, also in tuples, to NumPy's, which divide by zero as compiled code does."""
     if type(value) is float:
         return np.float64(value)
     if isinstance(value, tuple):
@@ -154,14 +154,14 @@ def as_compiled(value: Any) -> Any:
 
 
 def _plain_value(value: Any) -> Any:
-    """Return what stands for the value of a name that a kernel uses."""
+    """Return the plain Python counterpart of a global that a kernel uses."""
     if value is math:
         return MATH
     return as_compiled(getattr(value, "plain", value))
 
 
 class LaneNumbers(np.ndarray):
-    """Numbers of several drones, an array; in-place operations make another, as of numbers."""
+    """Array of numbers of several drones; in-place operators return a new array, as for floats."""
 
     __iadd__ = np.ndarray.__add__  # type: ignore[assignment]
     __isub__ = np.ndarray.__sub__  # type: ignore[assignment]
@@ -169,24 +169,24 @@ class LaneNumbers(np.ndarray):
     __itruediv__ = np.ndarray.__truediv__  # type: ignore[assignment]
 
 
-def choose(condition: Any, one: Any, other: Any) -> Any:
-    """Return one number where a condition holds, else the other, of numbers and in each lane."""
+def select_lanes(condition: Any, one: Any, other: Any) -> Any:
+    """Return `one` where a condition holds, else `other`, for numbers or in each lane."""
     if isinstance(condition, np.ndarray):
         return np.where(condition, one, other).view(LaneNumbers)
     return one if condition else other
 
 
 def _greater(first: Any, *others: Any) -> Any:
-    """Return the greatest of numbers as Python's `max` does, in each lane."""
+    """Return the maximum in each lane, as Python's `max` does."""
     for other in others:
-        first = choose(other > first, other, first)
+        first = select_lanes(other > first, other, first)
     return first
 
 
 def _lesser(first: Any, *others: Any) -> Any:
-    """Return the least of numbers as Python's `min` does, in each lane."""
+    """Return the minimum in each lane, as Python's `min` does."""
     for other in others:
-        first = choose(other < first, other, first)
+        first = select_lanes(other < first, other, first)
     return first
 
 
@@ -194,7 +194,7 @@ _BUILTINS = {"max": _greater, "min": _lesser, "float": np.float64, _product.__na
 
 
 def _raising_nothing(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap a function of `math`: inf or NaN where it raises, and NumPy's numbers."""
+    """Wrap a function of `math` to return inf or NaN instead of raising, as NumPy numbers."""
 
     def wrapped(*numbers: Any) -> Any:
         try:
@@ -217,7 +217,7 @@ def _floor(x: Any) -> Any:
 
 
 def _make_math() -> types.SimpleNamespace:
-    """Make what stands for `math`."""
+    """Return a namespace with the functions of `math` as they behave in compiled code."""
     names = {name: value for name, value in vars(math).items() if not name.startswith("_")}
     wrapped = {
         name: _raising_nothing(value) if callable(value) else as_compiled(value)

@@ -1,8 +1,8 @@
-"""Programs: compiled calls one after the other, which run as one call.
+"""Programs: sequences of compiled calls that run as one call.
 
-Calling compiled code from Python looks at the type of every array each time, which takes longer
-than a substep of a drone. A program looks once: it keeps where arrays are, and runs its calls
-without Python in between. Where a call needs Python, its turn comes right there.
+A call of compiled code from Python checks the type of every array, which takes longer than a
+substep of a drone. A program checks types once: it stores the addresses of arrays, and runs its
+calls without Python in between. Python callbacks may be inserted between compiled calls.
 """
 
 import ctypes
@@ -18,77 +18,77 @@ from numba.np.arrayobj import populate_array
 
 from bulletuav.compiled.compiling import invoke
 from bulletuav.compiled.dispatcher import Dispatcher
-from bulletuav.compiled.forms import TupleForm, form_of, type_of
 from bulletuav.compiled.kernel import InMemory, kernel
 from bulletuav.compiled.plain import SWITCH
+from bulletuav.compiled.specialisation import TupleKey, specialisation_key, type_from_key
 
-Turn = Callable[[], None]
-"""What Python does when its turn comes"""
+Callback = Callable[[], None]
+"""A Python callback, a step of a program that needs Python"""
 _WORD = types.int64
 _KIND = types.TypeRef(_WORD)
-"""A type as an argument; it takes no room, so that any stands for all"""
+"""A type as an argument; it has no size, so that this type represents all types"""
 
 
 class _Call(NamedTuple):
-    """A compiled call, or Python's turn.
+    """A compiled call, or Python callbacks.
 
     Attributes:
-        kernel: The compiled function; None where it is always Python's turn.
-        arguments: What it is called with.
-        turns: What Python does where the function returns True, or where there is none.
+        kernel: The compiled function; None if the callbacks always run.
+        arguments: Arguments of the function.
+        turns: Python callbacks that run if the function returns True, or if there is no function.
     """
 
     kernel: Callable[..., Any] | None
     arguments: tuple[Any, ...]
-    turns: list[Turn]
+    callbacks: list[Callback]
 
 
 class Program:
-    """Compiled calls, and turns of Python between them, in the order in which they were added.
+    """Compiled calls, with Python callbacks between them, in the order in which they were added.
 
-    Arrays are read and written where they are: they must not be replaced.
+    Arrays are read and written in place: they must not be replaced.
 
     Attributes:
-        table: (K, 2) addresses of each call, for `run_calls`; made by the first run.
+        table: (K, 2) addresses of each call, for `run_calls`; written by the first run.
     """
 
     def __init__(self) -> None:
-        """Make an empty program."""
+        """Create an empty program."""
         self._calls: list[_Call] = []
         self._words: list[np.ndarray] = []
         self.table = np.zeros((0, 2), dtype=np.int64)
 
     def call(
-        self, kernel: Callable[..., Any], *arguments: Any, otherwise: Turn | None = None
+        self, kernel: Callable[..., Any], *arguments: Any, otherwise: Callback | None = None
     ) -> None:
         """Add a call of a function compiled by `bulletuav.compiled.kernel`.
 
         Args:
             kernel: The function; it returns nothing, or a bool.
             *arguments: Arrays, numbers, and tuples of them.
-            otherwise: What Python does right after it if it returns True.
+            otherwise: Python callback that runs right after the function if it returns True.
         """
         self._calls.append(_Call(kernel, arguments, [] if otherwise is None else [otherwise]))
 
-    def turn(self, turn: Turn) -> None:
-        """Add a turn of Python; turns that follow each other are one."""
+    def callback(self, callback: Callback) -> None:
+        """Add a Python callback; consecutive callbacks are one step of the program."""
         if self._calls and self._calls[-1].kernel is None:
-            self._calls[-1].turns.append(turn)
+            self._calls[-1].callbacks.append(callback)
         else:
-            self._calls.append(_Call(None, (), [turn]))
+            self._calls.append(_Call(None, (), [callback]))
 
     @property
-    def calls(self) -> Sequence[tuple[Callable[..., Any] | None, tuple[Any, ...], list[Turn]]]:
-        """The calls: function (None where it is always Python's turn), arguments and turns."""
+    def calls(self) -> Sequence[tuple[Callable[..., Any] | None, tuple[Any, ...], list[Callback]]]:
+        """The steps: function (None if the callbacks always run), arguments and callbacks."""
         return self._calls
 
     @property
     def names(self) -> list[str]:
-        """Names of the calls; "" for turns of Python."""
+        """Names of the compiled functions; "" for Python callbacks."""
         return [getattr(call.kernel, "__name__", "") for call in self._calls]
 
     def run(self) -> None:
-        """Run all calls and turns; an exception of a turn ends it."""
+        """Run all calls and callbacks; an exception in a callback ends the program."""
         if SWITCH.is_on:
             self.interpret()
             return
@@ -97,33 +97,33 @@ class Program:
         last = len(self._calls) - 1
         k = run_calls(self.table, 0)
         while k >= 0:
-            for turn in self._calls[k].turns:
-                turn()
+            for callback in self._calls[k].callbacks:
+                callback()
             k = run_calls(self.table, k + 1) if k < last else -1
 
     def interpret(self) -> None:
-        """Do what `run` does, call by call through Python: to debug, or to run once."""
-        for function, arguments, turns in self._calls:
+        """Run all calls one by one from Python, for debugging or for a single run."""
+        for function, arguments, callbacks in self._calls:
             if function is None or function(*arguments):
-                for turn in turns:
-                    turn()
+                for callback in callbacks:
+                    callback()
 
     def compile(self) -> None:
-        """Look up the addresses of all functions and arguments; the first run does it otherwise."""
+        """Look up the addresses of all functions and arguments; otherwise the first run does."""
         if SWITCH.is_on:
             return
         table = np.zeros((len(self._calls), 2), dtype=np.int64)
         kept: list[np.ndarray] = []
-        # Most calls are given the same tuples and arrays, which live as long as the calls
-        forms: dict[int, Any] = {}
+        # Most calls share tuples and arrays, which live as long as the calls: ids are unique
+        keys: dict[int, Any] = {}
         known: dict[int, list[int]] = {}
         records: dict[int, np.ndarray] = {}
         for row, (made, arguments, _) in zip(table, self._calls, strict=True):
             if made is not None:
                 for one in arguments:
-                    if id(one) not in forms:
-                        forms[id(one)] = form_of(one)
-                function, caller = _addresses(made, tuple(forms[id(one)] for one in arguments))
+                    if id(one) not in keys:
+                        keys[id(one)] = specialisation_key(one)
+                function, caller = _addresses(made, tuple(keys[id(one)] for one in arguments))
                 numbers = [function]
                 for one in arguments:
                     if is_nested(one):
@@ -135,20 +135,20 @@ class Program:
                 words = np.array(numbers, dtype=np.int64)
                 row[:] = caller, words.ctypes.data
                 kept.append(words)
-        # At once: an interrupt before it leaves no table without some of the calls
+        # Assigned together, so that an interrupt cannot leave an incomplete table
         self._words, self.table = [*kept, *records.values()], table
 
 
 class ByWorld:
-    """A program that can run for some worlds alone: its calls look at one world at a time."""
+    """A program that can run for selected worlds, with arguments of one world at a time."""
 
     def __init__(self, table: np.ndarray, words: np.ndarray, steps: np.ndarray) -> None:
-        """Keep its calls.
+        """Store the calls.
 
         Args:
             table: (K, 2) addresses of each call, for `run_calls`.
-            words: (B,) what the calls are given of world 0, to which the table points.
-            steps: (B,) by how much each number grows from one world to the next.
+            words: (B,) arguments of the calls for world 0, to which the table points.
+            steps: (B,) increment of each word from one world to the next.
         """
         self._table, self._words, self._steps = table, words, steps
         self._first = words.copy()
@@ -159,15 +159,15 @@ class ByWorld:
 
 
 def by_world(program: Program, arrays: Iterable[np.ndarray]) -> ByWorld | None:
-    """Make a program that runs for some worlds alone.
+    """Convert a program into one that can run for selected worlds.
 
     Args:
-        program: Compiled calls of which each does the same in all worlds, one after the other.
-        arrays: Those that have a first axis of W worlds.
+        program: Compiled calls that treat each world in the same way, one after the other.
+        arrays: Arrays with a first axis of W worlds.
 
     Returns:
-        None where Python has a turn, or a call is given an array that may be of worlds, too, or a
-        record of records; and where kernels run as plain Python.
+        The program; None if it has Python callbacks, if an argument is a nested record or an array
+        that may also have an axis of worlds, or if kernels run as plain Python.
     """
     if SWITCH.is_on:
         return None
@@ -175,13 +175,13 @@ def by_world(program: Program, arrays: Iterable[np.ndarray]) -> ByWorld | None:
     steps: list[int] = []
     words: list[int] = []
     begins: list[int] = []
-    for function, arguments, turns in program.calls:
+    for function, arguments, callbacks in program.calls:
         parts = list(_arrays_in(arguments))
         strides = [_world_stride(array, known) for array in parts]
-        if function is None or turns or None in strides or any(map(is_nested, arguments)):
+        if function is None or callbacks or None in strides or any(map(is_nested, arguments)):
             return None
         begins.append(len(words))
-        address, _ = _addresses(function, tuple(map(form_of, arguments)))
+        address, _ = _addresses(function, tuple(map(specialisation_key, arguments)))
         words.append(address)
         steps.append(0)
         for value, is_first in _of_one_world(arguments, iter(strides)):
@@ -204,7 +204,7 @@ def _arrays_in(value: Any) -> Iterator[np.ndarray]:
 
 
 class _Span(NamedTuple):
-    """Where an array of worlds lies: first byte, the one after its last, one world, and W."""
+    """Memory of an array of worlds: first byte, byte after the last, bytes of one world, and W."""
 
     low: int
     high: int
@@ -213,7 +213,7 @@ class _Span(NamedTuple):
 
 
 def _span(array: np.ndarray) -> _Span:
-    """Tell where an array of worlds lies."""
+    """Return the span of an array of worlds in memory."""
     low = array.ctypes.data
     reach = sum((n - 1) * stride for n, stride in zip(array.shape, array.strides, strict=True))
     return _Span(low, low + reach + array.itemsize, array.strides[0], len(array))
@@ -224,7 +224,7 @@ NO_WORLDS = -1
 
 
 def _world_stride(array: np.ndarray, known: list[_Span]) -> int | None:
-    """Tell how far one world is from the next, bytes, or `NO_WORLDS`; None if that is unclear."""
+    """Return the stride of the axis of worlds, bytes, or `NO_WORLDS`; None if it is ambiguous."""
     worlds = known[0].worlds
     if not array.size:
         return array.strides[0] if len(array) == worlds else NO_WORLDS
@@ -236,7 +236,7 @@ def _world_stride(array: np.ndarray, known: list[_Span]) -> int | None:
 
 
 def _of_one_world(value: Any, strides: Iterator[int | None]) -> Iterator[tuple[int, int]]:
-    """List what `_flat` does, of world 0 alone, each with how it grows from world to world."""
+    """List the words of `_flat` for world 0, each with its increment from world to world."""
     if isinstance(value, tuple):
         for part in value:
             yield from _of_one_world(part, strides)
@@ -250,9 +250,9 @@ def _of_one_world(value: Any, strides: Iterator[int | None]) -> Iterator[tuple[i
 
 
 def _flat(value: Any, known: dict[int, list[int]]) -> list[int]:
-    """List the numbers of an argument, in the order in which `_load` reads them.
+    """List the words of an argument, in the order in which `_load` reads them.
 
-    `known` has those of arrays and tuples by their `id`.
+    `known` caches the words of arrays and tuples by their `id`.
     """
     if isinstance(value, np.ndarray):
         if id(value) not in known:
@@ -266,28 +266,28 @@ def _flat(value: Any, known: dict[int, list[int]]) -> list[int]:
         return [np.float64(value).view(np.int64).item()]
     if isinstance(value, bool | int | np.integer):
         return [int(value)]
-    # A function of C
+    # A C function
     return [ctypes.cast(value, ctypes.c_void_p).value or 0]
 
 
 def is_nested(value: Any) -> bool:
-    """Check whether an argument is a record of records, whose address functions are given.
+    """Check whether an argument is a nested record, which is passed by address.
 
-    As values they are hundreds of words, which take long to compile, and to copy in each call.
+    Passed by value, it would be hundreds of words, which are slow to compile and to copy.
     """
     return hasattr(value, "_fields") and any(isinstance(part, tuple) for part in value)
 
 
 def _record(value: Any) -> np.ndarray:
-    """Write a named tuple into memory, as compiled functions read it by `InMemory`."""
+    """Copy a named tuple into memory, in the layout of `InMemory`."""
     kind, numbers = _in_memory(value)
     return np.array(numbers, dtype=kind)
 
 
 def _in_memory(value: Any) -> tuple[Any, Any]:
-    """Return NumPy's type of what a part of a record is in memory, and its numbers."""
+    """Return the NumPy type of a part of a record in memory, and its numbers."""
     if isinstance(value, np.ndarray):
-        # Owner and parent are not known: nobody counts references
+        # Owner and parent are null, as references are not counted
         place = (0, 0, value.size, value.itemsize, *_flat(value, {}))
         return np.dtype((np.int64, (len(place),))), place
     if isinstance(value, tuple):
@@ -300,13 +300,13 @@ def _in_memory(value: Any) -> tuple[Any, Any]:
 
 
 @cache
-def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
-    """Look up a compiled function, and the one that calls it with what a program keeps.
+def _addresses(kernel: Any, keys: tuple[Any, ...]) -> tuple[int, int]:
+    """Return the addresses of a compiled function, and of the caller that unpacks its arguments.
 
     Raises:
-        TypeError: The function returns something else than a bool.
+        TypeError: If the function returns neither a bool nor nothing.
     """
-    arguments = tuple(map(_argument_type, forms))
+    arguments = tuple(map(_argument_type, keys))
     result = kernel.compiled(arguments).signature.return_type
     if result not in (types.none, types.boolean):
         raise TypeError(f"{kernel.__name__} returns {result}: a bool, or nothing, is needed")
@@ -315,16 +315,16 @@ def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
     return kernel.address(arguments), caller.address((_WORD, kind))
 
 
-def _argument_type(form: Any) -> types.Type:
-    """Return numba's type of an argument, of which `is_nested` tells whether it is an address."""
-    kind = type_of(form)
+def _argument_type(key: Any) -> types.Type:
+    """Return the numba type of an argument; nested records (see `is_nested`) are addresses."""
+    kind = type_from_key(key)
     is_record = isinstance(kind, types.NamedTuple)
-    nested = is_record and any(isinstance(part, TupleForm) for part in form.parts)
+    nested = is_record and any(isinstance(part, TupleKey) for part in key.parts)
     return InMemory(kind) if nested else kind
 
 
 def _load(context: Any, builder: Any, kind: types.Type, words: Any, k: int) -> tuple[Any, int]:
-    """Write the code that makes an argument of the words from k on; tells where they end."""
+    """Generate code that builds an argument from the words from k on; return it and their end."""
 
     def word(place: int) -> Any:
         return builder.load(builder.gep(words, [context.get_constant(types.intp, place)]))
@@ -361,7 +361,7 @@ def _load(context: Any, builder: Any, kind: types.Type, words: Any, k: int) -> t
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _called(_: Any, words: Any, kind: Any) -> Any:
-    """Call the function whose address is the first of the words with what the others tell."""
+    """Call the function at the address in the first word, with arguments from the other words."""
     result, arguments = kind.instance_type
 
     def generate(context: Any, builder: Any, _: Any, given: Any) -> Any:
@@ -379,7 +379,7 @@ def _called(_: Any, words: Any, kind: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _at(_: Any, caller: Any, words: Any) -> Any:
-    """Call what stands at an address, of the form of `_call`."""
+    """Call the function at an address, which has the signature of `_call`."""
 
     def generate(context: Any, builder: Any, _: Any, given: Any) -> Any:
         nothing = cgutils.get_null_value(context.get_value_type(_KIND))
@@ -391,16 +391,21 @@ def _at(_: Any, caller: Any, words: Any) -> Any:
 
 @kernel
 def _call(words: int, kind: Any) -> int:
-    """Make one call of a program."""
+    """Run one call of a program."""
     result: int = _called(words, kind)
     return result
 
 
 @kernel
 def run_calls(table: np.ndarray, start: int) -> int:
-    """Make calls (address of the caller, of its words) until one returns True, and tell which.
+    """Run calls until one returns True or Python callbacks are next.
 
-    Returns -1 at the end. An address of 0 is Python's turn.
+    Args:
+        table: (K, 2) addresses of each call's caller (0 for Python callbacks) and of its words.
+        start: Index of the first call.
+
+    Returns:
+        Index of the call that returned True, or of the callbacks; -1 at the end.
     """
     for k in range(start, table.shape[0]):
         if table[k, 0] == 0 or _at(table[k, 0], table[k, 1]) != 0:
@@ -418,5 +423,5 @@ def _run_by_world(
             for k in range(words.shape[0]):
                 words[k] = first[k] + w * steps[k]
             k = run_calls(table, 0)
-            while k >= 0:  # a call returned True, and nobody has a turn
+            while k >= 0:  # a call returned True, and has no callbacks
                 k = run_calls(table, k + 1)

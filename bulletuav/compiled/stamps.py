@@ -1,7 +1,7 @@
-"""Stamps of source files, by which stored machine code cannot go stale.
+"""Hashes of source files and their imports, which invalidate cached machine code.
 
-Numba stamps what it stores with the function's own file alone. So it survives an edit of a helper
-in another file. Here the stamp covers all files that the function's file imports.
+Numba invalidates cached machine code only when the function's own file changes, not when a helper
+in another file does. Here the hash covers all files that the function's file imports.
 """
 
 import functools
@@ -16,18 +16,18 @@ PACKAGE = Path(__file__).parents[1]
 _IMPORT = re.compile(
     PACKAGE.name.encode() + rb"\.?([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n]*))?"
 )
-"""What names a module of the package; that it may stand in a text does no harm"""
+"""Pattern of imports of the package; matches in strings or comments do no harm"""
 
 
 @functools.cache
 def stamp_of(file: str) -> str:
-    """Hash a file, all files that it imports of its package, and those that they import.
+    """Hash a file and all files of the package that it imports, directly or indirectly.
 
     Args:
         file: Path of the file.
 
     Returns:
-        16 hexadecimal digits, with the version of numba in them.
+        16 hexadecimal digits of a hash that includes the version of numba.
     """
     digest = hashlib.sha256(numba.__version__.encode())
     seen = {file}
@@ -53,7 +53,7 @@ def _hash(file: str) -> bytes:
 
 @functools.cache
 def _imported(file: str) -> frozenset[str]:
-    """List the files of our package that a file imports, in whatever place of it."""
+    """Return the files of the package that a file imports, at module level or elsewhere."""
     modules = _modules()
     found: set[str] = set()
     for module, names in _IMPORT.findall(_source(file)):
@@ -65,7 +65,7 @@ def _imported(file: str) -> frozenset[str]:
 
 @functools.cache
 def _modules() -> dict[str, str]:
-    """List the files of our package by the names of their modules in it, but its first."""
+    """Return the files of the package by module name, except the package's own `__init__`."""
     modules = {}
     for folder, _, files in os.walk(PACKAGE):
         home = Path(folder).relative_to(PACKAGE).parts

@@ -1,7 +1,7 @@
-"""The cascade from a setpoint at any level down to rotor speeds, for one drone and substep.
+"""The controller cascade from a setpoint at any level down to rotor speeds, for one drone.
 
-A controller is part of the compiled loop over drones. So a new one is a function here, a number in
-`CONTROLLERS`, and a branch in `command_rotors`: it cannot be given as an object from outside.
+Controllers are part of the compiled loop over drones. A new controller is therefore a function in
+this module, a number in `CONTROLLERS` and a branch in `command_rotors`; users cannot pass one.
 """
 
 from collections.abc import Mapping
@@ -44,23 +44,23 @@ from bulletuav.vehicle.swarm import Swarm, get_state
 LEE = 0
 PID = 1
 CONTROLLERS: Mapping[str, int] = MappingProxyType({"lee": LEE, "pid": PID})
-"""Controllers by name, with the number that compiled code knows them by; read-only"""
+"""Controllers by name, with their numbers in compiled code; read-only"""
 PID_LEVELS = (SetpointLevel.POSITION, SetpointLevel.VELOCITY, SetpointLevel.ROTOR)
-"""Setpoint levels that the PID can start from"""
+"""Setpoint levels that the PID accepts"""
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position (m), quaternion, velocity (m/s) and body rates (rad/s) of one drone"""
 
 
 class Cascade(NamedTuple):
-    """The controller of W worlds of N drones, with its gains and its memory.
+    """The controller of W worlds of N drones, with its gains and its state.
 
     Attributes:
         controller: A value of `CONTROLLERS`.
-        nominal: (W, N) rows of `PARAMETERS` that the controller believes in.
+        nominal: (W, N) rows of `PARAMETERS`, the nominal parameters in the controller's model.
         gains: (W, N) rows of `GAINS`.
-        memory: (W, N, M) integrals of the PID, or what observers remember; zero at reset.
-        integral: Whether the Lee controller learns steady pushes.
+        memory: (W, N, M) integrals of the PID, or state of the observers; zero at reset.
+        integral: Whether the Lee controller estimates steady disturbance forces.
     """
 
     controller: int
@@ -73,13 +73,13 @@ class Cascade(NamedTuple):
     def of(
         cls, controller: str, nominal: np.ndarray, gains: np.ndarray, integral: bool = False
     ) -> "Cascade":
-        """Make a controller whose memory is empty.
+        """Create a controller with zero integrals and observer states.
 
         Args:
             controller: A name in `CONTROLLERS`.
             nominal: (W, N) rows of `PARAMETERS`.
             gains: (W, N) rows of `GAINS`.
-            integral: Whether the Lee controller learns steady pushes.
+            integral: Whether the Lee controller estimates steady disturbance forces.
 
         Returns:
             The controller.
@@ -104,11 +104,11 @@ def rates_of_motion(
 
     Args:
         level: `SetpointLevel` of the setpoint, up to ACCELERATION.
-        target: Its first three numbers.
-        ahead: Where the nose is to point, see `nose`.
+        target: First three numbers of the setpoint.
+        ahead: Horizontal direction of the yaw, see `nose`.
         state: State of the drone.
-        total_speed: Sum of its rotors' speeds, rad/s.
-        push: Acceleration that is to be made up for, m/s^2, world.
+        total_speed: Sum of the drone's rotor speeds, rad/s.
+        push: Acceleration by disturbances to compensate, m/s^2, world.
         nominal: Row of `PARAMETERS`.
         gain: Row of `GAINS`.
         gravity: Gravitational acceleration, m/s^2.
@@ -117,19 +117,17 @@ def rates_of_motion(
         Collective thrust, N, and body rates, rad/s.
     """
     position, quaternion, current_velocity, _ = state
-    # Drag is compensated at the velocity wanted where there is one, else at the current one.
+    # Drag is compensated at the desired velocity if there is one, else at the current velocity.
     velocity = current_velocity
     if level <= SetpointLevel.POSITION:
         target = velocity_setpoint(position, target, gain)
     if level <= SetpointLevel.VELOCITY:
-        # A velocity wanted becomes an acceleration by the error to the present one
         velocity = target
         target = acceleration_setpoint(current_velocity, target, gain)
-    # Attitude: along the force that accelerates the drone. What pushes it anyway is not asked of
-    # the rotors.
+    # The rotors provide the desired acceleration less that by disturbances.
     wanted = plus(target, -1.0, push)
     force = force_setpoint(wanted, quaternion, velocity, total_speed, gravity, nominal, gain)
-    # Only the part along the present thrust axis can be had now
+    # The thrust acts along the present z axis, not along the desired one
     thrust = dot(force, axes(quaternion)[2])
     return thrust, rates_setpoint(quaternion, axes_along(force, ahead), gain)
 
@@ -149,22 +147,21 @@ def turn_by(
 
     Args:
         thrust: Collective thrust, N.
-        target: Body rates wanted, rad/s.
+        target: Desired body rates, rad/s.
         rates: Body rates of the drone, rad/s.
-        total_speed: Sum of its rotors' speeds, rad/s.
-        twist: Torque that is to be made up for, N m, body axes.
+        total_speed: Sum of the drone's rotor speeds, rad/s.
+        twist: Disturbance torque to compensate, N m, body axes.
         nominal: Row of `PARAMETERS`.
         gain: Row of `GAINS`.
-        command: (R,) speed of each rotor, rad/s, which is written.
+        command: (R,) speed of each rotor, rad/s; written.
     """
-    # Down to a torque, less what turns the drone anyway
     torque = torque_setpoint(rates, target, total_speed, nominal, gain)
     mix(thrust, plus(torque, -1.0, twist), nominal, gain, command)
 
 
 @func
 def pid_errors(level: int, setpoint: Quat4Like, state: State) -> tuple[Vec3, Vec3]:
-    """Compute the errors that the PID sees.
+    """Compute the position and velocity errors of the PID.
 
     Args:
         level: POSITION or VELOCITY of `SetpointLevel`.
@@ -172,15 +169,13 @@ def pid_errors(level: int, setpoint: Quat4Like, state: State) -> tuple[Vec3, Vec
         state: State of the drone.
 
     Returns:
-        Errors (target minus state) of position (m) and velocity (m/s). A position is to be held at
-        rest, and under a velocity no position is held.
+        Errors (target minus state) of position (m) and velocity (m/s). The target velocity of a
+        position setpoint is zero, and the position error of a velocity setpoint is zero.
     """
-    # A position: the derivative part brakes to rest
     position, _, velocity, _ = state
     if level == SetpointLevel.POSITION:
         away = (setpoint[0] - position[0], setpoint[1] - position[1], setpoint[2] - position[2])
         return away, (-velocity[0], -velocity[1], -velocity[2])
-    # A velocity: nothing to return to
     slow = (setpoint[0] - velocity[0], setpoint[1] - velocity[1], setpoint[2] - velocity[2])
     return (0.0, 0.0, 0.0), slow
 
@@ -215,9 +210,7 @@ def step_pid(
         gain: Row of `GAINS`.
         command: (R,) speed of each rotor, rad/s, which is written.
     """
-    # What the setpoint leaves to do
     position_error, velocity_error = pid_errors(level, setpoint, state)
-    # Out of the memory as tuples, and back into it.
     integrals = (
         (memory[w, i, 0], memory[w, i, 1], memory[w, i, 2]),
         (memory[w, i, 3], memory[w, i, 4], memory[w, i, 5]),
@@ -236,7 +229,6 @@ def step_pid(
         gain,
         command,
     )
-    # Integrals go on from here in the next step
     for k in range(3):
         memory[w, i, k] = integrals[0][k]
         memory[w, i, 3 + k] = integrals[1][k]
@@ -257,26 +249,26 @@ def step_lee(
     gain: GainRow,
     command: np.ndarray,
 ) -> None:
-    """Run the steps of the Lee controller from a level down to rotor speeds, and what it learns.
+    """Run the Lee controller from a setpoint level down to rotor speeds, with its observers.
 
     Args:
         level: `SetpointLevel` of the setpoint, above ROTOR.
         setpoint: The setpoint's four numbers.
         state: State of the drone.
-        speeds: (R,) its rotor speeds, rad/s.
-        memory: (M,) what its observers remember; written.
-        integral: Whether it learns steady pushes.
+        speeds: (R,) rotor speeds of the drone, rad/s.
+        memory: (M,) state of the observers; updated.
+        integral: Whether steady disturbance forces are estimated.
         dt: Time since the last step, s.
         gravity: Gravitational acceleration, m/s^2.
         nominal: Row of `PARAMETERS`.
         gain: Row of `GAINS`.
         command: (R,) speed of each rotor, rad/s, which is written.
     """
-    # What pushes and turns the drone anyway
+    # Estimate disturbances
     rotors = rotor_wrench(speeds, 0.0, nominal)
     total = rotors[2]
     push, twist = learned(state, rotors, memory, integral, dt, gravity, nominal, gain)
-    # The first three numbers go down the cascade; the fourth is yaw or thrust, by the level.
+    # The first three numbers enter the cascade; the fourth is yaw or thrust, by the level.
     target = (setpoint[0], setpoint[1], setpoint[2])
     thrust = setpoint[3]
     if level <= SetpointLevel.ACCELERATION:
@@ -299,7 +291,7 @@ def command_kinematic(
     velocity: Vec3Like,
     gain: GainRow,
 ) -> Vec3:
-    """Compute the command of a drone that is moved by velocities or accelerations.
+    """Compute the command of a drone whose dynamics takes velocities or accelerations.
 
     Args:
         level: `SetpointLevel` of the setpoint, at or above what the drone takes.
@@ -312,7 +304,7 @@ def command_kinematic(
     Returns:
         Velocity (m/s) or acceleration (m/s^2), world.
     """
-    # The same first steps as the Lee controller
+    # The first steps are those of the Lee controller
     target = (setpoint[0], setpoint[1], setpoint[2])
     if level <= SetpointLevel.POSITION:
         target = velocity_setpoint(position, target, gain)
@@ -332,7 +324,7 @@ def command_rotors(
     gravity: float,
     command: np.ndarray,
 ) -> None:
-    """Compute the rotor speeds of one drone, and advance its controller's memory.
+    """Compute the rotor commands of one drone, and advance its controller's state.
 
     Args:
         cascade: The controller.
@@ -344,12 +336,12 @@ def command_rotors(
         gravity: Gravitational acceleration, m/s^2.
         command: (R,) speed of each rotor, rad/s, which is written.
     """
-    # What the controller believes: nominal parameters, not those that fly
+    # The controller's model has the nominal parameters, not the true ones
     nominal, gain, memory = cascade.nominal[w, i], cascade.gains[w, i], cascade.memory
     level, setpoint = setpoints.level[w, i], setpoints.value
     state = get_state(swarm, w, i)
     if level == SetpointLevel.ROTOR:
-        # The setpoint is the command, within what rotors can do.
+        # The setpoint is the command, clamped to the rotors' limits.
         for r in range(nominal.num_rotors):
             command[r] = min(max(setpoint[w, i, r], 0.0), nominal.max_rotor_speed)
     elif cascade.controller == PID:

@@ -1,6 +1,6 @@
 """Controller gains of each drone, as rows for the compiled loops.
 
-They follow from the frequencies that the drone's motors allow.
+Gains are computed from the loop frequencies that the drone's motors allow.
 """
 
 import math
@@ -32,27 +32,27 @@ GAINS = record_type(
         ("pwm_max", "f8"),
     ]
 )
-"""Type of the rows; `GainRow` tells what the fields are"""
+"""NumPy type of the rows; `GainRow` documents the fields"""
 
 DAMPING = 0.8
 """Damping ratio of all loops"""
 FASTEST_ATTITUDE = 10.0
 """Highest frequency of the attitude loop, rad/s"""
 MAX_TILT = math.radians(55)
-"""Largest tilt that controllers ask for, rad"""
+"""Largest tilt that controllers command, rad"""
 MAX_DECELERATION = 5.0
-"""Braking towards a target position, m/s^2"""
+"""Deceleration towards a target position, m/s^2"""
 
 
 class GainRow(Protocol):
-    """One row of `GAINS` as compiled functions see it.
+    """One row of `GAINS`, as typed for compiled functions.
 
     Attributes:
         attitude_frequency: (3,) frequencies of the attitude loop about x, y, z, rad/s.
         position_frequency: Frequency of the position loop, rad/s.
         damping: Damping ratio of all loops.
         max_speed: Highest speed towards a target position, m/s.
-        max_deceleration: Braking towards a target position, m/s^2.
+        max_deceleration: Deceleration towards a target position, m/s^2.
         max_tilt: Tangent of the largest tilt.
         max_thrust: Thrust of all rotors at their highest speed, N.
         mixer: (MAX_ROTORS, 4) thrust of each rotor from collective thrust and torques.
@@ -82,12 +82,12 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
     """Compute the controller gains of drones.
 
     The attitude loop runs at w_R = min(10 rad/s, 1 / (2 tau)), where tau is the slower motor lag.
-    The position loop is four times slower, and yaw runs at w_R / 2. All have damping 0.8.
-    So each loop leaves the one below it time to settle.
+    The position loop is four times slower, and yaw runs at w_R / 2. All loops have damping 0.8.
+    Inner loops therefore settle before outer loops.
 
     Args:
         airframes: Airframe of each of N drones.
-        max_speed: Highest speed that the drones may be told to fly at, m/s.
+        max_speed: Highest speed that the drones can be commanded to fly at, m/s.
 
     Returns:
         (N,) rows of `GAINS`.
@@ -107,7 +107,7 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
         row["max_thrust"] = airframe.max_thrust
         row["mixer"][:num_rotors] = exact_pseudo_inverse(airframe.allocation())
 
-        # Only airframes with a motor map from PWM to rpm can be flown by the PID.
+        # The PID needs a motor map from PWM to rpm.
         if airframe.pwm is not None:
             row["pid_mixer"][:num_rotors] = _pid_mixer(airframe)
             row["pwm_slope"] = airframe.pwm.slope
@@ -120,28 +120,28 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
 def exact_pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     """Compute the Moore-Penrose inverse A^T (A A^T)^-1 in rational numbers.
 
-    Linear algebra libraries round differently from one processor to the next.
-    This function rounds once, at the end.
+    Linear algebra libraries round differently on different processors. This function rounds only
+    the result.
 
     Args:
         matrix: (M, R) matrix A of full row rank, M <= R.
 
     Returns:
-        (R, M) float64; each entry is the exact one, rounded.
+        (R, M) float64; each entry is correctly rounded.
     """
     return np.array(_invert(tuple(map(tuple, matrix.tolist())))).T
 
 
 @lru_cache(128)
 def _invert(matrix: tuple[tuple[float, ...], ...]) -> list[list[float]]:
-    """Compute the transpose of `exact_pseudo_inverse`; a swarm asks for the same many times."""
+    """Compute the transpose of `exact_pseudo_inverse`, cached as drones share airframes."""
     rows = [[Fraction(value) for value in row] for row in matrix]
     size = len(rows)
-    # Gauss-Jordan elimination of [A A^T | A]: what is left on the right is (A A^T)^-1 A.
+    # Gauss-Jordan elimination of [A A^T | A] leaves (A A^T)^-1 A on the right.
     gram = [[_dot(one, other) for other in rows] for one in rows]
     table = [left + right for left, right in zip(gram, rows, strict=True)]
     for k in range(size):
-        # Bring a row with a pivot that is not zero up, and scale the pivot to one.
+        # Swap in a row with a nonzero pivot, and scale the pivot to one.
         pivot = next(i for i in range(k, size) if table[i][k])
         table[k], table[pivot] = table[pivot], table[k]
         table[k] = [value / table[k][k] for value in table[k]]
@@ -164,7 +164,7 @@ def _dot(one: list[Fraction], other: list[Fraction]) -> Fraction:
 def _pid_mixer(airframe: Airframe) -> np.ndarray:
     """Compute (R, 3) PWM steps of each rotor per unit of roll, pitch and yaw command.
 
-    They are +-1/2, +-1/2, +-1 for an X.
+    For an X configuration they are +-1/2, +-1/2, +-1.
     """
     x, y, turn = np.array(airframe.rotors).T
     roll = y / (np.abs(y).sum() / 2)

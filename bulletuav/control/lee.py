@@ -34,25 +34,21 @@ from bulletuav.vehicle.wrench import damping_torque
 
 
 @func
-def velocity_setpoint(
-    position: Vec3Like,
-    target: Vec3Like,
-    gain: GainRow,
-) -> Vec3:
-    """Step from POSITION to VELOCITY: fly towards the target, slowly enough to brake.
+def velocity_setpoint(position: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
+    """Step from POSITION to VELOCITY: fly towards the target, slowly enough to stop there.
 
     Args:
         position: Position of the drone, m, world.
         target: Position to fly to, m, world.
-        gain: Row of `GAINS`. Braking takes `max_deceleration`.
+        gain: Row of `GAINS`. The drone brakes with `max_deceleration`.
 
     Returns:
-        Velocity to fly at, m/s, world; no faster than `max_speed`.
+        Velocity setpoint, m/s, world; its norm is at most `max_speed`.
     """
     error = (target[0] - position[0], target[1] - position[1], target[2] - position[2])
     distance = math.sqrt(dot(error, error))
     rate = gain.position_frequency / (2.0 * gain.damping)
-    # Closer than this, the proportional law brakes gently enough.
+    # At smaller distances, the deceleration of the proportional law is below the limit.
     linear = gain.max_deceleration / (rate * rate)
     far = distance > linear
     fast = rate * distance > gain.max_speed
@@ -65,11 +61,7 @@ def velocity_setpoint(
 
 
 @func
-def acceleration_setpoint(
-    velocity: Vec3Like,
-    target: Vec3Like,
-    gain: GainRow,
-) -> Vec3:
+def acceleration_setpoint(velocity: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
     """Step from VELOCITY to ACCELERATION.
 
     Args:
@@ -80,7 +72,7 @@ def acceleration_setpoint(
     Returns:
         Acceleration, m/s^2, world.
     """
-    # 2 z w, the rate at which an error of velocity decays
+    # 2 z w, the rate at which a velocity error decays
     rate = 2.0 * gain.damping * gain.position_frequency
     return (
         rate * (target[0] - velocity[0]),
@@ -99,14 +91,14 @@ def force_setpoint(
     row: np.record,
     gain: GainRow,
 ) -> Vec3:
-    """Step from ACCELERATION to the force wanted from the rotors.
+    """Step from ACCELERATION to the desired force of the rotors.
 
-    The force carries weight, acceleration, and drag in still air. Its upward part stays between
-    0.3 weights and 0.9 of the thrust. Height comes before sideways, and the tilt is `max_tilt` at
-    most.
+    The force compensates weight and drag in still air, and accelerates the drone. Its upward part
+    is limited to between 0.3 of the weight and 0.9 of the maximum thrust. The horizontal part is
+    limited to the remaining thrust and to `max_tilt`.
 
     Args:
-        acceleration: Acceleration wanted, m/s^2, world.
+        acceleration: Desired acceleration, m/s^2, world.
         quaternion: Attitude of the drone, body to world.
         velocity: Velocity at which drag is compensated, m/s, world.
         total_speed: Sum of the rotors' speeds, rad/s.
@@ -122,7 +114,7 @@ def force_setpoint(
     y = row.mass * acceleration[1] - slowed[1]
     z = row.mass * (acceleration[2] + gravity) - slowed[2]
 
-    # Height first: what is left of the thrust, within the tilt, goes sideways.
+    # Height has priority: the horizontal force is limited to the remaining thrust, and by the tilt.
     most = 0.9 * gain.max_thrust
     z = min(max(z, 0.3 * row.mass * gravity), most)
     sideways = math.sqrt(x * x + y * y)
@@ -144,16 +136,15 @@ def torque_of_drag_ahead(
     total_speed: float,
     row: np.record,
 ) -> Vec3:
-    """Compute the torque of the rotors' drag in still air, as it will be when rotors have answered.
+    """Predict the torque of the rotors' drag in still air after the rotors' lag.
 
-    They answer to a command with their lag. So the velocity along the body's axes is taken that
-    much ahead: v + lag (R^T a - W x v).
+    The velocity along the body axes is extrapolated by the lag: v + lag (R^T a - W x v).
 
     Args:
         quaternion: Attitude R of the drone, body to world.
-        velocity: Its velocity, m/s, world.
-        rates: Its body rates W, rad/s.
-        acceleration: Its acceleration a, m/s^2, world.
+        velocity: Velocity of the drone, m/s, world.
+        rates: Body rates W of the drone, rad/s.
+        acceleration: Acceleration a of the drone, m/s^2, world.
         total_speed: Sum of the rotors' speeds, rad/s.
         row: Row of `PARAMETERS`.
 
@@ -168,35 +159,33 @@ def torque_of_drag_ahead(
 
 @func
 def nose(yaw: float) -> Vec3:
-    """Compute the horizontal unit vector of a nose that points towards `yaw` (rad)."""
-    # Most flights hold 0, which needs no sine.
+    """Return the horizontal unit vector in the direction of `yaw` (rad)."""
+    # Most flights hold a yaw of 0, which needs no sine.
     if yaw == 0.0:
         return 1.0, 0.0, 0.0
-    # The horizontal part of the body's x axis
     return cos(yaw), sin(yaw), 0.0
 
 
 @func
 def desired_axes(force: Vec3Like, yaw: float) -> tuple[Vec3, Vec3, Vec3]:
-    """Compute the attitude that points thrust along a force and the nose towards a yaw (rad)."""
+    """Compute the attitude with thrust along a force and the nose towards a yaw (rad)."""
     return axes_along(force, nose(yaw))
 
 
 @func
 def axes_along(force: Vec3Like, ahead: Vec3Like) -> tuple[Vec3, Vec3, Vec3]:
-    """Compute the attitude that points thrust along a force and the nose ahead.
+    """Compute the attitude with thrust along a force and the nose towards a direction.
 
     Args:
-        force: Force wanted, N, world.
-        ahead: Horizontal unit vector.
+        force: Desired force, N, world.
+        ahead: Horizontal unit vector of the nose's direction.
 
     Returns:
         Body axes x, y, z in the world: the columns of the rotation matrix Rc.
     """
-    # Thrust acts along body z
     size = math.sqrt(dot(force, force))
     b3 = (force[0] / size, force[1] / size, force[2] / size)
-    # Body y is level towards the yaw, across z and the nose
+    # Body y is horizontal, normal to the thrust and to the direction of the nose
     side = cross(b3, ahead)
     size = math.sqrt(dot(side, side))
     b2 = (side[0] / size, side[1] / size, side[2] / size)
@@ -209,34 +198,30 @@ def attitude_error(quaternion: Quat4Like, desired: tuple[Vec3, Vec3, Vec3]) -> V
 
     Args:
         quaternion: Attitude R of the drone, body to world.
-        desired: Columns of the attitude wanted, Rc.
+        desired: Columns of the desired attitude Rc.
 
     Returns:
-        Error about the body axes, without unit.
+        Error about the body axes, dimensionless.
     """
-    # The matrix is skew: three of its entries tell it
+    # A skew-symmetric matrix has three independent entries
     b1, b2, b3 = axes(quaternion)
     c1, c2, c3 = desired
     return dot(c3, b2) - dot(b3, c2), dot(c1, b3) - dot(b1, c3), dot(c2, b1) - dot(b2, c1)
 
 
 @func
-def rates_setpoint(
-    quaternion: Quat4Like,
-    desired: tuple[Vec3, Vec3, Vec3],
-    gain: GainRow,
-) -> Vec3:
+def rates_setpoint(quaternion: Quat4Like, desired: tuple[Vec3, Vec3, Vec3], gain: GainRow) -> Vec3:
     """Step from ATTITUDE to RATES: -(w_R / 2z) e_R with e_R = vee(Rc^T R - R^T Rc) / 2.
 
     Args:
         quaternion: Attitude R of the drone, body to world.
-        desired: Columns of the attitude wanted, Rc.
+        desired: Columns of the desired attitude Rc.
         gain: Row of `GAINS`.
 
     Returns:
         Body rates, rad/s.
     """
-    # Lee's e_R has a factor 1 / 2, which the scale holds with that of the formula
+    # The scale includes the factor 1 / 2 of e_R
     error = attitude_error(quaternion, desired)
     scale = -0.25 / gain.damping
     frequency = gain.attitude_frequency
@@ -249,20 +234,16 @@ def rates_setpoint(
 
 @func
 def torque_setpoint(
-    rates: Vec3Like,
-    target: Vec3Like,
-    total_speed: float,
-    row: np.record,
-    gain: GainRow,
+    rates: Vec3Like, target: Vec3Like, total_speed: float, row: np.record, gain: GainRow
 ) -> Vec3:
     """Step from RATES to a body torque: -k_W (W - W_target) + W x J W + c W_target.
 
-    The last term, which is not in the source, carries the damping c by the rotors: without it rates
-    that are held would stay below the target.
+    The last term, which is not in the source, compensates the damping c of the rotors. Without it
+    steady rates would stay below the target.
 
     Args:
         rates: Body rates W of the drone, rad/s.
-        target: Body rates wanted, rad/s.
+        target: Desired body rates, rad/s.
         total_speed: Sum of the rotors' speeds, rad/s.
         row: Row of `PARAMETERS`.
         gain: Row of `GAINS`.
@@ -270,7 +251,7 @@ def torque_setpoint(
     Returns:
         Torque, N m, body axes.
     """
-    # Gyroscopic torque W x J W, and the rotors' damping at the rates wanted
+    # Gyroscopic torque W x J W, and the rotors' damping at the desired rates
     momentum = (row.inertia[0] * rates[0], row.inertia[1] * rates[1], row.inertia[2] * rates[2])
     carried = plus(cross(rates, momentum), 1.0, damping_torque(target, total_speed, row))
     # Proportional part: k_W = 2 z w_R J on each axis
@@ -285,40 +266,36 @@ def torque_setpoint(
 
 @func
 def mix(
-    thrust: float,
-    torque: Vec3Like,
-    row: np.record,
-    gain: GainRow,
-    command: np.ndarray,
+    thrust: float, torque: Vec3Like, row: np.record, gain: GainRow, command: np.ndarray
 ) -> None:
-    """Share collective thrust and torques out among the rotors, within what each can do.
+    """Allocate collective thrust and torques to the rotors, within the limits of each rotor.
 
-    Roll and pitch come first: thrust above half of the greatest gives way to them. Yaw needs the
-    most of the rotors and matters least. It gets what the others leave.
+    Roll and pitch have priority over thrust above half of the maximum. Yaw has the lowest priority,
+    as it matters least and takes most of the rotors' range: it gets the remaining range.
 
     Args:
         thrust: Collective thrust, N.
         torque: Torque about the body axes, N m.
         row: Row of `PARAMETERS`.
         gain: Row of `GAINS`.
-        command: (R,) speed of each rotor, rad/s, which is written.
+        command: (R,) speed of each rotor, rad/s; written.
     """
-    # Greatest thrust of one rotor, N
+    # Maximum thrust of one rotor, N
     most = row.thrust_coefficient * row.max_rotor_speed * row.max_rotor_speed
-    # Thrust at which roll and pitch still fit.
+    # Reduce the thrust so that roll and pitch fit.
     for r in range(row.num_rotors):
         turn = gain.mixer[r, 1] * torque[0] + gain.mixer[r, 2] * torque[1]
         over = gain.mixer[r, 0] * thrust + turn > most
         if is_any(over):
             less = max(most - turn, 0.5 * most) / gain.mixer[r, 0]
             thrust = where(over, min(thrust, less), thrust)
-    # Thrust of each rotor without yaw, and the largest share of yaw that all rotors can add.
+    # Thrust of each rotor without yaw, and the largest fraction of yaw that all rotors can add.
     share = 1.0
     for r in range(row.num_rotors):
         lift = (
             gain.mixer[r, 0] * thrust + gain.mixer[r, 1] * torque[0] + gain.mixer[r, 2] * torque[1]
         )
-        # A rotor cannot push down
+        # Rotors have no negative thrust
         level = min(max(lift, 0.0), most)
         command[r] = level
         turn = gain.mixer[r, 3] * torque[2]
@@ -329,7 +306,7 @@ def mix(
         if is_any(under):
             share = where(under, min(share, -level / turn), share)
 
-    # With that share of yaw, from thrust to speed; rounding may leave the thrust just below zero.
+    # Add that fraction of yaw, and convert thrust to speed; rounding may make the thrust negative.
     for r in range(row.num_rotors):
         lift = max(command[r] + share * gain.mixer[r, 3] * torque[2], 0.0)
         command[r] = math.sqrt(lift / row.thrust_coefficient)

@@ -1,9 +1,9 @@
-"""What the controller's model does not know: pushes and torques, learned while flying.
+"""Disturbance observers: estimates of forces and torques that the controller's model lacks.
 
-An observer predicts velocity or rates from the rotors' speeds. What the prediction misses is
-integrated into an estimate (K. Ohnishi, M. Shibata, T. Murakami, Motion control for advanced
-mechatronics, IEEE/ASME T-Mech 1996). Limits of the rotors do not wind it up, since it looks at what
-they did. While the model is right the estimate stays near zero, and flights are as without it.
+An observer predicts velocity or rates from the rotors' speeds. The prediction error is integrated
+into an estimate of the disturbance (K. Ohnishi, M. Shibata, T. Murakami, Motion control for
+advanced mechatronics, IEEE/ASME T-Mech 1996). Saturated rotors cause no wind-up, since the
+prediction uses the actual rotor speeds. While the model is exact the estimate stays near zero.
 """
 
 import math
@@ -20,21 +20,21 @@ from bulletuav.vehicle.rotors import Rotors
 from bulletuav.vehicle.wrench import body_acceleration
 
 MEMORY = 13
-"""Numbers that observers remember: predicted velocity (3) and push (3), predicted rates (2) and
-torque (2), and the last velocity (3)"""
+"""Size of the observers' state: predicted velocity (3) and push (3), predicted rates (2) and torque
+(2), and the last velocity (3)"""
 PUSHES = 6
-"""Of these about pushes, which come first"""
+"""Number of these about pushes, which come first"""
 FASTER = 2.0
-"""Frequency of the observer of pushes over that of the position loop"""
+"""Frequency of the observer of pushes, relative to that of the position loop"""
 LARGEST_PUSH = 0.5
-"""Largest push that is learned, in gravities"""
+"""Bound of the estimated push, in multiples of gravity"""
 LARGEST_TORQUE = 0.25
-"""Largest torque that is learned, over the greatest thrust times the arm"""
+"""Bound of the estimated torque, relative to the maximum thrust times the arm"""
 
 
 @func
 def _fresh(memory: np.ndarray, first: int, last: int) -> bool:
-    """Tell whether an observer has just started: its memory is all zeros."""
+    """Check whether an observer has just been reset: its state is all zeros."""
     size = abs(memory[first])
     for k in range(first + 1, last):
         size += abs(memory[k])
@@ -43,29 +43,25 @@ def _fresh(memory: np.ndarray, first: int, last: int) -> bool:
 
 
 @func
-def felt_acceleration(
-    velocity: Vec3Like,
-    memory: np.ndarray,
-    dt: float,
-) -> Vec3:
-    """Return how a drone was accelerated since the last call, as an accelerometer would tell.
+def felt_acceleration(velocity: Vec3Like, memory: np.ndarray, dt: float) -> Vec3:
+    """Compute the mean acceleration of a drone since the last call, by a finite difference.
 
     Args:
         velocity: Velocity, m/s, world.
-        memory: (M,) memory of the drone; zeros for one that starts.
+        memory: (M,) observer state of the drone; zeros after a reset.
         dt: Time since the last call, s.
 
     Returns:
-        Acceleration, m/s^2, world; none at a start.
+        Acceleration, m/s^2, world; zero at the first call after a reset.
     """
     fresh = _fresh(memory, 10, 13)
-    # Velocity of the last call, which the present one replaces
+    # Velocity at the last call, replaced by the present one
     before = (memory[10], memory[11], memory[12])
     for k in range(3):
         memory[10 + k] = velocity[k]
     change = plus((velocity[0], velocity[1], velocity[2]), -1.0, before)
     felt = plus((0.0, 0.0, 0.0), 1.0 / dt, change)
-    # There is no velocity before: a difference from 0 would be a jolt
+    # After a reset there is no previous velocity to take the difference from
     return where(fresh, 0.0, felt[0]), where(fresh, 0.0, felt[1]), where(fresh, 0.0, felt[2])
 
 
@@ -78,33 +74,33 @@ def learned_push(
     gravity: float,
     gain: GainRow,
 ) -> Vec3:
-    """Advance the observer of what pushes a drone, such as a wake or a weak battery.
+    """Advance the observer of disturbance forces, such as a wake or a low battery voltage.
 
     With velocity v, prediction p and estimate d: p' = a + d + 2 z f (v - p), d' = f^2 (v - p).
 
     Args:
         velocity: Velocity, m/s, world.
         known: Acceleration a by thrust, gravity and drag in still air, m/s^2, world.
-        memory: (M,) memory of the drone; zeros for one that starts.
+        memory: (M,) observer state of the drone; zeros after a reset.
         dt: Time since the last call, s.
         gravity: Gravitational acceleration, m/s^2.
         gain: Row of `GAINS`.
 
     Returns:
-        Acceleration by what pushes beside the known forces, m/s^2, world.
+        Acceleration by disturbance forces, m/s^2, world.
     """
     # The prediction begins at the measured velocity
     fresh = _fresh(memory, 0, PUSHES)
     for k in range(3):
         memory[k] = where(fresh, velocity[k], memory[k])
-    # Euler steps of the two equations; both poles lie at f for a damping of 1
+    # Euler steps of the two equations; with damping 1 both poles are at -f
     frequency = FASTER * gain.position_frequency
     for k in range(3):
         missed = velocity[k] - memory[k]
         correction = 2.0 * gain.damping * frequency * missed
         memory[k] += dt * (known[k] + memory[3 + k] + correction)
         memory[3 + k] += dt * frequency * frequency * missed
-    # Bounded: on the ground, or held by a hand, it would grow for ever.
+    # The bound prevents wind-up on the ground or in a hand.
     push = (memory[3], memory[4], memory[5])
     size = math.sqrt(dot(push, push))
     over = size > LARGEST_PUSH * gravity
@@ -124,36 +120,36 @@ def learned_torque(
     row: np.record,
     gain: GainRow,
 ) -> Vec3:
-    """Advance the observer of what turns a drone about its x and y axes, such as wind.
+    """Advance the observer of disturbance torques about the x and y axes, such as by wind.
 
-    It is that of `learned_push` for rates, at the frequency of the attitude loop.
+    The observer is that of `learned_push` for rates, at the frequency of the attitude loop.
 
     Args:
         rates: Body rates, rad/s.
-        rotors: What the rotors do.
+        rotors: Wrench of the rotors.
         tipped: Torque of the drag in still air, N m.
-        memory: (M,) memory of the drone; zeros for one that starts.
+        memory: (M,) observer state of the drone; zeros after a reset.
         dt: Time since the last call, s.
         row: Row of the nominal `PARAMETERS`.
         gain: Row of `GAINS`.
 
     Returns:
-        Torque beside the known ones, N m, body axes; none about z.
+        Disturbance torque, N m, body axes; zero about z.
     """
     # The prediction begins at the measured rates
     fresh = _fresh(memory, 6, 10)
     for k in range(2):
         memory[6 + k] = where(fresh, rates[k], memory[6 + k])
-    # Angular acceleration by rotors and still air, as the controller knows them
+    # Angular acceleration by rotors and still air in the controller's model
     _, torque, total_speed, momentum = rotors
     learned = (memory[8], memory[9])
     x = torque[0] + tipped[0] + learned[0]
     y = torque[1] + tipped[1] + learned[1]
     spinning = body_acceleration(rates, (x, y, torque[2]), total_speed, momentum, row)
-    # A bound by what the rotors could make up for
+    # Bound by the torque that the rotors can compensate
     most = LARGEST_TORQUE * gain.max_thrust * row.arm
     for k in range(2):
-        # As for pushes, with a torque over the inertia for the acceleration
+        # As for pushes, with torque over inertia in place of acceleration
         frequency = gain.attitude_frequency[k]
         missed = rates[k] - memory[6 + k]
         correction = 2.0 * gain.damping * frequency * missed
@@ -174,23 +170,23 @@ def learned(
     nominal: np.record,
     gain: GainRow,
 ) -> tuple[Vec3, Vec3]:
-    """Advance what the controller learns, and return what it makes up for.
+    """Advance the disturbance observers, and return the estimates to compensate.
 
     Args:
         state: Position (m), quaternion, velocity (m/s) and body rates (rad/s) of the drone.
-        rotors: What its rotors do now, as far as the controller knows.
-        memory: (M,) its memory, which is changed.
-        integral: Whether steady pushes are learned.
+        rotors: Present wrench of the rotors in the controller's model.
+        memory: (M,) observer state of the drone; updated.
+        integral: Whether steady disturbance forces are estimated.
         dt: Time since the last call, s.
         gravity: Gravitational acceleration, m/s^2.
         nominal: Row of `PARAMETERS`.
         gain: Row of `GAINS`.
 
     Returns:
-        Acceleration, m/s^2, world, and torque, N m, body axes.
+        Acceleration by disturbance forces, m/s^2, world, and disturbance torque, N m, body axes.
     """
     _, quaternion, velocity, rates = state
-    # Steady pushes, such as wind: learned from how the velocity departs from what is known
+    # Steady disturbance forces, such as by wind
     push = (0.0, 0.0, 0.0)
     if integral:
         up = axes(quaternion)[2]

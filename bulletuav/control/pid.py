@@ -2,8 +2,8 @@
 
 Source: the PID of the University of Toronto's Dynamic Systems Lab (`DSLPIDControl` of
 gym-pybullet-drones, J. Panerati et al. 2021): same gains, limits and motor map. Two differences:
-the rate error takes the measured body rates instead of differences of Euler angles, and the
-integrals are reset with the episode. It is made for motors without lag.
+the rate error uses the measured body rates instead of differences of Euler angles, and the
+integrals are reset with the episode. The PID is tuned for motors without lag.
 
 In all functions `row` is the drone's row of the nominal `PARAMETERS`, and `gain` that of `GAINS`.
 """
@@ -19,7 +19,7 @@ from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot
 from bulletuav.vehicle.rotors import RPM
 
 MEMORY = 6
-"""Integrals that are kept of each drone: of the position error (3) and of the attitude error (3)"""
+"""Number of integrals of each drone: of the position error (3) and of the attitude error (3)"""
 
 # Gains on each axis: of the force (N per m, m s and m/s) and of the torque (PWM units).
 FORCE_P = (0.4, 0.4, 1.25)
@@ -42,12 +42,7 @@ def clipped(value: float, limit: float) -> float:
 
 
 @func
-def integrated(
-    integral: Vec3Like,
-    error: Vec3Like,
-    dt: float,
-    limit: Vec3,
-) -> Vec3:
+def integrated(integral: Vec3Like, error: Vec3Like, dt: float, limit: Vec3) -> Vec3:
     """Advance the integral of an error by one step.
 
     Args:
@@ -86,7 +81,7 @@ def pid_force(
     Returns:
         Force setpoint, N, world.
     """
-    # P, I and D on each axis; upwards the weight is carried, too
+    # The upward force also compensates the weight
     return (
         FORCE_P[0] * position_error[0] + FORCE_I[0] * integral[0] + FORCE_D[0] * velocity_error[0],
         FORCE_P[1] * position_error[1] + FORCE_I[1] * integral[1] + FORCE_D[1] * velocity_error[1],
@@ -98,22 +93,18 @@ def pid_force(
 
 
 @func
-def pid_torque(
-    error: Vec3Like,
-    rates: Vec3Like,
-    integral: Vec3Like,
-) -> Vec3:
-    """Compute the roll, pitch and yaw command that turns the drone to the attitude wanted.
+def pid_torque(error: Vec3Like, rates: Vec3Like, integral: Vec3Like) -> Vec3:
+    """Compute the roll, pitch and yaw commands that turn the drone to the desired attitude.
 
     Args:
-        error: Attitude error as `attitude_error` gives it.
+        error: Attitude error from `attitude_error`.
         rates: Body rates, rad/s.
         integral: Integral of the error with the opposite sign.
 
     Returns:
         Commands about the body axes, PWM units, each within `TORQUE_LIMIT`.
     """
-    # A positive error is a turn too far, so P and D act against error and rates
+    # A positive error is an overshoot, so P and D oppose error and rates
     roll = -TORQUE_P[0] * error[0] + TORQUE_I[0] * integral[0] - TORQUE_D[0] * rates[0]
     pitch = -TORQUE_P[1] * error[1] + TORQUE_I[1] * integral[1] - TORQUE_D[1] * rates[1]
     yaw = -TORQUE_P[2] * error[2] + TORQUE_I[2] * integral[2] - TORQUE_D[2] * rates[2]
@@ -152,7 +143,7 @@ def pid_rotors(
     Returns:
         The integrals after the step.
     """
-    # Outer loop: force from the position, and the motor speed that lifts its part along body z.
+    # Outer loop: force from position and velocity errors; motor speed for its part along body z.
     along = integrated(integrals[0], position_error, dt, POSITION_INTEGRAL_LIMIT)
     force = pid_force(position_error, velocity_error, along, row, gravity)
     thrust = max(0.0, dot(force, axes(quaternion)[2]))
@@ -164,7 +155,7 @@ def pid_rotors(
     about = integrated(integrals[1], error, -dt, ATTITUDE_INTEGRAL_LIMIT)
     torque = pid_torque(error, rates, about)
 
-    # Each motor's PWM, within its range, and the speed that it gives.
+    # PWM of each motor, clamped to its range, and the resulting speed.
     for r in range(row.num_rotors):
         pwm = base
         for axis in range(3):

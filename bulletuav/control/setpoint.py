@@ -1,4 +1,4 @@
-"""Setpoints, and their levels: the cascade that controllers go down, from an action to rotors."""
+"""Setpoints and their levels, from position down to rotor speeds."""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -9,7 +9,7 @@ import numpy as np
 class SetpointLevel(IntEnum):
     """Meaning of the numbers in a setpoint.
 
-    World axes are ENU, body axes FLU, units SI. Controllers go from lower numbers to higher ones.
+    World axes are ENU, body axes FLU, units SI. Controllers convert lower levels to higher ones.
 
     Attributes:
         POSITION: Position x, y, z (m, world), yaw (rad).

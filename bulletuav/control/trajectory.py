@@ -1,6 +1,6 @@
-"""Trajectories: where to be and when; and the accelerations with which a drone follows one.
+"""Trajectories in space and time, and a tracking controller that outputs accelerations.
 
-Splines and piecewise polynomials are scipy's.
+Splines and piecewise polynomials are SciPy's.
 """
 
 from collections.abc import Sequence
@@ -15,20 +15,20 @@ from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import load_airframe
 
 AXES = 4
-"""Numbers along a trajectory: x, y, z (m) and yaw (rad)"""
+"""Number of coordinates of a trajectory: x, y, z (m) and yaw (rad)"""
 DEGREE = 5
-"""Degree of the spline through waypoints; its acceleration has no kinks"""
+"""Degree of the spline through waypoints; its acceleration is smooth"""
 MOST_POINTS = 100_000
 
 
-class Target(NamedTuple):
-    """Where a trajectory is at one time.
+class TrajectoryPoint(NamedTuple):
+    """State of a trajectory at one time.
 
     Attributes:
-        position: (3,) m, world axes.
-        velocity: (3,) m/s.
-        acceleration: (3,) m/s^2.
-        yaw: rad.
+        position: (3,) position, world axes, m.
+        velocity: (3,) velocity, world axes, m/s.
+        acceleration: (3,) acceleration, world axes, m/s^2.
+        yaw: Yaw, rad.
     """
 
     position: np.ndarray
@@ -38,26 +38,27 @@ class Target(NamedTuple):
 
 
 class Trajectory:
-    """A path in space and time; before it begins and after it ends it stands still at that end.
+    """A curve in space and time; before its begin and after its end it rests at that end.
 
     Attributes:
-        begin: When it begins, s.
-        end: When it ends, s.
-        has_yaw: Whether it tells a yaw; else that is 0.
+        begin: Time of its begin, s.
+        end: Time of its end, s.
+        has_yaw: Whether it has a yaw; otherwise the yaw is 0.
     """
 
     def __init__(self, times: Sequence[float] | np.ndarray, points: Any) -> None:
-        """Lay a smooth curve through points, at rest at both ends.
+        """Interpolate points by a smooth curve that is at rest at both ends.
 
-        The curve is a spline of degree 5. Velocity, acceleration, jerk and its rate are continuous.
+        The curve is a spline of degree 5. Velocity, acceleration, jerk and snap are continuous.
 
         Args:
-            times: (P,) when to be there, s, growing.
-            points: (P, 3) x, y, z, m, or (P, 4) with the yaw, rad. A yaw goes the way that the
-                numbers tell, so 3.2 comes after 3.1.
+            times: (P,) times of the points, s, increasing.
+            points: (P, 3) x, y, z, m, or (P, 4) with the yaw, rad. The yaw is interpolated without
+                wrapping, so that 3.2 follows 3.1.
 
         Raises:
-            ValueError: Times do not grow, fewer than two points, wrong shapes or numbers.
+            ValueError: If times do not increase, if there are fewer than two points, or if shapes
+                or numbers are invalid.
         """
         knots, places, self.has_yaw = _checked(times, points)
         still = [(1, np.zeros(AXES)), (2, np.zeros(AXES))]
@@ -65,20 +66,21 @@ class Trajectory:
 
     @classmethod
     def along(cls, points: Any, speed: float) -> "Trajectory":
-        """Lay a smooth curve through points, at about one speed, from time 0 on.
+        """Interpolate points by a smooth curve with nearly constant speed, from time 0 on.
 
-        Each piece takes its length over the speed; the first and the last, from and to rest, take
-        twice that.
+        The duration of a segment is its length over the speed; the first and the last segment, from
+        and to rest, take twice that.
 
         Args:
-            points: (P, 3) or (P, 4), as above; no two neighbours at one place.
-            speed: m/s.
+            points: (P, 3) or (P, 4), as in `Trajectory`; consecutive points must differ.
+            speed: Speed, m/s.
 
         Returns:
             The trajectory.
 
         Raises:
-            ValueError: The speed is not above 0, points coincide, wrong shapes or numbers.
+            ValueError: If the speed is not above 0, if consecutive points coincide, or if shapes or
+                numbers are invalid.
         """
         places = numbers_of("points are", points)
         if places.ndim != 2 or len(places) < 2:
@@ -93,20 +95,19 @@ class Trajectory:
 
     @classmethod
     def polynomial(cls, durations: Sequence[float], coefficients: Any) -> "Trajectory":
-        """Join polynomials, as a Crazyflie takes them (7th degree there).
+        """Join polynomials, as a Crazyflie uses (there of degree 7).
 
         Args:
-            durations: (P,) how long each piece takes, s; the first begins at 0.
-            coefficients: (P, 4, D) of x, y, z and yaw by the time since the piece began, lowest
-                power first.
+            durations: (P,) duration of each piece, s; the first piece begins at time 0.
+            coefficients: (P, 4, D) coefficients of x, y, z and yaw, in powers of the time since the
+                piece began, lowest power first.
 
         Returns:
             The trajectory.
 
         Raises:
-            ValueError: A duration is not above 0, or wrong shapes or numbers.
+            ValueError: If a duration is not above 0, or if shapes or numbers are invalid.
         """
-        # Numbers first, then their shapes and ranges
         lasting, terms = (
             numbers_of("durations are", durations),
             numbers_of("coefficients are", coefficients),
@@ -116,7 +117,9 @@ class Trajectory:
             or not lasting.size
             or not (np.isfinite(lasting) & (lasting > 0)).all()
         ):
-            raise ValueError(f"durations are {durations}: numbers above 0 are needed, one a piece")
+            raise ValueError(
+                f"durations are {durations}: a number above 0 is needed for each piece"
+            )
         if terms.ndim != 3 or terms.shape[:2] != (len(lasting), AXES) or not terms.shape[2]:
             raise ValueError(
                 f"coefficients have shape {terms.shape}: (pieces, x y z yaw, powers) = "
@@ -126,68 +129,63 @@ class Trajectory:
             raise ValueError("coefficients have numbers that are not finite")
         self = cls.__new__(cls)
         self.has_yaw = True
-        # SciPy wants the highest power first
+        # SciPy takes the highest power first
         ends = np.concatenate([[0.0], np.cumsum(lasting)])
         self._keep(PPoly(terms.transpose(2, 0, 1)[::-1], ends), *ends[[0, -1]])
         return self
 
-    def _keep(
-        self,
-        curve: BSpline | PPoly,
-        begin: float,
-        end: float,
-    ) -> None:
-        """Keep the curve and its derivatives."""
+    def _keep(self, curve: BSpline | PPoly, begin: float, end: float) -> None:
+        """Store the curve and its derivatives."""
         self._place, self._velocity = curve, curve.derivative(1)
         self._acceleration = curve.derivative(2)
         self.begin, self.end = float(begin), float(end)
 
-    def at(self, time: float) -> Target:
-        """Tell where the trajectory is.
+    def at(self, time: float) -> TrajectoryPoint:
+        """Evaluate the trajectory at a time.
 
         Args:
-            time: s.
+            time: Time, s.
 
         Returns:
-            Position, velocity, acceleration and yaw; of an end without motion beyond it.
+            Position, velocity, acceleration and yaw; at rest before the begin and after the end.
 
         Raises:
-            ValueError: The time is not finite.
+            ValueError: If the time is not finite.
         """
         time = finite("time", time)
         place = self._place(min(max(time, self.begin), self.end))
         velocity = self._moving(self._velocity, time)
-        return Target(place[:3], velocity, self.acceleration(time), float(place[3]))
+        return TrajectoryPoint(place[:3], velocity, self.acceleration(time), float(place[3]))
 
     def acceleration(self, time: float) -> np.ndarray:
-        """Tell the acceleration alone, (3,) m/s^2; see `at`."""
+        """Return only the acceleration (3,) at a time, m/s^2; see `at`."""
         return self._moving(self._acceleration, time)
 
     def _moving(self, curve: BSpline | PPoly, time: float) -> np.ndarray:
-        """Evaluate a derivative: (3,), zeros before the begin and after the end."""
+        """Evaluate a derivative (3,): zeros before the begin and after the end."""
         moves = self.begin <= time <= self.end
         value: np.ndarray = curve(time)[:3] if moves else np.zeros(3)
         return value
 
 
 class Tracker:
-    """A controller that follows a trajectory by setpoints of `SetpointLevel.ACCELERATION`.
+    """Tracking controller of a trajectory, with setpoints of `SetpointLevel.ACCELERATION`.
 
     a = a_ref(t + lead) + 2 z w (v_ref - v) + w^2 (x_ref - x), with the frequency w and damping z of
-    the position loop of the airframe. Feed-forward comes before its time: sideways by the delay of
-    the attitude, 2 z / w_R (the linear phase of its second-order loop), upwards by the rotors' lag.
-    Meanwhile drag k v grows by k lead a_ref, which is added.
+    the position loop of the airframe. The feed-forward leads: sideways by the delay of the attitude
+    loop, 2 z / w_R (the linear phase of a second-order loop), upwards by the rotors' lag. The drag
+    k v changes by k lead a_ref within the lead, which is added.
     """
 
     def __init__(self, airframe: str | Airframe, trajectory: Trajectory) -> None:
-        """Take the gains from the airframe.
+        """Compute the gains from the airframe.
 
         Args:
-            airframe: Of the drone, or its name.
-            trajectory: What to follow.
+            airframe: Airframe of the drone, or its name.
+            trajectory: Trajectory to follow.
 
         Raises:
-            ValueError: There is no such airframe.
+            ValueError: If there is no airframe of that name.
         """
         self.trajectory = trajectory
         frame = load_airframe(airframe)
@@ -196,31 +194,25 @@ class Tracker:
         self._rate, self._stiffness = 2 * damping * frequency, frequency**2
         self._sideways = 2 * damping / float(gains["attitude_frequency"][0])
         self._upwards = max(frame.lag_up, frame.lag_down)
-        # The controller knows the drag of now; what it grows by meanwhile goes with the lead.
+        # The controller compensates the present drag; its change within the lead is added here.
         hover = len(frame.rotors) * frame.hover_speed() / frame.mass
         self._ahead = 1 + hover * np.array(
             (frame.drag_xy * self._sideways,) * 2 + (frame.drag_z * self._upwards,)
         )
 
-    def setpoint(
-        self,
-        time: float,
-        position: np.ndarray,
-        velocity: np.ndarray,
-    ) -> np.ndarray:
-        """Tell how to accelerate now.
+    def setpoint(self, time: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Compute the acceleration setpoint at a time.
 
         Args:
-            time: s.
-            position: (3,) of the drone, m.
-            velocity: (3,) m/s.
+            time: Time, s.
+            position: (3,) position of the drone, m.
+            velocity: (3,) velocity of the drone, m/s.
 
         Returns:
-            Acceleration, m/s^2, world axes, and the yaw, rad, if the trajectory has one: (3,) or
-            (4,).
+            (3,) acceleration, world axes, m/s^2; (4,) with the yaw, rad, if the trajectory has one.
 
         Raises:
-            ValueError: A number is not finite, or a shape is wrong.
+            ValueError: If a number is not finite, or a shape is wrong.
         """
         (place,), (speed,) = points_of("position", position), points_of("velocity", velocity)
         now = self.trajectory.at(time)
@@ -232,9 +224,8 @@ class Tracker:
 
 
 def _checked(times: Any, points: Any) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Take times (P,), points as (P, 4), and whether they tell a yaw; refuse what is no curve."""
+    """Check times and points; return times (P,), points (P, 4), and whether they have a yaw."""
     knots, places = numbers_of("times are", times), numbers_of("points are", points)
-    # Times must rise, as pieces of no length have no curve
     if knots.ndim != 1 or not 2 <= len(knots) <= MOST_POINTS:
         raise ValueError(f"times have shape {knots.shape}: from 2 to {MOST_POINTS} are needed")
     if not np.isfinite(knots).all() or (np.diff(knots) <= 0).any():
@@ -246,7 +237,7 @@ def _checked(times: Any, points: Any) -> tuple[np.ndarray, np.ndarray, bool]:
         )
     if not np.isfinite(places).all():
         raise ValueError("points have numbers that are not finite")
-    # Points without a yaw get one of 0, which nobody flies
+    # Points without a yaw get a yaw of 0, which is not used
     rows = np.zeros((len(knots), AXES))
     rows[:, : places.shape[1]] = places
     return knots, rows, places.shape[1] == AXES

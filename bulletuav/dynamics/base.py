@@ -1,8 +1,8 @@
-"""The interface of all dynamics: each moves the same swarm through one decision.
+"""Base class of the dynamics models: each model moves the same swarm through one decision.
 
-An author writes the flight of one substep (`Dynamics.advance_substep`), or of a whole decision as a
-compiled call (`Dynamics.add_flight`). The base class does the rest: controllers, contacts, the
-surface below, and the check for flights that diverge.
+An author implements one substep of flight (`Dynamics.advance_substep`), or a whole decision as a
+compiled call (`Dynamics.add_flight`). The base class runs the controllers, resolves contacts, finds
+the surface below each drone and checks for flights that diverge.
 """
 
 from abc import ABC, abstractmethod
@@ -36,15 +36,16 @@ from bulletuav.vehicle.wrench import Surroundings, make_surroundings
 
 
 class Air(NamedTuple):
-    """What surrounds the drones during a decision.
+    """Air, gravity and external loads on the drones during a decision.
 
     Attributes:
         wind: (W, N, 3) velocity of the air at each drone, world axes, m/s.
-        surface: (W, N) height z of the surface below each drone, m; -inf where nobody asked.
-        gravity: m/s^2, downwards.
-        force: (W, N, 3) what pushes each drone from outside, world axes, N.
-        torque: (W, N, 3) what turns it from outside, body axes, N m.
-        supply: (W, N) share of the commanded rotor speed that the battery's voltage gives.
+        surface: (W, N) height z of the surface below each drone, m; -inf where it was not
+            requested.
+        gravity: Gravitational acceleration, m/s^2, downwards.
+        force: (W, N, 3) external force on each drone, world axes, N.
+        torque: (W, N, 3) external torque on each drone, body axes, N m.
+        supply: (W, N) fraction of the commanded rotor speed that the battery's voltage supports.
     """
 
     wind: np.ndarray
@@ -56,14 +57,14 @@ class Air(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The flight of one decision, as the compiled function of every dynamics takes it.
+    """Inputs of one decision, the argument of the compiled function of every dynamics.
 
     Attributes:
-        drones: All drones; their state is moved in place.
+        drones: All drones; their state is updated in place.
         setpoints: Setpoints, held during the decision.
-        cascade: Controllers between these and the setpoints that the dynamics consumes.
-        air: What surrounds the drones, held during the decision.
-        step: How the decision is divided.
+        cascade: Controllers from these setpoints down to those that the dynamics consumes.
+        air: Air, gravity and external loads, held during the decision.
+        step: Number and duration of the substeps.
     """
 
     drones: DroneArrays
@@ -75,26 +76,26 @@ class Decision(NamedTuple):
 
 @func
 def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Surroundings:
-    """Return what surrounds drone i of world w, which feels the wakes (N, 4), for `wrench`."""
+    """Return the surroundings of drone i of world w in the wakes (N, 4), as input of `wrench`."""
     blown = (wake[i, 0], wake[i, 1], wake[i, 2], wake[i, 3])
     wind, force, torque = vec3(air.wind, w, i), vec3(air.force, w, i), vec3(air.torque, w, i)
     return make_surroundings(wind, air.surface[w, i], air.gravity, force, torque, blown)
 
 
 @dataclass(frozen=True)
-class Flight:
-    """What a dynamics is built from.
+class FlightSetup:
+    """Constructor argument of a dynamics: worlds, drone parameters, controllers and time step.
 
     Attributes:
         engine: Worlds with their bodies, obstacles and cities.
-        parameters: (W, N) rows of `PARAMETERS`, with which the drones fly.
-        cascade: Controllers between an action's setpoints and those that the dynamics consumes.
+        parameters: (W, N) rows of `PARAMETERS`, the true parameters of the drones.
+        cascade: Controllers from an action's setpoints down to those that the dynamics consumes.
         dt: Duration of a substep, s.
-        substeps: Substeps of a decision.
-        gravity: m/s^2, downwards.
-        contacts: What contacts do, one of `Dynamics.contacts`.
+        substeps: Number of substeps in a decision.
+        gravity: Gravitational acceleration, m/s^2, downwards.
+        contacts: Response to contacts, one of `Dynamics.contacts`.
         friction: Coefficient of friction of the ground and of buildings.
-        restitution: Their coefficient of restitution.
+        restitution: Coefficient of restitution of the ground and of buildings.
     """
 
     engine: Engine
@@ -109,7 +110,7 @@ class Flight:
 
 
 class _Placing(NamedTuple):
-    """A program that starts drones of a mask (W, N) from the state of a swarm."""
+    """Program that initialises the drones of a mask (W, N) from the state of a swarm."""
 
     swarm: Swarm
     mask: np.ndarray
@@ -117,9 +118,10 @@ class _Placing(NamedTuple):
 
 
 class Dynamics(ABC):
-    """How drones move under setpoints of one level; setpoints above it go through the controllers.
+    """Base class of dynamics models, which move drones under setpoints of one level.
 
-    Derive from it, tell what the dynamics `consumes`, and write the flight of one substep:
+    Controllers convert setpoints above that level. A subclass declares the level that the dynamics
+    `consumes`, and implements one substep of flight:
 
         class Gliding(Dynamics):
             '''Acceleration as commanded, and a drag that grows with speed through the air.'''
@@ -134,24 +136,26 @@ class Dynamics(ABC):
 
         env = bulletuav.parallel_env("crossing", dynamics=Gliding)
 
-    The base class puts back drones that are not alive, lets drones touch what they fly into, and
-    refuses states that are not finite. Dynamics that are compiled override `add_flight`.
+    The base class restores the state of drones that are not alive, resolves contacts, and raises
+    RuntimeError for states that are not finite. Compiled dynamics override `add_flight`.
 
     Attributes:
-        name: What users call it; the name of the class where it tells none.
-        feels_surface: Whether `air.surface` is wanted, for the ground effect. It costs rays.
-        feels_force: Whether `air.force` moves its drones.
-        feels_torque: Whether `air.torque` turns them.
-        contacts: What contacts can do, the default first. "stop": a drone stays where it touches
-            something until the decision ends. "impulse": it is pushed, slides and rests there;
-            this needs velocities and rates that are those of the flight.
-        sleeps: Whether it leaves drones that rest alone until their forces change, see
-            `bulletuav.contact.contact_state.stays_asleep`.
-        flight: What it was built from.
-        contact: What its contacts need.
-        force: (W, N, 3) what pushes drones from outside, world axes, N; zeros unless written to.
-        torque: (W, N, 3) what turns them from outside, body axes, N m; zeros unless written to.
-        supply: (W, N) share of the commanded rotor speed that motors reach; ones unless written to.
+        name: Name by which users select the dynamics; the class name by default.
+        feels_surface: Whether the dynamics reads `air.surface`, for the ground effect. It costs
+            rays.
+        feels_force: Whether the dynamics applies `air.force`.
+        feels_torque: Whether the dynamics applies `air.torque`.
+        contacts: Supported responses to contacts, the default first. "stop": a drone that touches
+            something stays there until the decision ends. "impulse": contact impulses push the
+            drone, and it slides and comes to rest; the velocities and rates of the swarm must be
+            those of the flight.
+        sleeps: Whether drones at rest are put to sleep until their forces change, see
+            `bulletuav.contact.contact_state.bears`.
+        flight: Constructor argument: worlds, drone parameters, controllers and time step.
+        contact: State of the contact solver.
+        force: (W, N, 3) external force on each drone, world axes, N; zero unless written.
+        torque: (W, N, 3) external torque on each drone, body axes, N m; zero unless written.
+        supply: (W, N) fraction of the commanded rotor speed that motors reach; one unless written.
     """
 
     name: ClassVar[str]
@@ -166,8 +170,12 @@ class Dynamics(ABC):
         if "name" not in vars(cls):
             cls.name = cls.__name__
 
-    def __init__(self, flight: Flight) -> None:
-        """Keep what the dynamics is built from, and prepare for contacts."""
+    def __init__(self, flight: FlightSetup) -> None:
+        """Initialise the contact solver and the external loads.
+
+        Args:
+            flight: Worlds, drone parameters, controllers and time step.
+        """
         self.flight = flight
         self.contact = make_contact_state(
             flight.engine.scenery,
@@ -186,10 +194,10 @@ class Dynamics(ABC):
     @property
     @abstractmethod
     def consumes(self) -> SetpointLevel:
-        """Setpoint level that drives it; a class attribute will do."""
+        """Setpoint level that the dynamics takes; a class attribute is enough."""
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Start drones of `mask` (W, N) from their state, as if nothing had been before."""
+        """Initialise the drones of `mask` (W, N) from their state, without any past contacts."""
         if self._placing is None or self._placing.swarm is not swarm:
             placing = _Placing(swarm, np.zeros(mask.shape, dtype=bool), Program())
             self._add_start(placing.program, swarm, placing.mask)
@@ -198,30 +206,33 @@ class Dynamics(ABC):
         self._placing.program.run()
 
     def add_place(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
-        """Add to a program what `place` does."""
+        """Add a call equivalent to `place` to a program."""
         if type(self).place is Dynamics.place:
             self._add_start(program, swarm, mask)
         else:  # an author's own
-            program.turn(lambda: self.place(swarm, mask))
+            program.callback(lambda: self.place(swarm, mask))
 
     def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
-        """Add to a program that drones start from their state."""
+        """Add a call that initialises the drones of a mask from their state to a program."""
         kept = self.contact
         program.call(reset_contacts, mask, kept.budget, kept.asleep, kept.quiet, kept.memory.number)
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Tell the arrays (W, ...) by name that flights follow from, beside the swarm."""
+        """Return the arrays (W, ...) by name that, with the swarm, determine the next flight."""
         return get_state_arrays(self.contact)
 
     def restore(self, swarm: Swarm, mask: np.ndarray) -> None:  # noqa: B027
-        """Go on with drones of `mask` (W, N) after `kept` was written; by default nothing to do."""
+        """Resume drones of `mask` (W, N) after the arrays of `kept` were written.
+
+        The default implementation does nothing.
+        """
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Have the engine's bodies stand where drones are, for pictures; changes nothing in flight.
+        """Move the engine's bodies to the drones, for rendering; the flight does not change.
 
         Args:
             swarm: State of all drones.
-            mask: (W, N) bool, drones whose bodies are moved.
+            mask: (W, N) bool, drones whose bodies to move.
         """
         self.flight.engine.set_poses(swarm, mask)
 
@@ -234,21 +245,22 @@ class Dynamics(ABC):
         wind: np.ndarray,
         motion: ObstacleMotion,
     ) -> Contacts:
-        """Move the living drones through one decision, and tell what they touched.
+        """Move the living drones through one decision, and return their contacts.
 
         Args:
-            swarm: State of all drones, moved in place.
+            swarm: State of all drones, updated in place.
             alive: (W, N) bool, drones that fly; the others neither move nor act.
-            levels: Level of the setpoints, `consumes` or above; or (W, N) that of each drone.
+            levels: Level of all setpoints, `consumes` or above; or (W, N) level of each drone.
             setpoint: (W, N, S) setpoints, held during the decision.
             wind: (W, N, 3) wind, held during the decision, m/s.
-            motion: Where obstacles go meanwhile; with none they stay where they are.
+            motion: Motion of the obstacles during the decision; obstacles stay in place if it is
+                empty.
 
         Returns:
             Contacts of living drones.
 
         Raises:
-            RuntimeError: A flight diverged.
+            RuntimeError: If a flight diverged.
         """
         self.look_around()
         obstacles = self.contact.before.shape[1]
@@ -263,7 +275,11 @@ class Dynamics(ABC):
         return self.touched()
 
     def look_around(self) -> bool:
-        """See whether something else stands now; programs must then be made anew."""
+        """Update the contact solver if the scenery changed.
+
+        Returns:
+            True if it changed; programs must then be built again.
+        """
         scenery = self.flight.engine.scenery
         if scenery is self.contact.scenery:
             return False
@@ -280,7 +296,7 @@ class Dynamics(ABC):
     ) -> None:
         """Add the flight of a decision to a program; see `fly` for the arguments.
 
-        Where obstacles go stands in `contact.before` and `contact.after`.
+        The motion of obstacles is read from `contact.before` and `contact.after`.
         """
         flight = self.flight
         program.call(start_decision, self.contact, alive, flight.substeps * flight.dt)
@@ -300,7 +316,7 @@ class Dynamics(ABC):
             raise RuntimeError(
                 f"the flight of drone {i} in world {flight.engine.first_world + w} diverged "
                 f"({speed:.3g} m/s, {spin:.3g} rad/s): raise physics_hz or check the inertia of "
-                f"its airframe; reset() starts the world anew, place() a drone of an airspace"
+                f"its airframe; reset() restarts the world, place() restarts a drone of an airspace"
             )
 
         program.call(any_lost, swarm, alive, lost, otherwise=refuse)
@@ -309,17 +325,17 @@ class Dynamics(ABC):
         """Add all substeps of a decision to a program, by default one by one in Python.
 
         Args:
-            program: To be added to.
-            decision: What is flown; setpoints are at the level `consumes` or above.
+            program: Program that the calls are added to.
+            decision: Inputs of the decision; setpoints are at the level `consumes` or above.
         """
-        program.turn(lambda: self._advance_decision(decision))
+        program.callback(lambda: self._advance_decision(decision))
 
     def touched(self) -> Contacts:
-        """Tell what was touched in the last decision."""
+        """Return the contacts of the last decision."""
         return list_contacts(self.contact)
 
     def overlaps(self, swarm: Swarm, moved: np.ndarray, alive: np.ndarray) -> Contacts:
-        """Find what drones touch that were put somewhere else; see `contacts.find_overlaps`."""
+        """Find the overlaps of drones that were moved elsewhere; see `contacts.overlaps`."""
         return find_overlaps(self.contact, DroneArrays(swarm, alive, self.flight.parameters), moved)
 
     def _advance_decision(self, decision: Decision) -> None:
@@ -333,7 +349,7 @@ class Dynamics(ABC):
             moved = drones._replace(alive=flying)
             target = convert(setpoints, self.consumes, moved, cascade, step.dt, air.gravity)
             self.advance_substep(swarm, flying, target, air)
-            # Drones that do not fly are put back, so that authors need not mind them
+            # Drones that do not fly are restored, so that authors need not mask them
             for array, old in zip(swarm, before, strict=True):
                 array[~flying] = old[~flying]
             self._require_finite(swarm)
@@ -346,17 +362,17 @@ class Dynamics(ABC):
 
         Args:
             swarm: State of all drones, to be written in place (`swarm.position[:] = ...`).
-            alive: (W, N) bool, drones that fly; what is written for others is undone.
-            setpoint: (W, N, 4) or (W, N, R) setpoints at the level that is consumed, in the
-                columns of `SetpointLevel`.
-            air: What surrounds the drones.
+            alive: (W, N) bool, drones that fly; changes to other drones are undone.
+            setpoint: (W, N, 4) or (W, N, R) setpoints at the level `consumes`, in the columns of
+                `SetpointLevel`.
+            air: Air, gravity and external loads.
         """
         raise NotImplementedError(
             f"dynamics {self.name!r} lacks advance_substep(swarm, alive, setpoint, air)"
         )
 
     def _add_surface(self, program: Program, drones: DroneArrays, surface: np.ndarray) -> None:
-        """Add to a program that the height of the surface below drones is written once."""
+        """Add a call that writes the height of the surface below each drone once a decision."""
         engine, position, alive = self.flight.engine, drones.swarm.position, drones.alive
         port = engine.surface_port
         if port is not None:
@@ -366,7 +382,7 @@ class Dynamics(ABC):
         def look() -> None:
             surface[:] = engine.surface_below(position, alive)
 
-        program.turn(look)
+        program.callback(look)
 
     def _require_finite(self, swarm: Swarm) -> None:
         """Raise RuntimeError for a position, attitude or rotor speed that is not finite."""

@@ -1,8 +1,8 @@
-"""Drones that `rigid_body` moves together, in blocks of lanes.
+"""SIMD blocks of `WIDTH` drones that `rigid_body` integrates together, one drone in each lane.
 
-Worlds are flown in groups of a few, whose drones are counted on from one world to the next. The
-lanes of a block are `WIDTH` of them. Who needs more than one step of RK4, sleeps, or has too few
-others to fly with is moved alone. That gives the same bits.
+Worlds are flown in groups, and the drones of a group are numbered consecutively over its worlds. A
+drone that needs more than one step of RK4, that sleeps, or whose block has fewer than `FEWEST`
+drones to integrate, is integrated alone. The results are equal to the bit.
 """
 
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from numba import types
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.gather import copy_numbers, four, gathered, three
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.compiled.lanes import WIDTH, is_any, lanes_of, lanes_row, room, where
+from bulletuav.compiled.lanes import WIDTH, is_any, lane_zeros, lanes_of, lanes_row, where
 from bulletuav.control.cascade import Cascade
 from bulletuav.dynamics.integration import stepped, turn_rotors
 from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
@@ -23,33 +23,34 @@ from bulletuav.vehicle.wakes import Wakes
 from bulletuav.vehicle.wrench import MAX_PART_ROTATION, make_surroundings
 
 DRONES = 4 * WIDTH
-"""Drones of a group, about"""
+"""Approximate number of drones in a group of worlds"""
 FEWEST = 3
-"""Drones that are moved together at least: fewer take longer in a block than one by one"""
+"""Minimum number of drones to integrate in a block: fewer drones are faster one by one"""
 CALM = 0.99 * MAX_PART_ROTATION
-"""Turn in a substep that surely takes one step of RK4, rad"""
+"""Rotation in a substep below which one step of RK4 is enough, rad"""
 
 
 class Blocks(NamedTuple):
-    """Room for a group of G worlds in B blocks; counted on, its drones are D.
+    """Work arrays for a group of G worlds, whose D drones fill B blocks.
 
     Attributes:
-        swarm: State of all worlds, with one axis of drones beside one of length 1.
-        rows: (W, N) rows of `PARAMETERS`, which tell their type.
-        numbers: (W, N, P) the same as numbers.
-        packed: (B, P, `WIDTH`) those of the group, block by block.
+        swarm: State of the drones of all worlds, with axes (1, W N, ...).
+        rows: (W, N) rows of `PARAMETERS`; compiled code takes the type of the rows from them.
+        numbers: (W, N, P) the same parameters as float64.
+        packed: (B, P, `WIDTH`) parameters of the group's drones by block.
         held: (B, 11, `WIDTH`) wind, surface, force, torque and supply of the group's drones.
-        decay: (G, N, 6) what `lag_stages` fills in.
-        lag: (B, 6, `WIDTH`) the same, block by block.
-        flown: (B,) bool, whether drones of a block are moved together.
-        alike: (B,) bool, whether all drones of a block have as many rotors.
-        together: (D,) bool, whether a drone is moved with others of its block.
-        wakes: What drones of the group feel of each other.
+        decay: (G, N, 6) decay factors of the rotor lag, written by `lag_stages`.
+        lag: (B, 6, `WIDTH`) the same factors by block.
+        flown: (B,) bool, whether the marked drones of a block are integrated together.
+        alike: (B,) bool, whether all drones of a block have the same number of rotors.
+        together: (D,) bool, whether a drone is integrated with its block.
+        wakes: Wakes that act on the group's drones.
         command: (G, N, R) commanded rotor speeds, rad/s.
-        rotors: (5, R, `WIDTH`) speeds and commands of a block, and its speeds in a substep.
-        alone: (3, R) the same speeds of one drone.
+        rotors: (5, R, `WIDTH`) rotor speeds of a block, commands, and speeds at the begin, middle
+            and end of a substep, rad/s.
+        alone: (3, R) rotor speeds of one drone at the begin, middle and end of a substep, rad/s.
         state: (13, `WIDTH`) new state of a block.
-        steering: Room for controllers.
+        steering: Work arrays of the controllers.
     """
 
     swarm: Swarm
@@ -71,10 +72,10 @@ class Blocks(NamedTuple):
 
     @classmethod
     def of(cls, drones: DroneArrays, cascade: Cascade) -> "Blocks":
-        """Make room.
+        """Allocate the arrays.
 
         Args:
-            drones: Those of all worlds.
+            drones: Drones of all worlds.
             cascade: Controllers of all worlds.
         """
         swarm, _, parameters = drones
@@ -87,30 +88,30 @@ class Blocks(NamedTuple):
             swarm=Swarm(*(array.reshape(1, -1, array.shape[2]) for array in swarm)),
             rows=parameters,
             numbers=numbers,
-            packed=room(blocks, numbers.shape[2]),
-            held=room(blocks, 11),
+            packed=lane_zeros(blocks, numbers.shape[2]),
+            held=lane_zeros(blocks, 11),
             decay=np.zeros((worlds, num_drones, 6)),
-            lag=room(blocks, 6),
+            lag=lane_zeros(blocks, 6),
             flown=np.zeros(blocks, dtype=bool),
             alike=np.zeros(blocks, dtype=bool),
             together=np.zeros(blocks * WIDTH, dtype=bool),
             wakes=Wakes.of(worlds, num_drones),
             command=np.zeros((worlds, num_drones, num_rotors)),
-            rotors=room(5, num_rotors),
+            rotors=lane_zeros(5, num_rotors),
             alone=np.zeros((3, num_rotors)),
-            state=room(13),
+            state=lane_zeros(13),
             steering=Steering.of(cascade, blocks),
         )
 
 
 @kernel
-def pack(blocks: Any, air: Any, first: int) -> None:
-    """Lay out what the drones of a group have during a decision.
+def pack_blocks(blocks: Any, air: Any, first: int) -> None:
+    """Pack the parameters, rotor lag and air of a group's drones into blocks, once a decision.
 
     Args:
-        blocks: `Blocks`, of which `decay` is filled in.
-        air: `Air`.
-        first: The group's first drone, counted on from world to world.
+        blocks: `Blocks` with `decay` already written.
+        air: `Air` of all worlds.
+        first: Number of the group's first drone, counted over all worlds.
     """
     # The last group may have fewer worlds
     count = min(-(-(blocks.rows.size - first) // WIDTH), blocks.packed.shape[0])
@@ -130,9 +131,9 @@ def pack(blocks: Any, air: Any, first: int) -> None:
 
 @func
 def _are_alike(blocks: Any, drone: int) -> bool:
-    """Tell whether `WIDTH` drones from one on have equally many rotors.
+    """Check whether the `WIDTH` drones from `drone` on have the same number of rotors.
 
-    Behind the last drone of all nobody is asked.
+    Lanes after the last drone of all worlds are ignored.
     """
     num_drones = blocks.rows.shape[1]
     count = blocks.rows.shape[0] * num_drones
@@ -146,9 +147,9 @@ def _are_alike(blocks: Any, drone: int) -> bool:
 
 @func
 def is_block(blocks: Any, b: int) -> bool:
-    """Tell whether enough drones of a block are marked to be moved together.
+    """Check whether at least `FEWEST` drones of a block are marked to be integrated together.
 
-    Where they are too few, their marks are taken away: they are moved one by one.
+    Otherwise their marks are cleared, and the drones are integrated one by one.
     """
     count = 0
     for k in range(b * WIDTH, (b + 1) * WIDTH):
@@ -162,21 +163,21 @@ def is_block(blocks: Any, b: int) -> bool:
 
 @func
 def is_steered(blocks: Any, drone: int) -> bool:
-    """Tell whether `fly_block` has the controller of a drone of the group, too."""
+    """Check whether `fly_block` also runs the controller of a drone of the group."""
     return bool(blocks.together[drone]) and bool(blocks.steering.level[drone // WIDTH] != ALONE)
 
 
 @deferred(types.none)
 @kernel
 def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> None:
-    """Steer and move those drones of a block that are marked, by one step of RK4.
+    """Run the controllers of a block's marked drones, and integrate the drones by one RK4 step.
 
     Args:
         blocks: `Blocks` of a group.
-        first: The group's first drone, counted on.
+        first: Number of the group's first drone, counted over all worlds.
         b: Index of the block.
-        gravity: m/s^2, downwards.
-        dt: Length of the step, s.
+        gravity: Gravitational acceleration, m/s^2, downwards.
+        dt: Duration of the step, s.
     """
     drone = first + b * WIDTH
     swarm = blocks.swarm
@@ -192,7 +193,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
         three(swarm.velocity, drone),
         three(swarm.rates, drone),
     )
-    # Controllers, which others of the world do not wait for: they do not feel each other's commands
+    # Controllers may run here, as the commands of other drones have no effect on them
     steered = blocks.steering.level[b] != ALONE
     if steered:
         steer(blocks.steering, b, drone, state, speed, gravity, dt, command)
@@ -206,7 +207,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     near = is_near_surface(state[0][2] - held[3], state[2][2], dt, row)
     wind, force = (held[0], held[1], held[2]), (held[4], held[5], held[6])
     torque, wake = (held[7], held[8], held[9]), four(blocks.wakes.felt, b * WIDTH)
-    # Who is far from a surface has none
+    # A drone far from the surface feels no ground effect
     surface = where(near, held[3], -np.inf)
     around = make_surroundings(wind, surface, gravity, force, torque, wake)
     if is_any(near):
@@ -214,7 +215,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     else:
         state = stepped(state, speeds, rotors, dt, around, 0, row)
 
-    # Back to where each drone is
+    # Write the lanes back to the drones
     new = lanes_of(blocks.state, 0)
     position, quaternion, velocity, rates = state
     for k in range(3):

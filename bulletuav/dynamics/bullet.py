@@ -1,14 +1,15 @@
-"""Dynamics `bullet`: Bullet integrates the shared wrench.
+"""Dynamics `bullet`: Bullet integrates the wrench that all 6-DoF dynamics share.
 
 Scheme of one substep: rotor lag; wrench at the state before the substep with the rotor speeds after
 it; velocity v+ = v + dt F / m, position p+ = p + dt v+; body rates by Euler's equation (RK4,
 constant torque), attitude R+ = R exp(dt w+). Bullet alone would take an explicit Euler step of the
-rates, which gains energy; the torque that it is given makes its step land on the accurate rates.
-The height above the surface is taken anew in every substep.
+rates, which gains energy; the torque is corrected so that Bullet's step ends at the accurate rates.
+The height above the surface is sampled in every substep.
 
-Bullet turns bodies by pi/4 a substep at most (188 rad/s at 240 Hz); faster spins lag in attitude,
-not in rates. Contacts are those of all dynamics, see `bulletuav.contact`. With contacts="bullet"
-they are Bullet's own, for comparison: fast drones pass through thin things there.
+Bullet limits the rotation in a substep to pi/4 (188 rad/s at 240 Hz); for faster spins the attitude
+lags behind, the rates do not. `bulletuav.contact` resolves contacts, as for all dynamics. With
+contacts="bullet" Bullet's own solver does, for comparison: there fast drones pass through thin
+bodies.
 """
 
 import numpy as np
@@ -18,9 +19,9 @@ from bulletuav.compiled.program import Program
 from bulletuav.contact.contact_state import ContactState, stays_asleep, wake_drone
 from bulletuav.contact.contacts import place_obstacles, save_all_start_states, step_all_contacts
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Decision, Dynamics, Flight
+from bulletuav.dynamics.base import Decision, Dynamics, FlightSetup
 from bulletuav.dynamics.drive import Scratch, drive
-from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
+from bulletuav.engine.c_extension import EnginePort, substep, surface_below, write_states
 from bulletuav.geometry.rotation import plus, quat4, vec3
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Contacts, DroneArrays, Swarm
@@ -28,22 +29,22 @@ from bulletuav.vehicle.swarm import Contacts, DroneArrays, Swarm
 
 @kernel
 def choose_flying(drones: DroneArrays, contact: ContactState, dt: float, scratch: Scratch) -> None:
-    """Choose the drones that the engine moves: drones at rest stay while they bear their forces.
+    """Select the drones that the engine moves, and wake sleeping drones whose forces changed.
 
     Args:
         drones: All drones.
-        contact: What contacts need; sleepers whose forces changed wake.
-        dt: Length of the substep, s.
+        contact: State of the contact solver; sleeping drones whose forces changed are woken.
+        dt: Duration of the substep, s.
         scratch: Wrenches of the drones; `flying` is written.
     """
     alive, flying = drones.alive, scratch.flying
     force, torque = scratch.wrenches.force, scratch.wrenches.torque
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
-            # Whom a contact stopped stays for the rest of the decision
+            # A drone that a contact stopped stays in place for the rest of the decision
             flying[w, i] = alive[w, i] and not contact.stopped[w, i]
             if flying[w, i] and contact.asleep[w, i]:
-                # What would move a sleeper: forces over mass, torques over inertia
+                # Accelerations that would move a sleeping drone: force / mass, torque / inertia
                 row = drones.parameters[w, i]
                 turn = vec3(torque, w, i)
                 inertia = row.inertia
@@ -52,7 +53,7 @@ def choose_flying(drones: DroneArrays, contact: ContactState, dt: float, scratch
                 turned = quat4(drones.swarm.quaternion, w, i)
                 if not stays_asleep(contact, w, i, turned, accelerates, spins, row, dt):
                     wake_drone(contact, w, i)
-    # The rest of the pile may have woken with one of its drones
+    # The other drones of a pile are woken together with one of them
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             flying[w, i] = flying[w, i] and not contact.asleep[w, i]
@@ -60,24 +61,24 @@ def choose_flying(drones: DroneArrays, contact: ContactState, dt: float, scratch
 
 @kernel
 def _choose_driven(alive: np.ndarray, contact: ContactState, driven: np.ndarray) -> None:
-    """Write whose rotors turn (W, N): all in flight but whom a contact stopped in the decision."""
+    """Write the mask (W, N) of drones whose rotors turn: alive, and not stopped by a contact."""
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             driven[w, i] = alive[w, i] and not contact.stopped[w, i]
 
 
 @allocating
-def advance(
-    decision: Decision, contact: ContactState, scratch: Scratch, port: Port, near_ground: bool
+def advance_bullet(
+    decision: Decision, contact: ContactState, scratch: Scratch, port: EnginePort, near_ground: bool
 ) -> None:
     """Fly all substeps of one decision in one call, through the C extension.
 
     Args:
-        decision: What is flown; the surface of its air is written.
-        contact: What contacts need.
-        scratch: Arrays to work on.
+        decision: Inputs of the decision; the surface of its air is written.
+        contact: State of the contact solver.
+        scratch: Work arrays.
         port: Session of the extension, and the arrays of the worlds.
-        near_ground: Whether the ground effect wants the surface below.
+        near_ground: Whether the ground effect needs the surface below.
     """
     decision, contact = in_memory(decision), in_memory(contact)
     scratch, port = in_memory(scratch), in_memory(port)
@@ -86,14 +87,14 @@ def advance(
     _choose_driven(drones.alive, contact, driven)
     for piece in range(step.substeps):
         save_all_start_states(contact, swarm)
-        # Wrenches from the state before the substep, then the engine's step
+        # The wrenches act on the state before the substep
         if near_ground:
             place_obstacles(contact, piece, step)
             surface_below(port, swarm.position, driven, decision.air.surface)
         drive(decision, scratch)
         choose_flying(drones, contact, step.dt, scratch)
         substep(port, scratch.wrenches, scratch.flying, swarm)
-        # What they would have flown into; the engine goes on from there
+        # The engine continues from the states that contacts changed
         if step_all_contacts(contact, drones, piece, step):
             write_states(port, swarm, contact.changed)
             _choose_driven(drones.alive, contact, driven)
@@ -101,7 +102,7 @@ def advance(
 
 @register("dynamics")
 class BulletDynamics(Dynamics):
-    """The full engine: every substep goes through Bullet."""
+    """Rigid-body dynamics that Bullet integrates in every substep."""
 
     name = "bullet"
     consumes = SetpointLevel.ROTOR
@@ -111,48 +112,52 @@ class BulletDynamics(Dynamics):
     contacts = ("impulse", "stop", "bullet")
     sleeps = True
 
-    def __init__(self, flight: Flight) -> None:
-        """Make room for the wrenches, and the bodies that fly."""
+    def __init__(self, flight: FlightSetup) -> None:
+        """Allocate the work arrays, and create the bodies of the drones in Bullet.
+
+        Args:
+            flight: Worlds, drone parameters, controllers and time step.
+        """
         super().__init__(flight)
         flight.engine.make_bodies()
         self._scratch = Scratch.of(*flight.parameters.shape)
         self._in_engine = Contacts.none()
 
     def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
-        """Add that drones start in the engine, too; see the base class."""
+        """Add calls that also set the drones' states in the engine; see the base class."""
         self.flight.engine.add_states(program, swarm, mask)
         super()._add_start(program, swarm, mask)
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Tell also velocities as the engine has them; see the base class."""
+        """Return also the angular velocities in the engine; see the base class."""
         return {**super().kept(), "omega": self.flight.engine.omega}
 
     def restore(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Bring the engine to the state; see the base class."""
+        """Set the states of the drones in the engine; see the base class."""
         self.flight.engine.restore_states(swarm, mask)
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Leave the engine's bodies, which are where the swarm is."""
+        """Do nothing: the engine's bodies are already at the poses of the swarm."""
 
     def add_flight(self, program: Program, decision: Decision) -> None:
-        """Add all substeps, as one compiled call where the C extension is; see the base class."""
+        """Add all substeps, as one compiled call with the C extension; see the base class."""
         port, drones = self.flight.engine.port, decision.drones
-        # C reads arrays as they lie
+        # C reads the arrays without strides
         assert all(array.flags.c_contiguous for array in (*drones.swarm, drones.alive))
         if self.flight.contacts == "bullet":
-            program.turn(lambda: self._fly_in_engine(decision))
+            program.callback(lambda: self._fly_in_engine(decision))
         elif port is None:
-            program.turn(lambda: self._fly_by_calls(decision))
+            program.callback(lambda: self._fly_by_calls(decision))
         else:
             engine = (port, self._near_ground)
-            program.call(advance, decision, self.contact, self._scratch, *engine)
+            program.call(advance_bullet, decision, self.contact, self._scratch, *engine)
 
     def touched(self) -> Contacts:
-        """Tell what was touched in the last decision; see the base class."""
+        """Return the contacts of the last decision; see the base class."""
         return self._in_engine if self.flight.contacts == "bullet" else super().touched()
 
     def _add_surface(self, program: Program, drones: DroneArrays, surface: np.ndarray) -> None:
-        """Leave the surface, which is looked for anew in every substep."""
+        """Add nothing: the surface is sampled in every substep."""
 
     def _fly_by_calls(self, decision: Decision) -> None:
         """Fly all substeps through the engine's own calls."""
@@ -172,14 +177,12 @@ class BulletDynamics(Dynamics):
     def _advance_once(self, decision: Decision) -> None:
         """Fly one substep of the driven drones through the engine's own calls."""
         engine, swarm, scratch = self.flight.engine, decision.drones.swarm, self._scratch
-        # Ground effect needs the height above what lies below now
+        # The ground effect needs the present height above the surface
         if self._near_ground:
             decision.air.surface[:] = engine.surface_below(swarm.position, scratch.driven)
-        # Rotors, and what they and the air do
         drive(decision, scratch)
-        # Sleepers take no part; contacts woke whom they do not hold
+        # Sleeping drones are not integrated
         choose_flying(decision.drones, self.contact, decision.step.dt, scratch)
-        # Bullet integrates
         engine.apply_wrenches(*scratch.wrenches, scratch.flying)
         engine.step()
         engine.read_states(swarm, scratch.flying)
@@ -193,7 +196,7 @@ class BulletDynamics(Dynamics):
         self._scratch.driven[:] = alive
         touched = []
         for piece in range(step.substeps):
-            # Obstacles move in steps: the engine's own contacts know no time between
+            # Bullet's contacts are discrete in time, so obstacles move once a substep
             if moving:
                 share = (piece + 1) / step.substeps
                 engine.set_obstacles(before + share * (after - before), turns, flying)

@@ -1,4 +1,4 @@
-"""One substep of rotors and wrenches for `bullet`, before the engine's own step."""
+"""Rotor speeds and wrenches of one substep of `bullet`, computed before the engine's step."""
 
 from typing import NamedTuple
 
@@ -22,12 +22,12 @@ from bulletuav.vehicle.wrench import (
 
 
 class Scratch(NamedTuple):
-    """Arrays of W worlds of N drones that every substep of `bullet` writes first, and then reads.
+    """Work arrays of a substep of `bullet`, for W worlds of N drones.
 
     Attributes:
-        wrenches: What the engine applies to the drones.
+        wrenches: Forces and torques that the engine applies to the drones.
         rotors: (2, `MAX_ROTORS`) commands and speeds of one drone's rotors, rad/s.
-        wakes: The wakes of all worlds.
+        wakes: Wakes of all drones.
         driven: (W, N) bool, drones whose rotors turn.
         flying: (W, N) bool, drones that the engine moves.
     """
@@ -40,7 +40,7 @@ class Scratch(NamedTuple):
 
     @classmethod
     def of(cls, num_worlds: int, num_drones: int) -> "Scratch":
-        """Make the arrays."""
+        """Allocate the arrays."""
         shape = (num_worlds, num_drones)
         wrenches, rotors = Wrenches(*np.zeros((2, *shape, 3))), np.zeros((2, MAX_ROTORS))
         return cls(wrenches, rotors, Wakes.of(*shape), *np.zeros((2, *shape), dtype=bool))
@@ -50,9 +50,9 @@ class Scratch(NamedTuple):
 def engine_torque(
     rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: np.record
 ) -> Vec3:
-    """Return the torque M' with which Bullet's step of the rates lands on the RK4 solution for M.
+    """Compute the torque M' with which Bullet's step of the rates equals the RK4 solution for M.
 
-    Bullet's step is explicit: w + dt J^-1 (M' - w x J w).
+    Bullet's step is explicit Euler: w + dt J^-1 (M' - w x J w).
 
     Args:
         rates: Body rates w before the substep, rad/s.
@@ -65,21 +65,20 @@ def engine_torque(
     Returns:
         M' in body axes, N m.
     """
-    # Fast spins take several RK4 steps in a substep
+    # Fast spins need several RK4 steps in a substep
     parts = num_spin_steps(rates, dt, MAX_PART_ROTATION)
     step = dt / parts
     slope = rk4_rate_slopes(rates, torque, total_speed, momentum, step, row)
     total = slope
-    # Each step goes on from where the last one came to
     now = rates
     for _ in range(parts - 1):
         now = plus(now, step / 6.0, slope)
         slope = rk4_rate_slopes(now, torque, total_speed, momentum, step, row)
         total = plus(total, 1.0, slope)
-    # Mean over the steps, six times the acceleration for the whole substep
+    # Mean of the RK4 slopes over the steps: six times the mean angular acceleration
     total = (total[0] / parts, total[1] / parts, total[2] / parts)
 
-    # What Bullet takes off again: w x J w
+    # Bullet subtracts the gyroscopic torque w x J w
     inertia = row.inertia
     carried = (
         inertia[0] * rates[0],
@@ -87,7 +86,7 @@ def engine_torque(
         inertia[2] * rates[2],
     )
     gyroscopic = cross(rates, carried)
-    # J times the acceleration wanted, and what Bullet subtracts
+    # J times the angular acceleration, plus the torque that Bullet subtracts
     return (
         gyroscopic[0] + inertia[0] * total[0] / 6.0,
         gyroscopic[1] + inertia[1] * total[1] / 6.0,
@@ -97,18 +96,17 @@ def engine_torque(
 
 @kernel
 def drive(decision: Decision, scratch: Scratch) -> None:
-    """Run controllers and rotors of one substep, and fill in the wrenches for the engine.
+    """Run controllers and rotors of one substep, and write the wrenches for the engine.
 
     Args:
-        decision: The drones before the substep, whose rotor speeds are advanced, and the rest.
-        scratch: Of `driven` drones, the wrenches are written.
+        decision: Inputs of the decision; the drones' rotor speeds are advanced.
+        scratch: Work arrays; the wrenches of `driven` drones are written.
     """
     decision, scratch = in_memory(decision), in_memory(scratch)
     swarm, parameters, air = decision.drones.swarm, decision.drones.parameters, decision.air
     setpoints, cascade, dt = decision.setpoints, decision.cascade, decision.step.dt
     wrenches, wakes, alive = scratch.wrenches, scratch.wakes, scratch.driven
     command, speed = scratch.rotors[0], scratch.rotors[1]
-    # Downwash of all on all
     sum_wakes(swarm, alive, parameters, 0, alive.shape[0], False, 0.0, wakes)
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
@@ -120,11 +118,11 @@ def drive(decision: Decision, scratch: Scratch) -> None:
                 winding = 0.0
                 for rotor in range(row.num_rotors):
                     now = swarm.rotor_speed[w, i, rotor]
-                    # A weak battery gives less speed than was asked for
+                    # A low battery voltage limits the rotor speed
                     after = rotor_speed_after(now, air.supply[w, i] * command[rotor], decay)
                     swarm.rotor_speed[w, i, rotor] = after
                     speed[rotor] = after
-                    # Torque by which the rotors' change of spin turns the body
+                    # Reaction torque of the rotors' angular acceleration
                     if row.lag_up > 0.0:
                         winding += row.rotor_turn[rotor] * (after - now) / dt
 
@@ -138,7 +136,7 @@ def drive(decision: Decision, scratch: Scratch) -> None:
                 push, turn = compute_wrench(
                     quaternion, velocity, altitude, speed, rotors, around, lifted, row
                 )
-                # Bullet's explicit step of the rates is corrected by the torque
+                # The torque corrects the error of Bullet's explicit step of the rates
                 rates = vec3(swarm.rates, w, i)
                 turn = engine_torque(rates, turn, rotors[2], rotors[3], dt, row)
                 for k in range(3):

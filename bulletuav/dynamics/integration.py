@@ -1,4 +1,4 @@
-"""One step of RK4 of a rigid body under its rotors, for one drone or for lanes of several."""
+"""RK4 step of a rigid body under its rotors, for one drone or for SIMD lanes of several drones."""
 
 import numpy as np
 
@@ -17,9 +17,9 @@ from bulletuav.vehicle.rotors import (
 from bulletuav.vehicle.wrench import Surroundings, body_acceleration, compute_wrench
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
-"""Position, quaternion, velocity and rates of one drone, or their slopes"""
+"""Position, quaternion, velocity and rates of one drone, or their time derivatives"""
 Stages = tuple[Rotors, Rotors, Rotors]
-"""What the rotors do at the begin, middle and end of a substep"""
+"""Wrench of the rotors at the begin, middle and end of a substep"""
 Speeds = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Rotor speeds (R,) at the same times, rad/s"""
 
@@ -33,7 +33,7 @@ def slope_of(
     lifted: int,
     row: np.record,
 ) -> State:
-    """Return the time derivative of a state under rotors at some speed (R,)."""
+    """Return the time derivative of a state at rotor speeds (R,), rad/s."""
     position, quaternion, velocity, rates = state
     force, torque = compute_wrench(
         quaternion, velocity, position[2], speed, rotors, around, lifted, row
@@ -49,7 +49,6 @@ def slope_of(
         -0.5 * (x * p + y * q + z * r),
     )
 
-    # A division that all stages share
     lightness = 1.0 / row.mass
     acceleration = (
         lightness * force[0],
@@ -61,11 +60,7 @@ def slope_of(
 
 
 @func
-def _moved(
-    state: State,
-    time: float,
-    slope: State,
-) -> State:
+def _moved(state: State, time: float, slope: State) -> State:
     """Return state + time * slope."""
     x, q, v, w = state
     dx, dq, dv, dw = slope
@@ -96,16 +91,11 @@ def _moved(
 
 @func
 def rk4(
-    state: State,
-    speeds: Speeds,
-    rotors: Stages,
-    dt: float,
-    around: Surroundings,
-    row: np.record,
+    state: State, speeds: Speeds, rotors: Stages, dt: float, around: Surroundings, row: np.record
 ) -> State:
     """Return a state after one classical Runge-Kutta step."""
     lifted = num_lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
-    # Numbers known here let the compiler leave out what stays at 0, and write out four rotors
+    # Constants let the compiler remove the ground effect, or unroll the loop over four rotors
     if lifted == 0:
         return stepped(state, speeds, rotors, dt, around, 0, row)
     if lifted == 4:
@@ -123,7 +113,7 @@ def stepped(
     lifted: int,
     row: np.record,
 ) -> State:
-    """Do the step of `rk4`, in which a surface may lift so many rotors."""
+    """Do the step of `rk4` with `lifted` rotors in ground effect."""
     k1 = slope_of(state, speeds[0], rotors[0], around, lifted, row)
     k2 = slope_of(_moved(state, 0.5 * dt, k1), speeds[1], rotors[1], around, lifted, row)
     k3 = slope_of(_moved(state, 0.5 * dt, k2), speeds[1], rotors[1], around, lifted, row)
@@ -132,25 +122,20 @@ def stepped(
     total = _moved(k1, 2.0, k2)
     total = _moved(total, 2.0, k3)
     total = _moved(total, 1.0, k4)
-    # Normalised once, as the stages leave the unit sphere by little
+    # One normalisation is enough, as the stages hardly leave the unit sphere
     position, quaternion, velocity, rates = _moved(state, dt / 6.0, total)
     return position, normalise_quaternion(quaternion), velocity, rates
 
 
 @func
-def lag_stages(
-    parameters: np.ndarray,
-    w: int,
-    dt: float,
-    decay: np.ndarray,
-) -> None:
-    """Fill `decay` (N, 6): lag of rotors that speed up and slow down, thrice.
+def lag_stages(parameters: np.ndarray, w: int, dt: float, decay: np.ndarray) -> None:
+    """Write the decay factors of the rotor lag of each drone of a world into `decay` (N, 6).
 
-    It is that until the begin, the middle and the end of a substep.
+    They are pairs (for rotors that speed up, and that slow down) after 0, dt / 2 and dt.
     """
     for i in range(decay.shape[0]):
         row = parameters[w, i]
-        # Most drones of a world have the motors of the one before
+        # Most drones of a world have the same motors as the previous drone
         last = parameters[w, max(i - 1, 0)]
         if i > 0 and row.lag_up == last.lag_up and row.lag_down == last.lag_down:
             for k in range(6):
@@ -172,18 +157,18 @@ def turn_rotors(
     row: np.record,
     speeds: Speeds,
 ) -> Stages:
-    """Let the rotors of a drone follow their commands for a substep.
+    """Advance the rotor speeds of a drone towards their commands by one substep.
 
     Args:
-        speed: (R,) rotor speeds, rad/s, which are advanced.
-        command: (R,) commands, rad/s.
-        supply: Share of the commands that they reach.
-        decay: (6,) what `lag_stages` fills in for the drone.
+        speed: (R,) rotor speeds, rad/s; updated.
+        command: (R,) commanded speeds, rad/s.
+        supply: Fraction of the commanded speeds that the rotors reach.
+        decay: (6,) decay factors of the drone, from `lag_stages`.
         row: Row of `PARAMETERS`.
-        speeds: Room for the rotor speeds at the begin, middle and end; filled.
+        speeds: Rotor speeds at the begin, middle and end of the substep, rad/s; written.
 
     Returns:
-        What the rotors do then.
+        Wrench of the rotors at the begin, middle and end of the substep.
     """
     begin, middle, end = speeds
     at_begin = (decay[0], decay[1])
@@ -198,7 +183,7 @@ def turn_rotors(
         middle[rotor] = rotor_speed_after(now, wanted, at_middle)
         end[rotor] = rotor_speed_after(now, wanted, at_end)
         speed[rotor] = end[rotor]
-        # What is left of the way, and with it the acceleration, shrinks as the lag tells
+        # The speed error, and with it the acceleration, decays exponentially with the lag
         turn = row.rotor_turn[rotor] * rotor_acceleration(begin[rotor], wanted, rate)
         faster = wanted > now
         winding0 += turn

@@ -1,15 +1,15 @@
-"""Kinematic dynamics: points that follow velocities or accelerations, level, with a yaw.
+"""Kinematic dynamics: level points with a yaw that follow velocities or accelerations.
 
 - `point_mass`: v' = limited((v_cmd - v) / tau) - k (v - wind) + f / m: first-order velocity lag,
-  acceleration limit, rotor drag, forces from outside.
+  acceleration limit, rotor drag, external forces.
 - `single_integrator`: v = v_cmd, p+ = p + v dt.
 - `double_integrator`: p+ = p + v dt + a dt^2 / 2, v+ = v + a dt, with a = limited(a_cmd) + f / m.
 
 |v_cmd|, and |v| of the integrators, are limited to max_speed. The commanded acceleration is limited
-to what tilting by the controller's bound gives. Limits are of the norm, not of each axis. Within
-the limits the integration is exact for a constant setpoint. Rotors, ground effect and downwash play
-no part; single and double integrator do not feel the wind. tau is that of the Lee controller's
-velocity loop.
+to the one at the controller's largest tilt. Limits apply to the norm, not to each axis. Within the
+limits the integration is exact for a constant setpoint. Rotors, ground effect and downwash are not
+modelled; wind does not act on single and double integrator. tau is the time constant of the Lee
+controller's velocity loop.
 """
 
 import math
@@ -34,8 +34,7 @@ POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 
 @func
 def limited(vector: Vec3, limit: float) -> Vec3:
-    """Return the vector, shortened to `limit` if it is longer."""
-    # The norm is limited, so the direction stays
+    """Limit the norm of a vector; the direction does not change."""
     size = math.sqrt(dot(vector, vector))
     scale = limit / size if size > limit else 1.0
     return (scale * vector[0], scale * vector[1], scale * vector[2])
@@ -43,17 +42,12 @@ def limited(vector: Vec3, limit: float) -> Vec3:
 
 @func
 def _relaxed(
-    velocity: Vec3,
-    command: Vec3,
-    wind: Vec3,
-    pull: Vec3,
-    lag: float,
-    drag: float,
-    dt: float,
+    velocity: Vec3, command: Vec3, wind: Vec3, pull: Vec3, lag: float, drag: float, dt: float
 ) -> tuple[Vec3, Vec3]:
-    """Solve v' = (v_cmd - v) / lag - drag (v - wind) + pull for dt.
+    """Solve v' = (v_cmd - v) / lag - drag (v - wind) + pull over dt.
 
-    Returns velocity and displacement.
+    Returns:
+        Velocity after dt, m/s, and displacement, m.
     """
     # Exponential approach to the velocity at which lag and drag balance
     rate = 1.0 / lag + drag
@@ -62,7 +56,7 @@ def _relaxed(
     end0 = (command[0] / lag + drag * wind[0] + pull[0]) / rate
     end1 = (command[1] / lag + drag * wind[1] + pull[1]) / rate
     end2 = (command[2] / lag + drag * wind[2] + pull[2]) / rate
-    # What is left to approach decays at the common rate
+    # The difference from that velocity decays exponentially
     away0 = velocity[0] - end0
     away1 = velocity[1] - end1
     away2 = velocity[2] - end2
@@ -91,25 +85,24 @@ def lagged_velocity(
     most: float,
     dt: float,
 ) -> tuple[Vec3, Vec3]:
-    """Advance a `point_mass` by dt.
+    """Integrate the velocity of a `point_mass` over dt.
 
-    While the limit does not act, v' = (v_cmd - v) / lag - drag (v - wind) + pull is linear and
-    solved exactly. While it does, the acceleration is held for dt.
+    Below the acceleration limit, v' = (v_cmd - v) / lag - drag (v - wind) + pull is linear and
+    solved exactly. At the limit, the acceleration is held for dt.
 
     Args:
-        velocity: m/s.
-        command: Velocity that is asked for, m/s.
-        wind: m/s.
-        pull: Acceleration by forces from outside, m/s^2.
+        velocity: Velocity, m/s.
+        command: Commanded velocity, m/s.
+        wind: Velocity of the air, m/s.
+        pull: Acceleration by external forces, m/s^2.
         lag: Time constant of the velocity, s.
-        drag: 1/s.
+        drag: Drag coefficient per mass, 1/s.
         most: Limit of the commanded acceleration, m/s^2.
-        dt: s.
+        dt: Duration, s.
 
     Returns:
         Velocity after dt, m/s, and displacement, m.
     """
-    # Within the limit the equation is linear
     steered = (
         (command[0] - velocity[0]) / lag,
         (command[1] - velocity[1]) / lag,
@@ -118,12 +111,11 @@ def lagged_velocity(
     if dot(steered, steered) <= most * most:
         return _relaxed(velocity, command, wind, pull, lag, drag, dt)
 
-    # Constant acceleration
     steered = limited(steered, most)
     acceleration0 = steered[0] - drag * (velocity[0] - wind[0]) + pull[0]
     acceleration1 = steered[1] - drag * (velocity[1] - wind[1]) + pull[1]
     acceleration2 = steered[2] - drag * (velocity[2] - wind[2]) + pull[2]
-    # Exact for an acceleration that is held
+    # Exact for a constant acceleration
     half = 0.5 * dt * dt
     after = (
         velocity[0] + acceleration0 * dt,
@@ -140,13 +132,13 @@ def lagged_velocity(
 
 @func
 def accelerated(velocity: Vec3, acceleration: Vec3, fastest: float, dt: float) -> tuple[Vec3, Vec3]:
-    """Advance a `double_integrator` by dt; past `fastest` m/s the velocity is cut to it.
+    """Integrate the velocity of a `double_integrator` over dt, with the speed limited to `fastest`.
 
     Args:
-        velocity: m/s.
-        acceleration: m/s^2, held for dt.
+        velocity: Velocity, m/s.
+        acceleration: Acceleration, held for dt, m/s^2.
         fastest: Limit of the speed, m/s.
-        dt: s.
+        dt: Duration, s.
 
     Returns:
         Velocity after dt, m/s, and displacement, m.
@@ -169,7 +161,7 @@ def accelerated(velocity: Vec3, acceleration: Vec3, fastest: float, dt: float) -
 
 @func
 def _drag_rate(swarm: Swarm, w: int, i: int, row: np.record) -> float:
-    """Return the drag of a drone's rotors at their present speeds, per mass, 1/s."""
+    """Return the drag coefficient of a drone's rotors at their present speeds, per mass, 1/s."""
     drag = 0.0
     for rotor in range(row.num_rotors):
         drag += row.drag_xy * swarm.rotor_speed[w, i, rotor] / row.mass
@@ -190,15 +182,14 @@ def _advance_point(
     dt: float,
 ) -> tuple[Vec3, Vec3]:
     """Return velocity and displacement of a point after dt, under the setpoint `target`."""
-    # An acceleration: limited, while forces from outside are not
+    # The limit applies to the commanded acceleration, not to external forces
     if kind == DOUBLE_INTEGRATOR:
         acceleration = plus(limited(target, most), 1.0, pull)
         return accelerated(velocity, acceleration, fastest, dt)
-    # A velocity, within the speed limit
     command = limited(target, fastest)
     if kind == POINT_MASS:
         return lagged_velocity(velocity, command, wind, pull, lag, drag, most, dt)
-    # A single integrator has the velocity at once
+    # A single integrator takes the commanded velocity immediately
     return command, (command[0] * dt, command[1] * dt, command[2] * dt)
 
 
@@ -213,9 +204,9 @@ def _constants(
 
 @func
 def _pieces(kind: int, levels: np.ndarray, w: int, substeps: int) -> int:
-    """Return into how many straight pieces a decision is cut in world w.
+    """Return the number of straight segments that a decision is integrated in, in world w.
 
-    One for drones that move with velocities, under which nothing changes on the way.
+    A single integrator under velocity setpoints needs one, as its velocity is constant.
     """
     if kind != SINGLE_INTEGRATOR:
         return substeps
@@ -226,12 +217,12 @@ def _pieces(kind: int, levels: np.ndarray, w: int, substeps: int) -> int:
 
 
 @allocating
-def advance(decision: Decision, contact: ContactState, kind: int) -> None:
+def advance_kinematic(decision: Decision, contact: ContactState, kind: int) -> None:
     """Fly all substeps of one decision in all worlds.
 
     Args:
-        decision: What is flown; of its controllers, the gains are used.
-        contact: What contacts need.
+        decision: Inputs of the decision; only the gains of its controllers are used.
+        contact: State of the contact solver.
         kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR.
     """
     decision, contact = in_memory(decision), in_memory(contact)
@@ -252,14 +243,13 @@ def advance(decision: Decision, contact: ContactState, kind: int) -> None:
             for i in range(alive.shape[1]):
                 if not alive[w, i] or contact.stopped[w, i]:
                     continue
-                # Level, with the yaw that is asked for
+                # The drone is level, with the commanded yaw
                 position, quaternion, velocity, rates = get_state(swarm, w, i)
                 wanted = quat4(setpoints.value, w, i)
                 wind = vec3(air.wind, w, i)
                 pull = plus((0.0, 0.0, 0.0), 1.0 / parameters[w, i].mass, vec3(air.force, w, i))
                 quaternion = from_euler(0.0, 0.0, wanted[3])
 
-                # Down to the level that is consumed, then the integration
                 gain = cascade.gains[w, i]
                 level = setpoints.level[w, i]
                 target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
@@ -274,7 +264,7 @@ def advance(decision: Decision, contact: ContactState, kind: int) -> None:
 
 @kernel
 def _level(quaternion: np.ndarray, rates: np.ndarray, mask: np.ndarray) -> None:
-    """Make drones of `mask` (W, N) level, and take their rates."""
+    """Set level attitudes and zero rates for the drones of `mask` (W, N)."""
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if mask[w, i]:
@@ -285,28 +275,28 @@ def _level(quaternion: np.ndarray, rates: np.ndarray, mask: np.ndarray) -> None:
 
 
 class Kinematic(Dynamics):
-    """Points without tilt and rates; the base of the three kinematic dynamics.
+    """Base class of the three kinematic dynamics: points without tilt and rates.
 
     Attributes:
-        kind: Which of the three it is, for compiled code.
+        kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR, for compiled code.
     """
 
     kind: ClassVar[int]
     contacts: ClassVar[tuple[str, ...]] = ("stop",)
 
     def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
-        """Add that drones start level and without rates; see the base class."""
+        """Add calls that also set level attitudes and zero rates; see the base class."""
         program.call(_level, swarm.quaternion, swarm.rates, mask)
         super()._add_start(program, swarm, mask)
 
     def add_flight(self, program: Program, decision: Decision) -> None:
         """Add all substeps as one compiled call; see the base class."""
-        program.call(advance, decision, self.contact, self.kind)
+        program.call(advance_kinematic, decision, self.contact, self.kind)
 
 
 @register("dynamics")
 class SingleIntegrator(Kinematic):
-    """Points that move with the velocity that is commanded."""
+    """Points that move at the commanded velocity."""
 
     name = "single_integrator"
     consumes = SetpointLevel.VELOCITY
@@ -315,7 +305,7 @@ class SingleIntegrator(Kinematic):
 
 @register("dynamics")
 class DoubleIntegrator(Kinematic):
-    """Points that move with the acceleration that is commanded, within bounds."""
+    """Points that move with the commanded acceleration, up to a limit."""
 
     name = "double_integrator"
     consumes = SetpointLevel.ACCELERATION
@@ -325,7 +315,7 @@ class DoubleIntegrator(Kinematic):
 
 @register("dynamics")
 class PointMass(Kinematic):
-    """Points that reach the velocity that is commanded after a lag, in wind."""
+    """Points that follow the commanded velocity with a first-order lag, in wind."""
 
     name = "point_mass"
     consumes = SetpointLevel.VELOCITY

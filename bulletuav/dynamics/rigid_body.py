@@ -1,9 +1,9 @@
-"""Dynamics `rigid_body`: the shared wrench, integrated by RK4 in one compiled loop over a decision.
+"""Dynamics `rigid_body`: the wrench of the drones, integrated by RK4 in one compiled loop.
 
 Within a substep the setpoint's rotor command, the wind and the downwash of other drones are held.
-Rotor lag, drag, ground effect and attitude are followed exactly by the stages. The height of the
-surface below is sampled once a decision. Over level ground that is exact; past an edge the ground
-effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
+Rotor lag, drag, ground effect and attitude are evaluated in each stage. The height of the surface
+below is sampled once a decision. That is exact over level ground; past an edge the ground effect
+lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 """
 
 from bulletuav.compiled.kernel import func, in_memory, kernel
@@ -22,7 +22,7 @@ from bulletuav.dynamics.blocks import (
     fly_block,
     is_block,
     is_steered,
-    pack,
+    pack_blocks,
 )
 from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
 from bulletuav.dynamics.steering import pack_steering
@@ -38,7 +38,7 @@ from bulletuav.vehicle.wrench import MAX_PART_ROTATION, num_spin_steps
 def _fly_alone(
     decision: Decision, contact: ContactState, blocks: Blocks, first: int, w: int, i: int
 ) -> None:
-    """Move drone i of world w through a substep by itself; the group's first world is `first`."""
+    """Integrate drone i of world w over a substep alone; the group's first world is `first`."""
     swarm, row = decision.drones.swarm, decision.drones.parameters[w, i]
     air, dt = decision.air, decision.step.dt
     alone = blocks.alone
@@ -48,14 +48,14 @@ def _fly_alone(
     around = surroundings(air, w, i, blocks.wakes.felt[w - first])
     state = get_state(swarm, w, i)
     if contact.asleep[w, i]:
-        # Who rests is left alone as long as it bears its forces
+        # A drone at rest sleeps as long as its contacts balance its forces
         lifted = num_lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
         slope = slope_of(state, speeds[2], rotors[2], around, lifted, row)
         pull, spinning = slope[2:]
         if stays_asleep(contact, w, i, state[1], pull, spinning, row, dt):
             return
         rouse(contact, w, i)
-    # Fast spins in pieces: their precession is stiff
+    # Fast spins need several steps, as their precession is stiff
     parts = num_spin_steps(state[3], dt, MAX_PART_ROTATION)
     for _ in range(parts):
         state = rk4(state, speeds, rotors, dt / parts, around, row)
@@ -66,8 +66,8 @@ def _fly_alone(
 def _mark(
     drones: DroneArrays, contact: ContactState, blocks: Blocks, first: int, last: int, dt: float
 ) -> None:
-    """Mark the drones of a group of worlds, from `first` to before `last`, that fly in blocks."""
-    # Where arrays are is read once: what is written could be that for all the compiler knows
+    """Mark the drones to integrate in blocks, of the worlds from `first` to before `last`."""
+    # Read the array addresses once: the compiler must assume that writes could change them
     alive, spin = drones.alive, drones.swarm.rates
     stopped, asleep = contact.stopped, contact.asleep
     together, alike = blocks.together, blocks.alike
@@ -77,7 +77,7 @@ def _mark(
             rates = vec3(spin, w, i)
             still = stopped[w, i] | asleep[w, i]
             calm = dot(rates, rates) * dt * dt < CALM * CALM
-            # Without branches, which would take longer
+            # Branches would be slower
             together[drone] = alive[w, i] & calm & (not still) & alike[drone // WIDTH]
             drone += 1
     for k in range(drone, blocks.together.shape[0]):
@@ -87,13 +87,13 @@ def _mark(
 
 
 @kernel
-def advance(decision: Decision, contact: ContactState, blocks: Blocks) -> None:
+def advance_rigid_body(decision: Decision, contact: ContactState, blocks: Blocks) -> None:
     """Fly all substeps of one decision in all worlds.
 
     Args:
-        decision: What is flown.
-        contact: What contacts need.
-        blocks: Room for a group of worlds.
+        decision: Inputs of the decision.
+        contact: State of the contact solver.
+        blocks: Work arrays for a group of worlds.
     """
     decision, contact, blocks = in_memory(decision), in_memory(contact), in_memory(blocks)
     drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
@@ -101,20 +101,20 @@ def advance(decision: Decision, contact: ContactState, blocks: Blocks) -> None:
     swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
     dt = step.dt
     num_drones = alive.shape[1]
-    # Worlds by groups, whose drones share blocks
+    # Drones of a group of worlds share blocks
     worlds = blocks.command.shape[0]
     leeway = LIST_SKIN if step.substeps > 1 else 0.0
     for first in range(0, alive.shape[0], worlds):
         last = min(first + worlds, alive.shape[0])
-        # The same in all substeps
+        # Constant over the substeps
         for w in range(first, last):
             lag_stages(parameters, w, dt, blocks.decay[w - first])
         if alive.size >= FEWEST:
-            pack(blocks, air, first * num_drones)
+            pack_blocks(blocks, air, first * num_drones)
             pack_steering(blocks.steering, setpoints, first * num_drones)
         for substep in range(step.substeps):
             _mark(drones, contact, blocks, first, last, dt)
-            # Wakes and commands of all drones come from the state before any of them moves
+            # Wakes and commands of all drones are computed before any drone moves
             if num_drones > 1:
                 sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
             for w in range(first, last):
@@ -128,7 +128,7 @@ def advance(decision: Decision, contact: ContactState, blocks: Blocks) -> None:
                                 cascade, setpoints, swarm, w, i, dt, air.gravity, command
                             )
 
-            # From here on drones do not feel each other
+            # From here on drones do not interact until contacts are resolved
             for b in range(blocks.packed.shape[0]):
                 if blocks.flown[b]:
                     fly_block(blocks, first * num_drones, b, air.gravity, dt)
@@ -138,14 +138,13 @@ def advance(decision: Decision, contact: ContactState, blocks: Blocks) -> None:
                     if alive[w, i] and not contact.stopped[w, i] and not moved:
                         _fly_alone(decision, contact, blocks, first, w, i)
 
-            # What they would have flown into
             for w in range(first, last):
                 step_contacts(contact, drones, w, substep, step)
 
 
 @register("dynamics")
 class RigidBody(Dynamics):
-    """Six degrees of freedom without the engine."""
+    """Rigid-body dynamics with six degrees of freedom, integrated by RK4 without the engine."""
 
     name = "rigid_body"
     consumes = SetpointLevel.ROTOR
@@ -157,4 +156,6 @@ class RigidBody(Dynamics):
 
     def add_flight(self, program: Program, decision: Decision) -> None:
         """Add all substeps as one compiled call; see the base class."""
-        program.call(advance, decision, self.contact, Blocks.of(decision.drones, decision.cascade))
+        program.call(
+            advance_rigid_body, decision, self.contact, Blocks.of(decision.drones, decision.cascade)
+        )

@@ -1,4 +1,4 @@
-"""Setpoints of an action's level turned into those that a dynamics consumes, by the controllers."""
+"""Conversion of setpoints by the controllers, from an action's level to that of a dynamics."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from bulletuav.geometry.rotation import quat4
 from bulletuav.vehicle.swarm import DroneArrays, get_state
 
 CONVERTED = (SetpointLevel.VELOCITY, SetpointLevel.ACCELERATION, SetpointLevel.ROTOR)
-"""Levels that setpoints above them can be turned into"""
+"""Levels that setpoints above them can be converted to"""
 
 
 @allocating
@@ -30,12 +30,12 @@ def _convert(
             if not alive[w, i]:
                 continue
             if consumes == SetpointLevel.ROTOR:
-                # All the way down the cascade; rotors that the drone lacks stay at zero
+                # The whole cascade; columns of rotors that the drone lacks stay zero
                 command_rotors(cascade, setpoints, swarm, w, i, dt, gravity, speed)
                 for rotor in range(cascade.nominal[w, i].num_rotors):
                     converted[w, i, rotor] = speed[rotor]
             else:
-                # Outer loops alone; the yaw is passed on
+                # Only the outer loops; the yaw is passed on
                 position, _, velocity, _ = get_state(swarm, w, i)
                 wanted = quat4(setpoints.value, w, i)
                 accelerates = consumes == SetpointLevel.ACCELERATION
@@ -55,22 +55,22 @@ def convert(
     dt: float,
     gravity: float,
 ) -> np.ndarray:
-    """Turn setpoints into those of the level that a dynamics consumes, once a substep.
+    """Convert setpoints to the level that a dynamics consumes, once a substep.
 
     Args:
         setpoints: Setpoints at any levels.
-        consumes: Level that is wanted.
+        consumes: Level to convert to.
         drones: Present state; drones that are not alive get zeros.
-        cascade: The controllers; the PID's memory is written.
+        cascade: The controllers; their integrals and observers are updated.
         dt: Time since the last call, s.
-        gravity: m/s^2.
+        gravity: Gravitational acceleration, m/s^2.
 
     Returns:
         (W, N, 4) velocities or accelerations with yaw, (W, N, R) rotor speeds within their bounds,
-        or the setpoints as they are where the levels are the same.
+        or the setpoints unchanged if all levels equal `consumes`.
 
     Raises:
-        ValueError: No controller leads from one level to the other.
+        ValueError: If no controller converts from one level to the other.
     """
     rotors = consumes == SetpointLevel.ROTOR
     if (setpoints.level == consumes).all() and not rotors:
@@ -78,8 +78,8 @@ def convert(
     lowest = SetpointLevel(setpoints.level.max())
     if consumes not in CONVERTED or lowest > consumes:
         raise ValueError(
-            f"{lowest.name.lower()} setpoints cannot be turned into {consumes.name.lower()}: "
-            f"let the dynamics consume velocity, acceleration or rotor setpoints"
+            f"{lowest.name.lower()} setpoints cannot be converted to {consumes.name.lower()}: "
+            f"the dynamics must consume velocity, acceleration or rotor setpoints"
         )
     width = drones.swarm.rotor_speed.shape[2] if rotors else 4
     converted = np.zeros((*drones.alive.shape, width))

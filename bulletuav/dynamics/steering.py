@@ -1,4 +1,4 @@
-"""The Lee controller of a block of drones, in lanes; see `bulletuav.dynamics.blocks`."""
+"""Lee controller of a block of drones in SIMD lanes; see `bulletuav.dynamics.blocks`."""
 
 from typing import Any, NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from bulletuav.compiled.gather import copy_numbers, gathered
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.compiled.lanes import WIDTH, lanes_of, lanes_row, room
+from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_of, lanes_row
 from bulletuav.control.cascade import LEE, Cascade, rates_of_motion, turn_by
 from bulletuav.control.lee import nose
 from bulletuav.control.observers import PUSHES, learned
@@ -15,25 +15,25 @@ from bulletuav.geometry.rotation import Quat4, Vec3
 from bulletuav.vehicle.rotors import rotor_wrench
 
 ALONE = -1
-"""In the place of a level: each drone has a controller by itself"""
+"""Value in place of a level: the controllers of the block's drones run one by one"""
 
 
 class Steering(NamedTuple):
-    """Room for the controllers of a group of worlds in B blocks.
+    """Work arrays for the controllers of a group of worlds in B blocks.
 
     Attributes:
-        nominal_rows: (W, N) rows of `PARAMETERS` that the controller believes in.
+        nominal_rows: (W, N) rows of `PARAMETERS`, the nominal parameters in the controller's model.
         gain_rows: (W, N) rows of `GAINS`.
-        memory: (W, N, M) the controllers' memory.
-        integral: Whether they learn steady pushes.
-        is_lee: Whether they are the Lee controller.
-        nominal_numbers: (W, N, P) the rows as numbers.
-        gain_numbers: (W, N, Q) the same of gains.
-        nominal: (B, P, `WIDTH`) rows of the group's drones, block by block.
-        gain: (B, Q, `WIDTH`) the same of gains.
-        goal: (B, 6, `WIDTH`) setpoints, and where the nose is to point.
+        memory: (W, N, M) state of the controllers' observers.
+        integral: Whether observers estimate steady disturbance forces.
+        is_lee: Whether the controller is Lee's.
+        nominal_numbers: (W, N, P) nominal parameters as float64.
+        gain_numbers: (W, N, Q) gains as float64.
+        nominal: (B, P, `WIDTH`) nominal parameters of the group's drones by block.
+        gain: (B, Q, `WIDTH`) gains of the group's drones by block.
+        goal: (B, 6, `WIDTH`) setpoints, and the horizontal direction of the yaw.
         level: (B,) level of all setpoints of a block, or `ALONE`.
-        remembered: (M, `WIDTH`) memory of one block.
+        remembered: (M, `WIDTH`) observer state of one block.
     """
 
     nominal_rows: np.ndarray
@@ -51,7 +51,7 @@ class Steering(NamedTuple):
 
     @classmethod
     def of(cls, cascade: Cascade, blocks: int) -> "Steering":
-        """Make room for so many blocks."""
+        """Allocate the arrays for a number of blocks."""
         nominal, gains, memory = cascade.nominal, cascade.gains, cascade.memory
         assert all(array.flags.c_contiguous for array in (nominal, gains, memory))
         nominal_numbers = nominal.view(np.float64).reshape(*nominal.shape, -1)
@@ -64,17 +64,17 @@ class Steering(NamedTuple):
             is_lee=cascade.controller == LEE,
             nominal_numbers=nominal_numbers,
             gain_numbers=gain_numbers,
-            nominal=room(blocks, nominal_numbers.shape[2]),
-            gain=room(blocks, gain_numbers.shape[2]),
-            goal=room(blocks, 6),
+            nominal=lane_zeros(blocks, nominal_numbers.shape[2]),
+            gain=lane_zeros(blocks, gain_numbers.shape[2]),
+            goal=lane_zeros(blocks, 6),
             level=np.full(blocks, ALONE),
-            remembered=room(memory.shape[2]),
+            remembered=lane_zeros(memory.shape[2]),
         )
 
 
 @func
 def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
-    """Return the level of `WIDTH` drones from one on, if they can be steered together."""
+    """Return the setpoint level that `WIDTH` drones from `drone` on share, or `ALONE`."""
     num_drones = levels.shape[1]
     level = levels[drone // num_drones, drone % num_drones]
     tips = steering.nominal_rows[drone // num_drones, drone % num_drones].drag_height > 0.0
@@ -89,12 +89,12 @@ def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
 
 @kernel
 def pack_steering(steering: Any, setpoints: Setpoints, first: int) -> None:
-    """Lay out what the controllers of a group have during a decision.
+    """Pack the setpoints, gains and nominal parameters of a group into blocks, once a decision.
 
     Args:
         steering: `Steering`.
         setpoints: Setpoints of all drones.
-        first: The group's first drone, counted on from world to world.
+        first: Number of the group's first drone, counted over all worlds.
     """
     levels = setpoints.level
     for b in range(steering.level.shape[0]):
@@ -107,7 +107,7 @@ def pack_steering(steering: Any, setpoints: Setpoints, first: int) -> None:
             goal = lanes_of(steering.goal, b)
             for k in range(4):
                 goal[k] = gathered(setpoints.value, drone, k)
-            # A sine once a decision
+            # Sines are computed only once a decision
             for lane in range(WIDTH):
                 ahead = nose(steering.goal[b, 3, lane])
                 steering.goal[b, 4, lane] = ahead[0]
@@ -116,7 +116,7 @@ def pack_steering(steering: Any, setpoints: Setpoints, first: int) -> None:
 
 @func
 def _first_remembered(steering: Any) -> int:
-    """Return the first number of the memory that is in use: pushes come first."""
+    """Return the index of the first memory element in use: those about pushes come first."""
     return 0 if steering.integral else PUSHES
 
 
@@ -131,17 +131,17 @@ def steer(
     dt: float,
     command: Any,
 ) -> None:
-    """Compute the rotor speeds of a block, and advance the memory of its controllers in `Steering`.
+    """Compute the rotor commands of a block, and advance the observers of its controllers.
 
     Args:
-        steering: `Steering`, in which the block has a level.
+        steering: `Steering`; the level of the block is not `ALONE`.
         b: Index of the block.
-        drone: Its first drone, counted on.
+        drone: Number of the block's first drone, counted over all worlds.
         state: State of the drones.
-        speed: Their rotor speeds, rad/s.
-        gravity: m/s^2, downwards.
+        speed: Rotor speeds of the drones, rad/s.
+        gravity: Gravitational acceleration, m/s^2, downwards.
         dt: Time since the last call, s.
-        command: Commanded speeds, rad/s, which are written.
+        command: Commanded rotor speeds, rad/s; written.
     """
     nominal = lanes_row(steering.nominal_rows, steering.nominal, b)
     gain = lanes_row(steering.gain_rows, steering.gain, b)
@@ -160,7 +160,7 @@ def steer(
 
 @func
 def remember_lane(steering: Any, lane: int, drone: int) -> None:
-    """Write the memory of one drone of the block that was steered last."""
+    """Store the observer state of one drone of the block that `steer` computed last."""
     num_drones = steering.memory.shape[1]
     for k in range(_first_remembered(steering), steering.remembered.shape[0]):
         new = steering.remembered[k, lane]

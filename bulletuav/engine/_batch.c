@@ -1,6 +1,6 @@
-/* Bullet's calls for a whole swarm at once. Bullet loads this file as a plugin, which gives it a client of the same world and
-   the processor of its commands (b3PluginContext.h); commands are written by the functions of Bullet's C interface, found in
-   the pybullet module that is loaded already, and handed to the processor, whose answers are read where it writes them.
+/* Bullet calls for all drones of a swarm. Bullet loads this file as a plugin, and passes it a client of the same world and the
+   processor of its commands (b3PluginContext.h). Commands are built by the functions of Bullet's C interface, which are looked
+   up in the pybullet module that is already loaded. The processor executes them and writes its answers to our buffers.
    Declarations follow Bullet 3.25: SharedMemoryPublic.h, PhysicsClientC_API.h, PhysicsCommandProcessorInterface.h. */
 
 #define _GNU_SOURCE
@@ -13,12 +13,12 @@
 #include <string.h>
 
 enum {
-    MAGIC_NUMBER = 202010061, /* of this layout; Bullet refuses a plugin with another */
-    CLIENT = 0, PROCESSOR = 11, /* places in the plugin context, in pointers */
-    IS_CONNECTED = 4, PROCESS_COMMAND = 5, /* places in the processor's table of virtual functions */
+    MAGIC_NUMBER = 202010061, /* version of the plugin interface; Bullet loads no plugin with another number */
+    CLIENT = 0, PROCESSOR = 11, /* offsets in the plugin context, in pointers */
+    IS_CONNECTED = 4, PROCESS_COMMAND = 5, /* indices in the processor's table of virtual functions */
     LINK_FRAME = 1, WORLD_FRAME = 2, BASE = -1,
 #ifdef __APPLE__
-    RAYS = 4095, /* a command takes; one more and none is answered */
+    RAYS = 4095, /* maximum number in a command; for more, none is answered */
 #else
     RAYS = 16383,
 #endif
@@ -29,7 +29,7 @@ typedef void *handle;
 struct ray_hit { double fraction; int body, link; double position[3], normal[3]; };
 struct ray_hits { int count; struct ray_hit *hit; };
 
-/* Every function that is used: what it returns, its name, what it takes. */
+/* Functions of Bullet that are used: type of the result, name, types of the arguments. */
 #define FUNCTIONS(F) \
     F(handle, b3InitStepSimulationCommand, (handle)) \
     F(handle, b3RequestActualStateCommandInit, (handle, int)) \
@@ -76,7 +76,7 @@ int initPlugin_bulletuav(void **context) {
 void exitPlugin_bulletuav(void **context) {}
 int executePluginCommand_bulletuav(void **context, const void *arguments) { return 0; }
 
-/* NULL when all functions were found in the module at `path`, else what was not. */
+/* NULL if all functions were found in the module at `path`, else the name of the missing function. */
 const char *batch_find(const char *path) {
 #define NAME(result, name, arguments) #name,
     static const char *const names[] = {FUNCTIONS(NAME)};
@@ -97,8 +97,8 @@ static const double *state(struct session *s, int body) {
     return s->answer;
 }
 
-/* A session on the client that loaded this plugin last, for the bodies of `drones` drones, which must outlive it.
-   NULL when the processor does not answer as Bullet's C interface does. */
+/* A session on the client that loaded this plugin last, for the bodies of `drones` drones; the array must outlive the session.
+   NULL if the answers of the processor differ from those of Bullet's C interface. */
 struct session *batch_open(int64_t drones, const int32_t *body) {
     struct session *s = calloc(1, sizeof *s);
     if (!s || !processor_seen) { free(s); return NULL; }
@@ -131,8 +131,8 @@ void batch_read(struct session *s, const uint8_t *mask, double *position, double
     }
 }
 
-/* One force (world axes, at `position`) and one torque (body axes) on each drone of `mask`. A command each: of several in one
-   command Bullet garbles all but the first (it writes the n-th at place n and reads it at 3 n). */
+/* Applies a force (world axes, at `position`) and a torque (body axes) to each drone of `mask`, by one command each: of several
+   forces in a command Bullet corrupts all but the first (it writes the n-th at index n and reads it at index 3 n). */
 void batch_apply(struct session *s, const uint8_t *mask, const double *position, const double *force, const double *torque) {
     for (int64_t k = 0; k < s->drones; k++) {
         if (!mask[k]) continue;
@@ -155,7 +155,7 @@ void batch_substep(struct session *s, const uint8_t *mask, const double *force, 
     batch_read(s, mask, position, quaternion, velocity, omega);
 }
 
-/* Fraction of each ray before it meets a body whose collision group is in `groups`; NaN for a ray without an answer. */
+/* Fraction of each ray before it hits a body whose collision group is in `groups`; NaN for a ray without an answer. */
 void batch_rays(struct session *s, int64_t rays, const double *start, const double *end, int groups, double *fraction) {
     for (int64_t first = 0; first < rays; first += RAYS) {
         int64_t part = rays - first < RAYS ? rays - first : RAYS;
@@ -170,7 +170,7 @@ void batch_rays(struct session *s, int64_t rays, const double *start, const doub
     }
 }
 
-/* A command that puts a body somewhere. */
+/* A command that sets the pose of a body. */
 static handle pose_command(struct session *s, int body, const double *p, const double *q) {
     handle command = api.b3CreatePoseCommandInit(s->client, body);
     api.b3CreatePoseCommandSetBasePosition(command, p[0], p[1], p[2]);
@@ -193,7 +193,7 @@ void batch_velocity(struct session *s, int64_t count, const int32_t *body, const
     }
 }
 
-/* The reverse of batch_read: poses and velocities of the drones of `mask`, in one command each, which takes half as long. */
+/* The inverse of batch_read: sets poses and velocities of the drones of `mask`, by one command each, twice as fast as two. */
 void batch_write(struct session *s, const uint8_t *mask, const double *position, const double *quaternion, const double *velocity,
                  const double *omega) {
     for (int64_t k = 0; k < s->drones; k++) {
@@ -205,7 +205,7 @@ void batch_write(struct session *s, const uint8_t *mask, const double *position,
     }
 }
 
-/* Collision group of any bodies and the groups that they meet. */
+/* Sets the collision group of any bodies, and the groups that they collide with. */
 void batch_filter(struct session *s, int64_t count, const int32_t *body, int group, int meets) {
     for (int64_t k = 0; k < count; k++) {
         handle command = api.b3CollisionFilterCommandInit(s->client);

@@ -1,4 +1,4 @@
-"""Makers of the bodies of an engine but its drones: ground, solids, the buildings of cities."""
+"""Functions that create the bodies of an engine except drones: ground, obstacles and cities."""
 
 import tempfile
 import threading
@@ -14,32 +14,32 @@ from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 from bulletuav.geometry.solids import Solids, format_obj_lines, group_separated
 
 FLOOR = 0.02
-"""Thickness of the ground in pictures, m"""
+"""Thickness of the visual ground, m"""
 FLOOR_HALF_EDGE = 20_000.0
-"""Half the edge of the ground in pictures, m"""
+"""Half the edge length of the visual ground, m"""
 OFFSTAGE = (0.0, 0.0, -4096.0)
-"""Where bodies wait that pictures do not show yet, m"""
+"""Position of visual bodies that are not shown yet, m"""
 FLOOR_COLOUR = (0.86, 0.88, 0.85, 1)
 CITY_COLOUR = (0.72, 0.70, 0.67, 1)
 SIDES = 48
-"""Sides of a cylinder in pictures"""
+"""Number of sides of a visual cylinder"""
 HULL_MARGIN = 1e-3
 """Thickness that Bullet adds to hulls, m"""
 COMPOUND = 256
-"""Pieces of a compound: more take longer to look through for each drone, fewer make more bodies"""
+"""Maximum pieces of a compound: more pieces slow down the search, fewer pieces make more bodies"""
 MEETS = {SURFACE_GROUP: DRONE_GROUP | RAYS, CITY_GROUP: DRONE_GROUP, SIGHT_GROUP: RAYS}
-"""Collision groups that each group of still bodies meets"""
+"""Collision groups that each group of static bodies collides with"""
 MESH = 100_000
-"""Corners of the triangles of a mesh; Bullet takes 131,072 vertices"""
+"""Maximum corners of the triangles of a mesh; Bullet takes at most 131,072 vertices"""
 UNSEEN = 1e-3
-"""Half the edge of a body that pictures do not show, m"""
+"""Half the edge length of the visual of an invisible body, m"""
 _HANDED = threading.local()
-"""Lists that Bullet is handed, and their rows, by what they are; of each thread"""
+"""Lists that are passed to Bullet, and their rows, by name, for each thread"""
 
 Body = int
-"""Number that Bullet gave a body"""
+"""Id of a body in Bullet"""
 ShapeNumber = int
-"""Number that Bullet gave a collision or visual shape"""
+"""Id of a collision or visual shape in Bullet"""
 Colour = tuple[float, float, float, float]
 """Red, green, blue and opacity, from 0 to 1"""
 Pose = tuple[Iterable[float], Iterable[float]]
@@ -47,7 +47,7 @@ Pose = tuple[Iterable[float], Iterable[float]]
 
 
 def make_floor(client: int) -> Body:
-    """Make the ground that pictures show; it touches nothing."""
+    """Create the visual ground, without a collision shape."""
     floor = bullet.createVisualShape(
         bullet.GEOM_BOX,
         halfExtents=[FLOOR_HALF_EDGE, FLOOR_HALF_EDGE, FLOOR / 2],
@@ -60,13 +60,13 @@ def make_floor(client: int) -> Body:
 
 
 def make_ground(client: int) -> Body:
-    """Make the plane z = 0, which pictures do not show."""
+    """Create the invisible collision plane z = 0."""
     collision = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
     return _make_still(client, collision, SURFACE_GROUP, make_speck(client))
 
 
 def make_speck(client: int) -> ShapeNumber:
-    """Make a visual too small to see: Bullet draws bodies without one by their collision shapes."""
+    """Create an invisibly small visual shape: without one Bullet draws the collision shape."""
     speck: ShapeNumber = bullet.createVisualShape(
         bullet.GEOM_BOX,
         halfExtents=[UNSEEN] * 3,
@@ -83,7 +83,7 @@ def _make_still(
     place: Iterable[float] = (0, 0, 0),
     quaternion: Iterable[float] = (0, 0, 0, 1),
 ) -> Body:
-    """Make a body that nothing moves."""
+    """Create a static body."""
     body: Body = bullet.createMultiBody(
         0,
         collision,
@@ -97,16 +97,11 @@ def _make_still(
     return body
 
 
-def make_solids(
-    client: int,
-    shape: Shape,
-    colour: Colour,
-    poses: Iterable[Pose],
-) -> list[Body]:
-    """Make bodies of one shape that nothing but `EngineCalls.pose` moves.
+def make_solids(client: int, shape: Shape, colour: Colour, poses: Iterable[Pose]) -> list[Body]:
+    """Create bodies of one shape that only `EngineCalls.pose` moves.
 
     Args:
-        client: Number that Bullet gave the client.
+        client: Id of the client in Bullet.
         shape: Sphere, cylinder, box or hull.
         colour: Red, green, blue and opacity, from 0 to 1.
         poses: Position (3,) in Bullet's frame, m, and quaternion (4,) of each.
@@ -119,19 +114,15 @@ def make_solids(
     return [_make_still(client, collision, SURFACE_GROUP, visual, *pose) for pose in poses]
 
 
-def make_ghost(
-    client: int,
-    shape: Shape,
-    colour: Colour,
-) -> Body:
-    """Make a body far below the ground that only pictures show."""
+def make_ghost(client: int, shape: Shape, colour: Colour) -> Body:
+    """Create a visual body without a collision shape, far below the ground."""
     visual = _visual_shape(client, shape, colour)
     body: Body = bullet.createMultiBody(0, -1, visual, OFFSTAGE, physicsClientId=client)
     return body
 
 
 def _collision_shape(client: int, shape: Shape) -> ShapeNumber:
-    """Make a collision shape."""
+    """Create a collision shape."""
     keywords: dict[str, object] = {"shapeType": bullet.GEOM_MESH, "vertices": shape.corners}
     if shape.kind == BOX:
         keywords = {"shapeType": bullet.GEOM_BOX, "halfExtents": list(shape.half)}
@@ -145,14 +136,10 @@ def _collision_shape(client: int, shape: Shape) -> ShapeNumber:
     return number
 
 
-def _visual_shape(
-    client: int,
-    shape: Shape,
-    colour: Colour,
-) -> ShapeNumber:
-    """Make what pictures show of a shape."""
+def _visual_shape(client: int, shape: Shape, colour: Colour) -> ShapeNumber:
+    """Create the visual of a shape."""
     if shape.kind in (HULL, CYLINDER):
-        # The renderer rounds the ends of its own cylinders.
+        # Bullet's renderer rounds the ends of cylinders.
         points = rims(shape, SIDES) if shape.kind == CYLINDER else np.array(shape.corners)
         corners, triangles = Solids(np.zeros((0, 2, 3)), (points,)).mesh
         return _flat_visual(client, corners[triangles], colour)
@@ -175,27 +162,24 @@ def rims(cylinder: Shape, sides: int) -> np.ndarray:
 
 
 def make_city(
-    client: int,
-    solids: Solids,
-    apart: float,
-    places: Iterable[Iterable[float]],
+    client: int, solids: Solids, apart: float, places: Iterable[Iterable[float]]
 ) -> list[tuple[list[Body], list[Body]]]:
-    """Make a city in each world: meshes that only rays meet, and compounds that drones touch.
+    """Create a city in each world: meshes for rays, and compounds that drones collide with.
 
-    The meshes are what makes rays fast, but drones would pass through them. So there are compounds
-    of convex pieces, too. No two pieces of a compound are near each other: a drone that touches two
-    of them at once would be pushed in an order that depends on other worlds.
+    Meshes make rays fast, but drones would pass through them. Compounds of convex pieces are
+    therefore created, too. No two pieces of a compound are near each other: the order in which a
+    drone's contacts with two pieces are solved would depend on other worlds.
 
     Args:
-        client: Number that Bullet gave the client.
+        client: Id of the client in Bullet.
         solids: Pieces of the city.
-        apart: Least distance of two pieces of a compound, m.
+        apart: Minimum distance of two pieces of a compound, m.
         places: (3,) origin of the city in each world, in Bullet's frame, m.
 
     Returns:
         Meshes and compounds for each place.
     """
-    # Shapes are made once, and shared by the bodies of all worlds.
+    # The bodies of all worlds share their shapes.
     speck = make_speck(client)
     meshes = [_make_mesh(client, *mesh) for mesh in solids.meshes(MESH)]
     compounds = [_make_compound(client, solids, part) for part in _parts(solids.bounds, apart)]
@@ -209,9 +193,9 @@ def make_city(
 
 
 def _handed(name: str, values: np.ndarray) -> list[Any]:
-    """Put numbers into a list for Bullet, the same list in each call.
+    """Write numbers into a list for Bullet, the same list in each call.
 
-    PyBullet 3.2.7 never lets go of the lists of a mesh: new ones would fill the memory.
+    PyBullet 3.2.7 never frees the lists of a mesh: new lists would be a memory leak.
     """
     kept: tuple[list[Any], list[Any]] = _HANDED.__dict__.setdefault(name, ([], []))
     handed, rows = kept
@@ -225,12 +209,8 @@ def _handed(name: str, values: np.ndarray) -> list[Any]:
     return handed
 
 
-def _make_mesh(
-    client: int,
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-) -> ShapeNumber:
-    """Make a collision shape of triangles (T, 3) of vertices (V, 3), m."""
+def _make_mesh(client: int, vertices: np.ndarray, triangles: np.ndarray) -> ShapeNumber:
+    """Create a collision shape from triangles (T, 3) of vertices (V, 3), m."""
     mesh: ShapeNumber = bullet.createCollisionShape(
         bullet.GEOM_MESH,
         vertices=_handed("vertices", vertices),
@@ -242,18 +222,18 @@ def _make_mesh(
 
 
 def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
-    """Choose the pieces of each compound: at most `COMPOUND` near each other, but not too near.
+    """Group the pieces into compounds of at most `COMPOUND` pieces of one neighbourhood.
 
     Args:
         bounds: (P, 2, 3) low and high corner of each piece, m.
-        apart: Least distance of two pieces of a compound, m.
+        apart: Minimum distance of two pieces of a compound, m.
 
     Returns:
         Indices of the pieces of each compound.
     """
     parts: list[np.ndarray] = []
     for group in group_separated(bounds, apart):
-        # Strips from west to east with as many pieces each, and in each from south to north.
+        # Strips from west to east with equal numbers of pieces, sorted from south to north.
         middle = bounds[group].mean(axis=1)
         strips = max(1, round((len(group) / COMPOUND) ** 0.5))
         rank = np.argsort(np.argsort(middle[:, 0], kind="stable"), kind="stable")
@@ -263,19 +243,15 @@ def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
     return parts
 
 
-def _make_compound(
-    client: int,
-    solids: Solids,
-    pieces: np.ndarray,
-) -> ShapeNumber:
-    """Make one collision shape of convex pieces.
+def _make_compound(client: int, solids: Solids, pieces: np.ndarray) -> ShapeNumber:
+    """Create one collision shape of convex pieces.
 
-    It goes through a file, as Bullet's other ways take sixteen pieces at most.
+    The pieces are loaded from a file, as Bullet's other functions take at most sixteen pieces.
     """
     objects = []
     for p in pieces.tolist():
         corners, faces = solids.faces[p]
-        # Boxes shrink by the margin by which Bullet thickens them again.
+        # Shrink boxes by the margin that Bullet adds.
         if p < len(solids.boxes):
             inward = corners.mean(axis=0) - corners
             corners = corners + np.sign(inward) * np.minimum(HULL_MARGIN, np.abs(inward) / 2)
@@ -293,25 +269,21 @@ def _make_compound(
 
 
 def make_facades(client: int, solids: Solids) -> list[Body]:
-    """Make a city that pictures show; it touches nothing."""
+    """Create the visual bodies of a city, without collision shapes."""
     return [
         _make_facade(client, vertices[triangles]) for vertices, triangles in solids.meshes(MESH)
     ]
 
 
 def _make_facade(client: int, corner: np.ndarray) -> Body:
-    """Make a visual body of triangles (T, 3, 3)."""
+    """Create a visual body of triangles (T, 3, 3)."""
     visual = _flat_visual(client, corner, CITY_COLOUR)
     facade: Body = bullet.createMultiBody(0, -1, visual, physicsClientId=client)
     return facade
 
 
-def _flat_visual(
-    client: int,
-    corner: np.ndarray,
-    colour: Colour,
-) -> ShapeNumber:
-    """Make a visual of triangles (T, 3, 3) with corners of their own: faces look flat."""
+def _flat_visual(client: int, corner: np.ndarray, colour: Colour) -> ShapeNumber:
+    """Create a visual of triangles (T, 3, 3) that share no vertices, for flat shading."""
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     visual: ShapeNumber = bullet.createVisualShape(

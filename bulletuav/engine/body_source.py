@@ -1,4 +1,4 @@
-"""Bodies that users add, as convex pieces: from a URDF, a mesh, corners or an obstacle."""
+"""Convex pieces of the bodies that users add: from a URDF, a mesh, corners or an obstacle."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,9 +19,9 @@ BodySource = str | Path | Obstacle | np.ndarray | Sequence[Sequence[float]]
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 REMEDY = "pass the path of a URDF (.urdf) or of a mesh (.obj), corners (V, 3), or an Obstacle"
 MOST_PIECES = 1024
-"""Most pieces of a body"""
+"""Maximum number of pieces of a body"""
 UNIT = 1e-3
-"""Difference of the norm of a quaternion from 1 that is rounding"""
+"""Tolerance of the norm of a quaternion"""
 
 
 def pieces_of(source: BodySource) -> list[BodyPiece]:
@@ -31,11 +31,11 @@ def pieces_of(source: BodySource) -> list[BodyPiece]:
         source: See `BodySource`.
 
     Returns:
-        The pieces. Hulls have their origin in the middle of their bounding box.
+        The pieces. Hulls have their origin at the centre of their bounding box.
 
     Raises:
-        ValueError: The source is none of these, or something in it cannot be.
-        FileNotFoundError: There is no such file.
+        ValueError: If the source is not a `BodySource`, or its contents are invalid.
+        FileNotFoundError: If the file does not exist.
     """
     if isinstance(source, Obstacle):
         pieces = [_centred(source.shape)]
@@ -56,7 +56,7 @@ def pieces_of(source: BodySource) -> list[BodyPiece]:
 
 
 def _of_urdf(path: Path) -> list[BodyPiece]:
-    """Read all collision shapes of a URDF of one link."""
+    """Read all collision shapes of a URDF with one link."""
     urdf = UrdfFile(path.resolve(), widest=MAX_SIZE)
     urdf.require_one_link()
     elements = urdf.root.findall("link/collision")
@@ -70,11 +70,9 @@ def _of_urdf(path: Path) -> list[BodyPiece]:
 
 
 def _centred(
-    shape: Shape,
-    place: np.ndarray | None = None,
-    quaternion: np.ndarray = UPRIGHT,
+    shape: Shape, place: np.ndarray | None = None, quaternion: np.ndarray = UPRIGHT
 ) -> BodyPiece:
-    """Make a piece at a pose; a hull gets its origin in the middle of its bounding box."""
+    """Return a piece at a pose; the origin of a hull is moved to the centre of its bounding box."""
     origin = np.zeros(3) if place is None else place
     if shape.kind != HULL:
         return BodyPiece(shape, origin, quaternion)
@@ -85,20 +83,20 @@ def _centred(
     return BodyPiece(moved, origin + to_world(quaternion, middle), quaternion)
 
 
-def pose_of(
+def check_pose(
     position: Sequence[float], quaternion: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Check where a body is to stand.
+    """Check the pose of a body.
 
     Args:
-        position: (3,) m.
-        quaternion: (4,) body to world, of length 1.
+        position: (3,) position, m.
+        quaternion: (4,) unit quaternion, body to world.
 
     Returns:
-        Both as arrays.
+        Position and normalised quaternion as arrays.
 
     Raises:
-        ValueError: They are not finite, or the quaternion is none.
+        ValueError: If a number is not finite, or the norm of the quaternion is not 1.
     """
     place = [
         finite("position", one, -MAX_SIZE, MAX_SIZE) for one in as_sequence("position", position, 3)

@@ -1,4 +1,4 @@
-"""All bodies of an engine, and what each of them stands for."""
+"""Table of an engine's bodies: which drone, obstacle or building each Bullet body represents."""
 
 import warnings
 from collections.abc import Iterable, Sequence
@@ -29,19 +29,19 @@ from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
 GHOST_COLOUR = (0.98, 0.62, 0.15, 1.0)
 """Colour of the collision shapes of drones in pictures"""
 SPREAD, IN_ROW = 4.0, 32
-"""How far apart obstacles are made below their world, m, and how many in a row"""
+"""Spacing of unplaced obstacles below their world, m, and number of obstacles in a row"""
 
 
 class Contents(NamedTuple):
-    """What is in W worlds of an engine.
+    """Drones, obstacles and city layouts of W worlds of an engine.
 
     Attributes:
         airframes: Airframe of each of N drones.
         obstacles: The K obstacles of each world.
-        layouts: What can stand in a world, one at a time.
-        layout: (W,) which of them stands, see `LayoutBodies`.
+        layouts: The city layouts, one of which can be present in a world at a time.
+        layout: (W,) present layout of each world, see `LayoutBodies`.
         offset: (W, 3) origins of the tiles, m.
-        parking: (W, N, 3) places of parked drones in Bullet's frame, m.
+        parking: (W, N, 3) positions of parked drones in Bullet's frame, m.
     """
 
     airframes: Sequence[Airframe]
@@ -56,24 +56,24 @@ class BodyTable:
     """Bodies of W worlds of N drones, K obstacles and L city layouts.
 
     Attributes:
-        floor: The ground that pictures show.
-        ground: The plane z = 0 that drones and rays meet.
-        drone: (W, N) the drones.
-        layouts: The city layouts.
+        floor: Visual body of the ground.
+        ground: The plane z = 0 that drones and rays collide with.
+        drone: (W, N) bodies of the drones.
+        layouts: Bodies of the city layouts.
     """
 
     def __init__(self, client: int, contents: Contents, at_once: bool) -> None:
-        """Make the bodies, out of each other's way.
+        """Create the bodies, at positions where none touch.
 
         Args:
-            client: Number that Bullet gave the client.
-            contents: What is in the worlds.
-            at_once: Whether obstacles and cities are made now, or when somebody first asks for
-                them: Bullet takes time to make each body, and in every step.
+            client: Id of the client in Bullet.
+            contents: Drones, obstacles and city layouts of the worlds.
+            at_once: Whether to create the bodies of obstacles and cities now instead of at their
+                first use: each body costs Bullet time when it is created, and in every step.
         """
         airframes, obstacles, layouts, layout, offset, parking = contents
         num_drones = len(airframes)
-        # Bullet numbers bodies in the order in which they are made, and solves contacts by number.
+        # Body ids follow the order of creation, and Bullet solves contacts in the order of ids.
         self.floor = make_floor(client)
         self.ground = make_ground(client)
         with drawn_files(airframes) as files:
@@ -87,7 +87,7 @@ class BodyTable:
         self.drone = np.array(drones, dtype=np.int32)
         self._client = client
         self._obstacles, self._offset = obstacles, offset
-        # Obstacles and cities, which may be made later
+        # Obstacles and cities may be created later
         self._other_of_body: dict[int, int] = {}
         self._made_later = 0
         diameter = 2 * max(airframe.collision_radius for airframe in airframes)
@@ -99,17 +99,17 @@ class BodyTable:
         self._airframes = tuple(airframes)
         self._added: list[int] = []
         self._ghosts: list[int] = []
-        # Bodies that nobody told us of when somebody was last warned of them.
+        # Number of unknown bodies at the last warning.
         self._strangers = 0
-        # World and index of the drone that a body is.
+        # World and index of the drone of each body.
         self._drone_of_body = {
             body: divmod(k, num_drones) for k, body in enumerate(self.drone.ravel().tolist())
         }
 
     @cached_property
     def obstacle(self) -> np.ndarray:
-        """(W, K) the obstacles; they are made when this is first asked for."""
-        # Bullet's tree of bodies stays slow forever where many are made at the same place.
+        """(W, K) bodies of the obstacles, created at the first access."""
+        # Bullet's broad-phase tree stays slow if many bodies are created at the same place.
         made = [
             make_solids(self._client, one.shape, one.colour, _below(self._offset, k))
             for k, one in enumerate(self._obstacles)
@@ -120,41 +120,35 @@ class BodyTable:
         bodies_of = np.array(made, dtype=np.int32).reshape(len(made), len(self._offset))
         return bodies_of.T.copy()
 
-    def add(
-        self,
-        shape: Shape,
-        colour: Colour,
-        poses: Iterable[Pose],
-        other: int,
-    ) -> None:
-        """Make a piece of a body that stands still.
+    def add(self, shape: Shape, colour: Colour, poses: Iterable[Pose], other: int) -> None:
+        """Create a piece of a static body in each world.
 
         Args:
-            shape: Its shape.
+            shape: Shape of the piece.
             colour: Red, green, blue and opacity, from 0 to 1.
             poses: Position (3,) in Bullet's frame, m, and quaternion (4,) of each copy.
-            other: What a contact calls the body.
+            other: Index of the body in contacts, as `other` in `Contacts`.
         """
         made = make_solids(self._client, shape, colour, poses)
         self._added += made
         self._other_of_body |= dict.fromkeys(made, other)
 
     def warn_of_strangers(self) -> None:
-        """Warn, once each, of bodies that someone made in our client without `add_body`."""
+        """Warn about new bodies that were created in the client without `add_body`."""
         of_layouts = len(self.layouts.numbers) + self.layouts.num_facades
         made_later = self._made_later + of_layouts + len(self._added + self._ghosts)
         known = self._num_bodies + made_later
         strangers = bullet.getNumBodies(self._client) - known
         if strangers > self._strangers:
             warnings.warn(
-                f"bodies made in the engine by others: {strangers}; sensors and dynamics do not "
-                f"know them; use add_body(source, position) of the environment instead",
+                f"bodies in the engine that bulletuav did not create: {strangers}; sensors and "
+                f"dynamics ignore them; use add_body(source, position) of the environment instead",
                 stacklevel=2,
             )
         self._strangers = strangers
 
     def ghosts(self) -> list[int]:
-        """List the bodies that show the collision shapes of the drones; the first call makes them.
+        """Return the bodies that show the drones' collision shapes; the first call creates them.
 
         Returns:
             N bodies, one for each drone of a world.
@@ -167,39 +161,39 @@ class BodyTable:
         return self._ghosts
 
     def drone_of(self, body: int) -> tuple[int, int] | None:
-        """Give world and index of the drone that a body is, None for other bodies."""
+        """Return world and index of the drone of a body, None for other bodies."""
         return self._drone_of_body.get(body)
 
     def other(self, body: int) -> int:
-        """Give what a contact calls a body: the index of a drone, or one of its numbers below 0."""
+        """Return the index of a body in contacts: that of a drone, or a negative constant."""
         if body in self._drone_of_body:
             return self._drone_of_body[body][1]
         return self._other_of_body.get(body, CITY if body in self.layouts.numbers else GROUND)
 
-    def bodies_of(self, world: int, who: int) -> list[int]:
-        """List the bodies of someone in a world.
+    def bodies_of(self, world: int, owner: int) -> list[int]:
+        """Return the Bullet bodies of a drone, an obstacle, the ground or the city of a world.
 
         Args:
             world: Index of the world.
-            who: Index of a drone, `GROUND`, `CITY`, or `FIRST_OBSTACLE` - k for obstacle k.
+            owner: Index of a drone, `GROUND`, `CITY`, or `FIRST_OBSTACLE` - k for obstacle k.
 
         Returns:
-            Their bodies; a city may have many, or none.
+            The bodies; a city may have many, or none.
         """
-        if who == GROUND:
+        if owner == GROUND:
             return [self.ground]
-        if who == CITY:
+        if owner == CITY:
             return self.layouts.solid_bodies(world)
-        if who >= 0:
-            return [self.drone[world, who]]
-        return [self.obstacle[world, FIRST_OBSTACLE - who]]
+        if owner >= 0:
+            return [self.drone[world, owner]]
+        return [self.obstacle[world, FIRST_OBSTACLE - owner]]
 
     def pixel_labels(self) -> np.ndarray:
-        """Make the table of what pixels show, by the body that Bullet sees in them.
+        """Return the segmentation label of each body id.
 
         Returns:
-            (B,) uint8. The entry before the last is for all bodies that are made later. The last is
-            for pixels without a body (-1).
+            (B,) uint8. The entry before the last is for all bodies that are created later. The last
+            is for pixels without a body (-1).
         """
         obstacles = self.obstacle.ravel().tolist()
         last = max([self._num_bodies - 1, *self._added, *self._ghosts, *obstacles])
@@ -214,6 +208,6 @@ class BodyTable:
 
 
 def _below(offset: np.ndarray, k: int) -> list[Pose]:
-    """Choose places for obstacle k below the middles (W, 3) of all worlds."""
+    """Return poses for obstacle k below the centres (W, 3) of all worlds."""
     place = np.array((SPREAD * (k % IN_ROW), SPREAD * (k // IN_ROW), -PARKING_HEIGHT))
     return [(tuple(one), LEVEL) for one in (offset + place).tolist()]

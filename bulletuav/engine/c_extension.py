@@ -1,4 +1,4 @@
-"""The calls of `EngineCalls` for all bodies at once, through the C extension `_batch.c`.
+"""Calls of `EngineCalls` for all bodies together, through the C extension `_batch.c`.
 
 The extension is optional: it makes flights several times as fast.
 """
@@ -17,7 +17,7 @@ from numba import types
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import allocating, kernel
 from bulletuav.engine.calls import VISIBLE
-from bulletuav.engine.tiles import columns, cover, globalise, land, localise
+from bulletuav.engine.tiles import cover, globalise, localise, vertical_rays, write_surface
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.raycast import cast_scenery_rays
 from bulletuav.geometry.scenery import Scenery
@@ -25,9 +25,9 @@ from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import Wrenches
 
 SWITCH = "BULLETUAV_BATCH"
-"""Environment variable; 0 turns the extension off"""
+"""Environment variable that disables the extension if it is 0"""
 POSTFIX = "_bulletuav"
-"""Ending of the names of the functions that Bullet calls in a plugin"""
+"""Suffix of the names of the functions that Bullet calls in a plugin"""
 
 _POINTER = ctypes.c_void_p
 _INT = ctypes.c_int
@@ -46,17 +46,17 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "batch_velocity": (None, [_POINTER, _COUNT] + [_POINTER] * 3),
     "batch_filter": (None, [_POINTER, _COUNT, _POINTER, _INT, _INT]),
 }
-"""Result and arguments of each function of the extension"""
+"""Types of the result and the arguments of each function of the extension"""
 _NOT_BUILT = "not built: a C compiler and Python's headers are needed when bulletuav is installed"
 
 
 class Extension(NamedTuple):
-    """The C extension, or the reason why there is none.
+    """The C extension, or the reason why it is not available.
 
     Attributes:
-        library: The loaded library; None where there is none.
-        path: Its file; empty where none was found.
-        missing: The reason why there is none; empty where there is one.
+        library: The loaded library; None if it is not available.
+        path: Path of the library; empty if no file was found.
+        missing: Reason why the library is not available; empty if it is.
     """
 
     library: ctypes.PyDLL | None
@@ -64,14 +64,14 @@ class Extension(NamedTuple):
     missing: str
 
 
-def load(engine: str) -> Extension:
-    """Load the extension.
+def load_extension(engine: str) -> Extension:
+    """Load the C extension.
 
     Args:
-        engine: File of the pybullet module that is loaded already.
+        engine: Path of the pybullet module that is already loaded.
 
     Returns:
-        The extension, or the reason why there is none.
+        The extension, or the reason why it is not available.
     """
     if os.environ.get(SWITCH) == "0":
         return Extension(None, "", f"turned off by {SWITCH}=0")
@@ -79,7 +79,7 @@ def load(engine: str) -> Extension:
     if spec is None or spec.origin is None:
         return Extension(None, "", _NOT_BUILT)
     try:
-        # A PyDLL keeps the interpreter lock: Bullet is not made for threads.
+        # A PyDLL keeps the interpreter lock, as Bullet is not thread-safe.
         library = ctypes.PyDLL(spec.origin)
         for name, (result, arguments) in _SIGNATURES.items():
             function = getattr(library, name)
@@ -96,24 +96,24 @@ def load(engine: str) -> Extension:
 
 
 NO_SESSION = 0
-"""Session of a port through which nothing is asked of Bullet"""
+"""Session of a port that never calls Bullet"""
 
 
-class Port(NamedTuple):
-    """What compiled code needs to run substeps by itself.
+class EnginePort(NamedTuple):
+    """Arrays and C functions with which compiled code runs substeps without Python.
 
     Attributes:
         session: Address of the extension's session.
         substep: The extension's function `batch_substep`.
         write: The extension's function `batch_write`.
         rays: The extension's function `batch_rays`.
-        place: (W, N, 3) positions as Bullet gave them, in its own frame, m.
-        omega: (W, N, 3) angular velocities as Bullet gave them, world axes, rad/s.
+        place: (W, N, 3) positions from Bullet, in its frame, m.
+        omega: (W, N, 3) angular velocities from Bullet, world axes, rad/s.
         offset: (W, 1, 3) origins of the tiles, m.
         obstacle_radius: (K,) radii of the obstacles' bounding spheres, m.
-        city_grid: The cities, and which stands in each world.
-        scenery: What drones can touch.
-        compiled: Whether rays are answered without Bullet.
+        city_grid: Pieces of the city layouts, and the present layout of each world.
+        scenery: Collision shapes of bodies and buildings.
+        compiled: Whether rays are cast by compiled code instead of Bullet.
     """
 
     session: int
@@ -130,14 +130,16 @@ class Port(NamedTuple):
 
 
 @allocating
-def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: np.ndarray) -> None:
+def surface_below(
+    port: EnginePort, position: np.ndarray, mask: np.ndarray, surface: np.ndarray
+) -> None:
     """Write the height of the surface below drones, as `Engine.surface_below` does.
 
     Args:
-        port: Of the engine.
-        position: (W, N, 3) of the drones, m.
-        mask: (W, N) bool, drones that are asked for.
-        surface: (W, N) heights z, m, which are written; -inf outside `mask`.
+        port: Port of the engine.
+        position: (W, N, 3) positions of the drones, m.
+        mask: (W, N) bool, drones to find the surface for.
+        surface: (W, N) heights z, m; written; -inf outside `mask`.
     """
     covered = cover(position, mask, port.scenery, surface)
     if covered == 0:
@@ -147,11 +149,11 @@ def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: n
 
 @deferred(types.none)
 @allocating
-def _cast_down(port: Port, position: np.ndarray, surface: np.ndarray, covered: int) -> None:
-    """Write the height of what is below drones for which `cover` wrote NaN."""
-    who, start, end = columns(position, surface, covered)
-    fraction, left = cast_scenery_rays(port.scenery, start, end, who[:, 0], port.compiled)
-    # Bullet answers the others.
+def _cast_down(port: EnginePort, position: np.ndarray, surface: np.ndarray, covered: int) -> None:
+    """Write the height of the surface below the drones for which `cover` wrote NaN."""
+    drone, start, end = vertical_rays(position, surface, covered)
+    fraction, left = cast_scenery_rays(port.scenery, start, end, drone[:, 0], port.compiled)
+    # Bullet casts the remaining rays.
     count = left.shape[0]
     if count > 0:
         first = np.empty((count, 3))
@@ -160,26 +162,26 @@ def _cast_down(port: Port, position: np.ndarray, surface: np.ndarray, covered: i
         for k in range(count):
             m = left[k]
             for axis in range(3):
-                origin = port.offset[who[m, 0], 0, axis]
+                origin = port.offset[drone[m, 0], 0, axis]
                 first[k, axis] = start[m, axis] + origin
                 last[k, axis] = end[m, axis] + origin
         port.rays(port.session, count, first.ctypes, last.ctypes, VISIBLE, share.ctypes)
         for k in range(count):
             fraction[left[k]] = share[k]
-    land(surface, who, start, fraction)
+    write_surface(surface, drone, start, fraction)
 
 
 @kernel
-def substep(port: Port, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm) -> None:
-    """Do what `Engine.apply_wrenches`, `step` and `read_states` do, in one call.
+def substep(port: EnginePort, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm) -> None:
+    """Run `Engine.apply_wrenches`, `Engine.step` and `Engine.read_states` in one call.
 
     Args:
-        port: Of the engine.
-        wrenches: Of all drones.
+        port: Port of the engine.
+        wrenches: Forces and torques on all drones.
         mask: (W, N) bool, drones that fly.
-        swarm: Whose positions, attitudes and velocities are written.
+        swarm: State of all drones; positions, attitudes and velocities are written.
     """
-    # Addresses of the arrays: C reads and writes them where they stand
+    # C reads and writes the arrays in place
     port.substep(
         port.session,
         mask.ctypes,
@@ -190,20 +192,20 @@ def substep(port: Port, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm) -> N
         swarm.velocity.ctypes,
         port.omega.ctypes,
     )
-    # From the engine's tiles and axes to those of each world
+    # Convert to the frame of each world
     localise(port.place, port.offset, port.omega, mask, swarm)
 
 
 @kernel
-def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
-    """Do what `Engine.write_states` does.
+def write_states(port: EnginePort, swarm: Swarm, mask: np.ndarray) -> None:
+    """Set poses and velocities of drones in Bullet, as `Engine.write_states` does.
 
     Args:
-        port: Of the engine.
+        port: Port of the engine.
         swarm: The states.
         mask: (W, N) bool, drones to set.
     """
-    # To the engine's tiles and axes
+    # Convert to Bullet's frame
     globalise(port.place, port.offset, port.omega, mask, swarm)
     port.write(
         port.session,
@@ -216,8 +218,8 @@ def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
 
 
 @kernel
-def bring_out(port: Port, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> None:
-    """Write the states of drones of `mask` (W, N), and note that they are not parked any more."""
+def bring_out(port: EnginePort, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> None:
+    """Set the states of the drones of `mask` (W, N) in Bullet, and mark them as not parked."""
     write_states(port, swarm, mask)
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
@@ -225,17 +227,17 @@ def bring_out(port: Port, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> No
 
 
 def _at(array: np.ndarray, kind: type = np.float64) -> int:
-    """Give the address of an array that C can read as it lies."""
+    """Return the address of a C-contiguous array."""
     assert array.dtype == kind, array.dtype
     assert array.flags.c_contiguous
     return array.ctypes.data
 
 
 class CExtension:
-    """The extension's functions for the drones of one client; they are those of `EngineCalls`.
+    """Functions of the C extension for the drones of one client, with the API of `EngineCalls`.
 
     Attributes:
-        session: Address of what it remembers.
+        session: Address of the extension's session.
         library: The loaded extension.
     """
 
@@ -244,16 +246,16 @@ class CExtension:
 
         Args:
             library: The loaded extension.
-            body: (n,) numbers that Bullet gave the drones.
+            body: (n,) ids of the drones' bodies in Bullet.
 
         Raises:
-            RuntimeError: Bullet does not answer as expected.
+            RuntimeError: If Bullet does not answer as expected.
         """
         self.library = library
         self._body = np.ascontiguousarray(body, dtype=np.int32)
         session: int | None = library.batch_open(len(body), _at(self._body, np.int32))
         if not session:
-            raise RuntimeError("the engine answers the plugin otherwise than its own calls")
+            raise RuntimeError("the engine answers the plugin differently from its own calls")
         weakref.finalize(self, library.batch_close, session)
         self.session = session
 
@@ -265,7 +267,7 @@ class CExtension:
         velocity: np.ndarray,
         omega: np.ndarray,
     ) -> None:
-        """Write poses and velocities of the drones into arrays; see `EngineCalls.read`."""
+        """Read poses and velocities of drones into arrays; see `EngineCalls.read`."""
         self.library.batch_read(
             self.session,
             _at(mask, bool),
@@ -280,7 +282,7 @@ class CExtension:
         velocity: np.ndarray,
         omega: np.ndarray,
     ) -> None:
-        """Give drones poses and velocities; see `EngineCalls.write`."""
+        """Set poses and velocities of drones; see `EngineCalls.write`."""
         self.library.batch_write(
             self.session,
             _at(mask, bool),
@@ -288,13 +290,9 @@ class CExtension:
         )
 
     def apply(
-        self,
-        mask: np.ndarray,
-        position: np.ndarray,
-        force: np.ndarray,
-        torque: np.ndarray,
+        self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray
     ) -> None:
-        """Give drones one force and one torque each; see `EngineCalls.apply`."""
+        """Apply a force and a torque to each drone; see `EngineCalls.apply`."""
         self.library.batch_apply(
             self.session,
             _at(mask, bool),
@@ -302,15 +300,10 @@ class CExtension:
         )
 
     def step(self) -> None:
-        """Advance everything by one substep."""
+        """Advance the simulation by one substep."""
         self.library.batch_step(self.session)
 
-    def rays(
-        self,
-        start: np.ndarray,
-        end: np.ndarray,
-        groups: int,
-    ) -> np.ndarray:
+    def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
         """Cast rays; see `EngineCalls.rays`."""
         fraction = np.empty(len(start))
         self.library.batch_rays(
@@ -323,13 +316,8 @@ class CExtension:
         )
         return fraction
 
-    def pose(
-        self,
-        body: np.ndarray,
-        position: np.ndarray,
-        quaternion: np.ndarray,
-    ) -> None:
-        """Put bodies somewhere, at rest; see `EngineCalls.pose`."""
+    def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
+        """Set poses of bodies, at rest; see `EngineCalls.pose`."""
         self.library.batch_pose(
             self.session,
             len(body),
@@ -338,13 +326,8 @@ class CExtension:
             _at(quaternion),
         )
 
-    def velocity(
-        self,
-        body: np.ndarray,
-        velocity: np.ndarray,
-        omega: np.ndarray,
-    ) -> None:
-        """Give bodies velocities; see `EngineCalls.velocity`."""
+    def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
+        """Set velocities of bodies; see `EngineCalls.velocity`."""
         self.library.batch_velocity(
             self.session,
             len(body),
@@ -353,11 +336,6 @@ class CExtension:
             _at(omega),
         )
 
-    def filter(
-        self,
-        body: np.ndarray,
-        group: int,
-        meets: int,
-    ) -> None:
-        """Set which bodies meet; see `EngineCalls.filter`."""
+    def filter(self, body: np.ndarray, group: int, meets: int) -> None:
+        """Set collision filters of bodies; see `EngineCalls.filter`."""
         self.library.batch_filter(self.session, len(body), _at(body, np.int32), group, meets)

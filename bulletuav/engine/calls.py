@@ -1,7 +1,7 @@
-"""Calls to Bullet in every substep, body by body through pybullet.
+"""Calls of Bullet in every substep, body by body through pybullet.
 
-`CExtension` does the same, to the bit, in C. Arrays are float64 and contiguous. Their first axes
-are as many as there are drones (or bodies). Positions are in Bullet's own frame.
+`CExtension` implements the same calls in C, with equal bits. Arrays are float64 and contiguous, and
+their first axis is that of drones or bodies. Positions are in Bullet's frame.
 """
 
 import sys
@@ -15,19 +15,19 @@ with silenced():
 
 bullet = pybullet
 
-# Collision groups. Bullet counts its rays to the first; ground and obstacles are surfaces. Of
-# cities, drones meet one kind of body, and rays the other.
+# Collision groups. Bullet's rays belong to the first group; ground and obstacles are surfaces. A
+# city has bodies that only drones collide with, and bodies that only rays hit.
 RAYS = 1
 DRONE_GROUP = 2
 SURFACE_GROUP = 4
 CITY_GROUP = 8
 SIGHT_GROUP = 16
 SOLID = SURFACE_GROUP | CITY_GROUP
-"""Groups that drones meet, beside each other"""
+"""Groups that drones collide with, besides drones"""
 VISIBLE = SURFACE_GROUP | SIGHT_GROUP
-"""Groups that rays meet"""
+"""Groups that rays hit"""
 MAX_RAYS = 4095 if sys.platform == "darwin" else 16383
-"""Rays a call takes; with one more Bullet answers none"""
+"""Maximum number of rays in a call; for more, Bullet returns no results"""
 
 # Columns of a row of getContactPoints.
 BODY_A = 1
@@ -41,14 +41,14 @@ HIT_FRACTION = 2
 
 
 class EngineCalls:
-    """Functions of Bullet for the drones of one client."""
+    """Functions of Bullet for the drones of one client, through pybullet."""
 
     def __init__(self, client: int, body: np.ndarray) -> None:
-        """Keep the client and the bodies of its drones.
+        """Store the client and the bodies of its drones.
 
         Args:
-            client: Number that Bullet gave the client.
-            body: (n,) numbers that Bullet gave the drones.
+            client: Id of the client in Bullet.
+            body: (n,) ids of the drones' bodies in Bullet.
         """
         self._client = client
         self._body: list[int] = body.tolist()
@@ -61,14 +61,14 @@ class EngineCalls:
         velocity: np.ndarray,
         omega: np.ndarray,
     ) -> None:
-        """Write poses and velocities of the drones into arrays.
+        """Read poses and velocities of drones into arrays.
 
         Args:
             mask: (n,) bool, drones to read.
-            position: (n, 3) m, written.
-            quaternion: (n, 4) body to world, written.
-            velocity: (n, 3) m/s, world axes, written.
-            omega: (n, 3) angular velocity, rad/s, world axes, written.
+            position: (n, 3) positions, m; written.
+            quaternion: (n, 4) attitudes, body to world; written.
+            velocity: (n, 3) velocities, world axes, m/s; written.
+            omega: (n, 3) angular velocities, world axes, rad/s; written.
         """
         positions = position.reshape(-1, 3)
         quaternions = quaternion.reshape(-1, 4)
@@ -87,14 +87,14 @@ class EngineCalls:
         velocity: np.ndarray,
         omega: np.ndarray,
     ) -> None:
-        """Give drones poses and velocities.
+        """Set poses and velocities of drones.
 
         Args:
             mask: (n,) bool, drones to set.
-            position: (n, 3) m.
-            quaternion: (n, 4) body to world.
-            velocity: (n, 3) m/s, world axes.
-            omega: (n, 3) angular velocity, rad/s, world axes.
+            position: (n, 3) positions, m.
+            quaternion: (n, 4) attitudes, body to world.
+            velocity: (n, 3) velocities, world axes, m/s.
+            omega: (n, 3) angular velocities, world axes, rad/s.
         """
         chosen = np.flatnonzero(mask)
         bodies = np.array(self._body, dtype=np.int32)[chosen]
@@ -102,19 +102,15 @@ class EngineCalls:
         self.velocity(bodies, velocity.reshape(-1, 3)[chosen], omega.reshape(-1, 3)[chosen])
 
     def apply(
-        self,
-        mask: np.ndarray,
-        position: np.ndarray,
-        force: np.ndarray,
-        torque: np.ndarray,
+        self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray
     ) -> None:
-        """Give drones one force and one torque each for the next step.
+        """Apply a force and a torque to each drone in the next step.
 
         Args:
-            mask: (n,) bool, drones to drive.
-            position: (n, 3) where the force acts, m.
-            force: (n, 3) N, world axes.
-            torque: (n, 3) N m, body axes.
+            mask: (n,) bool, drones to apply them to.
+            position: (n, 3) points at which the forces act, m.
+            force: (n, 3) forces, world axes, N.
+            torque: (n, 3) torques, body axes, N m.
         """
         client = self._client
         positions = position.reshape(-1, 3).tolist()
@@ -126,26 +122,21 @@ class EngineCalls:
             bullet.applyExternalTorque(body, -1, torques[k], bullet.LINK_FRAME, client)
 
     def step(self) -> None:
-        """Advance everything by one substep."""
+        """Advance the simulation by one substep."""
         bullet.stepSimulation(self._client)
 
-    def rays(
-        self,
-        start: np.ndarray,
-        end: np.ndarray,
-        groups: int,
-    ) -> np.ndarray:
+    def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
         """Cast rays.
 
         Args:
             start: (M, 3) starts, m.
             end: (M, 3) ends, m.
-            groups: Collision groups that the rays meet.
+            groups: Collision groups that the rays hit.
 
         Returns:
-            (M,) fraction of each ray before it meets a body, 1 where it meets none.
+            (M,) fraction of each ray before its hit, 1 without a hit.
         """
-        # As many at once as a call takes.
+        # Cast the rays in batches of the maximum size.
         fraction = np.empty(len(start))
         for first in range(0, len(start), MAX_RAYS):
             part = slice(first, first + MAX_RAYS)
@@ -158,50 +149,35 @@ class EngineCalls:
             fraction[part] = [hit[HIT_FRACTION] for hit in hits]
         return fraction
 
-    def pose(
-        self,
-        body: np.ndarray,
-        position: np.ndarray,
-        quaternion: np.ndarray,
-    ) -> None:
-        """Put bodies somewhere, at rest.
+    def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
+        """Set poses of bodies, at rest.
 
         Args:
-            body: (n,) any bodies.
-            position: (n, 3) m.
-            quaternion: (n, 4) body to world.
+            body: (n,) ids of any bodies.
+            position: (n, 3) positions, m.
+            quaternion: (n, 4) attitudes, body to world.
         """
         for one, place, turn in zip(body, position, quaternion, strict=True):
             bullet.resetBasePositionAndOrientation(one, place, turn, self._client)
 
-    def velocity(
-        self,
-        body: np.ndarray,
-        velocity: np.ndarray,
-        omega: np.ndarray,
-    ) -> None:
-        """Give bodies velocities.
+    def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
+        """Set velocities of bodies.
 
         Args:
-            body: (n,) any bodies.
-            velocity: (n, 3) m/s, world axes.
-            omega: (n, 3) angular velocity, rad/s, world axes.
+            body: (n,) ids of any bodies.
+            velocity: (n, 3) velocities, world axes, m/s.
+            omega: (n, 3) angular velocities, world axes, rad/s.
         """
         for one, speed, spin in zip(body, velocity.tolist(), omega.tolist(), strict=True):
             bullet.resetBaseVelocity(one, speed, spin, self._client)
 
-    def filter(
-        self,
-        body: np.ndarray,
-        group: int,
-        meets: int,
-    ) -> None:
-        """Set which bodies meet; this drops their cached contacts.
+    def filter(self, body: np.ndarray, group: int, meets: int) -> None:
+        """Set collision filters of bodies; this clears their cached contacts.
 
         Args:
-            body: (n,) any bodies.
+            body: (n,) ids of any bodies.
             group: Collision group of these bodies.
-            meets: Collision groups that they meet.
+            meets: Collision groups that they collide with.
         """
         for one in body:
             bullet.setCollisionFilterGroupMask(one, -1, group, meets, self._client)

@@ -1,7 +1,7 @@
-"""City layouts as bodies of Bullet, and which of them stands in each world.
+"""Bullet bodies of city layouts, and the present layout of each world.
 
-Bodies are made once, when somebody first asks for them: compiled rays and contacts never do. While
-their layout stands nowhere they wait offstage, far below the ground.
+Bodies are created once, at their first use; compiled rays and contacts never use them. While a
+layout is not present in a world, its bodies wait offstage, far below the ground.
 """
 
 import itertools
@@ -16,18 +16,18 @@ from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.solids import Solids
 
 OFFSTAGE_PITCH = 4096.0
-"""Depth of the first layout offstage below the ground, and of each one below the last, m"""
+"""Depth of the first offstage layout below the ground, and of each further one below it, m"""
 GAP = 1.0
-"""Distance of the pieces of a compound beyond a drone's diameter, m"""
+"""Minimum distance of the pieces of a compound beyond a drone's diameter, m"""
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
-"""Quaternion of no rotation"""
+"""Identity quaternion"""
 
 
 class LayoutBodies:
-    """Bodies of L city layouts in each of W worlds. In a world one layout stands, or none.
+    """Bodies of L city layouts in each of W worlds; at most one is present in a world.
 
     Attributes:
-        numbers: The bodies that were made.
+        numbers: Ids of the bodies that were created.
     """
 
     def __init__(
@@ -38,15 +38,15 @@ class LayoutBodies:
         offset: np.ndarray,
         diameter: float,
     ) -> None:
-        """Note the layouts.
+        """Store the layouts; no bodies are created.
 
         Args:
-            client: Number that Bullet gave the client.
+            client: Id of the client in Bullet.
             solids: The layouts.
-            layout: (W,) which of them stands in each world, or `NO_LAYOUT`; it is looked at again
-                in each call.
+            layout: (W,) present layout of each world, or `NO_LAYOUT`; the array is read in each
+                call.
             offset: (W, 3) origins of the tiles, m.
-            diameter: That of the largest drone, m.
+            diameter: Diameter of the largest drone, m.
         """
         self._solids = tuple(solids)
         self._layout = layout
@@ -58,11 +58,11 @@ class LayoutBodies:
         self._apart = diameter + GAP
         self._made: list[list[tuple[list[int], list[int]]]] = []
         self.numbers: set[int] = set()
-        # Made when a picture first needs them, as Bullet never frees their meshes.
+        # Created at the first rendering that needs them, as Bullet never frees their meshes.
         self._facade: dict[int, list[int]] = {}
 
     def make(self) -> list[list[tuple[list[int], list[int]]]]:
-        """Give meshes and compounds for each layout and world; the first call makes them."""
+        """Return meshes and compounds of each layout and world; the first call creates them."""
         if not self._made:
             stands = self._layout[:, None]
             made = [
@@ -77,11 +77,11 @@ class LayoutBodies:
         return self._made
 
     def follow(self, before: np.ndarray, calls: EngineCalls | CExtension) -> None:
-        """Move bodies after a change of which layouts stand.
+        """Move bodies after the layouts of worlds have changed.
 
         Args:
-            before: (W,) layouts that stood until now.
-            calls: That move bodies.
+            before: (W,) previous layout of each world.
+            calls: Functions of Bullet that move bodies.
         """
         if not self._made:
             return
@@ -94,33 +94,31 @@ class LayoutBodies:
 
     @staticmethod
     def _move(
-        calls: EngineCalls | CExtension,
-        made: tuple[list[int], list[int]],
-        place: np.ndarray,
+        calls: EngineCalls | CExtension, made: tuple[list[int], list[int]], place: np.ndarray
     ) -> None:
-        """Put meshes and compounds at one place."""
+        """Move meshes and compounds to a position."""
         bodies = np.array(made[0] + made[1], dtype=np.int32)
         count = len(bodies)
         calls.pose(bodies, np.tile(place, (count, 1)), np.tile(LEVEL, (count, 1)))
 
     def solid_bodies(self, world: int) -> list[int]:
-        """List the bodies that drones can touch in a world."""
+        """Return the bodies of a world's layout that drones can touch."""
         layout = self._layout[world]
         return [] if layout == NO_LAYOUT else self.make()[layout][world][1]
 
     @property
     def num_facades(self) -> int:
-        """Number of bodies that pictures show."""
+        """Number of visual bodies."""
         return sum(map(len, self._facade.values()))
 
     def facades(self, world: int) -> list[tuple[int, float]]:
-        """List the bodies that pictures show, each with its height in a picture of a world.
+        """Return the visual bodies, each with its height in an image of a world.
 
         Args:
             world: Index of the world.
 
         Returns:
-            Bodies and heights, m: 0 for those of the layout that stands there, else offstage.
+            Bodies and heights, m: 0 for the layout that is present in the world, else offstage.
         """
         shown = int(self._layout[world])
         if shown != NO_LAYOUT and shown not in self._facade:

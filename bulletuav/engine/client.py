@@ -1,4 +1,4 @@
-"""Clients of Bullet: how they are opened, set up and closed."""
+"""Functions that open, configure and close Bullet clients."""
 
 import contextlib
 
@@ -7,17 +7,17 @@ from bulletuav.engine.screen import require_screen
 from bulletuav.engine.silence import silenced
 
 
-def connect(live: bool) -> int:
-    """Open a client.
+def open_client(live: bool) -> int:
+    """Open a Bullet client.
 
     Args:
         live: Whether to open a window.
 
     Returns:
-        Number that Bullet gave the client.
+        Id of the client in Bullet.
 
     Raises:
-        RuntimeError: There is no screen for a window.
+        RuntimeError: If there is no screen for a window.
     """
     if live:
         require_screen()
@@ -26,20 +26,16 @@ def connect(live: bool) -> int:
     return client
 
 
-def configure(
-    client: int,
-    dt: float,
-    live: bool,
-) -> None:
-    """Set a client up so that worlds cannot feel each other.
+def configure(client: int, dt: float, live: bool) -> None:
+    """Configure a client so that worlds do not influence each other.
 
-    Islands of bodies that touch are solved one by one and to the full iteration count, and pairs
+    Islands of touching bodies are solved one by one with the full number of iterations, and pairs
     in a fixed order.
 
     Args:
-        client: Number that Bullet gave the client.
-        dt: Length of a substep, s.
-        live: Whether it has a window.
+        client: Id of the client in Bullet.
+        dt: Duration of a substep, s.
+        live: Whether the client has a window.
     """
     bullet.setPhysicsEngineParameter(
         fixedTimeStep=dt,
@@ -49,14 +45,14 @@ def configure(
         solverResidualThreshold=0,
         physicsClientId=client,
     )
-    # Weight is part of each drone's wrench.
+    # Each drone's wrench includes its weight.
     bullet.setGravity(0, 0, 0, physicsClientId=client)
     if live:
         bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=client)
 
 
 def disconnect(clients: list[int]) -> None:
-    """Close clients and forget them; a live window may already have been closed by its user."""
+    """Close clients and clear the list; users may already have closed a live window."""
     while clients:
         with contextlib.suppress(bullet.error):
             bullet.disconnect(clients.pop())

@@ -1,4 +1,4 @@
-"""Makers of the bodies of drones, from the URDF of their airframes."""
+"""Functions that create the bodies of drones, from the URDFs of their airframes."""
 
 import contextlib
 import functools
@@ -12,30 +12,30 @@ import numpy as np
 
 from bulletuav.engine.bodies import Body, rims
 from bulletuav.engine.calls import bullet
-from bulletuav.engine.client import connect, disconnect
+from bulletuav.engine.client import disconnect, open_client
 from bulletuav.engine.silence import silenced
 from bulletuav.geometry.shapes import CYLINDER, Shape
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.urdf import UrdfFile
 
 DISC = "disc.stl"
-"""The file of a rotor's disc, beside those that name it"""
+"""File name of the mesh of a rotor's disc, in the folder of the URDFs that refer to it"""
 ROUND = 24
-"""Sides of a rotor's disc in pictures"""
+"""Number of sides of a rotor's disc in images"""
 
 
 @contextlib.contextmanager
 def drawn_files(airframes: Iterable[Airframe]) -> Iterator[dict[Path, Path]]:
-    """Write the URDF of airframes with triangles in place of the cylinders that pictures show.
+    """Write copies of airframes' URDFs in which meshes replace the visual cylinders.
 
-    Of each cylinder Bullet makes a hull for every drone, which takes longer than all else about a
-    drone. It rounds the hull, too: rotors look like cones.
+    Bullet builds a hull of each cylinder for every drone, which takes longer than the rest of a
+    drone. It also rounds the hull, so that rotors look like cones.
 
     Args:
         airframes: The airframes.
 
     Yields:
-        The file to load for each URDF. Files that name meshes beside them stay as they are.
+        The file to load for each URDF. URDFs that refer to mesh files are loaded unchanged.
     """
     files = {airframe.urdf: airframe.urdf for airframe in airframes}
     with contextlib.ExitStack() as stack:
@@ -46,35 +46,30 @@ def drawn_files(airframes: Iterable[Airframe]) -> Iterator[dict[Path, Path]]:
             warnings.warn(
                 f"the folder for temporary files ({tempfile.gettempdir()}) cannot be written: "
                 f"{error}: rotors look like cones, and drones take longer to make; "
-                f"set TMPDIR to a folder with room",
+                f"set TMPDIR to a writable folder with free space",
                 stacklevel=2,
             )
         yield files
 
 
-def make_drone(
-    client: int,
-    airframe: Airframe,
-    file: Path,
-    place: np.ndarray,
-) -> Body:
-    """Make one drone.
+def make_drone(client: int, airframe: Airframe, file: Path, place: np.ndarray) -> Body:
+    """Create the body of a drone.
 
     Args:
-        client: Number that Bullet gave the client.
-        airframe: Its shape, mass and inertia.
-        file: The file to load, of `drawn_files`.
+        client: Id of the client in Bullet.
+        airframe: Shape, mass and inertia of the drone.
+        file: File to load, from `drawn_files`.
         place: (3,) position in Bullet's frame, m.
 
     Returns:
         The body.
 
     Raises:
-        ValueError: Bullet cannot load the airframe's URDF.
+        ValueError: If Bullet cannot load the airframe's URDF.
     """
     body = _load(client, airframe.urdf, file, place.tolist())
-    # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise. Mass and
-    # inertia are ours, as its own reading of the file may round or scale them.
+    # By default Bullet damps velocities by 4 % a second and clamps them at 100. Mass and inertia
+    # are set explicitly, as Bullet may round or scale those of the file.
     bullet.changeDynamics(
         body,
         -1,
@@ -89,10 +84,10 @@ def make_drone(
 
 
 def _load(client: int, urdf: Path, file: Path, place: Sequence[float]) -> Body:
-    """Load a file that stands for a URDF; raises ValueError where Bullet cannot."""
+    """Load a file in place of a URDF; raise ValueError if Bullet cannot load it."""
     flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
     flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
-    # Drones of one airframe share what is drawn, which takes Bullet half the time to make.
+    # Drones of one airframe share visual shapes, which halves the time that Bullet needs.
     flags |= bullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES
     try:
         with silenced():
@@ -105,7 +100,7 @@ def _load(client: int, urdf: Path, file: Path, place: Sequence[float]) -> Body:
 def require_loadable(airframes: Iterable[Airframe]) -> None:
     """Raise ValueError if Bullet cannot load the URDF of an airframe.
 
-    Drones may be made much later, or never.
+    The drones themselves may be created much later, or never.
     """
     for urdf in {airframe.urdf for airframe in airframes}:
         _try_once(urdf, urdf.read_bytes())
@@ -113,8 +108,8 @@ def require_loadable(airframes: Iterable[Airframe]) -> None:
 
 @functools.cache
 def _try_once(urdf: Path, _: bytes) -> None:
-    """Load a URDF in a client of its own, once for what is in the file."""
-    client = connect(live=False)
+    """Load a URDF in a separate client, once for each content of the file."""
+    client = open_client(live=False)
     try:
         _load(client, urdf, urdf, (0.0, 0.0, 0.0))
     finally:
@@ -122,7 +117,7 @@ def _try_once(urdf: Path, _: bytes) -> None:
 
 
 def _write_drawn(urdfs: Iterable[Path], folder: Path) -> dict[Path, Path]:
-    """Write what is loaded in place of those URDF that name no meshes."""
+    """Write the files to load in place of URDFs that refer to no meshes."""
     Path(folder, DISC).write_bytes(_disc())
     files = {}
     for k, urdf in enumerate(urdfs):
@@ -135,7 +130,7 @@ def _write_drawn(urdfs: Iterable[Path], folder: Path) -> dict[Path, Path]:
 
 @functools.cache
 def _drawn(urdf: Path, _: bytes) -> bytes | None:
-    """Return what is loaded in place of a URDF, once for what is in it; None if it names meshes."""
+    """Return the contents to load in place of a URDF; None if the URDF refers to meshes."""
     robot = UrdfFile(urdf).root
     if robot.find(".//mesh") is not None:
         return None
@@ -145,11 +140,11 @@ def _drawn(urdf: Path, _: bytes) -> bytes | None:
 
 
 def _replace_cylinders(robot: ElementTree.Element) -> None:
-    """Replace the cylinders that pictures show by a mesh of radius and length 1 that is scaled."""
+    """Replace visual cylinders by a scaled mesh of a cylinder of radius and length 1."""
     for geometry in robot.iterfind("link/visual/geometry"):
         for cylinder in geometry.findall("cylinder"):
             radius, length = cylinder.get("radius"), cylinder.get("length")
-            if radius and length:  # Bullet tells what is missing
+            if radius and length:  # else Bullet reports the missing attribute
                 geometry.remove(cylinder)
                 scale = f"{radius} {radius} {length}"
                 ElementTree.SubElement(geometry, "mesh", filename=DISC, scale=scale)
@@ -159,7 +154,7 @@ def _replace_cylinders(robot: ElementTree.Element) -> None:
 def _disc() -> bytes:
     """Return a disc of radius and thickness 1 as a binary STL file, which Bullet reads fastest."""
     corners = rims(Shape(CYLINDER, (1.0, 1.0, 0.5)), ROUND)
-    # Corners of the lower rim, those after them, and the same on the upper rim
+    # Corners of the lower rim, the next corners, and both on the upper rim
     low = np.arange(ROUND)
     after = (low + 1) % ROUND
     high, beyond = low + ROUND, after + ROUND
@@ -169,7 +164,7 @@ def _disc() -> bytes:
     corner = corners[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     size = np.linalg.norm(normal, axis=1)
-    # Fans begin and end with triangles of no area
+    # Fans begin and end with degenerate triangles
     has_area = size > 0
     rows = np.zeros(
         has_area.sum(), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("unused", "<u2")]

@@ -1,8 +1,8 @@
-"""The engine: W worlds of N drones as tiles of one Bullet client, behind calls that take arrays.
+"""The engine: W worlds of N drones as tiles of one Bullet client, with array arguments.
 
-The modules of this room alone know pybullet. The rest of the package relies on three properties,
-each held by a test. Bodies are free of Bullet's hidden damping and velocity clamp. Resets in place
-leave no trace of the past. A world does not feel what other worlds do.
+Only modules of `bulletuav.engine` import pybullet. The rest of the package relies on three
+properties, which tests check: bodies have neither Bullet's default damping nor its velocity limit;
+resets in place leave no trace of the past; worlds do not influence each other.
 """
 
 import hashlib
@@ -14,9 +14,15 @@ from functools import cached_property
 import numpy as np
 
 from bulletuav.compiled.program import Program
-from bulletuav.engine.body_source import BodySource, pieces_of, pose_of
+from bulletuav.engine.body_source import BodySource, check_pose, pieces_of
 from bulletuav.engine.body_table import Contents
-from bulletuav.engine.c_extension import NO_SESSION, CExtension, Port, bring_out, load
+from bulletuav.engine.c_extension import (
+    NO_SESSION,
+    CExtension,
+    EnginePort,
+    bring_out,
+    load_extension,
+)
 from bulletuav.engine.calls import DRONE_GROUP, SOLID, EngineCalls, bullet
 from bulletuav.engine.client import disconnect
 from bulletuav.engine.drones import require_loadable
@@ -34,26 +40,26 @@ from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Swarm
 
 ENGINE_VERSION: int = bullet.getAPIVersion()
-EXTENSION = load(bullet.__file__)
+EXTENSION = load_extension(bullet.__file__)
 
 RAY_METHODS = {"compiled": True, "bullet": False}
-"""Who answers rays, and whether it is compiled code"""
+"""Ray casting methods by name, and whether they are compiled code"""
 PLAIN = Obstacle("sphere", (1.0,))
-"""Whose colour and contact a body has that tells none"""
+"""Obstacle whose colour, friction and restitution are the defaults of added bodies"""
 
 
 class Engine(EngineQueries):
     """W tiles of N drones and K obstacles over one ground plane at z = 0.
 
-    Poses are in each world's own frame, east, north and up from the middle of its tile. Bullet is
-    connected to, and all bodies are made, when something first needs them: flights and sensors that
-    compiled code computes never do.
+    Poses are in each world's own frame, east, north and up from the centre of its tile. The Bullet
+    client is opened, and the bodies are created, at their first use; flights and sensors of
+    compiled code never use them.
 
     Attributes:
-        dt: Length of a substep, s.
-        first_world: Number of the first tile.
-        omega: (W, N, 3) angular velocities as Bullet gave them last, world axes, rad/s.
-        bodies: (W,) uint64, a hash of the bodies that `add_body` put up in each world; 0 for none.
+        dt: Duration of a substep, s.
+        first_world: Index of the first tile.
+        omega: (W, N, 3) last angular velocities from Bullet, world axes, rad/s.
+        bodies: (W,) uint64, a hash of the bodies added by `add_body` in each world; 0 for none.
         closed: True after `close`.
     """
 
@@ -69,23 +75,24 @@ class Engine(EngineQueries):
         rays: str = "compiled",
         contacts: bool = False,
     ) -> None:
-        """Note what stands and flies in the worlds; the drones are parked.
+        """Create the worlds, with all drones parked.
 
         Args:
             airframes: Airframe of each of the N drones of a world.
             num_worlds: Number of worlds.
-            dt: Length of a substep, s.
+            dt: Duration of a substep, s.
             obstacles: The K obstacles of each world.
-            layouts: What can stand in a world, one at a time; none does before `set_layouts`.
-            first_world: Number of the first tile.
+            layouts: The city layouts, one of which can be present in a world at a time; none is
+                before `set_layouts`.
+            first_world: Index of the first tile.
             live: Whether to open a window.
-            rays: "compiled", or "bullet" to ask Bullet where there is more than ground and boxes:
-                slower, to a millimetre, for comparison.
-            contacts: Whether Bullet lets drones touch, instead of `bulletuav.contact`.
+            rays: "compiled", or "bullet" to cast rays in Bullet if there is more than ground and
+                boxes: slower, accurate to a millimetre, for comparison.
+            contacts: Whether Bullet resolves contacts, instead of `bulletuav.contact`.
 
         Raises:
-            RuntimeError: There is no screen for a window.
-            ValueError: Bullet cannot load the URDF of an airframe, or `rays` is neither.
+            RuntimeError: If there is no screen for a window.
+            ValueError: If Bullet cannot load the URDF of an airframe, or `rays` is neither.
         """
         find_choice("rays", rays, dict.fromkeys(RAY_METHODS))
         require_loadable(airframes)
@@ -104,7 +111,7 @@ class Engine(EngineQueries):
         self._num_added = 0
         self._added_pieces: list[AddedPiece] = []
         self.bodies = np.zeros(num_worlds, dtype=np.uint64)
-        # Of bodies that are not made yet
+        # Masses and inertias of bodies that are not created yet
         self._masses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._contents = Contents(
             airframes,
@@ -114,10 +121,10 @@ class Engine(EngineQueries):
             offset,
             parking_places(offset, len(airframes)),
         )
-        # Positions as Bullet gave them, at which forces act
+        # Positions from Bullet, at which forces act
         self._place = self._contents.parking.copy()
         self.omega = np.zeros((*self.shape, 3))
-        # Drones whose bodies are not parked: none before they are made
+        # Drones whose bodies are not parked: none before they are created
         self._out = np.zeros(self.shape, dtype=bool)
         self.closed = False
         self._open: list[int] = []
@@ -126,12 +133,12 @@ class Engine(EngineQueries):
             self.make_bodies()
 
     def make_bodies(self) -> None:
-        """Make all bodies now, and not when something first needs them."""
+        """Create all bodies now instead of at their first use."""
         self._bullet  # noqa: B018
 
     @cached_property
     def _bullet(self) -> InBullet:
-        """Connect to Bullet and make all bodies, the drones parked."""
+        """Open a Bullet client and create all bodies, with the drones parked."""
         if self.closed:
             raise RuntimeError("the engine is closed")
         how = (self.dt, self._live, self.asks_bodies)
@@ -143,16 +150,16 @@ class Engine(EngineQueries):
 
     @property
     def _is_made(self) -> bool:
-        """Whether there are bodies in Bullet."""
+        """Whether the bodies in Bullet are created."""
         return "_bullet" in self.__dict__
 
     @property
     def contents(self) -> Contents:
-        """What is in the worlds but for added bodies, such as for a `SceneCopy`."""
+        """Drones, obstacles and city layouts of the worlds, without added bodies."""
         return self._contents
 
     def scene_poses(self, swarm: Swarm) -> ScenePoses:
-        """Return where everything is that pictures show, as a copy; drones are as in a swarm."""
+        """Return a copy of the poses of all rendered bodies, with the drones' from a swarm."""
         count = self.obstacle_radius.size
         return ScenePoses(
             swarm.position.copy(),
@@ -164,23 +171,23 @@ class Engine(EngineQueries):
         )
 
     @property
-    def port(self) -> Port | None:
-        """Arrays and functions for compiled code to run substeps; None without the C extension."""
+    def port(self) -> EnginePort | None:
+        """Arrays and C functions for substeps in compiled code; None without the C extension."""
         calls = self._bullet.calls
         if not isinstance(calls, CExtension):
             return None
         return self._port(calls.session, calls.library)
 
     @property
-    def surface_port(self) -> Port | None:
-        """What `port` is, for `surface_below` alone: compiled rays do not need Bullet."""
+    def surface_port(self) -> EnginePort | None:
+        """Like `port`, for `surface_below` only: compiled rays do not need Bullet."""
         if self._compiled and self._extension.library is not None:
             return self._port(NO_SESSION, self._extension.library)
         return self.port
 
-    def _port(self, session: int, library: PyDLL) -> Port:
-        """Put together what compiled code needs."""
-        return Port(
+    def _port(self, session: int, library: PyDLL) -> EnginePort:
+        """Build the port of a session."""
+        return EnginePort(
             session=session,
             substep=library.batch_substep,
             write=library.batch_write,
@@ -195,11 +202,11 @@ class Engine(EngineQueries):
         )
 
     def set_layouts(self, layout: np.ndarray, worlds: np.ndarray) -> None:
-        """Change which city layouts stand.
+        """Change the city layouts of worlds.
 
         Args:
-            layout: (W,) layout that is to stand in each world, or `NO_LAYOUT`.
-            worlds: (W,) bool, worlds to change; the others keep theirs.
+            layout: (W,) new layout of each world, or `NO_LAYOUT`.
+            worlds: (W,) bool, worlds to change.
         """
         before = self.city_grid.layout.copy()
         self.city_grid.layout[worlds] = layout[worlds]
@@ -212,7 +219,10 @@ class Engine(EngineQueries):
     def note_obstacles(
         self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray
     ) -> None:
-        """Do what `set_obstacles` does but for Bullet's bodies; see `show_obstacles`."""
+        """Set poses of obstacles like `set_obstacles`, without moving Bullet's bodies.
+
+        `show_obstacles` moves the bodies later.
+        """
         count = self.obstacle_radius.size
         if count:
             self._scenery.place[worlds, :count] = position[worlds]
@@ -221,12 +231,12 @@ class Engine(EngineQueries):
     def set_obstacles(
         self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray
     ) -> None:
-        """Put obstacles somewhere.
+        """Set poses of obstacles.
 
         Args:
-            position: (W, K, 3) m.
-            quaternion: (W, K, 4) body to world.
-            worlds: (W,) bool, worlds whose obstacles move.
+            position: (W, K, 3) positions, m.
+            quaternion: (W, K, 4) attitudes, body to world.
+            worlds: (W,) bool, worlds whose obstacles to move.
         """
         if self.obstacle_radius.size:
             self.note_obstacles(position, quaternion, worlds)
@@ -236,11 +246,11 @@ class Engine(EngineQueries):
 
     @property
     def asks_bodies(self) -> bool:
-        """Whether flights and sensors need the obstacles' bodies where obstacles are."""
+        """Whether flights and sensors need Bullet bodies at the poses of the obstacles."""
         return self._live or self._contacts or not self._compiled
 
     def show_obstacles(self) -> None:
-        """Put the obstacles' bodies where the scenery tells that obstacles are."""
+        """Move the obstacles' bodies to the poses in the scenery."""
         count = self.obstacle_radius.size
         if count:
             place = (self._scenery.place[:, :count] + self._offset).reshape(-1, 3)
@@ -257,13 +267,13 @@ class Engine(EngineQueries):
         restitution: float | None = None,
         check: Callable[[Scenery], None] | None = None,
     ) -> int:
-        """Put up a body that stands still, for good; see `Aviary.add_body`.
+        """Add a static body permanently; see `Aviary.add_body`.
 
-        `check` is shown what would stand then, and may raise an error before anything has changed.
+        `check` is called with the new scenery, and may raise an error before anything has changed.
         """
-        place, turn = pose_of(position, quaternion)
+        place, turn = check_pose(position, quaternion)
         pieces = pieces_of(source)
-        # An obstacle tells what a mesh does not.
+        # Only an obstacle has its own colour, friction and restitution.
         like = source if isinstance(source, Obstacle) else PLAIN
         friction = like.friction if friction is None else friction
         friction = finite("friction", friction, 0, MAX_FRICTION)
@@ -271,7 +281,7 @@ class Engine(EngineQueries):
         restitution = finite("restitution", restitution, 0, 1)
         worlds = np.arange(self.shape[0]) if world is None else np.array([world])
         other = FIRST_OBSTACLE - self.obstacle_radius.size - self._num_added
-        # Where each piece is: that of the body, and the piece's own in it.
+        # Pose of each piece in its world: that of the body, times that of the piece in the body.
         places = np.full((self.shape[0], len(pieces), 3), NOWHERE)
         turns = np.tile([0.0, 0.0, 0.0, 1.0], (*places.shape[:2], 1))
         for p, piece in enumerate(pieces):
@@ -310,7 +320,7 @@ class Engine(EngineQueries):
 
         Args:
             world: Index of the world.
-            mass: (N,) kg.
+            mass: (N,) masses, kg.
             inertia: (N, 3) principal moments of inertia, kg m^2.
         """
         if self._is_made:
@@ -319,7 +329,7 @@ class Engine(EngineQueries):
             self._masses[world] = mass.copy(), inertia.copy()
 
     def set_states(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Give drones the poses and velocities of a swarm, free of anything from their past.
+        """Set poses and velocities of drones, and clear Bullet's cached contacts of these drones.
 
         Args:
             swarm: The states.
@@ -330,15 +340,15 @@ class Engine(EngineQueries):
         self.write_states(swarm, mask)
 
     def add_states(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
-        """Add to a program what `set_states` does."""
+        """Add a call equivalent to `set_states` to a program."""
         port = self.port
         if port is None or self._contacts:
-            program.turn(lambda: self.set_states(swarm, mask))
+            program.callback(lambda: self.set_states(swarm, mask))
         else:
             program.call(bring_out, port, swarm, mask, self._out)
 
     def write_states(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Give drones the poses and velocities of a swarm; what Bullet knows of contacts stays.
+        """Set poses and velocities of drones; Bullet's cached contacts stay.
 
         Args:
             swarm: The states.
@@ -349,10 +359,10 @@ class Engine(EngineQueries):
         self._bullet.calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self.omega)
 
     def restore_states(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Give drones the poses and velocities that Bullet gave once, to the last bit.
+        """Set poses and velocities of drones to earlier ones from Bullet, equal to the bit.
 
         Args:
-            swarm: The states; angular velocities are those of `omega`.
+            swarm: The states; angular velocities are taken from `omega`.
             mask: (W, N) bool, drones to set.
         """
         self._out |= mask
@@ -360,18 +370,18 @@ class Engine(EngineQueries):
         self._bullet.calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self.omega)
 
     def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Show drones where a swarm is, without a change to velocities or contacts.
+        """Set poses of drones' bodies for rendering; velocities and contacts do not change.
 
         Args:
             swarm: The states.
-            mask: (W, N) bool, drones to show.
+            mask: (W, N) bool, drones to move.
         """
         self._out |= mask
         place = (swarm.position + self._offset)[mask]
         self._bullet.calls.pose(self._bullet.bodies.drone[mask], place, swarm.quaternion[mask])
 
     def park(self, mask: np.ndarray) -> None:
-        """Take drones out of the airspace, to rest where nothing touches or sees them.
+        """Park drones outside the airspace, where they neither touch anything nor are visible.
 
         Args:
             mask: (W, N) bool, drones to park.
@@ -385,47 +395,47 @@ class Engine(EngineQueries):
             self._rest(self._bullet.calls, mask)
 
     def _rest(self, calls: EngineCalls | CExtension, mask: np.ndarray) -> None:
-        """Let the bodies of drones of `mask` (W, N) rest where they are parked."""
+        """Set the bodies of drones of `mask` (W, N) to rest at their parking positions."""
         still = np.zeros((*self.shape, 3))
         upright = np.tile([0.0, 0.0, 0.0, 1.0], (*self.shape, 1))
         calls.write(mask, self._contents.parking, upright, still, still)
 
     def _filter(self, mask: np.ndarray, meets: int) -> None:
-        """Set the collision groups that drones meet.
+        """Set the collision groups that drones collide with.
 
-        It drops the bodies' cached contacts, without which a reset would remember the last episode.
+        This clears the bodies' cached contacts, so that no contacts of the last episode remain.
         """
         bodies = self._bullet.bodies.drone[mask]
         self._bullet.calls.filter(bodies, DRONE_GROUP if meets else 0, meets)
 
     def read_states(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Write Bullet's poses and velocities of drones into a swarm; rotor speeds stay.
+        """Read poses and velocities of drones from Bullet into a swarm; rotor speeds stay.
 
         Args:
-            swarm: Whose states are written.
+            swarm: State of all drones; written.
             mask: (W, N) bool, drones to read.
         """
         self._bullet.calls.read(mask, self._place, swarm.quaternion, swarm.velocity, self.omega)
         localise(self._place, self._offset, self.omega, mask, swarm)
 
     def apply_wrenches(self, force: np.ndarray, torque: np.ndarray, mask: np.ndarray) -> None:
-        """Give drones one force and one torque each for the next step.
+        """Apply a force and a torque to each drone in the next step.
 
         Args:
-            force: (W, N, 3) N, world axes, at the centre of mass.
-            torque: (W, N, 3) N m, body axes.
-            mask: (W, N) bool, drones to drive.
+            force: (W, N, 3) forces at the centre of mass, world axes, N.
+            torque: (W, N, 3) torques, body axes, N m.
+            mask: (W, N) bool, drones to apply them to.
         """
         self._bullet.calls.apply(mask, self._place, force, torque)
 
     def step(self) -> None:
-        """Advance everything by one substep."""
+        """Advance the simulation by one substep."""
         self._bullet.calls.step()
 
     def close(self) -> None:
-        """Free Bullet's client; a second call does nothing."""
+        """Close Bullet's client; a second call does nothing."""
         if self._is_made:
-            # From here on calls end in Bullet's own errors, not in freed memory.
+            # Later calls through pybullet raise errors instead of accessing freed memory.
             self._bullet = self._bullet.without_extension()
         self.closed = True
         self._finalizer()

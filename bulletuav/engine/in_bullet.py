@@ -1,4 +1,4 @@
-"""What Bullet has of the worlds of an engine: a client, its bodies, and what moves them."""
+"""The Bullet side of an engine: a client, its bodies, and the calls that move them."""
 
 import warnings
 from typing import NamedTuple
@@ -8,19 +8,19 @@ import numpy as np
 from bulletuav.engine.body_table import BodyTable, Contents
 from bulletuav.engine.c_extension import POSTFIX, CExtension, Extension
 from bulletuav.engine.calls import EngineCalls, bullet
-from bulletuav.engine.client import configure, connect
+from bulletuav.engine.client import configure, open_client
 from bulletuav.engine.rendering import SceneRenderer
 from bulletuav.engine.silence import silenced
 
 
 class InBullet(NamedTuple):
-    """A client of Bullet with all that is in it.
+    """A Bullet client with its bodies, calls and renderer.
 
     Attributes:
-        client: Number that Bullet gave the client.
+        client: Id of the client in Bullet.
         bodies: All bodies.
-        calls: What reads and moves them.
-        renderer: What takes pictures of them.
+        calls: Functions that read and move the bodies.
+        renderer: Renderer of the bodies.
     """
 
     client: int
@@ -41,7 +41,7 @@ class InBullet(NamedTuple):
             )
 
     def without_extension(self) -> "InBullet":
-        """Call Bullet through pybullet alone, which answers of closed clients by an error."""
+        """Return a copy that calls Bullet only by pybullet, which checks for closed clients."""
         return self._replace(calls=EngineCalls(self.client, self.bodies.drone.ravel()))
 
 
@@ -53,40 +53,40 @@ def make_in_bullet(
     clients: list[int],
     extension: Extension,
 ) -> InBullet:
-    """Connect to Bullet and make the bodies of an engine. Nothing meets the drones yet.
+    """Open a Bullet client and create the bodies of an engine; drones do not collide yet.
 
     Args:
-        contents: What is in the worlds.
-        dt: Length of a substep, s.
+        contents: Drones, obstacles and city layouts of the worlds.
+        dt: Duration of a substep, s.
         live: Whether to open a window.
-        at_once: Whether obstacles and cities are made now, see `BodyTable`.
-        clients: Open clients; the new one is added.
-        extension: The C extension, if there is one.
+        at_once: Whether to create obstacles and cities now, see `BodyTable`.
+        clients: Ids of open clients; the new id is appended.
+        extension: The C extension, if it is available.
 
     Raises:
-        RuntimeError: There is no screen for a window.
-        ValueError: Bullet cannot load the URDF of an airframe.
+        RuntimeError: If there is no screen for a window.
+        ValueError: If Bullet cannot load the URDF of an airframe.
     """
-    client = connect(live)
+    client = open_client(live)
     clients.append(client)
     configure(client, dt, live)
     bodies = BodyTable(client, contents, at_once)
     drone = bodies.drone.ravel()
-    # Bullet runs in a thread of its own behind a live window.
+    # With a live window, Bullet runs in its own thread, where the extension cannot reach it.
     calls = EngineCalls(client, drone) if live else _make_calls(client, drone, extension)
     calls.filter(drone, 0, 0)
     return InBullet(client, bodies, calls, SceneRenderer(client, bodies, contents.offset))
 
 
 def _make_calls(client: int, drone: np.ndarray, extension: Extension) -> EngineCalls | CExtension:
-    """Choose the C extension where it works, else the calls through pybullet."""
+    """Return the calls of the C extension if it works, else those of pybullet."""
     if extension.library is None:
         return EngineCalls(client, drone)
     with silenced():
         plugin = bullet.loadPlugin(extension.path, POSTFIX, physicsClientId=client)
     try:
         if plugin < 0:
-            raise RuntimeError("the engine refused the plugin")
+            raise RuntimeError("the engine could not load the plugin")
         return CExtension(extension.library, drone)
     except RuntimeError as error:
         warnings.warn(

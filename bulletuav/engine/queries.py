@@ -1,4 +1,4 @@
-"""Questions about the worlds of an engine: contacts, rays, distances and pictures."""
+"""Queries of the worlds of an engine: contacts, rays, distances and camera images."""
 
 import itertools
 from abc import ABC, abstractmethod
@@ -17,7 +17,7 @@ from bulletuav.engine.calls import (
     bullet,
 )
 from bulletuav.engine.in_bullet import InBullet
-from bulletuav.engine.tiles import columns, cover, land, within_tile
+from bulletuav.engine.tiles import cover, vertical_rays, within_tile, write_surface
 from bulletuav.geometry.city_grid import make_city_grid
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.raycast import cast_drone_rays, cast_scenery_rays
@@ -33,12 +33,12 @@ PlacedShape = tuple[int, np.ndarray | None, np.ndarray | None]
 
 
 class EngineQueries(ABC):
-    """Base of `Engine` with the questions about its worlds.
+    """Base class of `Engine` with the queries of its worlds.
 
     Attributes:
         shape: Number of worlds W and of drones N.
         obstacle_radius: (K,) radii of the obstacles' bounding spheres, m.
-        city_grid: The pieces of the city layouts, and which layout stands in each world.
+        city_grid: Pieces of the city layouts, and the present layout of each world.
     """
 
     def __init__(
@@ -49,21 +49,21 @@ class EngineQueries(ABC):
         offset: np.ndarray,
         compiled: bool,
     ) -> None:
-        """Keep the shapes that questions are about.
+        """Build the scenery of the worlds.
 
         Args:
             airframes: Airframe of each of the N drones of a world.
             obstacles: The K obstacles of each world.
-            layouts: What can stand in a world, one at a time.
+            layouts: The city layouts, one of which can be present in a world at a time.
             offset: (W, 3) origins of the tiles, m.
-            compiled: False to ask Bullet for rays where there is more than ground and boxes.
+            compiled: False to cast rays in Bullet if there is more than ground and boxes.
         """
         self.shape = (len(offset), len(airframes))
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
         self.city_grid = make_city_grid(layouts, len(offset))
         self._offset = offset[:, None, :]
         self._compiled = compiled
-        # The same shapes for compiled code, which asks Bullet nothing
+        # The same shapes for compiled code, which does not call Bullet
         self._scenery = make_scenery(
             drones=[airframe.shape for airframe in airframes],
             obstacles=obstacles,
@@ -75,28 +75,28 @@ class EngineQueries(ABC):
     @property
     @abstractmethod
     def _bullet(self) -> InBullet:
-        """What Bullet has of the worlds."""
+        """Client, bodies, calls and renderer of the worlds in Bullet."""
 
     @property
     def scenery(self) -> Scenery:
-        """What drones can touch, for compiled code; a new one after each `Engine.add_body`."""
+        """Collision shapes of the worlds; a new object after each `Engine.add_body`."""
         return self._scenery
 
     def contacts(self, swarm: Swarm, dt: float) -> Contacts:
-        """Tell what touched in Bullet's last step, if Bullet lets drones touch.
+        """Return the contacts of Bullet's last step, if Bullet resolves contacts.
 
         Args:
             swarm: State of all drones after the step.
-            dt: Length of the step, s.
+            dt: Duration of the step, s.
 
         Returns:
-            A row for each point and drone. The velocity is that of the drone's surface after the
-            step, whatever it touches.
+            A row for each contact point and drone. The velocity is that of the drone's surface
+            after the step.
         """
         points = bullet.getContactPoints(physicsClientId=self._bullet.client)
         rows = []
         for one in points:
-            # Bullet also lists points that are near each other and do not touch.
+            # Bullet also lists points of shapes that are near each other without touching.
             if one[NORMAL_FORCE] <= 0 and one[DISTANCE] >= 0:
                 continue
             for mine, theirs, sign in ((BODY_A, BODY_B, 1), (BODY_B, BODY_A, -1)):
@@ -121,23 +121,23 @@ class EngineQueries(ABC):
         world: np.ndarray,
         drones: tuple[Swarm, np.ndarray] | None = None,
     ) -> np.ndarray:
-        """Cast rays that meet ground, bodies and buildings, and drones where asked for.
+        """Cast rays against ground, bodies, buildings and, optionally, drones.
 
-        Of an engine with `rays="bullet"`, Bullet is asked where there is more than ground and
-        boxes. It is never asked about drones, as it knows only where its last step began.
+        An engine with `rays="bullet"` casts rays in Bullet if there is more than ground and boxes.
+        Rays against drones are never cast in Bullet, whose poses are those before its last step.
 
         Args:
             start: (M, 3) starts, m.
             end: (M, 3) ends, m.
             world: (M,) world of each ray.
-            drones: A swarm, and a mask (W, N) of the drones in it that rays meet. A ray does not
-                meet a drone in which it starts.
+            drones: A swarm, and a mask (W, N) of its drones that rays can hit. A ray does not hit
+                a drone in which it starts.
 
         Returns:
-            (M,) fraction of each ray before it meets something, 1 if it does not.
+            (M,) fraction of each ray before its hit, 1 without a hit.
         """
         fraction, left = cast_scenery_rays(self._scenery, start, end, world, self._compiled)
-        # Bullet answers the others, within the world's own tile.
+        # Bullet casts the remaining rays, clipped to the world's tile.
         if len(left):
             last, share = within_tile(start[left], end[left])
             offset = self._offset[world[left], 0]
@@ -149,42 +149,36 @@ class EngineQueries(ABC):
         return fraction
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
-        """Find the height of the surface under drones: ground, roof or body.
+        """Find the height of the surface below drones: ground, roof or body.
 
         Args:
-            position: (W, N, 3) of the drones, m.
-            mask: (W, N) bool, drones that are asked for.
+            position: (W, N, 3) positions of the drones, m.
+            mask: (W, N) bool, drones to find the surface for.
 
         Returns:
             (W, N) height z, m; -inf outside `mask`.
         """
-        # Most drones have only ground below, which takes no ray.
+        # Most drones have only the ground below, which needs no ray.
         surface = np.empty(self.shape)
         count = cover(position, mask, self._scenery, surface)
         if count:
-            who, start, end = columns(position, surface, count)
-            land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
+            drone, start, end = vertical_rays(position, surface, count)
+            write_surface(surface, drone, start, self.cast_rays(start, end, drone[:, 0]))
         return surface
 
-    def separation(
-        self,
-        world: int,
-        one: PlacedShape,
-        two: PlacedShape,
-        within: float,
-    ) -> float:
-        """Measure the closest distance of two collision shapes in a world.
+    def separation(self, world: int, one: PlacedShape, two: PlacedShape, within: float) -> float:
+        """Measure the signed distance of two collision shapes in a world.
 
-        Shapes with a position are moved there, bodies and all. Others stay where they are.
+        The bodies of shapes with a position are moved there. Other bodies stay in place.
 
         Args:
             world: Index of the world.
             one: The first shape.
             two: The second shape.
-            within: Distance beyond which there is no need to know, m.
+            within: Largest distance to measure, m.
 
         Returns:
-            Distance, m; negative when the shapes overlap, inf beyond `within`.
+            Distance, m; negative if the shapes overlap, inf beyond `within`.
         """
         of_one = self._bodies_at(world, *one)
         of_two = self._bodies_at(world, *two)
@@ -200,15 +194,11 @@ class EngineQueries(ABC):
         )
 
     def _bodies_at(
-        self,
-        world: int,
-        who: int,
-        position: np.ndarray | None,
-        quaternion: np.ndarray | None,
+        self, world: int, owner: int, position: np.ndarray | None, quaternion: np.ndarray | None
     ) -> list[int]:
-        """List the bodies of someone in a world; those that can move are put there."""
-        bodies = self._bullet.bodies.bodies_of(world, who)
-        if position is not None and who not in (GROUND, CITY):
+        """Return the bodies of an owner in a world, moved to the pose if they can move."""
+        bodies = self._bullet.bodies.bodies_of(world, owner)
+        if position is not None and owner not in (GROUND, CITY):
             place = position + self._offset[world, 0]
             for body in bodies:
                 bullet.resetBasePositionAndOrientation(body, place, quaternion, self._bullet.client)
@@ -222,15 +212,15 @@ class EngineQueries(ABC):
         size: tuple[int, int],
         drones: tuple[Swarm, np.ndarray] | None = None,
     ) -> Picture:
-        """Take a picture of a world; needs no screen.
+        """Render a camera image of a world; no screen is needed.
 
         Args:
             world: Index of the world.
             view: (4, 4) matrix from the world's own frame to the camera's; see `view_matrix`.
             projection: (4, 4) matrix of the camera; see `projection_matrix`.
             size: Width and height, pixels.
-            drones: A swarm, and a mask (W, N) of the drones in it that are drawn by their
-                collision shapes, in place of the engine's drones.
+            drones: A swarm, and a mask (W, N) of its drones, which are drawn by their collision
+                shapes instead of the engine's drones.
 
         Returns:
             Colours, depths and labels of the pixels.
@@ -242,17 +232,12 @@ class EngineQueries(ABC):
         with self._bullet.renderer.collision_shapes(world, *poses, mask[world]):
             return self._bullet.renderer.picture(world, view, projection, size)
 
-    def look_at(
-        self,
-        world: int,
-        target: np.ndarray,
-        distance: float,
-    ) -> None:
-        """Point the live window at a place.
+    def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
+        """Point the camera of the live window at a position.
 
         Args:
             world: Index of the world.
-            target: (3,) place in the world's own frame, m.
-            distance: Distance to look from, m.
+            target: (3,) position in the world's own frame, m.
+            distance: Distance of the camera from it, m.
         """
         self._bullet.renderer.look_at(world, target, distance)

@@ -1,4 +1,4 @@
-"""Pictures of the worlds of an engine, and its live window."""
+"""Renderer of camera images of an engine's worlds, and of its live window."""
 
 import contextlib
 from collections.abc import Iterator
@@ -12,28 +12,23 @@ from bulletuav.engine.city_layouts import LEVEL
 from bulletuav.geometry.view import Picture, linearise_depth
 
 LIGHT = (0.4, -0.7, 1.0)
-"""Direction towards the sun of pictures: walls differ"""
+"""Direction towards the sun, chosen so that walls differ in brightness"""
 RGBA = 7
 """Column of a row of getVisualShapeData"""
 YAW = 45.0
-"""Direction from which the live window looks, degrees"""
+"""Yaw of the live window's camera, degrees"""
 PITCH = -35.0
-"""Angle below the horizon at which the live window looks, degrees, negative"""
+"""Pitch of the live window's camera, degrees; negative is below the horizon"""
 
 
 class SceneRenderer:
-    """A renderer of one world at a time: it moves the floor and the facades there."""
+    """Renderer of one world at a time, which moves the floor and the facades to that world."""
 
-    def __init__(
-        self,
-        client: int,
-        bodies: BodyTable,
-        offset: np.ndarray,
-    ) -> None:
-        """Prepare to draw.
+    def __init__(self, client: int, bodies: BodyTable, offset: np.ndarray) -> None:
+        """Create the renderer.
 
         Args:
-            client: Number that Bullet gave the client.
+            client: Id of the client in Bullet.
             bodies: All bodies of the engine.
             offset: (W, 3) origins of the tiles, m.
         """
@@ -42,22 +37,18 @@ class SceneRenderer:
         self._offset = offset
 
     def show_city(self, world: int) -> None:
-        """Move the floor, and the facades of the layout that stands in a world, there."""
+        """Move the floor and the facades of a world's layout to that world."""
         shown = [(self._bodies.floor, -FLOOR / 2), *self._bodies.layouts.facades(world)]
         for body, height in shown:
             place = self._offset[world] + [0, 0, height]
             bullet.resetBasePositionAndOrientation(body, place, [0, 0, 0, 1], self._client)
 
     def picture(
-        self,
-        world: int,
-        view: np.ndarray,
-        projection: np.ndarray,
-        size: tuple[int, int],
+        self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]
     ) -> Picture:
-        """Take a picture of a world; see `Engine.picture`."""
+        """Render a camera image of a world; see `Engine.picture`."""
         self.show_city(world)
-        # The view is that of the world's own frame, and Bullet wants matrices column by column.
+        # The view matrix is in the world's own frame; Bullet takes matrices in column-major order.
         shift = np.eye(4)
         shift[:3, 3] = -self._offset[world]
         width, height = size
@@ -74,20 +65,16 @@ class SceneRenderer:
         body = np.asarray(bodies).reshape(height, width)
         colours = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
         depth = linearise_depth(np.asarray(buffer, dtype=np.float64).reshape(height, width))
-        # Bodies that the labels do not tell share the entry before the last.
+        # Bodies without a label share the entry before the last.
         label = self._bodies.pixel_labels()
         labels = label[np.minimum(body, len(label) - 2)]
         return Picture(colours, depth.astype(np.float32), labels)
 
     @contextlib.contextmanager
     def collision_shapes(
-        self,
-        world: int,
-        position: np.ndarray,
-        quaternion: np.ndarray,
-        mask: np.ndarray,
+        self, world: int, position: np.ndarray, quaternion: np.ndarray, mask: np.ndarray
     ) -> Iterator[None]:
-        """Show the collision shapes of drones in place of the drones, for pictures taken meanwhile.
+        """Show the collision shapes of drones instead of the drones, in the `with` block.
 
         Args:
             world: Index of the world.
@@ -101,7 +88,7 @@ class SceneRenderer:
         places = np.where(mask[:, None], position + self._offset[world], OFFSTAGE)
         for ghost, place, turn in zip(ghosts, places, quaternion, strict=True):
             bullet.resetBasePositionAndOrientation(ghost, place, turn, self._client)
-        # The renderer leaves out what is wholly transparent.
+        # The renderer skips fully transparent shapes.
         for body in bodies:
             self._paint(body, [(*colour[:3], 0.0) for colour in colours[body]])
         try:
@@ -113,23 +100,18 @@ class SceneRenderer:
                 bullet.resetBasePositionAndOrientation(ghost, OFFSTAGE, LEVEL, self._client)
 
     def _colours(self, body: int) -> list[Colour]:
-        """List the colours of the visual shapes of a body."""
+        """Return the colours of the visual shapes of a body."""
         shapes = bullet.getVisualShapeData(body, physicsClientId=self._client)
         return [shape[RGBA] for shape in shapes]
 
     def _paint(self, body: int, colours: list[Colour]) -> None:
-        """Give the visual shapes of a body colours."""
+        """Set the colours of the visual shapes of a body."""
         for index, colour in enumerate(colours):
             bullet.changeVisualShape(
                 body, -1, shapeIndex=index, rgbaColor=colour, physicsClientId=self._client
             )
 
-    def look_at(
-        self,
-        world: int,
-        target: np.ndarray,
-        distance: float,
-    ) -> None:
-        """Point the live window at a place in a world; see `Engine.look_at`."""
+    def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
+        """Point the camera of the live window at a position; see `Engine.look_at`."""
         place = (target + self._offset[world]).tolist()
         bullet.resetDebugVisualizerCamera(distance, YAW, PITCH, place, physicsClientId=self._client)

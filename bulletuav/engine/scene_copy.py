@@ -1,4 +1,4 @@
-"""Copies of an engine's worlds in a Bullet client of their own, for pictures in another process."""
+"""Copies of an engine's worlds in a separate Bullet client, for rendering in another process."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -20,10 +20,10 @@ class AddedPiece(NamedTuple):
     """A piece of a body that was added to an engine.
 
     Attributes:
-        shape: Its shape.
+        shape: Shape of the piece.
         colour: Red, green, blue and opacity, from 0 to 1.
         poses: Position (3,) in Bullet's frame, m, and quaternion (4,) of each copy.
-        other: Number of the body, as `other` in `Contacts`.
+        other: Index of the body in contacts, as `other` in `Contacts`.
     """
 
     shape: Shape
@@ -33,14 +33,14 @@ class AddedPiece(NamedTuple):
 
 
 class ScenePoses(NamedTuple):
-    """Where everything is that pictures of W worlds can show.
+    """Poses of all bodies that images of W worlds can show.
 
     Attributes:
         position: (W, N, 3) of the drones, m.
         quaternion: (W, N, 4) of the drones, body to world.
         obstacle_position: (W, K, 3) of the obstacles, m.
         obstacle_quaternion: (W, K, 4) of the obstacles.
-        layout: (W,) city layout that stands in each world, or `NO_LAYOUT`.
+        layout: (W,) present city layout of each world, or `NO_LAYOUT`.
         added: Pieces of all bodies that were added so far, in order.
     """
 
@@ -53,28 +53,29 @@ class ScenePoses(NamedTuple):
 
 
 class SceneCopy:
-    """The bodies of an engine's worlds once more; their pictures equal the engine's to the bit."""
+    """Copy of the bodies of an engine's worlds, whose images equal the engine's to the bit."""
 
     def __init__(self, contents: Contents, at_once: bool) -> None:
-        """Connect to Bullet and make the bodies, in the order in which the engine makes them.
+        """Open a Bullet client and create the bodies, in the order in which the engine does.
 
         Args:
-            contents: What is in the worlds. The array of layouts is written by `picture`.
-            at_once: Whether the engine made obstacles and cities first, see `BodyTable`.
+            contents: Drones, obstacles and city layouts of the worlds; `picture` writes the array
+                of layouts.
+            at_once: Whether the engine created obstacles and cities first, see `BodyTable`.
         """
         self._clients: list[int] = []
-        # The copy never steps: any length of a step will do.
+        # The copy never steps, so that any duration is valid.
         how = (1.0, False, at_once)
         self._bullet = make_in_bullet(contents, *how, self._clients, WITHOUT_EXTENSION)
         self._contents = contents
 
     def picture(self, world: int, poses: ScenePoses, shot: CameraMatrices) -> Picture:
-        """Move the bodies to poses, and take a picture.
+        """Move the bodies to poses, and render a camera image.
 
         Args:
             world: Index of the world.
-            poses: Where everything is, with those added pieces alone that are new to the copy.
-            shot: What the camera sees.
+            poses: Poses of all bodies; `added` has only pieces that the copy does not have yet.
+            shot: View, projection and size of the image.
 
         Returns:
             Colours, depths and labels of the pixels.
@@ -94,5 +95,5 @@ class SceneCopy:
         return self._bullet.renderer.picture(world, *shot)
 
     def close(self) -> None:
-        """Free Bullet's client."""
+        """Close Bullet's client."""
         disconnect(self._clients)

@@ -1,4 +1,4 @@
-"""A check that a live window can open."""
+"""Check whether a live window can be opened."""
 
 import ctypes
 import ctypes.util
@@ -7,14 +7,14 @@ import sys
 
 
 def require_screen() -> None:
-    """Make sure that an X screen answers; without one Bullet would end the process.
+    """Check that an X screen is available; without one Bullet would end the process.
 
     Raises:
-        RuntimeError: No screen answers.
+        RuntimeError: If no screen is available.
     """
     if not sys.platform.startswith("linux"):
         return
-    # The library of X itself is asked, as Bullet will ask it
+    # Use the X library, as Bullet does
     name = ctypes.util.find_library("X11")
     display = os.environ.get("DISPLAY")
     if name and display:

@@ -9,9 +9,9 @@ import threading
 from collections.abc import Iterator
 
 _ALONE = threading.RLock()
-"""Held by the thread that redirects the process's output: two at once would lose it for good"""
+"""Lock of the redirection of the process's output: two at the same time would not restore it"""
 
-# A child process made meanwhile would stay without output, and with a lock that nobody opens.
+# A child process forked during a redirection would have no output, and a lock that stays locked.
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=_ALONE.acquire,
@@ -27,7 +27,7 @@ def _c_library() -> ctypes.CDLL:
 
 
 def _copy(descriptor: int) -> int:
-    """Duplicate a descriptor, to a number that is none of a standard stream, open or closed."""
+    """Duplicate a descriptor, to a number other than those of the standard streams."""
     copy = os.dup(descriptor)
     if copy > 2:
         return copy
@@ -39,18 +39,18 @@ def _copy(descriptor: int) -> int:
 
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
-    """Swallow what Bullet's C code writes to standard output and error: a library does not print.
+    """Discard what Bullet's C code writes to standard output and error in the `with` block.
 
-    Output of other threads at that moment is swallowed too. Threads that silence wait for each
+    Output of other threads in the meantime is discarded, too. Threads that use this wait for each
     other.
     """
     with _ALONE:
-        # Python's own output up to here must not be lost. A stream is None without a console, and
-        # may be closed or gone.
+        # Earlier output of Python must not be lost. A stream is None without a console, and may be
+        # closed.
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(AttributeError, ValueError, OSError):
                 stream.flush()
-        # Redirect the descriptors below Python, as C code does not know its streams.
+        # Redirect the file descriptors, as C code does not use Python's streams.
         saved = {}
         for descriptor in (1, 2):
             with contextlib.suppress(OSError):  # a daemon may have closed it
@@ -62,7 +62,7 @@ def silenced() -> Iterator[None]:
         try:
             yield
         finally:
-            # What C code still buffers goes nowhere, too.
+            # Discard the remaining buffer of the C library, too.
             _c_library().fflush(None)
             for descriptor, copy in saved.items():
                 os.dup2(copy, descriptor)

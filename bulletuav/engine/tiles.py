@@ -1,7 +1,7 @@
-"""Geometry of the tiles: places of worlds in Bullet's frame, and surfaces below drones.
+"""Tiles of worlds: conversion to and from Bullet's frame, and surfaces below drones.
 
-All worlds share one Bullet client. Each has a square tile of the ground to itself, and its own
-frame with the origin at the middle of its tile.
+All worlds share one Bullet client. Each world has its own square tile of the ground, and its own
+frame with the origin at the centre of the tile.
 """
 
 import math
@@ -15,15 +15,15 @@ from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 
 TILE_PITCH = 4096.0
-"""Distance of neighbouring tiles, m: a power of two, larger than any arena"""
+"""Distance between the centres of adjacent tiles, m: a power of two, larger than any arena"""
 RAY_LENGTH = 1000.0
-"""Length of the rays downwards to the surface, m"""
+"""Length of the vertical rays to the surface, m"""
 
 
 def tile_offset(world: int) -> np.ndarray:
-    """Compute where a world's frame lies: at its index on a Morton curve.
+    """Compute the origin of a world's frame, by the world's index on a Morton curve.
 
-    It does not depend on the number of worlds.
+    The origin does not depend on the number of worlds.
 
     Args:
         world: Number of the world.
@@ -38,28 +38,23 @@ def tile_offset(world: int) -> np.ndarray:
 
 @kernel
 def localise(
-    place: np.ndarray,
-    offset: np.ndarray,
-    omega: np.ndarray,
-    mask: np.ndarray,
-    swarm: Swarm,
+    place: np.ndarray, offset: np.ndarray, omega: np.ndarray, mask: np.ndarray, swarm: Swarm
 ) -> None:
-    """Write positions and body rates of drones, given in Bullet's frame, into a swarm.
+    """Convert positions and angular velocities from Bullet's frame, and write them into a swarm.
 
     Args:
         place: (W, N, 3) positions in Bullet's frame, m.
         offset: (W, 1, 3) origins of the tiles, m.
         omega: (W, N, 3) angular velocities, world axes, rad/s.
         mask: (W, N) bool, drones to write.
-        swarm: Whose positions and rates are written, and whose quaternions turn to body axes.
+        swarm: Swarm with up-to-date quaternions; positions and body rates are written.
     """
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if mask[w, i]:
                 for k in range(3):
-                    # Each world has a tile of Bullet's plane, and its own origin
                     swarm.position[w, i, k] = place[w, i, k] - offset[w, 0, k]
-                # Bullet tells angular velocities in world axes
+                # Bullet's angular velocities are in world axes
                 rates = to_body(quat4(swarm.quaternion, w, i), vec3(omega, w, i))
                 for k in range(3):
                     swarm.rates[w, i, k] = rates[k]
@@ -67,18 +62,14 @@ def localise(
 
 @kernel
 def globalise(
-    place: np.ndarray,
-    offset: np.ndarray,
-    omega: np.ndarray,
-    mask: np.ndarray,
-    swarm: Swarm,
+    place: np.ndarray, offset: np.ndarray, omega: np.ndarray, mask: np.ndarray, swarm: Swarm
 ) -> None:
-    """Write where the drones of a swarm are in Bullet's frame: the reverse of `localise`.
+    """Convert positions and body rates of a swarm to Bullet's frame: the inverse of `localise`.
 
     Args:
-        place: (W, N, 3) positions in Bullet's frame, m, which are written.
+        place: (W, N, 3) positions in Bullet's frame, m; written.
         offset: (W, 1, 3) origins of the tiles, m.
-        omega: (W, N, 3) angular velocities, world axes, rad/s, which are written.
+        omega: (W, N, 3) angular velocities, world axes, rad/s; written.
         mask: (W, N) bool, drones to write.
         swarm: The states.
     """
@@ -93,48 +84,39 @@ def globalise(
 
 
 @func
-def _is_covered(
-    here: Vec3Like,
-    scenery: Scenery,
-    w: int,
-) -> bool:
-    """Tell whether a body or a building may stand above or below a point.
+def _is_covered(here: Vec3Like, scenery: Scenery, w: int) -> bool:
+    """Check whether a body or a building may be above or below a point.
 
-    It goes by the bounding spheres of bodies and the bounding boxes of buildings.
+    The check uses the bounding spheres of bodies and the bounding boxes of buildings.
     """
     for r in range(scenery.other.shape[0]):
-        # From above a sphere is a disc
+        # Horizontal distance to the centre of the bounding sphere
         dx = scenery.place[w, r, 0] - here[0]
         dy = scenery.place[w, r, 1] - here[1]
         radius = scenery.table.radius[scenery.first_body + r]
         if dx * dx + dy * dy <= radius * radius:
             return True
-    # A column without end over the point
+    # Infinite vertical line through the point
     low = (here[0], here[1], -np.inf)
     high = (here[0], here[1], np.inf)
     return overlaps_piece(scenery.city_grid, w, low, high)
 
 
 @kernel
-def cover(
-    position: np.ndarray,
-    mask: np.ndarray,
-    scenery: Scenery,
-    surface: np.ndarray,
-) -> int:
-    """Find the drones whose surface below takes a ray to find.
+def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.ndarray) -> int:
+    """Find the drones whose surface height requires a ray.
 
-    Those are drones with a body or a building in their column. Below others lies the ground.
+    Those are drones with a body or a building above or below. Below other drones is the ground.
 
     Args:
-        position: (W, N, 3) of the drones, m.
-        mask: (W, N) bool, drones that are asked for.
-        scenery: What stands in each world.
-        surface: (W, N) heights, m, which are written: NaN for drones that need a ray, 0 for others
-            of `mask`, -inf for those that are not asked for.
+        position: (W, N, 3) positions of the drones, m.
+        mask: (W, N) bool, drones to find the surface for.
+        scenery: Bodies and buildings of each world.
+        surface: (W, N) heights, m; written: NaN for drones that need a ray, 0 for the other drones
+            of `mask`, -inf for drones outside `mask`.
 
     Returns:
-        How many need a ray.
+        Number of drones that need a ray.
     """
     count = 0
     for w in range(mask.shape[0]):
@@ -148,72 +130,67 @@ def cover(
 
 
 @allocating
-def columns(
-    position: np.ndarray,
-    surface: np.ndarray,
-    count: int,
+def vertical_rays(
+    position: np.ndarray, surface: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Make the rays of the drones that `cover` found.
+    """Return the downward rays of the drones that `cover` marked by NaN.
 
     Args:
-        position: (W, N, 3) of the drones, m.
-        surface: (W, N) what it wrote.
-        count: How many there are, M.
+        position: (W, N, 3) positions of the drones, m.
+        surface: (W, N) heights, as written by `cover`, m.
+        count: Number of marked drones M.
 
     Returns:
-        (world, drone) (M, 2); start and end (M, 3) of rays straight down, m.
+        World and drone (M, 2) of each ray; starts and ends (M, 3) of the rays, m.
     """
-    who = np.empty((count, 2), np.int64)
+    drone = np.empty((count, 2), np.int64)
     start, end = np.empty((count, 3)), np.empty((count, 3))
     m = 0
     for w in range(surface.shape[0]):
         for i in range(surface.shape[1]):
             if np.isnan(surface[w, i]):
-                who[m, 0], who[m, 1] = w, i
+                drone[m, 0], drone[m, 1] = w, i
                 for k in range(3):
                     start[m, k] = end[m, k] = position[w, i, k]
                 end[m, 2] -= RAY_LENGTH
                 m += 1
-    return who, start, end
+    return drone, start, end
 
 
 @kernel
-def land(
-    surface: np.ndarray,
-    who: np.ndarray,
-    start: np.ndarray,
-    fraction: np.ndarray,
+def write_surface(
+    surface: np.ndarray, drone: np.ndarray, start: np.ndarray, fraction: np.ndarray
 ) -> None:
-    """Write the heights that the rays of `columns` met: the ground's where they met nothing.
+    """Write the heights at which the rays of `vertical_rays` hit; 0, the ground, without a hit.
 
     Args:
-        surface: (W, N) heights, m, which are written.
-        who: (M, 2) world and drone of each ray.
+        surface: (W, N) heights, m; written.
+        drone: (M, 2) world and drone of each ray.
         start: (M, 3) starts of the rays, m.
-        fraction: (M,) share of each ray before it met something, 1 where it met nothing.
+        fraction: (M,) fraction of each ray before its hit, 1 without a hit.
     """
-    for m in range(who.shape[0]):
+    for m in range(drone.shape[0]):
         met = fraction[m] < 1.0
         height = start[m, 2] - RAY_LENGTH * fraction[m] if met else 0.0
-        surface[who[m, 0], who[m, 1]] = height
+        surface[drone[m, 0], drone[m, 1]] = height
 
 
 @allocating
 def within_tile(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cut rays off where they leave their tile: what is beyond belongs to another world.
+    """Clip rays at the edge of their tile, beyond which are other worlds.
 
     Args:
         start: (M, 3) starts of the rays in their world's own frame, m.
         end: (M, 3) ends of the rays, m.
 
     Returns:
-        Ends (M, 3) of what is left, m, and the share (M,) of each ray that is left.
+        Ends (M, 3) of the clipped rays, m, and the fraction (M,) of each ray that remains.
     """
     share = np.ones(start.shape[0])
     half = 0.5 * TILE_PITCH
     last = end.copy()
     for m in range(start.shape[0]):
-        # The side of the tile that the ray crosses first, east-west or north-south.
+        # The ray ends at the first of the four edges that it crosses.
         for k in range(2):
             change = end[m, k] - start[m, k]
             if abs(end[m, k]) > half:

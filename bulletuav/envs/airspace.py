@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.engine.body_source import BodySource, pose_of
+from bulletuav.engine.body_source import BodySource, check_pose
 from bulletuav.engine.body_table import Contents
 from bulletuav.engine.scene_copy import ScenePoses
 from bulletuav.envs.airspace_inputs import (
@@ -224,7 +224,10 @@ class Airspace(Environment):
         if not count:
             raise ValueError("there are no obstacles: make the airspace with the option obstacles")
         k = as_int("obstacle", obstacle, 0, count - 1)
-        pose, moving = pose_of(position, quaternion), numbers_of_shape("velocity", velocity, (3,))
+        pose, moving = (
+            check_pose(position, quaternion),
+            numbers_of_shape("velocity", velocity, (3,)),
+        )
         self.simulation.update_scene()
         self.world.place_obstacle(k, *pose, moving)
 
@@ -528,7 +531,7 @@ class Airspace(Environment):
         if position is None:
             nose = 0.0 if drone is None else self.airframes[i].collision_radius
             position = (nose, 0.0, 0.0)
-        place, turn = pose_of(position, quaternion)
+        place, turn = check_pose(position, quaternion)
         width, height = (as_int("size", one, 8, 4096) for one in as_sequence("size", size, 2))
         angle = finite("field_of_view", field_of_view, 1, 170)
         if drone is not None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from bulletuav.compiled.gather import pack_numbers, scatter, three
 from bulletuav.compiled.kernel import kernel
-from bulletuav.compiled.lanes import WIDTH, lanes_row, room
+from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_row
 from bulletuav.compiled.program import Program
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.rows import add_value
@@ -64,7 +64,7 @@ class Energy:
             wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe]
             self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING)
             # Constant, so packed once, block by block
-            self._packed = room(-(-parameters.size // WIDTH), len(RotaryWing._fields))
+            self._packed = lane_zeros(-(-parameters.size // WIDTH), len(RotaryWing._fields))
             pack_numbers(self._wings.view(float).reshape(*parameters.shape, -1), self._packed)
 
     def add_start(self, program: Program, worlds: np.ndarray) -> None:

@@ -178,10 +178,10 @@ class EpisodeStart:
         program.call(update_present, state.alive, fresh, state.present, self._due)
         # Python callbacks together, as each leaves and enters compiled code
         if worlds.sensors.sensors:
-            program.turn(self._reset_sensors)
-        program.turn(self._place_scene)
-        program.turn(self._keep_contacts)
-        program.turn(lambda: worlds.measure(state.swarm, state.swarm, self._fresh_drones))
+            program.callback(self._reset_sensors)
+        program.callback(self._place_scene)
+        program.callback(self._keep_contacts)
+        program.callback(lambda: worlds.measure(state.swarm, state.swarm, self._fresh_drones))
         return program
 
     def _make_account_update(self) -> Program:

@@ -11,7 +11,7 @@ from bulletuav.compiled.program import Program
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.dynamics import find_dynamics
-from bulletuav.dynamics.base import Dynamics, Flight
+from bulletuav.dynamics.base import Dynamics, FlightSetup
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import Uncertainty
@@ -144,7 +144,7 @@ def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
     worlds = (engine.shape[0], 1)
     parameters = np.tile(parameter_rows(options.airframe, options.effects), worlds)
     gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
-    flight = Flight(
+    flight = FlightSetup(
         engine,
         parameters,
         Cascade.of(options.controller, parameters.copy(), gains, options.integral),
@@ -163,7 +163,7 @@ def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> Non
     if obstacle.shape[1]:
         program.call(copy_vectors, obstacle, engine.scenery.place)
         if engine.asks_bodies:
-            program.turn(engine.show_obstacles)
+            program.callback(engine.show_obstacles)
 
 
 def hover_speeds(options: EnvOptions) -> np.ndarray:

@@ -42,7 +42,7 @@ class StableArrays:
     def add(self, bound: Bound, out: np.ndarray) -> None:
         """Add a step to the program that evaluates an ingredient into `out`."""
         if bound.loop is None:  # a NumPy function of the whole frame
-            self._program.turn(lambda: bound.fill(self._frame, out))
+            self._program.callback(lambda: bound.fill(self._frame, out))
             return
         arguments = [self._argument(name, source) for name, source in bound.sources.items()]
         self._program.call(bound.loop, *arguments, out)
@@ -59,7 +59,7 @@ class StableArrays:
         def copy() -> None:
             kept[...] = source.read(self._frame)
 
-        self._program.turn(copy)
+        self._program.callback(copy)
         return kept
 
 
@@ -84,7 +84,7 @@ def add_outcome(program: Program, task: Task[Any], frame: Frame, evaluation: Eva
     # An overridden `evaluate_step` runs as a Python callback
     kind, bound = type(task), task.bound
     if kind.evaluate_step is not Task.evaluate_step:
-        program.turn(evaluate)
+        program.callback(evaluate)
         return
     own = None if kind.terminated is Task.terminated else task.terminated
     _add_flags(program, frame, evaluation.ended, own, bound.ends)
@@ -103,7 +103,7 @@ def add_evaluation(program: Program, task: Task[Any], frame: Frame, evaluation: 
     if kind.evaluate_step is Task.evaluate_step:
         _add_terms(program, task, frame, evaluation)
     if kind.extra_terms is not Task.extra_terms:
-        program.turn(lambda: _copy(task.extra_terms(frame), evaluation))
+        program.callback(lambda: _copy(task.extra_terms(frame), evaluation))
         return
     kept = StableArrays(program, frame)
     for name, term in bound.extra.items():
@@ -121,7 +121,7 @@ def _add_flags(
     """Add a step that sets `out` by a task's own method, or where any ingredient holds."""
     if own is not None:
         method = own
-        program.turn(lambda: np.copyto(out, method(frame)))
+        program.callback(lambda: np.copyto(out, method(frame)))
         return
     kept = StableArrays(program, frame)
     for bound in bounds[:1]:
@@ -134,14 +134,14 @@ def _add_flags(
 
 def _add_terms(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
     if type(task).reward_terms is not Task.reward_terms:
-        program.turn(lambda: _copy(task.reward_terms(frame), evaluation))
+        program.callback(lambda: _copy(task.reward_terms(frame), evaluation))
         return
     kept = StableArrays(program, frame)
     for name, term in task.bound.terms.items():
         kept.add(term, evaluation.terms[name])
     if any(task.weights.get(name) for name in task.computed_terms):
         own = {name: evaluation.terms[name] for name in task.bound.terms}
-        program.turn(lambda: _copy(task.compute_terms(frame, own), evaluation))
+        program.callback(lambda: _copy(task.compute_terms(frame, own), evaluation))
 
 
 def _copy(terms: Mapping[str, np.ndarray], evaluation: Evaluation) -> None:

@@ -13,7 +13,7 @@ from numba import types
 
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.compiled.lanes import WIDTH, lanes_of, room
+from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_of
 from bulletuav.geometry.rotation import quat4, to_body
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import rotor_wrench
@@ -55,7 +55,7 @@ class Wakes(NamedTuple):
             pairs=np.zeros((most, 3), dtype=np.int32),
             listed=np.zeros(1, dtype=np.int64),
             place=np.zeros((num_worlds, num_drones, 3)),
-            numbers=room(6),
+            numbers=lane_zeros(6),
             below=np.zeros((WIDTH, 2), dtype=np.int64),
         )
 

@@ -200,7 +200,7 @@ class Wind:
             law = (self._profile.law == "log", self._profile.number)
             program.call(_spread_by_height, self.steady, position, *law, wind)
         if self._field is not None:
-            program.turn(lambda: self._add_field(position, time, wind))
+            program.callback(lambda: self._add_field(position, time, wind))
         if self._wind20 > 0:
             arrays = (self._waves, self._parts)
             program.call(add_gusts, *arrays, position, time, self.steady, self._wind20, wind)

@@ -10,7 +10,7 @@ from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
-from bulletuav.dynamics.base import Flight
+from bulletuav.dynamics.base import FlightSetup
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.gjk import gjk_distance, make_scratch
@@ -101,7 +101,7 @@ class Rig:
         cascade = Cascade.of("lee", rows, np.tile(gain_rows(self.airframes, 100.0), (worlds, 1)))
         found = find_dynamics(dynamics)
         self.contacts = contacts or found.contacts[0]
-        flight = Flight(
+        flight = FlightSetup(
             self.engine,
             rows,
             cascade,

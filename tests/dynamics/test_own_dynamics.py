@@ -155,7 +155,7 @@ def test_setpoints_that_no_controller_gives_are_refused(make_bench):
     class Turning(Gliding):
         consumes = SetpointLevel.RATES
 
-    with pytest.raises(ValueError, match="velocity setpoints cannot be turned into rates"):
+    with pytest.raises(ValueError, match="velocity setpoints cannot be converted to rates"):
         make_bench(Turning).fly(SetpointLevel.VELOCITY, (0.0, 0.0, 0.0, 0.0))
 
 

@@ -186,7 +186,7 @@ def test_who_makes_bodies_behind_our_back_is_told_of_add_body():
     aviary = bulletuav.Aviary("hover", num_drones=1)
     for count in (1, 2):
         bullet.createMultiBody(0, -1, -1, physicsClientId=aviary.worlds.engine._bullet.client)
-        with pytest.warns(UserWarning, match=f"made in the engine by others: {count};.*add_body"):
+        with pytest.warns(UserWarning, match=f"that bulletuav did not create: {count};.*add_body"):
             aviary.reset(seeds=0)
         with warnings.catch_warnings():
             warnings.simplefilter("error")

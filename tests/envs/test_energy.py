@@ -3,7 +3,7 @@
 import numpy as np
 
 from bulletuav.compiled.gather import pack_numbers
-from bulletuav.compiled.lanes import WIDTH, room
+from bulletuav.compiled.lanes import WIDTH, lane_zeros
 from bulletuav.envs.energy import _fill_propulsion
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.power import ROTARY_WING, W20, W100, airframe_wing, propulsion
@@ -11,7 +11,7 @@ from bulletuav.vehicle.power import ROTARY_WING, W20, W100, airframe_wing, propu
 
 def test_power_in_lanes_has_the_bits_of_drones_one_by_one():
     wings = np.array([[W20, W100, airframe_wing(load_airframe("cf2x"))]] * 7, dtype=ROTARY_WING)
-    packed = room(-(-wings.size // WIDTH), len(ROTARY_WING))
+    packed = lane_zeros(-(-wings.size // WIDTH), len(ROTARY_WING))
     pack_numbers(wings.view(float).reshape(7, 3, -1), packed)
     rng = np.random.default_rng(0)
     before, after, wind = rng.normal(0, 6, (3, 7, 3, 3))

@@ -219,7 +219,7 @@ class Log(Stage):
 
     def add_to(self, program, worlds):
         position = worlds.state.swarm.position
-        program.turn(lambda: self.heights.append(position[0, 0, 2]))
+        program.callback(lambda: self.heights.append(position[0, 0, 2]))
 
 
 def test_a_stage_of_ones_own_takes_its_turn():

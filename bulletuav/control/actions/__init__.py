@@ -1,4 +1,4 @@
-"""Actions: meanings of the numbers that an agent gives, and how they become setpoints.
+"""Action types: the meaning of an agent's numbers, and their conversion to setpoints.
 
 Each function that is registered as "action" makes one kind of action for the drones of an
 `ActionContext`. Unless its docstring says otherwise, each number is from -1 to 1.
@@ -80,7 +80,7 @@ def make_action(source: str | ActionMaker, context: ActionContext) -> Action:
         The action.
 
     Raises:
-        ValueError: There is no such action; the nearest names are told.
+        ValueError: If there is no such action; the message lists the nearest names.
     """
     maker: ActionMaker = find("action", source, callable)
     return maker(context)
@@ -100,7 +100,7 @@ def usable_action(action: str, airframes: Sequence[Airframe], consumes: Setpoint
         nearest to the task's own.
 
     Raises:
-        ValueError: There is no such action; the nearest names are listed.
+        ValueError: If there is no such action; the message lists the nearest names.
     """
     # No action's level depends on speeds, the arena or gravity
     context = ActionContext(airframes, 1.0, 1.0, -np.ones(3), np.ones(3), 1.0, 1.0)

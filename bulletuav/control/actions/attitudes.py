@@ -1,4 +1,4 @@
-"""Actions that ask for an attitude or for body rates, with a collective thrust."""
+"""Action types that command an attitude or body rates, with a collective thrust."""
 
 import math
 
@@ -11,7 +11,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.registry import register
 
 MAX_RATES = np.array((2 * math.pi, 2 * math.pi, math.pi))
-"""Body rates that action `rates` can ask for, rad/s"""
+"""Largest body rates of action `rates`, rad/s"""
 
 
 @kernel
@@ -22,7 +22,7 @@ def _decode(
     scale: np.ndarray,
     most: np.ndarray,
 ) -> None:
-    """Write angles or rates over their `scale` (3,), and thrusts from none to the `most` (N,)."""
+    """Write angles or rates, scaled by `scale` (3,), and thrusts from 0 to `most` (N,)."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
             for k in range(3):

@@ -1,4 +1,4 @@
-"""Parts that all actions are made of."""
+"""Common parts of all action types."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,14 +12,14 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.vehicle.airframe import Airframe
 
 Decoder = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Makes setpoints (W, N, S) of actions (W, N, A) and commanded velocities (W, N, 3)"""
+"""Converts actions (W, N, A) and commanded velocities (W, N, 3) to setpoints (W, N, S)"""
 Encoder = Callable[..., np.ndarray]
-"""Makes actions of the first three numbers of setpoints (W, N, 3) and commanded velocities"""
+"""Converts the first three numbers of setpoints (W, N, 3) and commanded velocities to actions"""
 
 
 @dataclass(frozen=True)
 class ActionContext:
-    """Facts about an environment that the makers of actions may use.
+    """Properties of an environment that action makers may use.
 
     Attributes:
         airframes: Airframe of each of N drones.
@@ -42,22 +42,22 @@ class ActionContext:
 
 @dataclass(frozen=True)
 class Action:
-    """A kind of action: A numbers of each of N drones become setpoints at one level.
+    """An action type, which converts A numbers of each of N drones to setpoints at one level.
 
     Attributes:
-        name: Name by which users choose it.
+        name: Name by which users select it.
         level: Level of the setpoints.
         labels: For each drone, the meaning and scale of each number that it reads. Drones with
             fewer rotors than others read fewer than A.
         low: (N, A) lower bounds.
         high: (N, A) upper bounds.
-        decode: Makes setpoints (W, N, S) of actions (W, N, A), already clipped to the bounds, and
-            the velocities (W, N, 3) that were commanded last, m/s. One that is `Compiled` is fast.
-        encode: Inverse of `decode` on the setpoint's first three numbers, for policies that think
-            in metres; None where there is none. It takes the same velocities where the action is
-            relative to them.
+        decode: Converts actions (W, N, A), already clipped to the bounds, and the last commanded
+            velocities (W, N, 3), m/s, to setpoints (W, N, S). A `Compiled` decoder is fast.
+        encode: Inverse of `decode` on the setpoint's first three numbers, for policies that work in
+            metres; None if there is none. It also takes the last commanded velocities if the action
+            is relative to them.
         choices: Number of discrete actions; A is 1 then, and the number is the choice. None for
-            actions that are continuous.
+            continuous actions.
     """
 
     name: str
@@ -75,47 +75,37 @@ class Action:
 
 
 ActionMaker = Callable[[ActionContext], Action]
-"""Makes one kind of action for the drones of an environment"""
+"""Creates an action type for the drones of an environment"""
 
 
 class Compiled:
-    """A decoder that is a compiled function, which programs call without Python."""
+    """A compiled decoder, which programs call without Python."""
 
-    def __init__(
-        self,
-        kernel: Callable[..., None],
-        width: int,
-        *numbers: Any,
-    ) -> None:
-        """Keep the function and what it needs.
+    def __init__(self, kernel: Callable[..., None], width: int, *numbers: Any) -> None:
+        """Store the function and its further arguments.
 
         Args:
-            kernel: Writes setpoints (W, N, `width`), its third argument, of actions (W, N, A) and
-                commanded velocities (W, N, 3); the numbers come after.
-            width: Numbers of a setpoint.
-            *numbers: Numbers and arrays.
+            kernel: Compiled function of actions (W, N, A), commanded velocities (W, N, 3), the
+                setpoints (W, N, `width`) that it writes, and `numbers`.
+            width: Number of values in a setpoint.
+            *numbers: Further arguments, numbers and arrays.
         """
         self.kernel, self.width, self.numbers = kernel, width, numbers
 
     def __call__(self, action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        """Make setpoints (W, N, width)."""
+        """Convert actions to setpoints (W, N, width)."""
         setpoint = np.zeros((*action.shape[:2], self.width))
         self.kernel(action, commanded, setpoint, *self.numbers)
         return setpoint
 
 
 @func
-def limit_drone(
-    vector: np.ndarray,
-    limit: float,
-    w: int,
-    i: int,
-) -> None:
-    """Do what `limit_norm` does with the vector of one drone, in place."""
+def limit_drone(vector: np.ndarray, limit: float, w: int, i: int) -> None:
+    """Limit the norm of the vector of one drone, in place; see `limit_norm`."""
     square = 0.0
     for k in range(3):
         square += vector[w, i, k] ** 2
-    # At most 1, and no division by a length of 0
+    # At most 1, without a division by zero
     share = limit / max(math.sqrt(square), limit)
     for k in range(3):
         vector[w, i, k] = share * vector[w, i, k]
@@ -123,7 +113,7 @@ def limit_drone(
 
 @kernel
 def _limit_all(vector: np.ndarray, limit: float) -> None:
-    """Do what `limit_norm` does, in place."""
+    """Limit the norm of vectors in place; see `limit_norm`."""
     for w in range(vector.shape[0]):
         for i in range(vector.shape[1]):
             limit_drone(vector, limit, w, i)
@@ -131,18 +121,18 @@ def _limit_all(vector: np.ndarray, limit: float) -> None:
 
 @kernel
 def limit_each(vector: np.ndarray, limit: np.ndarray) -> None:
-    """Shorten the first three numbers of vectors (W, N, S) to limits (N,), in place."""
+    """Limit the norm of the first three numbers of vectors (W, N, S) to limits (N,), in place."""
     for w in range(vector.shape[0]):
         for i in range(vector.shape[1]):
             limit_drone(vector, limit[i], w, i)
 
 
 def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
-    """Shorten vectors that are longer than a limit; their direction stays.
+    """Limit the norm of vectors; their direction does not change.
 
     Args:
         vector: (W, N, 3) vectors.
-        limit: Largest norm, above 0.
+        limit: Maximum norm, above 0.
 
     Returns:
         (W, N, 3) vectors no longer than the limit.
@@ -153,7 +143,7 @@ def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
 
 
 def within_climb(velocity: np.ndarray, most: float) -> np.ndarray:
-    """Shorten velocities (..., 3) whose vertical part is above `most`; their direction stays."""
+    """Scale velocities (..., 3) so that the vertical part is at most `most`."""
     excess = np.abs(velocity[..., 2:]) / most
     result: np.ndarray = velocity / np.maximum(excess, 1.0)
     return result
@@ -175,7 +165,7 @@ def normalised(
     decode: Decoder,
     encode: Encoder | None = None,
 ) -> Action:
-    """Make an action whose numbers are from -1 to 1 and the same for every drone."""
+    """Create an action with numbers from -1 to 1, which are the same for every drone."""
     drones = len(context.airframes)
     ones = np.ones((drones, len(labels)))
     return Action(

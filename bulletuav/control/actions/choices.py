@@ -1,4 +1,4 @@
-"""Actions that choose one of some velocities."""
+"""Discrete action types, which select one of several velocities."""
 
 import itertools
 
@@ -15,12 +15,9 @@ CHOICES = ("discrete", "discrete_27")
 
 @kernel
 def _decode(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-    table: np.ndarray,
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, table: np.ndarray
 ) -> None:
-    """Write the velocities of `table` (C, 3) that were chosen."""
+    """Write the selected velocities of `table` (C, 3)."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
             choice = int(action[w, i, 0])
@@ -29,14 +26,10 @@ def _decode(
             setpoint[w, i, 3] = 0.0
 
 
-def _directions(
-    name: str,
-    context: ActionContext,
-    directions: np.ndarray,
-) -> Action:
-    """Make an action that chooses among velocities at max_speed; the first of them is to stay.
+def _directions(name: str, context: ActionContext, directions: np.ndarray) -> Action:
+    """Create an action that selects a velocity at max_speed; the first direction is zero.
 
-    Those that climb faster than max_climb are shortened to it.
+    Velocities that climb faster than max_climb are scaled down to it.
     """
     speed = context.max_speed
     drones = len(context.airframes)

@@ -1,4 +1,4 @@
-"""Actions that ask for motion: a velocity, an acceleration, or a position to fly to."""
+"""Action types that command motion: a velocity, an acceleration, or a target position."""
 
 import numpy as np
 
@@ -23,17 +23,13 @@ UP, YAW = 2, 3
 
 @kernel
 def _decode_limited(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-    most: float,
-    climb: float,
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, most: float, climb: float
 ) -> None:
-    """Write vectors of up to `most`, and `climb` upwards: velocities, or accelerations."""
+    """Write velocities or accelerations of norm at most `most`, scaled vertically by `climb`."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
             for k in range(3):
-                # Each axis by itself, then the norm of all
+                # Scale each axis, then limit the norm
                 setpoint[w, i, k] = action[w, i, k] * (climb if k == UP else most)
             limit_drone(setpoint, most, w, i)
             setpoint[w, i, YAW] = 0.0
@@ -52,10 +48,10 @@ def _decode_increment(
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
             for k in range(3):
-                # From the velocity that was asked for last, not from the drone's own
+                # Relative to the last commanded velocity, not to the drone's velocity
                 setpoint[w, i, k] = commanded[w, i, k] + step * action[w, i, k]
             limit_drone(setpoint, speed, w, i)
-            # The climb has a limit of its own
+            # The vertical velocity has its own limit
             setpoint[w, i, UP] = min(max(setpoint[w, i, UP], -climb), climb)
             setpoint[w, i, YAW] = 0.0
 
@@ -85,9 +81,9 @@ def _limited(
     most: float,
     climb: float,
 ) -> Action:
-    """Make an action that asks for vectors over `most`, which limits their norm.
+    """Create an action of vectors scaled by `most`, which also limits their norm.
 
-    Their vertical part is over `climb`.
+    The vertical part is scaled by `climb`.
     """
     scale = np.array([most, most, climb])
     labels = tuple(

@@ -1,4 +1,4 @@
-"""Actions with a number for each rotor."""
+"""Action types with a number for each rotor."""
 
 import math
 from collections.abc import Callable
@@ -12,15 +12,12 @@ from bulletuav.registry import register
 from bulletuav.vehicle.rotors import RPM
 
 HOVER_RPM_RANGE = 0.05
-"""Share of the hover speed by which action `hover_rpm` can change it"""
+"""Largest change of action `hover_rpm`, as a fraction of the hover speed"""
 
 
 @kernel
 def _decode_thrust(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-    most: np.ndarray,
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, most: np.ndarray
 ) -> None:
     """Write the rotor speeds, at most `most` (N,), of action `rotor`."""
     for w in range(action.shape[0]):
@@ -30,11 +27,7 @@ def _decode_thrust(
 
 
 @kernel
-def _decode_rpm(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-) -> None:
+def _decode_rpm(action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray) -> None:
     """Write the rotor speeds of action `rpm`."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
@@ -44,10 +37,7 @@ def _decode_rpm(
 
 @kernel
 def _decode_change(
-    action: np.ndarray,
-    commanded: np.ndarray,
-    setpoint: np.ndarray,
-    hover: np.ndarray,
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, hover: np.ndarray
 ) -> None:
     """Write the rotor speeds of action `hover_rpm`, about those of `hover` (N,)."""
     for w in range(action.shape[0]):
@@ -65,9 +55,9 @@ def _per_rotor(
     decode: Callable[..., None],
     *numbers: np.ndarray,
 ) -> Action:
-    """Make an action with a number for each rotor; `high` (N,) bounds the numbers of each drone.
+    """Create an action with a number for each rotor; `high` (N,) bounds the numbers of each drone.
 
-    `decode` and its numbers make a `Compiled`.
+    `decode` and its numbers are the arguments of a `Compiled`.
     """
     counts = [len(airframe.rotors) for airframe in context.airframes]
     exists = np.arange(max(counts)) < np.array(counts)[:, None]

@@ -139,7 +139,7 @@ class MeasureAll(Stage):
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
         """Add the calls of the stage; see `Stage.add_to`."""
         if worlds.sensors.sensors:
-            program.turn(worlds.measure)
+            program.callback(worlds.measure)
 
 
 class ShowLive(Stage):
@@ -152,4 +152,4 @@ class ShowLive(Stage):
     def add_to(self, program: Program, worlds: AirspaceWorld) -> None:
         """Add the calls of the stage; see `Stage.add_to`."""
         if worlds.options.render_mode == "human":
-            program.turn(worlds.show_live)
+            program.callback(worlds.show_live)

@@ -18,6 +18,6 @@ class DrainBatteries(Stage):
         """Add the calls of the stage; see `Stage.add_to`."""
         state, task = worlds.state, worlds.task
         if task.overrides_method("payload_power"):
-            program.turn(lambda: np.copyto(state.payload, task.payload_power(state.scene)))
+            program.callback(lambda: np.copyto(state.payload, task.payload_power(state.scene)))
         taken = (state.wind, state.payload, state.flown)
         worlds.energy.add_to(program, state.before, state.swarm, *taken)

@@ -21,4 +21,4 @@ class MoveScene(Stage):
             def move() -> None:
                 task.move_scene(state.scene, state.time, state.flying, worlds.rng)
 
-            program.turn(move)
+            program.callback(move)

@@ -16,7 +16,7 @@ class Observe(Stage):
         """Add the calls of the stage; see `Stage.add_to`."""
         self.add_observation(program, worlds)
         if worlds.options.render_mode == "human":
-            program.turn(lambda: self._show(worlds))
+            program.callback(lambda: self._show(worlds))
 
     def add_observation(self, program: Program, worlds: Worlds) -> None:
         """Add that observations are written, without updating the live window."""

@@ -16,4 +16,4 @@ class Remember(Stage):
         """Add the calls of the stage; see `Stage.add_to`."""
         task = worlds.task
         if task.overrides_method("update_memory"):
-            program.turn(lambda: task.update_memory(worlds.frame, worlds.rng))
+            program.callback(lambda: task.update_memory(worlds.frame, worlds.rng))

@@ -16,4 +16,4 @@ class Sense(Stage):
         """Add the calls of the stage; see `Stage.add_to`."""
         state = worlds.state
         if worlds.sensors.sensors:
-            program.turn(lambda: worlds.measure(state.before, state.swarm, state.flown))
+            program.callback(lambda: worlds.measure(state.before, state.swarm, state.flown))

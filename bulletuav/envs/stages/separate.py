@@ -26,7 +26,7 @@ class Separate(Stage):
                 if worlds.contacts.is_collected or worlds.options.contacts == "bullet":
                     mark_contacts(account, frame)
 
-            program.turn(mark)
+            program.callback(mark)
         if worlds.task.lands:
             standing = np.array(worlds.task.context.standing_height)
-            program.turn(lambda: mark_landings(account, frame, standing))
+            program.callback(lambda: mark_landings(account, frame, standing))

@@ -24,7 +24,9 @@ class MakeSetpoints(Stage):
             numbers = (state.setpoint, *decode.numbers)
             program.call(decode.kernel, state.action, state.commanded, *numbers)
         else:
-            program.turn(lambda: np.copyto(state.setpoint, decode(state.action, state.commanded)))
+            program.callback(
+                lambda: np.copyto(state.setpoint, decode(state.action, state.commanded))
+            )
         if worlds.task.speed_limit is not None:
             limit = np.array(worlds.task.speed_limit, dtype=float)
             program.call(limit_each, state.setpoint, limit)
@@ -32,4 +34,4 @@ class MakeSetpoints(Stage):
         if action.level == SetpointLevel.VELOCITY:
             program.call(copy_vectors, state.setpoint, state.commanded)
         if worlds.uncertainty.drains:
-            program.turn(lambda: worlds.uncertainty.drain(state.time))
+            program.callback(lambda: worlds.uncertainty.drain(state.time))

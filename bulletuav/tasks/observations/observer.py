@@ -319,7 +319,7 @@ class _BlockWriter:
         """Add a step to a program that writes the numbers."""
         if self._block.add is not None and self._block.add(program, frame, out):
             return
-        program.turn(lambda: self.fill(frame, out))
+        program.callback(lambda: self.fill(frame, out))
 
 
 def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> set[str]:
