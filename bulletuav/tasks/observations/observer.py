@@ -280,7 +280,8 @@ def _checked(labels: Any, title: str) -> tuple[Label, ...]:
     as_shape_list = isinstance(labels, list | tuple) and not isinstance(labels, Label)
     if not as_shape_list or not all(isinstance(one, Label) for one in labels):
         raise ValueError(
-            f"labels of {title} are {shown(labels)}: a list of Label(name, unit, low, high) is needed"
+            f"labels of {title} are {shown(labels)}: a list of Label(name, unit, low, high) is "
+            f"needed"
         )
     for one in labels:
         if not one.low <= one.high:
