@@ -229,8 +229,8 @@ class Bound:
         self._run: Run | None = None
         if self.whole and len(self._names) > 1:
             raise ValueError(
-                f"{self._title} has arguments beside frame: {self._names}; a function of all drones "
-                f"must take only frame"
+                f"{self._title} has arguments beside frame: {self._names}; a function of all "
+                f"drones must take only frame"
             )
         if not self.whole and not isinstance(function, FunctionType):
             raise ValueError(f"{self._title} is {shown(function)}: a plain function is needed")
