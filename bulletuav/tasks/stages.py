@@ -1,4 +1,4 @@
-"""StepEvaluation and observation of a decision as steps of a `bulletuav.compiled.program`."""
+"""Evaluation and observation of a decision as steps of a `bulletuav.compiled.program`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
