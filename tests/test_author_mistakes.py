@@ -130,7 +130,7 @@ def half_done(distance):
 
 
 EASY = {"easy": {}}
-LACKS = "a task needs it, see bulletuav.tasks.base.Task"
+LACKS = "every task needs it, see bulletuav.tasks.base.Task"
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from bulletuav.sensors.base import Moment
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.frame_measures import FrameMeasures, make_frame_measures
 from bulletuav.tasks.ingredients import PRESENT
-from bulletuav.tasks.stages import Evaluation
+from bulletuav.tasks.stages import StepEvaluation
 from bulletuav.vehicle.swarm import Swarm
 
 
@@ -92,9 +92,9 @@ class Worlds(Parts):
         return self.task.rebound is not None or self.options.contacts == "bullet"
 
     @property
-    def judgement(self) -> Evaluation:
+    def judgement(self) -> StepEvaluation:
         """Arrays for the task's evaluation of the decision."""
-        return Evaluation(self.state.ended, self.state.success, self.results.named_terms)
+        return StepEvaluation(self.state.ended, self.state.success, self.results.named_terms)
 
     def make_frame_measures(self) -> None:
         """Allocate the arrays of the account, which are also in the frame."""

@@ -12,7 +12,7 @@ from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import Bound
 
 
-class Evaluation(NamedTuple):
+class StepEvaluation(NamedTuple):
     """Termination, success and reward terms of a decision, (W, N) each, filled by a program.
 
     Attributes:
@@ -63,7 +63,9 @@ class StableArrays:
         return kept
 
 
-def add_outcome(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
+def add_outcome(
+    program: Program, task: Task[Any], frame: Frame, evaluation: StepEvaluation
+) -> None:
     """Add steps to a program that compute termination and success.
 
     The task must have evaluated a frame before.
@@ -93,7 +95,9 @@ def add_outcome(program: Program, task: Task[Any], frame: Frame, evaluation: Eva
     _add_flags(program, frame, evaluation.success, own, success)
 
 
-def add_evaluation(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
+def add_evaluation(
+    program: Program, task: Task[Any], frame: Frame, evaluation: StepEvaluation
+) -> None:
     """Add steps to a program that compute termination, success and reward terms.
 
     See `add_outcome`.
@@ -132,7 +136,7 @@ def _add_flags(
         program.call(_merge_flags, another, out)
 
 
-def _add_terms(program: Program, task: Task[Any], frame: Frame, evaluation: Evaluation) -> None:
+def _add_terms(program: Program, task: Task[Any], frame: Frame, evaluation: StepEvaluation) -> None:
     if type(task).reward_terms is not Task.reward_terms:
         program.callback(lambda: _copy(task.reward_terms(frame), evaluation))
         return
@@ -144,7 +148,7 @@ def _add_terms(program: Program, task: Task[Any], frame: Frame, evaluation: Eval
         program.callback(lambda: _copy(task.compute_terms(frame, own), evaluation))
 
 
-def _copy(terms: Mapping[str, np.ndarray], evaluation: Evaluation) -> None:
+def _copy(terms: Mapping[str, np.ndarray], evaluation: StepEvaluation) -> None:
     for name, term in terms.items():
         evaluation.terms[name][:] = term
 

@@ -269,7 +269,7 @@ def test_where_there_is_room_no_reset_fails_by_bad_luck():
         (
             "coverage",
             {"city": TOWER, "cell": 200.0},
-            "cell is 200 m: the middle of no such square .* smaller",
+            "cell is 200 m: no such square .* smaller",
         ),
     ],
 )

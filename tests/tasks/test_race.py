@@ -413,7 +413,7 @@ NORTH = {"position": [0.0, 9.0, 4.0], "yaw": 180.0}
         ([SOUTH, {**NORTH, "pitch": 95.0}], "pitch of a gate"),
         ([SOUTH, {**NORTH, "position": [0.0, 9.0]}], "position of a gate"),
         ([SOUTH, {**NORTH, "position": [1.0, -9.0, 4.0]}], "gate 0 .* and gate 1 overlap"),
-        ([SOUTH, {"position": [4.2, -9.0, 4.0]}], "faces gate 1 like a wall"),
+        ([SOUTH, {"position": [4.2, -9.0, 4.0]}], "is blocked by gate 1"),
         ([SOUTH, {**NORTH, "position": [0.0, 9.0, 1.0]}], "gate 1 .* reaches into the ground"),
         ([SOUTH, {**NORTH, "pitch": -80.0, "position": [0, 9, 3.0]}], "gate 1 .* faces the ground"),
         ([SOUTH, {**NORTH, "size": 0.3}], "gate 1 .* is 0.3 m wide, and a drone is 0.3"),

@@ -16,7 +16,7 @@ REFUSED = [
     ("pursuit", {"speed": (10.0, 30.0)}, "speed is"),
     ("pursuit", {"altitude": 1.0}, "too low for jitter"),
     ("pursuit", {"laps": 0}, "laps is 0"),
-    ("pursuit", {"laps": 2}, "too slow for 754 m of way within 50 s"),
+    ("pursuit", {"laps": 2}, "too slow for 754 m of track within 50 s"),
     ("obstacles", {"area": 40.0}, "keep others out of"),
     ("obstacles", {"num_moving": 26}, "num_moving 26 of 25"),
     ("obstacles", {"obstacle_radius": (0.0, 5.0)}, "obstacle_radius is"),

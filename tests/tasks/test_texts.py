@@ -102,7 +102,7 @@ def test_tables_hold_what_the_code_does(name):
 
 def test_options_are_told_by_the_nearest_class():
     told = option_texts(find_task("los").Config)
-    assert told["boundary"].startswith("What happens at the bounds, by default")
+    assert told["boundary"].startswith("Behaviour at the bounds, by default")
     assert told["contact_ends"].endswith('or of its whole "world".')
     assert "d_safe" in told
 

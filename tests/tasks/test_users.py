@@ -156,7 +156,7 @@ BAD = [
     ({"mobility": {"model": "manhattan", "speed": (0, 1)}}, r"speed is \(0, 1\) m/s"),
     ({"num_users": 0}, "num_users is 0: a whole number, at least 1"),
     ({"num_users": 2.5}, "num_users is 2.5"),
-    ({"wanted": 0.0}, "wanted is 0: a share above 0"),
+    ({"wanted": 0.0}, "wanted is 0: a fraction above 0"),
     ({"boundary": "sof"}, "unknown boundary 'sof': did you mean 'soft'"),
     ({"contact_ends": "worlds"}, "unknown contact_ends 'worlds': did you mean 'world'"),
     ({"weights": {"dwel_time": 1.0}}, "unknown reward term 'dwel_time': did you mean 'dwell_time'"),

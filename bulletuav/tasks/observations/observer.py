@@ -277,8 +277,8 @@ def _make(
 
 def _checked(labels: Any, title: str) -> tuple[Label, ...]:
     """Return labels as a tuple, after checking their types and bounds."""
-    as_shape_list = isinstance(labels, list | tuple) and not isinstance(labels, Label)
-    if not as_shape_list or not all(isinstance(one, Label) for one in labels):
+    is_sequence = isinstance(labels, list | tuple) and not isinstance(labels, Label)
+    if not is_sequence or not all(isinstance(one, Label) for one in labels):
         raise ValueError(
             f"labels of {title} are {shown(labels)}: a list of Label(name, unit, low, high) is "
             f"needed"

@@ -162,9 +162,9 @@ class FormationPlan:
             return place
         # A random cycle, so that no drone keeps its place
         circle = rng.permutation(len(place))
-        reassign = place.copy()
-        reassign[circle] = place[np.roll(circle, 1)]
-        return reassign
+        exchanged = place.copy()
+        exchanged[circle] = place[np.roll(circle, 1)]
+        return exchanged
 
 
 def _count(time: np.ndarray, every: float) -> np.ndarray:

@@ -59,14 +59,14 @@ def nearest_opponents(
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
             nearest[w, i] = NO_OPPONENT
-            min_distance = np.inf
+            min_square = np.inf
             for j in range(position.shape[1]):
                 if present[w, j] and team[j] != team[i]:
                     # Ties are broken by index
                     gap = offset(position, w, i, j)
                     square = dot(gap, gap)
-                    if square < min_distance:
-                        min_distance = square
+                    if square < min_square:
+                        min_square = square
                         nearest[w, i] = j
 
 
