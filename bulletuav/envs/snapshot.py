@@ -55,7 +55,7 @@ class Form:
 
     Attributes:
         of: Kind of simulation, such as "environment of 'crossing'".
-        parts: Descriptions of the simulation's components, by name; see `descriptions.describe_parts`.
+        parts: Descriptions of the components, by name; see `descriptions.describe_parts`.
         arrays: Name, type and shape of each array of a world.
     """
 
