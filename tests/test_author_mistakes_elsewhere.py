@@ -85,7 +85,7 @@ def test_sensors(sensor, message):
         ),
         (
             measuring(lambda moment: {"uwb": heights(moment) + moment.after.position.mean()}),
-            "sensor 'uwb' gives a world something else at decision 0 when it flies alone",
+            "sensor 'uwb' gives a world other results when it flies alone, at decision 0",
         ),
     ],
 )

@@ -87,8 +87,7 @@ def _check_worlds(subject: str, task: TaskSource, options: dict[str, Any]) -> No
         if not _equal([array[-1:] for array in one], single):
             raise ValueError(
                 f"{subject} gives a world other results when it flies alone, at decision "
-                f"{decision}: "
-                f"worlds must be independent of each other"
+                f"{decision}: worlds must be independent of each other"
             )
 
 

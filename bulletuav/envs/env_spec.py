@@ -155,7 +155,7 @@ class EnvSpec:
             f"{self.num_worlds} worlds of {drones} drones (num_worlds, num_drones) with their "
             f"observations"
         )
-        remedy = "reduce num_worlds, num_drones, or the observation"
+        remedy = "lower num_worlds, num_drones, or the size of observations"
         require_available_memory(what, self.num_worlds * each, remedy)
 
     def _world_bytes(self) -> float:

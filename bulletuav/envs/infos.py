@@ -112,5 +112,5 @@ def columns_of_table(
     Returns:
         Arrays (W, N) by name.
     """
-    told = zip(table, names, strict=True)
-    return {name: row.astype(kind) for row, (name, kind) in told if name is not None}
+    named_rows = zip(table, names, strict=True)
+    return {name: row.astype(kind) for row, (name, kind) in named_rows if name is not None}

@@ -295,7 +295,7 @@ class EnvOptions:
             raise ValueError("integral is for controller 'lee': leave it out, 'pid' has its own")
         if self.controller == "pid" and "lag" in self.effects:
             warnings.warn(
-                "controller 'pid' is designed for motors without lag and may flip a drone: leave "
+                "controller 'pid' is made for motors without lag and may flip a drone: leave "
                 "'lag' out of effects",
                 stacklevel=2,
             )
@@ -365,7 +365,7 @@ class EnvOptions:
         """
         if action > dynamics:
             raise ValueError(
-                f"action {self.action!r} outputs {action.name.lower()} setpoints, but dynamics "
+                f"action {self.action!r} gives {action.name.lower()} setpoints, but dynamics "
                 f"{self.dynamics_name!r} is driven by "
                 f"{dynamics.name.lower()}: use an action of that level or above, or dynamics "
                 f"'rigid_body' or 'bullet'"

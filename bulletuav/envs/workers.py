@@ -194,7 +194,7 @@ class WorkerAviary(LabelledEnvironment):
                 # A dead worker is detected by its missing answer
                 with contextlib.suppress(OSError):
                     self._pipes[k - 1].send((method, keywords[k]))
-                self._arrays["questions"][self._slices[k].start] += 1
+                self._arrays["requests"][self._slices[k].start] += 1
             # This process simulates its own worlds meanwhile
             own = [shard.answer(method, keywords[0])] if 0 in keywords else []
             answers = [*own, *self._answers(others)]

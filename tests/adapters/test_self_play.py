@@ -135,7 +135,7 @@ def test_a_snapshot_of_other_opponents_or_options_changes_nothing(make):
         env.load_state(other.save_state())
     with pytest.raises(ValueError, match="of another simulation"):
         env.load_state(more.save_state())
-    with pytest.raises(ValueError, match="what save_state gave is needed"):
+    with pytest.raises(ValueError, match="a result of save_state is needed"):
         env.load_state(env.save_state().flight)
     assert env.state_hash() == hashed
     assert repr(env.save_state().beside["0: Wander"]["_way"]) == memory

@@ -226,7 +226,7 @@ def test_what_servers_cannot_fly_is_refused_before_their_port_is_open(capsys):
         if make is not HilBodies:  # whose autopilots command rotors alone
             with pytest.raises(ValueError, match="need gravity"):
                 make(1, gravity=0.0, seed=0)
-            with pytest.raises(ValueError, match="controller 'pid' takes no"):
+            with pytest.raises(ValueError, match="controller 'pid' supports no"):
                 make(1, "cf2x", controller="pid", effects=("drag",), seed=0)
     with pytest.raises(SystemExit):
         main(["serve", "airsim", "--port", "0", "--dynamics", "point_mass", "--seconds", "0.1"])

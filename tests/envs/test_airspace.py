@@ -210,9 +210,9 @@ def test_points_feel_forces_by_their_own_formulas():
 
 def test_a_dynamics_that_feels_no_force_refuses_one():
     airspace = Airspace([(0, 0, 5)], dynamics="single_integrator")
-    with pytest.raises(ValueError, match="'single_integrator' feels no forces"):
+    with pytest.raises(ValueError, match="'single_integrator' ignores forces"):
         airspace.apply(0, (0.1, 0, 0))
-    with pytest.raises(ValueError, match="'point_mass' feels no torques"):
+    with pytest.raises(ValueError, match="'point_mass' ignores torques"):
         Airspace([(0, 0, 5)], dynamics="point_mass").apply(0, torque=(0.1, 0, 0))
     airspace.apply(0)  # nothing is no force
 
@@ -365,7 +365,7 @@ WRONG = [
     (lambda a: a.command(0, 3, (0, 0, 1)), "unknown setpoint level 3"),
     (lambda a: a.command(0, np.int64(9), (0, 0, 1)), "unknown setpoint level"),
     (lambda a: a.command([[0], [0, 1]], "position", (0, 0, 1)), r"drones is \[\[0\], \[0, 1\]\]"),
-    (lambda a: a.command(0, "position", (0, 0, 1, 2), yaw=1.0), "the yaw is told beside it"),
+    (lambda a: a.command(0, "position", (0, 0, 1, 2), yaw=1.0), "the yaw is given separately"),
     (lambda a: a.command(None, "position", (0, 0, 1), yaw=(1.0, 2, 3)), "one for each of the"),
     (lambda a: a.command(None, "position", (0, 0, 1), yaw_rate=(1.0, 2e4)), "up to 10000"),
     (lambda a: a.place(0, (3, 0, 1), velocity=(1e4, 0, 0)), "velocity is .* less than 4950"),
@@ -380,7 +380,7 @@ WRONG = [
     (lambda a: a.command(0, "position", (0, "1", 1)), "not numbers"),
     (lambda a: a.command(0, "position", (0, 1)), r"POSITION has shape \(2,\): \(4,\) is needed"),
     (lambda a: a.command([0, 1], "rotor", np.ones((3, 4))), r"\(3, 4\): \(2, 4\) is needed"),
-    (lambda a: a.command(0, "rates", (0, 0, 0, 1), yaw=1.0), "yaw and yaw_rate go with POSITION"),
+    (lambda a: a.command(0, "rates", (0, 0, 0, 1), yaw=1.0), "yaw and yaw_rate are for POSITION"),
     (lambda a: a.command(0, "position", (0, 0, 1), yaw=math.inf), "yaw is inf"),
     (lambda a: a.command(0, "position", (0, 0, 1), yaw_rate="fast"), "yaw_rate is 'fast'"),
     (lambda a: a.place(0, (0, 0, 0)), "drone 0 at .* would overlap the ground by 0.015 m"),
@@ -464,7 +464,7 @@ def test_levels_that_cannot_drive_the_drone_are_refused():
     with pytest.raises(ValueError, match="'point_mass' is driven by velocity setpoints"):
         point.stop()
     pid = Airspace([(0, 0, 1)], controller="pid", effects=(), rotor_speed=HOVER)
-    with pytest.raises(ValueError, match="'pid' takes no attitude setpoints"):
+    with pytest.raises(ValueError, match="'pid' supports no attitude setpoints"):
         pid.command(0, "attitude", (0, 0, 0, 0.3))
     pid.command(0, "position", (0, 0, 1.2))
     assert steps(pid, 960).swarm.position[0, 2] == pytest.approx(1.2, abs=0.05)
@@ -630,7 +630,7 @@ def test_dynamics_to_which_no_controller_leads_take_their_own_level_alone():
             swarm.rates[:] = setpoint[..., :3]
 
     airspace = Airspace([(0, 0, 5)], dynamics=Turning)
-    with pytest.raises(ValueError, match="to which no controller leads: command RATES"):
+    with pytest.raises(ValueError, match="which no controller outputs: command RATES"):
         airspace.command(0, "position", (0, 0, 5))
     airspace.command(0, "rates", (0, 0, 1.0, 0))
     assert steps(airspace, 1).swarm.rates[0, 2] == 1.0

@@ -27,18 +27,18 @@ SEVERAL = {
     "vector": lambda: gymnasium.make_vec("bulletuav/Crossing-v1", num_envs=2, **OPTIONS),
 }
 WITHOUT_EFFECT = {
-    "num_drones": "num_drones is given when the environment is made",
-    "wind": "wind is given when the environment is made",
-    "positions": "where drones start is 'start'",
+    "num_drones": "num_drones is fixed when the environment is created",
+    "wind": "wind is fixed when the environment is created",
+    "positions": "start positions are 'start'",
     "velocity": "start_speed",
     "obstacles": "obstacles follow from the task's own options",
-    "initial_xyzs": "where drones start is 'start'",
-    "target_pos": "where drones are to go is 'goal'",
+    "initial_xyzs": "start positions are 'start'",
+    "target_pos": "goals of drones are 'goal'",
     "env_index": "reset_mask",
     "goals": "did you mean 'goal'",
     "strat": "did you mean 'start'",
     "seed": "reset\\(seed=...\\)",
-    "xyzzy": "all other options are given when the environment is made",
+    "xyzzy": "all other options are set when the environment is created",
 }
 
 

@@ -197,7 +197,7 @@ def test_a_simulation_is_printed_as_its_stages():
     assert lines[0] == "crossing in rigid_body: 2 worlds of 8 drones"
     assert len(lines) == 2 + len(aviary.simulation.stages)
     reads, writes = "given, alive, steps", "action, flown, flying, time"
-    summary = "Refuse actions that are not finite, clip the others, and start the decision."
+    summary = "Check that actions are finite, clip them, and start the decision."
     assert " ".join(lines[2].split()) == f"admit {reads} {writes} {summary}"
 
 
@@ -276,7 +276,7 @@ def test_stages_that_cannot_be_are_refused():
         simulation.insert(Log(), after="fly", before="wind")
     assert simulation.stages == stages
     simulation.insert(Log(), after="fly")
-    with pytest.raises(ValueError, match="stage 'log' is there already"):
+    with pytest.raises(ValueError, match="stage 'log' exists already"):
         simulation.insert(Log(), after="fly")
 
 

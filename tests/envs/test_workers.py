@@ -96,12 +96,12 @@ def test_who_has_fewer_cores_than_processes_sleeps_at_once(cores, monkeypatch):
         assert_same(mine, theirs, None)
 
 
-def test_questions_and_answers_are_counted_on_both_sides():
+def test_requests_and_answers_are_counted_on_both_sides():
     env = bulletuav.batch_env("crossing", 4, workers=2, num_drones=2)
     env.reset(seed=0)
     for asked in (1, 2, 3):
         env.step(np.zeros((4, 2, *env.action_space.shape)))
-        assert env._arrays["questions"][2] == asked + 1
+        assert env._arrays["requests"][2] == asked + 1
         # The worker counts an answer when it has sent it
         assert poll_number(env._arrays["answers"][2:], asked + 2, PATIENCE)
     env.close()

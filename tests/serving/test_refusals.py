@@ -12,7 +12,7 @@ from bulletuav.serving.refusals import (
     PERIOD,
     LineLimit,
     Refusals,
-    printable,
+    escape_line,
 )
 
 
@@ -111,8 +111,8 @@ def test_a_text_cannot_make_lines_of_its_own(refusals, caplog, hostile):
     refusals.log("a:1", hostile, hostile)
     (line,) = lines(caplog)
     assert line.isprintable()
-    assert printable("plain: ü, 中") == "plain: ü, 中"
-    assert printable(hostile).encode("ascii").decode("unicode_escape") == hostile
+    assert escape_line("plain: ü, 中") == "plain: ü, 中"
+    assert escape_line(hostile).encode("ascii").decode("unicode_escape") == hostile
 
 
 def test_lines_of_libraries_are_limited_and_escaped_too(clock, caplog):
