@@ -74,14 +74,14 @@ export class Service extends Group {
 
   placeLinks() {
     const { payload, position, target, row } = this.episode;
-    const [who, whom, begins] = ["link_drone", "link_target", "link_start"].map((name) =>
+    const [drones, users, begins] = ["link_drone", "link_target", "link_start"].map((name) =>
       payload.array(name),
     );
     const first = begins[row];
     const count = begins[row + 1] - first;
     if (count > this.links.most) this.links.grow(2 * count);
     for (let k = 0; k < count; k += 1) {
-      const [from, to] = [3 * who[first + k], 3 * whom[first + k]];
+      const [from, to] = [3 * drones[first + k], 3 * users[first + k]];
       this.links.put(k, position, from, target, to, this.palette.link);
     }
     this.links.show(count);
