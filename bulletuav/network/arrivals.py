@@ -56,7 +56,7 @@ class Arrivals:
         rates = numbers_of("rates are", rates)
         low, high = (finite("bits", value) for value in as_sequence("bits", bits, 2))
         if not 0 < low <= high:
-            raise ValueError(f"bits are {bits!r}: positive (low, high) with low <= high are needed")
+            raise ValueError(f"bits are {bits!r}: (low, high) above 0 with low <= high is needed")
         if not finite("dt", dt) > 0:
             raise ValueError(f"dt is {dt!r}: seconds above 0 are needed")
         if rates.ndim != 1 or not rates.size:

@@ -67,7 +67,7 @@ def test_obj_by_others(obj):
         + "f 6 7 8 9\nf 10 11 12 13\n"
     )
     text = f"# by hand\nmtllib no.mtl\ng wedge # a ramp\n{wedge}{unused}g shop\n{box}"
-    with pytest.warns(MendedWarning, match="2 meshes that are not closed, filled"):
+    with pytest.warns(MendedWarning, match="2 meshes that are not closed, replaced"):
         made = from_obj(obj(text), scale=0.5, y_up=True)
     assert made.name == "town"
     assert made.side == 60
@@ -90,8 +90,8 @@ def test_obj_by_others(obj):
         ("v 0 0 inf\n", "line 1 cannot be read: a coordinate is inf"),
         ("v 0 0 0\nf 1 2 3\n", "line 2 cannot be read: there is no vertex 2 among the 1"),
         ("v 0 0 0\nf 0 0 0\n", "line 2 cannot be read: there is no vertex 0"),
-        ("o plate\nv 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nf 1 2 3 4\n", "left out .object plate"),
-        ("o dot\nv 0 0 0\nf 1 1 1\n", "contains no buildings: 1 .* left out .object dot"),
+        ("o plate\nv 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nf 1 2 3 4\n", "skipped .object plate"),
+        ("o dot\nv 0 0 0\nf 1 1 1\n", "contains no buildings: 1 .* skipped .object dot"),
     ],
 )
 def test_obj_that_cannot_be_read(obj, text, message):

@@ -168,7 +168,7 @@ def test_meshes_that_are_not_closed_are_filled(obj):
 def test_plates_are_left_out(obj):
     plate = np.array([[0.0, 0, 0], [90, 0, 0], [90, 90, 0], [0, 90, 0]])
     path = obj(written(("ground", plate, [(0, 1, 2, 3)]), ("shop", *prism(SQUARE, 5))))
-    with pytest.warns(MendedWarning, match=r"1 without a shape .*\(object ground\)"):
+    with pytest.warns(MendedWarning, match=r"1 without a usable shape.*\(object ground\)"):
         city = from_obj(path, side=200.0)
     assert volumes(city) == [500]
     with pytest.raises(ValueError, match="object ground: it has no volume"):
@@ -231,8 +231,8 @@ def test_a_mesh_that_crashes_the_native_code_is_one_error_with_its_name(obj):
     path = obj(f"o moved\n{OPEN_BOX}")
     with pytest.raises(
         ValueError,
-        match=rf"^{re.escape(str(path))}, object moved: CoACD.*; its faces cross each "
-        r"other, such as at \(8\.88889.*repair the mesh",
+        match=rf"^{re.escape(str(path))}, object moved: CoACD.*; its faces intersect each "
+        r"other, for example at \(8\.88889.*repair the mesh",
     ):
         from_obj(path)
 

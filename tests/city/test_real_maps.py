@@ -139,7 +139,9 @@ def test_features_without_a_footprint_are_left_out(geojson, odd, message):
 
 
 def test_a_file_of_nothing_but_points_tells_why_it_is_empty(geojson):
-    with pytest.raises(ValueError, match=r"holds no buildings: 1 without a shape .*\(feature 0"):
+    with pytest.raises(
+        ValueError, match=r"contains no buildings: 1 without a usable shape.*\(feature 0"
+    ):
         from_geojson(geojson(feature({}, kind="Point", coordinates=[1, 2])))
 
 
