@@ -35,7 +35,7 @@ PEERS = {"bare": "o", "all forces": "s"}
 """Cases of gym-pybullet-drones, with their marks"""
 HISTORY = Path(__file__).parents[1] / "docs" / "results" / "speed_history.csv"
 COLOURS = ("#1b6ca8", "#c8553d", "#5a8f3c")
-FLIGHT = ("advance", "begin_decision", "surface_below")
+FLIGHT = ("advance", "start_decision", "surface_below")
 """Compiled functions that are the flight"""
 
 
