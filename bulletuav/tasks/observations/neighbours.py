@@ -167,11 +167,7 @@ def _min_distance_within(
 ) -> float:
     """Compute the minimum distance within `horizon`, s, if both drones fly straight, m."""
     gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
-    later = (
-        gap[0] + horizon * speed[0],
-        gap[1] + horizon * speed[1],
-        gap[2] + horizon * speed[2],
-    )
+    later = (gap[0] + horizon * speed[0], gap[1] + horizon * speed[1], gap[2] + horizon * speed[2])
     return math.sqrt(closest_squared(gap, later)[1])
 
 
