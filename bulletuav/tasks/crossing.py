@@ -72,17 +72,9 @@ class Crossing(GoalFlight[CrossingConfig]):
     name = "crossing"
     team_names = ("north", "east")
     difficulties: ClassVar = {
-        "easy": {
-            "lane_spacing": 20.0,
-            "altitude_spread": 2.0,
-            **AIRSPACE_DIFFICULTIES["easy"],
-        },
+        "easy": {"lane_spacing": 20.0, "altitude_spread": 2.0, **AIRSPACE_DIFFICULTIES["easy"]},
         "medium": AIRSPACE_DIFFICULTIES["medium"],
-        "hard": {
-            "lane_spacing": 12.0,
-            "altitude_spread": 4.0,
-            **AIRSPACE_DIFFICULTIES["hard"],
-        },
+        "hard": {"lane_spacing": 12.0, "altitude_spread": 4.0, **AIRSPACE_DIFFICULTIES["hard"]},
         "extreme": {
             "lane_spacing": 12.0,
             "altitude_spread": 4.0,

@@ -41,15 +41,9 @@ class FollowTarget(NamedTuple):
 
 TARGETS = {
     "vehicle": FollowTarget(
-        body=Obstacle("box", (3.0, 3.0, 1.6), RED),
-        height=0.8,
-        station_height=8.0,
+        body=Obstacle("box", (3.0, 3.0, 1.6), RED), height=0.8, station_height=8.0
     ),
-    "drone": FollowTarget(
-        body=Obstacle("sphere", (0.3,), RED),
-        height=20.0,
-        station_height=0.0,
-    ),
+    "drone": FollowTarget(body=Obstacle("sphere", (0.3,), RED), height=20.0, station_height=0.0),
 }
 """Bodies that drones can follow, by name"""
 

@@ -112,11 +112,7 @@ class Formation(GoalFlight[FormationConfig]):
     }
     difficulties: ClassVar = {
         "easy": {"exchange": 20.0, **AIRSPACE_DIFFICULTIES["easy"]},
-        "medium": {
-            "shapes": ("v", "line"),
-            "turn_rate": 2.0,
-            **AIRSPACE_DIFFICULTIES["medium"],
-        },
+        "medium": {"shapes": ("v", "line"), "turn_rate": 2.0, **AIRSPACE_DIFFICULTIES["medium"]},
         "hard": {
             "shapes": ("v", "ring", "line"),
             "turn_rate": 2.0,

@@ -161,15 +161,7 @@ class Binding:
             number = self.numbers[name]
             return ArgumentSource(lambda frame: number)
         known = {*FIELDS, *self.readings, *self.memory, *self.quantities, *self.events}
-        choices = {
-            *known,
-            *(ALL + one for one in known),
-            *self.numbers,
-            "i",
-            "out",
-            PRESENT,
-            WHOLE,
-        }
+        choices = {*known, *(ALL + one for one in known), *self.numbers, "i", "out", PRESENT, WHOLE}
         raise ValueError(
             f"{title} of task {self.task!r} asks for {name!r}, which is no field, reading, memory "
             f"or number of the task: {suggest_names(name, choices)}"

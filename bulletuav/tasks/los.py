@@ -54,9 +54,4 @@ class Los(UserService[LosConfig]):
     presets: ClassVar = {"urbanmarl": URBANMARL_LOS}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 300}
     observation = ("position", "velocity", "battery", "neighbours", "targets")
-    reward: ClassVar = {
-        "collision": -10.0,
-        "out_of_bounds": -10.0,
-        "served": 1.0,
-        "sight": 0.0,
-    }
+    reward: ClassVar = {"collision": -10.0, "out_of_bounds": -10.0, "served": 1.0, "sight": 0.0}

@@ -88,14 +88,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
     name = "pursuit"
     places: ClassVar[tuple[str, ...]] = ("start",)
-    observation = (
-        "position",
-        "velocity",
-        "goal",
-        "goal_velocity",
-        "neighbours",
-        "obstacles",
-    )
+    observation = ("position", "velocity", "goal", "goal_velocity", "neighbours", "obstacles")
     reward: ClassVar = {**REWARD_WEIGHTS, "progress": 0.0, "lap": (lap, 1000.0)}
     presets: ClassVar = {
         "uavconflict": {**UAVCONFLICT, "weights": {**UAVCONFLICT["weights"], "lap": 0.0}}

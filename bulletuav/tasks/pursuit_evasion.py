@@ -171,15 +171,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
             **UNCERTAINTY["extreme"],
         },
     }
-    observation = (
-        "position",
-        "velocity",
-        "team",
-        "room",
-        "teammates",
-        "opponents",
-        "obstacles",
-    )
+    observation = ("position", "velocity", "team", "room", "teammates", "opponents", "obstacles")
     required_sensors = (DRONE_SIGHT,)
     reward: ClassVar = {
         "capture": (capture, 30.0),

@@ -8,7 +8,12 @@ from scipy.spatial.distance import cdist
 
 from bulletuav.conflict.separation import measure_conflict
 from bulletuav.tasks.base import merge_weights
-from bulletuav.tasks.observations.neighbours import AHEAD, NOW, nearest, write_nearest_present
+from bulletuav.tasks.observations.neighbours import (
+    INTRUDER_HORIZON,
+    NO_HORIZON,
+    write_nearest_known,
+    write_nearest_present,
+)
 from bulletuav.tasks.starts import check_overlap
 
 NEIGHBOURS = 3
@@ -68,9 +73,9 @@ def test_neighbours_are_the_nearest_present_others(seed, drones):
     known = present[:, None] & ~np.eye(drones, dtype=bool)
     out = np.zeros((1, drones, 7 * NEIGHBOURS))
     theirs = (np.broadcast_to(array[:, None], shape) for array in (position, velocity))
-    nearest(position, velocity, *theirs, known, NOW, NEIGHBOURS, out)
+    write_nearest_known(position, velocity, *theirs, known, NO_HORIZON, NEIGHBOURS, out)
     same = np.zeros_like(out)
-    write_nearest_present(position, velocity, present, NOW, NEIGHBOURS, same)
+    write_nearest_present(position, velocity, present, NO_HORIZON, NEIGHBOURS, same)
     np.testing.assert_array_equal(same, out)
     distance = cdist(position[0], position[0])
     for i in range(drones):
@@ -87,7 +92,10 @@ def test_intruders_are_those_that_come_nearest_and_not_those_that_are():
     """Two fly north side by side, 20 m apart; the third meets the first in 6 s."""
     position = np.array([[(0.0, 0, 40), (20, 0, 40), (60, 60, 40)]])
     velocity = np.array([[(0.0, 10, 0), (0, 10, 0), (-10, 0, 0)]])
-    expected = {NOW: [20, 20, 0, 0, 0, 0, 0], AHEAD: [7200**0.5, 60, 60, 0, -10, -10, 0]}
+    expected = {
+        NO_HORIZON: [20, 20, 0, 0, 0, 0, 0],
+        INTRUDER_HORIZON: [7200**0.5, 60, 60, 0, -10, -10, 0],
+    }
     for horizon, first in expected.items():
         out = np.zeros((1, 3, 7))
         write_nearest_present(position, velocity, np.ones((1, 3), bool), horizon, 1, out)

@@ -79,11 +79,7 @@ def goal_position(goal: Vec3) -> Vec3:
 @block(lambda task: _across_arena("goal offset", task))
 def goal_offset(goal: Vec3, known_position: Vec3) -> Vec3:
     """Vector from the drone to its goal, world axes."""
-    return (
-        goal[0] - known_position[0],
-        goal[1] - known_position[1],
-        goal[2] - known_position[2],
-    )
+    return (goal[0] - known_position[0], goal[1] - known_position[1], goal[2] - known_position[2])
 
 
 @register("observation")

@@ -6,11 +6,7 @@ UNCERTAINTY: dict[str, dict[str, Any]] = {
     "easy": {},
     "medium": {"randomization": {"gps_noise": (0.5, 1.5)}},
     "hard": {
-        "randomization": {
-            "gps_noise": (0.5, 3.0),
-            "gps_walk": (0.0, 0.1),
-            "wind": (-3.0, 3.0),
-        }
+        "randomization": {"gps_noise": (0.5, 3.0), "gps_walk": (0.0, 0.1), "wind": (-3.0, 3.0)}
     },
     "extreme": {
         "turbulence": "light",
@@ -45,17 +41,8 @@ AIRSPACE_DIFFICULTIES: dict[str, dict[str, Any]] = {
 
 URBAN_DIFFICULTIES: dict[str, dict[str, Any]] = {
     "easy": UNCERTAINTY["easy"],
-    "medium": {
-        "num_drones": 5,
-        "irregularity": 0.5,
-        **UNCERTAINTY["medium"],
-    },
-    "hard": {
-        "num_drones": 8,
-        "city": "dense",
-        "irregularity": 0.5,
-        **UNCERTAINTY["hard"],
-    },
+    "medium": {"num_drones": 5, "irregularity": 0.5, **UNCERTAINTY["medium"]},
+    "hard": {"num_drones": 8, "city": "dense", "irregularity": 0.5, **UNCERTAINTY["hard"]},
     "extreme": {
         "num_drones": 16,
         "city": "high_rise",

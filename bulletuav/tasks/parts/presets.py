@@ -51,12 +51,7 @@ docs/service.md lists the differences of the tasks from them, and the reasons.
 """
 _UNPAID = ("progress", "conflict", "warning", "energy", "time", "out_of_bounds")
 _FLIGHT = {**dict.fromkeys(_UNPAID, 0.0), "goal": 5.0}
-_USERS: dict[str, Any] = {
-    **URBANMARL,
-    "num_users": 50,
-    "boundary": "hard",
-    "contact_ends": "world",
-}
+_USERS: dict[str, Any] = {**URBANMARL, "num_users": 50, "boundary": "hard", "contact_ends": "world"}
 _MEC: dict[str, Any] = {**_USERS, "n_nlos": 3.5, "queue": "erlang", "assignment": "dtlcm"}
 _WAYPOINT: dict[str, Any] = {**URBANMARL, "observation": ("position", "battery", "goal_offset")}
 _OWN_SHARE = {"served": 0.0, "sight": 1.0}
