@@ -319,10 +319,10 @@ def draws_once_for_all_worlds(self, scene, time, flying, rngs):
         ({"evaluate_step": moves_drones_in_evaluate_step}, "changes the swarm, the scene or its"),
         ({"spawn": draws_from_its_own_generator}, "differs at decision 0 of two flights from the"),
         ({"spawn": draws_from_numpy}, "differs at decision 0 of two flights from the same seed"),
-        ({"spawn": counts_in_the_task}, "at decision 0 when it flies alone: worlds must not feel"),
+        ({"spawn": counts_in_the_task}, "when it flies alone, at decision 0: worlds must be"),
         (
             {"move_scene": draws_once_for_all_worlds},
-            "at decision 1 when it flies alone: worlds mus",
+            "when it flies alone, at decision 1: worlds mus",
         ),
         ({"info": lambda self, frame: {"idle": np.full((3, 3), np.nan)}}, "info 'idle' .* is NaN"),
     ],

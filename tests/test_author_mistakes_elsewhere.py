@@ -213,7 +213,7 @@ def loses_drones(swarm):
     [
         (flying(loses_drones), RuntimeError, "'Drift' gave drone 0 in world 0 a position that is"),
         (flying(drifts_by_chance), ValueError, "dynamics 'Drift' differs at decision 1 of two fli"),
-        (flying(drifts_with_all_worlds), ValueError, "'Drift' gives a world something else at dec"),
+        (flying(drifts_with_all_worlds), ValueError, "'Drift' gives a world other results when it"),
         (5, ValueError, "unknown dynamics 5: choose from bullet"),
     ],
 )

@@ -261,7 +261,7 @@ def test_servers_on_asyncio_wait_for_room_for_connections(exhausted, world, spea
     thread.join()
     assert answers == [[1, 1, None, True]]
     (line,) = [one.getMessage() for one in caplog.records]
-    assert line.startswith("server: no connection can be accepted (Too many open files): it tries")
+    assert line.startswith("server: no connection can be accepted (Too many open files): retrying")
     assert "ulimit -n" in line
 
 

@@ -102,7 +102,11 @@ BAD = [
         {"dynamics": "point_mass", "action": "velocity", "controller": "pid", "effects": ()},
         "has none: use controller 'lee'",
     ),
-    ("hover", {"action": "rates", "controller": "pid", "effects": ()}, "takes no rates setpoints"),
+    (
+        "hover",
+        {"action": "rates", "controller": "pid", "effects": ()},
+        "supports no rates setpoints",
+    ),
     ("follow", {"target": "bird"}, "unknown target"),
     ("follow", {"target_speed": 15.0}, "below max_speed"),
     ("follow", {"distance": 1.0, "target": "drone"}, "too close to the target"),

@@ -126,7 +126,7 @@ def test_what_is_encoded_is_flown_or_keeps_its_direction(action):
     [
         ({"max_climb": 0.0}, "max_climb is 0 m/s: it must be above 0"),
         ({"max_climb": float("nan")}, "max_climb is nan"),
-        ({"max_climb": 3.0, "action": "rates"}, "asks? for velocities, and 'rates' does not"),
+        ({"max_climb": 3.0, "action": "rates"}, "commands? velocities, and 'rates' does not"),
     ],
 )
 def test_limits_that_cannot_be_are_refused(options, said):

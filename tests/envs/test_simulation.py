@@ -206,7 +206,7 @@ def test_an_airspace_is_printed_as_its_stages():
     assert lines[0] == "airspace in point_mass: 2 drones"
     names = [" ".join(line.split("  ")[0].split()) for line in lines[2:]]
     assert names == ["wind", "move and turn", "fly", "count", "sense", "show"]
-    assert lines[5].endswith("Count the step, and end the forces that were applied in it.")
+    assert lines[5].endswith("Count the step, and clear the forces that were applied in it.")
 
 
 class Log(Stage):

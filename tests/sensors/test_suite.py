@@ -606,5 +606,5 @@ class Mixed(Sensor):
 def test_the_check_of_sensors_finds_generators_of_ones_own_and_worlds_that_mix():
     with pytest.raises(ValueError, match="sensor 'shared' differs at decision .* the same seed"):
         bulletuav.check_sensor(Shared)
-    with pytest.raises(ValueError, match="sensor 'mixed' gives a world something else"):
+    with pytest.raises(ValueError, match="sensor 'mixed' gives a world other results"):
         bulletuav.check_sensor(Mixed)
