@@ -82,7 +82,9 @@ def test_wrong_sides_are_refused(aviary):
         find_policy("leed vs flee")
     with pytest.raises(ValueError, match="unknown team of task 'pursuit_evasion': 'chaser'"):
         find_policy(bulletuav.Versus(chaser="lead", evaders="flee"))(aviary)
-    with pytest.raises(ValueError, match="there are policies for 3 teams, and .* has chasers, evad"):
+    with pytest.raises(  # noqa: E501
+        ValueError, match="there are policies for 3 teams, and .* has chasers, evad"
+    ):
         find_policy("lead vs flee vs flee")(aviary)
     with pytest.raises(ValueError, match="a function, or a Versus is needed"):
         find_policy(3)
