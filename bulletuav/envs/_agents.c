@@ -182,7 +182,7 @@ static PyObject *hold(PyObject *self, PyObject *const *arguments, Py_ssize_t cou
     struct array *setpoint = (struct array *)arguments[1];
     if (!is_world(arguments[2], types[BOOL], drones) || setpoint->shape[0] != 1 || setpoint->shape[1] != drones) return refuse();
     int64_t *levels = (int64_t *)((struct array *)arguments[0])->data;
-    char *told = ((struct array *)arguments[2])->data;
+    char *commanded = ((struct array *)arguments[2])->data;
     long level = PyLong_AsLong(arguments[4]), width = PyLong_AsLong(arguments[5]);
     if (PyErr_Occurred()) return NULL;
     Py_ssize_t room = setpoint->shape[2];
@@ -207,7 +207,7 @@ static PyObject *hold(PyObject *self, PyObject *const *arguments, Py_ssize_t cou
     if (each == YAW && level < ATTITUDE_LEVEL && width == YAW + 1) {
         /* Without the yaw, if all drones hold one already */
         for (Py_ssize_t i = first; i < last; i++)
-            if (!told[i] || levels[i] >= ATTITUDE_LEVEL) Py_RETURN_FALSE;
+            if (!commanded[i] || levels[i] >= ATTITUDE_LEVEL) Py_RETURN_FALSE;
     } else if (each != width) {
         Py_RETURN_FALSE;
     }
@@ -216,7 +216,7 @@ static PyObject *hold(PyObject *self, PyObject *const *arguments, Py_ssize_t cou
         for (Py_ssize_t k = 0; k < each; k++) to[k] = numbers[k];
         if (dimensions == 2) numbers += each;
         levels[i] = level;
-        told[i] = 1;
+        commanded[i] = 1;
     }
     Py_RETURN_TRUE;
 }

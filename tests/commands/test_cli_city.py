@@ -104,7 +104,7 @@ def test_what_was_written_can_be_read_again(tmp_path):
     ("words", "message"),
     [
         (["--kind", "urbane"], "unknown kind of city 'urbane': did you mean 'urban'"),
-        (  # noqa: E501
+        (
             ["--alpha", "1.5"],
             "alpha is 1.5: the built-up fraction of the ground must be between 0 and 1",
         ),

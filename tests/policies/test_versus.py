@@ -82,7 +82,7 @@ def test_wrong_sides_are_refused(aviary):
         find_policy("leed vs flee")
     with pytest.raises(ValueError, match="unknown team of task 'pursuit_evasion': 'chaser'"):
         find_policy(bulletuav.Versus(chaser="lead", evaders="flee"))(aviary)
-    with pytest.raises(  # noqa: E501
+    with pytest.raises(
         ValueError, match="there are policies for 3 teams, and .* has chasers, evad"
     ):
         find_policy("lead vs flee vs flee")(aviary)

@@ -159,7 +159,7 @@ def varied(**space):
         (varied(worlds={"choices": 3}), "choices is 3: a list"),
         (varied(options={"max_sped": {"low": 1, "high": 3}}), "did you mean 'max_speed'"),
         (varied(options={"num_drones": {"low": 1, "high": 3}}), "would change evaluations"),
-        (  # noqa: E501
+        (
             varied(**{"worlds.more": {"low": 1, "high": 3}}),
             "worlds is 32, which has no nested settings",
         ),
