@@ -97,6 +97,29 @@ def test_chains_of_classes_in_tasks_and_environments_have_three_links_at_most():
     assert not [kind.__name__ for kind in own if links(kind) > 3]
 
 
+INTERFACES = {"add_arguments", "run", "main"}
+"""Names that each command, or each program, has to define"""
+NAMED = {"register", "reward", "end", "block"}
+"""Decorators of ingredients, whose names are those that users give"""
+
+
+def is_ingredient(node):
+    calls = [one.func if isinstance(one, ast.Call) else one for one in node.decorator_list]
+    return any(isinstance(one, ast.Name) and one.id in NAMED for one in calls)
+
+
+def test_no_public_name_is_defined_in_two_files():
+    files = {}
+    for path in FILES:
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                is_public = not node.name.startswith("_") and node.name not in INTERFACES
+                if is_public and not is_ingredient(node):
+                    files.setdefault(node.name, set()).add(own(path))
+    assert len(files) > 1500
+    assert not {name: sorted(where) for name, where in files.items() if len(where) > 1}
+
+
 def test_engine_and_extras_stay_in_their_places(imports):
     engine = {own(path) for path, module, _ in imports if module.split(".")[0] == "pybullet"}
     assert engine == {"engine/calls.py"}

@@ -118,11 +118,11 @@ class UserSum(BaseFeaturesExtractor):
         # Log gain of each user at each drone, this drone first, and at the places ahead of this
         # drone
         ways = torch.cat([users, users - others[:, None]], 2)
-        now = log_path_gain(ways, sight)
+        now = log_path_gain_tensor(ways, sight)
         here = now[..., :1]
         elsewhere = now[..., 1:].amax(2, keepdim=True)
         lead = here - elsewhere
-        gain = log_path_gain(users - self.ways, ahead) - here
+        gain = log_path_gain_tensor(users - self.ways, ahead) - here
         # All inputs are scaled to the order of 1
         known = torch.cat(
             [
@@ -140,7 +140,7 @@ class UserSum(BaseFeaturesExtractor):
         return torch.cat([own / POSITION_SCALE, flat / POSITION_SCALE, each], 1)
 
 
-def log_path_gain(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
+def log_path_gain_tensor(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
     """Return the natural logarithm of received power relative to the power at 1 m.
 
     See `log_distance` in `bulletuav.network.pathloss`.

@@ -36,7 +36,7 @@ from bulletuav.envs.renderer import FIELD_OF_VIEW
 from bulletuav.envs.snapshot import (
     Snapshot,
     SnapshotLayout,
-    hash_rows,
+    hash_array_rows,
     own_snapshot,
     pack_worlds,
     require_contacts,
@@ -448,7 +448,7 @@ class Airspace(Environment):
     def state_hash(self) -> str:
         """Compute a hash of the state; see `Aviary.state_hash`."""
         self._require_open()
-        (digest,) = hash_rows(pack_worlds(self.world.state_arrays(), self.world.rng, ONLY))
+        (digest,) = hash_array_rows(pack_worlds(self.world.state_arrays(), self.world.rng, ONLY))
         return digest
 
     def _layout(self) -> SnapshotLayout:

@@ -18,7 +18,7 @@ from bulletuav.envs.simulation import Simulation
 from bulletuav.envs.snapshot import (
     Snapshot,
     SnapshotLayout,
-    hash_rows,
+    hash_array_rows,
     own_snapshot,
     pack_worlds,
     require_contacts,
@@ -351,7 +351,7 @@ class Aviary(Environment):
         """
         self.require_started()
         chosen = self._spec.indices(worlds)
-        return hash_rows(pack_worlds(self.worlds.state_arrays(), self.rng, chosen))
+        return hash_array_rows(pack_worlds(self.worlds.state_arrays(), self.rng, chosen))
 
     @exclusive
     def require_loadable(self, snapshot: Snapshot) -> None:

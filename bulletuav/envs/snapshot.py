@@ -550,7 +550,7 @@ def _columns(data: np.ndarray, fields: Fields) -> Iterator[tuple[str, np.ndarray
             yield f"{name}.{field}", np.ascontiguousarray(values[field])
 
 
-def hash_rows(data: np.ndarray) -> tuple[str, ...]:
+def hash_array_rows(data: np.ndarray) -> tuple[str, ...]:
     """Return the hash of each row of bytes (S, B)."""
     return tuple(hashlib.blake2b(row.tobytes(), digest_size=16).hexdigest() for row in data)
 

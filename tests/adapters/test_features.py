@@ -3,7 +3,7 @@ import pytest
 import torch
 from gymnasium.spaces import Box
 
-from bulletuav.adapters.features import SymlogFeatures, UserSum, log_path_gain
+from bulletuav.adapters.features import SymlogFeatures, UserSum, log_path_gain_tensor
 from bulletuav.network.pathloss import log_distance
 
 DRONES, USERS = 2, 4
@@ -62,7 +62,7 @@ def test_the_order_of_users_does_not_matter_and_who_they_are_does():
 def test_gain_is_that_of_log_distance():
     """Beyond 1 m: 20 and 31.9 dB a decade."""
     offset = torch.tensor([[30.0, 40.0, 0.0], [300.0, 400.0, 0.0]])
-    decibel = 10 / np.log(10) * log_path_gain(offset, torch.tensor([1.0, 0.0]))
+    decibel = 10 / np.log(10) * log_path_gain_tensor(offset, torch.tensor([1.0, 0.0]))
     loss = [
         log_distance(distance + 1, 2.4e9, n) - log_distance(1.0, 2.4e9, n)
         for distance, n in ((50, 2.0), (500, 3.19))
