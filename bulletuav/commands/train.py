@@ -141,11 +141,14 @@ def parse_count(text: str) -> int:
     """Parse an integer, which may be written as 2e6.
 
     Raises:
-        ValueError: If the text is not an integer; argparse makes the message.
+        argparse.ArgumentTypeError: If the text is not an integer.
     """
-    number = float(text)
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
     if not number.is_integer():
-        raise ValueError
+        raise argparse.ArgumentTypeError(f"invalid count value: {text!r}")
     return int(number)
 
 
@@ -153,9 +156,12 @@ def parse_seeds(text: str) -> list[int]:
     """Parse comma-separated integers, without duplicates.
 
     Raises:
-        ValueError: If a part is not an integer; argparse makes the message.
+        argparse.ArgumentTypeError: If a part is not an integer.
     """
-    return list(dict.fromkeys(int(part) for part in text.split(",")))
+    try:
+        return list(dict.fromkeys(int(part) for part in text.split(",")))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"invalid seeds value: {text!r}") from None
 
 
 def run(arguments: argparse.Namespace) -> None:

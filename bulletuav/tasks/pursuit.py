@@ -75,8 +75,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
     - energy -0.01: squared change of velocity, (m/s)^2.
-    - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
-      remaining decision.
+    - time -0.5: 1 per decision until the goal is reached, and per remaining decision on other ends.
 
     End: terminated within 2 m of the goal once the goal has stopped, on contact, when the battery
     is empty, or outside the arena. Truncated after 500 decisions; extreme has 1,000.

@@ -291,7 +291,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise FolderError(
-            f"{folder} is locked by another training process: wait, or choose another folder"
+            f"{folder} is in use by another process: wait, or choose another folder"
         ) from None
     except OSError as error:
         raise _not_writable(folder, error) from None

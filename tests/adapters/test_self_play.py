@@ -131,7 +131,7 @@ def test_a_snapshot_of_other_opponents_or_options_changes_nothing(make):
     for one in (env, other, more):
         one.reset(seed=0)
     hashed, memory = env.state_hash(), repr(env.save_state().beside["0: Wander"]["_way"])
-    with pytest.raises(ValueError, match=r"of policies \['0: Flee', .*'0: Wander'"):
+    with pytest.raises(ValueError, match=r"policies \['0: Flee', .*'0: Wander'"):
         env.load_state(other.save_state())
     with pytest.raises(ValueError, match="of another simulation"):
         env.load_state(more.save_state())

@@ -136,7 +136,7 @@ def test_policies_are_the_tasks_own_unless_told():
     assert result.estimates()["final_height"].episodes == 1
     result = bulletuav.evaluate("hover", episodes=1, horizon=3, metrics=(final_height,))
     assert result.about["options"]["action"] == "velocity"  # which the baseline can give
-    with pytest.raises(ValueError, match="gives velocity .*, not 'rotor'"):
+    with pytest.raises(ValueError, match="supports velocity .*, not 'rotor'"):
         bulletuav.evaluate("hover", episodes=1, action="rotor")
 
 

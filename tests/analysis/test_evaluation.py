@@ -260,7 +260,7 @@ def test_what_was_flown_before_the_last_death_is_kept(tmp_path, monkeypatch):
         ({"seed": -1}, "seed is -1"),
         ({"workers": 0}, "workers is 0"),
         ({"radios": 3.0}, "did you mean 'radius'"),
-        ({"action": "rotor", "dynamics": "bullet"}, "policy 'straight' gives velocity"),
+        ({"action": "rotor", "dynamics": "bullet"}, "policy 'straight' supports velocity"),
     ],
 )
 def test_what_cannot_be_is_refused(arguments, said):

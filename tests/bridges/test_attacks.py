@@ -125,7 +125,7 @@ def test_the_commands_serve_this_machine_alone_unless_they_are_told():
 )
 def test_the_commands_list_addresses_that_programs_can_open(host, ports, said):
     """Free ports, which the system chooses, are not consecutive."""
-    assert command._places(host, ports) == said
+    assert command._format_addresses(host, ports) == said
 
 
 # Crazyflie: "datagrams of up to 31 bytes", "at most 16 of a drone in one go", "numbers are checked

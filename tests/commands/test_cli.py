@@ -557,7 +557,7 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     main(["doctor"])
     assert "[video]'" in "".join(capsys.readouterr().out.split())
     monkeypatch.setattr(engine, "EXTENSION", engine.EXTENSION._replace(path="/nowhere.so"))
-    with pytest.warns(UserWarning, match="refused"):
+    with pytest.warns(UserWarning, match="could not load"):
         assert "is not compatible" in doctor._extension().remedy
 
 

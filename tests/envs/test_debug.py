@@ -89,7 +89,14 @@ def functions_seen(**options):
 
 def test_debuggers_see_every_function_of_a_decision():
     hidden = functions_seen(debug=True) - functions_seen()
-    assert {"admit", "rotor_wrench", "lagged", "fill_conflict", "conclude", "settle"} <= hidden
+    assert {
+        "admit",
+        "rotor_wrench",
+        "rotor_speed_after",
+        "fill_conflict",
+        "end_episodes",
+        "sum_rewards",
+    } <= hidden
 
 
 def test_the_session_of_the_documentation(tmp_path):

@@ -31,8 +31,8 @@ def flight(task, options, by_whole):
         told += [step.observations, step.rewards]
         if k % 4 == 3:
             if by_whole:
-                aviary.simulation.start.alone = None
-            assert (aviary.simulation.start.alone is None) == by_whole
+                aviary.simulation.start.by_world_programs = None
+            assert (aviary.simulation.start.by_world_programs is None) == by_whole
             mask = np.arange(5) == k % 5
             mask[2] = k == 7
             told += [aviary.reset(mask), aviary.state(), *aviary.first_info().values()]
@@ -52,7 +52,7 @@ def test_observations_of_a_whole_decision_are_made_anew_in_all_worlds():
     aviary = Aviary("hover", 5, **CASES["hover"], observation=("goal_offset", nearest))
     aviary.reset(seeds=2)
     aviary.step(np.zeros(aviary.given.shape))
-    assert aviary.simulation.start.alone is None
+    assert aviary.simulation.start.by_world_programs is None
     aviary.close()
 
 
@@ -86,7 +86,7 @@ def test_first_infos_of_fresh_worlds_are_those_of_all(task):
 
 def test_starts_are_taken_in_whatever_form_they_are_given():
     aviary = Aviary("hover", 4, num_drones=2, dynamics="rigid_body")
-    rows, take = aviary.simulation.start.starts.rows, aviary.simulation.start.starts.take
+    rows, take = aviary.simulation.start.starts.rows, aviary.simulation.start.starts.store
     place = np.array([[0.0, 0.0, 2.0], [5.0, 0.0, 3.0]])
     usual = Spawn(place, place)
     swift = usual._replace(velocity=2.0, rates=np.array([0.0, 0.0, 1.0]))

@@ -116,9 +116,9 @@ def test_who_sees_a_question_does_not_wait_for_the_pipe(monkeypatch):
             return "question"
 
     monkeypatch.setattr(worker.multiprocessing, "parent_process", lambda: "somebody")
-    assert worker._next(Pipe(), np.array([7]), 7, 1.0) == "question"
+    assert worker._next_request(Pipe(), np.array([7]), 7, 1.0) == "question"
     with pytest.raises(AssertionError, match="waits"):
-        worker._next(Pipe(), np.array([6]), 7, 0.0)
+        worker._next_request(Pipe(), np.array([6]), 7, 0.0)
 
 
 def test_a_number_in_shared_memory_is_looked_for_until_it_is_there_or_for_a_time():

@@ -54,7 +54,7 @@ def test_every_fourth_drone_is_an_evader_unless_teams_are_given():
         ({"capture_radius": 0.5}, "capture_radius is 0.5 m: more than .* where drones touch"),
         ({"head_start": 2.0}, "head_start is 2 m: more than the capture_radius of 2 m"),
         ({"evader_speed": 1.5}, "evader_speed is 1.5: a fraction above 0 and at most 1"),
-        ({"chaser_speed": 0.0}, "chaser_speed is 0: a share"),
+        ({"chaser_speed": 0.0}, "chaser_speed is 0: a fraction"),
         ({"chaser_speed": 0.5, "action": "rpm"}, "action 'rpm' does not command velocities"),
     ],
 )

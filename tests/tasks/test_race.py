@@ -326,7 +326,7 @@ def test_gates_swing_with_their_bars(motion):
     aviary = made("random", worlds=2, **options)
     memory, scene = aviary.scene.memory, aviary.scene
     gates = [memory["gate"].copy()]
-    bars = scene.obstacle - memory["gate"][:, aviary.task.course._whose]
+    bars = scene.obstacle - memory["gate"][:, aviary.task.course._gate_index]
     speeds = [memory["gate_velocity"].copy()]
     for _ in range(80):  # a whole swing
         aviary.step(np.zeros((2, 1, 3)))
@@ -340,7 +340,7 @@ def test_gates_swing_with_their_bars(motion):
     np.testing.assert_allclose(slope, speeds[1:-1], atol=2e-3 * motion)
     up = memory["gate_axis"][:, :, 2]
     assert np.abs(((gates - gates[0]) * up).sum(axis=-1)).max() < 1e-9  # to the left and right
-    now = scene.obstacle - memory["gate"][:, aviary.task.course._whose]
+    now = scene.obstacle - memory["gate"][:, aviary.task.course._gate_index]
     np.testing.assert_allclose(now, bars, atol=1e-9)
     moving = np.linalg.norm(scene.obstacle_velocity, axis=-1).max() > 0
     assert moving == (motion > 0)

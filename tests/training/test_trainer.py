@@ -442,7 +442,7 @@ def test_a_curriculum_goes_on_where_it_was(tmp_path):
             {"algo": "sac", "options": {**OPTIONS, "action": "discrete"}, "model": {}},
             "model sac.*only supports",
         ),
-        ({"options": {**OPTIONS, "observation": ["goal", "rgb"]}}, "one drone a world"),
+        ({"options": {**OPTIONS, "observation": ["goal", "rgb"]}}, "one drone in each world"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(tmp_path, changes, said):
