@@ -66,7 +66,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
     Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - lap 1000: decrease of the remaining distance, along track and to the goal, over all laps.
+    - lap 1000: fraction of all laps gained, along the track and to the goal.
     - progress 0: decrease of the distance to the moving goal, m.
     - goal 50: 1 in the decision in which the drone reaches the goal after flying all laps.
     - conflict -200: number of drones whose separation falls below d_safe = 5 m.
