@@ -6,6 +6,8 @@ positions (..., N, 3) use `pair_offsets`. SI units.
 
 import cmath
 import math
+import warnings
+from typing import Any
 
 import numpy as np
 
@@ -297,3 +299,12 @@ def _term(t: float, saddle: float, width: float, square: Vec3, variance: Vec3) -
         root *= cmath.sqrt(spread)
         exponent -= square[i] / spread
     return cmath.exp(z * exponent) / root * stretch * 0.5 * (turn + 1.0 / turn)
+
+
+def __getattr__(name: str) -> Any:
+    """Return `pair_offsets` by its former name, `offsets`, for one release."""
+    if name == "offsets":
+        message = "bulletuav.conflict.measures.offsets is now pair_offsets; the old name goes with "
+        warnings.warn(message + "the next release", DeprecationWarning, stacklevel=2)
+        return pair_offsets
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

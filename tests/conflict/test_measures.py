@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 from scipy.stats import ncx2
 
+from bulletuav.conflict import measures
 from bulletuav.conflict.measures import (
     closest_point_of_approach,
     conflict_probability,
@@ -240,3 +241,10 @@ def test_all_pairs_of_500_at_once():
     np.testing.assert_allclose(
         conflict_probability_of(apart, 4 * np.eye(3), 5.0), results["chance"], rtol=0, atol=1e-9
     )
+
+
+def test_the_former_name_of_offsets_warns():
+    with pytest.warns(DeprecationWarning, match="offsets is now pair_offsets"):
+        assert measures.offsets is measures.pair_offsets
+    with pytest.raises(AttributeError, match="no attribute 'distance'"):
+        _ = measures.distance
