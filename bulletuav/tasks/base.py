@@ -17,7 +17,8 @@ from bulletuav.tasks.frame import UPRIGHT, Frame, Scene, Spawn, StepResult, Task
 from bulletuav.tasks.given import GivenPositions
 from bulletuav.tasks.ingredients import Binding, Bound, BoundTerms, find_term, numeric_fields
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.parts.base import Part, Rngs
+from bulletuav.tasks.parts import base as part_base
+from bulletuav.tasks.parts.base import Part
 
 DEFAULT_SHOWS: Mapping[str, str] = MappingProxyType(
     {
@@ -29,6 +30,7 @@ DEFAULT_SHOWS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Infos that tables and pictures show unless a task defines `shows`"""
+Rngs = part_base.Rngs
 Term = Callable[..., Any]
 Weighted = float | tuple[Term | str, float]
 PartT = TypeVar("PartT", bound=Part)

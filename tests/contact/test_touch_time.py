@@ -47,10 +47,10 @@ def _kept_apart(scenery, motions, normals):  # type: ignore[no-untyped-def]
 
 def _heights(motions: np.ndarray, share: np.ndarray, radius: float, half: float) -> np.ndarray:
     """Return the height of the lowest points of upright cylinders after shares of a substep, m."""
-    turn = Rotation.from_rotvec(share[..., None] * motions["turn"])
+    turn = Rotation.from_rotvec(share[..., None] * motions["rotation"])
     up = (turn * Rotation.from_quat(motions["quaternion"])).as_matrix()[..., 2, 2]
     deep = radius * np.sqrt(np.maximum(0.0, 1 - up**2)) + half * np.abs(up)
-    return motions["position"][..., 2] + share * motions["move"][..., 2] - deep
+    return motions["position"][..., 2] + share * motions["displacement"][..., 2] - deep
 
 
 def test_turning_drones_touch_when_their_lowest_point_does() -> None:
@@ -59,11 +59,11 @@ def test_turning_drones_touch_when_their_lowest_point_does() -> None:
     with Rig() as rig:
         motions = np.repeat(rig.dynamics.contact.space.motions, 500)
         radius, _, half = rig.airframes[0].shape.half
-        motions["time"], motions["until"] = 0.0, 1.0
+        motions["time"], motions["end_time"] = 0.0, 1.0
         motions["quaternion"] = random_attitudes(rng, len(motions))
         angle = 10 ** rng.uniform(-4, -0.3, (len(motions), 1))
-        motions["turn"] = angle * random_directions(rng, len(motions))
-        motions["move"] = 10 ** rng.uniform(-7, -2, (len(motions), 1)) * rng.normal(
+        motions["rotation"] = angle * random_directions(rng, len(motions))
+        motions["displacement"] = 10 ** rng.uniform(-7, -2, (len(motions), 1)) * rng.normal(
             size=(len(motions), 3)
         )
         motions["position"] = 0.0
@@ -85,9 +85,9 @@ def _poses(motions: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """Return places and attitudes of drones (M, ...) after shares (M,) of a substep."""
     share = share.reshape(-1, *[1] * motions.ndim)
     quaternion = motions["quaternion"]
-    turn = Rotation.from_rotvec((share * motions["turn"]).reshape(-1, 3))
+    turn = Rotation.from_rotvec((share * motions["rotation"]).reshape(-1, 3))
     attitude = (turn * Rotation.from_quat(quaternion.reshape(-1, 4))).as_quat()
-    return motions["position"] + share * motions["move"], attitude.reshape(quaternion.shape)
+    return motions["position"] + share * motions["displacement"], attitude.reshape(quaternion.shape)
 
 
 def _gaps(rig: Rig, motions: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -115,12 +115,12 @@ def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
         rig.obstacle[:] = 0.0
         rig.place()
         motions = np.repeat(rig.dynamics.contact.space.motions, 40)
-        motions["time"], motions["until"] = 0.0, 1.0
+        motions["time"], motions["end_time"] = 0.0, 1.0
         motions["position"] = (0.3851, -2.0031, -0.6644)
         motions["position"][:, 0] += np.linspace(3e-5, 6e-5, len(motions))
         motions["quaternion"] = _unit((0.15571, 0.20242, -0.77796, 0.57407))
-        motions["move"] = (0.0015, 0.0552, -0.0376)
-        motions["turn"] = (-0.0004, -0.0281, 0.0216)
+        motions["displacement"] = (0.0015, 0.0552, -0.0376)
+        motions["rotation"] = (-0.0004, -0.0281, 0.0216)
         assert _gaps(rig, motions, np.zeros(len(motions))).min() > 1.1 * CONTACT_DISTANCE
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
         assert times.max() < 0.5
@@ -130,8 +130,10 @@ def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
 def _on_a_way(rig: Rig, way: tuple[tuple[float, ...], ...]) -> np.ndarray:
     """Return the motion (1,) of a rig's only drone: place, attitude, move and turn."""
     motions = rig.dynamics.contact.space.motions
-    motions["time"], motions["until"] = 0.0, 1.0
-    for column, values in zip(("position", "quaternion", "move", "turn"), way, strict=True):
+    motions["time"], motions["end_time"] = 0.0, 1.0
+    for column, values in zip(
+        ("position", "quaternion", "displacement", "rotation"), way, strict=True
+    ):
         motions[column] = _unit(values) if column == "quaternion" else values
     return motions
 
@@ -198,16 +200,16 @@ def test_turning_pairs_touch_when_their_distance_says(
     count = 150
     with Rig(list(frames)) as rig:
         motions = np.repeat(rig.dynamics.contact.space.motions[None], count, axis=0)
-        motions["time"], motions["until"] = 0.0, 1.0
+        motions["time"], motions["end_time"] = 0.0, 1.0
         motions["quaternion"] = random_attitudes(rng, count, 2)
         away = random_directions(rng, count)
         angle = 10 ** rng.uniform(-3, -0.3, (count, 1))
         turn = angle * random_directions(rng, count)
         other = 10 ** rng.uniform(-3, -0.3, (count, 1)) * random_directions(rng, count)
-        motions["turn"] = np.stack([turn, turn if together else other], axis=1)
+        motions["rotation"] = np.stack([turn, turn if together else other], axis=1)
         # As near as they get
         gap = CONTACT_DISTANCE + 10 ** rng.uniform(-6, -3, count)
-        motions["position"] = motions["move"] = 0.0
+        motions["position"] = motions["displacement"] = 0.0
         near, far = np.zeros(count), np.ones(count)
         for _ in range(50):
             middle = 0.5 * (near + far)
@@ -217,7 +219,7 @@ def test_turning_pairs_touch_when_their_distance_says(
         motions["position"][:, 0] = far[:, None] * away
         drift = 10 ** rng.uniform(-7, -3, (count, 1)) * random_directions(rng, count)
         # About b, so that centres go round each other
-        motions["move"][:, 0] = np.cross(turn, far[:, None] * away) + drift
+        motions["displacement"][:, 0] = np.cross(turn, far[:, None] * away) + drift
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.scratch)
         hits = times < NO_IMPACT
         assert count / 10 < hits.sum() < count
@@ -233,11 +235,11 @@ def _grazing(
 ) -> np.ndarray:
     """Return ways whose least gap is that of a touch, with turns from 10**least_turn rad on."""
     motions = np.repeat(rig.dynamics.contact.space.motions, count)
-    motions["time"], motions["until"] = 0.0, 1.0
+    motions["time"], motions["end_time"] = 0.0, 1.0
     motions["quaternion"] = random_attitudes(rng, count)
     angle = 10 ** rng.uniform(least_turn, -0.3, (count, 1))
-    motions["turn"] = angle * random_directions(rng, count)
-    motions["move"] = 10 ** rng.uniform(-3, -1, (count, 1)) * random_directions(rng, count)
+    motions["rotation"] = angle * random_directions(rng, count)
+    motions["displacement"] = 10 ** rng.uniform(-3, -1, (count, 1)) * random_directions(rng, count)
     away = random_directions(rng, count)
     near, far = np.zeros(count), np.full(count, 6.0)
     for _ in range(steps):

@@ -188,7 +188,7 @@ REFUSED = [
     ),
     ('spin="ccw"', 'spin="left"', "rotor spin", "left"),
     ('<rotor x="0.03253" y="-0.03253" spin="ccw"/>', "", "rotor", "3 times"),
-    ('x="-0.03253"', 'x="0.03253"', "rotor", "cannot turn"),
+    ('x="-0.03253"', 'x="0.03253"', "rotor", "cannot control"),
     (
         '<cylinder radius="0.0691" length="0.03"/>',
         '<mesh filename="x"/>',
