@@ -134,16 +134,18 @@ def test_the_table_of_what_stands(make_bench, gate):
     assert scenery.city_grid is one.engine.city_grid
     # Corners and faces stay with their hulls: the city's came first, and stand last.
     for s, half, faces in ((4, (1, 1, 1), 6), (9, (2, 1, 1), 5), (11, (5, 5, 5), 5)):
-        first, last = scenery.table.corners[s]
-        corners = scenery.table.corner[first:last]
+        first, last = scenery.table.vertex_range[s]
+        corners = scenery.table.vertices[first:last]
         np.testing.assert_allclose(np.abs(corners).max(axis=0), half)
         np.testing.assert_allclose(scenery.table.half[s], half)
-        planes = slice(*scenery.table.planes[s])
-        equation = scenery.table.plane[planes]
+        planes = slice(*scenery.table.face_range[s])
+        equation = scenery.table.face_planes[planes]
         assert len(equation) == faces
         assert (corners @ equation[:, :3].T - equation[:, 3] < 1e-9).all()
-        for (begin, end), plane in zip(scenery.table.rings[planes], equation, strict=True):
-            ring = scenery.table.corner[scenery.table.ring[begin:end]]
+        for (begin, end), plane in zip(
+            scenery.table.face_vertex_range[planes], equation, strict=True
+        ):
+            ring = scenery.table.vertices[scenery.table.face_vertices[begin:end]]
             np.testing.assert_allclose(ring @ plane[:3], plane[3], atol=1e-9)
 
 

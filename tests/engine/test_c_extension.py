@@ -220,9 +220,9 @@ def test_a_refused_plugin_warns_and_flies_on(monkeypatch, path):
 
 
 @needs_extension
-def test_an_engine_that_answers_otherwise_is_not_trusted(monkeypatch):
+def test_an_engine_that_answers_differently_is_not_trusted(monkeypatch):
     one = bench.Bench("bullet")
-    with pytest.raises(RuntimeError, match="otherwise"):
+    with pytest.raises(RuntimeError, match="differently"):
         CExtension(engine_module.EXTENSION.library, np.array([10**6]))
     one.engine.close()
 
