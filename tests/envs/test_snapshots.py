@@ -859,7 +859,7 @@ def test_an_airspace_refuses_a_snapshot_of_another_one():
 
 def test_equal_values_have_equal_texts_in_every_process():
     field = lambda place, time: place * 0.0  # noqa: E731
-    again = "from bulletuav.envs.descriptions import canonical_text; print(canonical_text({'b', 'a', 'c'}))"
+    again = "from bulletuav.envs import descriptions as d; print(d.canonical_text({'b', 'a', 'c'}))"
     told = subprocess.run([sys.executable, "-c", again], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == canonical_text({"c", "a", "b"})
     assert canonical_text(Imperfect(Imu(), noise=0.1)) == canonical_text(
