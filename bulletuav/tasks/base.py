@@ -179,9 +179,11 @@ class Task(ABC, Generic[ConfigT]):
 
     def overrides_method(self, method: str) -> bool:
         """Return True if the task or one of its parts overrides a method of `Task`."""
-        return getattr(type(self), method) is not getattr(Task, method) or any(
-            getattr(type(part), method) is not getattr(Part, method) for part in self.parts
-        )
+        # No generator, as an interrupt within one is lost
+        for part in self.parts:
+            if getattr(type(part), method) is not getattr(Part, method):
+                return True
+        return getattr(type(self), method) is not getattr(Task, method)
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
         """Bind the arguments of all ingredients to their sources. Called once.

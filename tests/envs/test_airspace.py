@@ -582,7 +582,7 @@ def test_after_a_flight_that_diverged_placing_is_enough():
     airspace = Airspace(APART[:2], dynamics="rigid_body", decision_hz=48, rotor_speed="hover")
     airspace.command(None, "position", APART[:2])
     airspace.apply(0, (0, 1e6, 0))
-    with pytest.raises(RuntimeError, match=r"diverged.*place\(\) a drone"):
+    with pytest.raises(RuntimeError, match=r"diverged.*place\(\) restarts a drone"):
         airspace.step()
     airspace.place(0, APART[0], rotor_speed="hover")
     steps(airspace, 48)
