@@ -46,7 +46,8 @@ def test_obstacles_are_bodies_when_somebody_looks_and_lie_apart_before():
 def test_states_go_in_and_out_unchanged(make_bench):
     one = make_bench("bullet", worlds=3, drones=2)
     rng = np.random.default_rng(0)
-    one.swarm.quaternion[:] = bulletuav.geometry.rotation.normalise_quaternion(
+    normalise = bulletuav.geometry.rotation.normalise_quaternion
+    one.swarm.quaternion[:] = normalise((0.1, -0.2, 0.3, 0.9))
         (0.1, -0.2, 0.3, 0.9)
     )
     one.swarm.velocity[:], one.swarm.rates[:] = rng.normal(size=(2, 3, 2, 3))
