@@ -48,8 +48,6 @@ def test_states_go_in_and_out_unchanged(make_bench):
     rng = np.random.default_rng(0)
     normalise = bulletuav.geometry.rotation.normalise_quaternion
     one.swarm.quaternion[:] = normalise((0.1, -0.2, 0.3, 0.9))
-        (0.1, -0.2, 0.3, 0.9)
-    )
     one.swarm.velocity[:], one.swarm.rates[:] = rng.normal(size=(2, 3, 2, 3))
     one.place()
     back = Swarm.zeros(3, 2, 4)
