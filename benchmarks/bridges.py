@@ -182,8 +182,8 @@ class Caller:
         """Send a request and wait for its answer; other answers are dropped."""
         number = self.send(name, *arguments)
         while True:
-            for _, told, error, result in self._unpacker:
-                if told == number:
+            for _, messages, error, result in self._unpacker:
+                if messages == number:
                     assert error is None, error
                     return result
             self._unpacker.feed(self._socket.recv(2**20))
@@ -353,8 +353,8 @@ def unbound_mavlink(drones: int, steps: int) -> float:
             fleet.take(k, message, sender)
     begin = time.perf_counter()
     for _ in range(steps):
-        for wire, told in zip(wires, fleet.step(), strict=True):
-            join_frames([wire.pack(one) for one in told], 1400)
+        for wire, messages in zip(wires, fleet.step(), strict=True):
+            join_frames([wire.pack(one) for one in messages], 1400)
     lasted = time.perf_counter() - begin
     fleet.close()
     return steps * fleet.airspace.period / lasted

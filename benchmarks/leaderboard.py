@@ -128,7 +128,7 @@ def _text(
         }
         for place, kind in enumerate(("wall_seconds", "cpu_seconds"))
     }
-    told = {
+    record = {
         **row._asdict(),
         # Those that it flies against may read more
         "reads_swarm": row.seed is None and find_policy(row.policy, row.task).reads_swarm,
@@ -140,7 +140,7 @@ def _text(
         "call": format_call(asked),
         "files": hash_files(kept, (CONFIG, POLICY, CURVE)),
     }
-    return json.dumps(add_seal(told), indent=1) + "\n"
+    return json.dumps(add_seal(record), indent=1) + "\n"
 
 
 def _train(row: Row, folder: Path) -> None:
@@ -281,9 +281,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Make what is missing, and write the tables after each row."""
     arguments = parse(argv)
     out = arguments.out
-    told = read_settings(arguments.config, "settings of a leaderboard")
-    rows = list_rows(told)
-    scores = {task: one.get("score", "return") for task, one in told["tasks"].items()}
+    record = read_settings(arguments.config, "settings of a leaderboard")
+    rows = list_rows(record)
+    scores = {task: one.get("score", "return") for task, one in record["tasks"].items()}
     asked = [] if arguments.tables else chosen(rows, arguments.rows)
     todo = [row for row in asked if arguments.again or read_told(out, row) is None]
     with show_progress("leaderboard", len(todo), "rows") as report:

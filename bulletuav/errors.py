@@ -12,7 +12,8 @@ import numbers
 import os
 import reprlib
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -395,3 +396,29 @@ def find_choice(what: str, name: object, table: Mapping[str, Entry]) -> Entry:
     if not isinstance(name, str) or name not in table:
         raise unknown(what, name, table)
     return table[name]
+
+
+def former_names(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
+    """Make the `__getattr__` of a module in which public names changed; it warns for one release.
+
+    Args:
+        module: Name of the module, `__name__`.
+        names: Present names by former ones.
+
+    Returns:
+        A function that returns the object of a former name with a DeprecationWarning, and raises
+        AttributeError for other names.
+    """
+
+    def find(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        warnings.warn(
+            f"{module}.{name} is now {names[name]}; the old name will be removed in the next "
+            f"release",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return getattr(sys.modules[module], names[name])
+
+    return find

@@ -696,7 +696,7 @@ def test_functions_that_are_no_wind_are_refused_at_construction(wind):
 def test_winds_that_are_no_numbers_are_named(answer):
     aviary = Aviary("hover", wind=lambda place, time: answer)
     aviary.reset(seeds=0)
-    with pytest.raises(ValueError, match="the wind function"):
+    with pytest.raises(ValueError, match="the result of the wind function is not numbers"):
         aviary.step(np.zeros((1, 1, 4)))
     aviary.close()
 

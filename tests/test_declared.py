@@ -179,13 +179,13 @@ class OfConfig(Still):
 )
 def test_flights_of_a_policy_of_another_task_name_what_it_needs(policy, said, tmp_path):
     """Wherever it flies: in evaluations, datasets and recordings."""
-    told = f"{policy.name}' needs {said}.*: task 'hover' observes .*; use the task"
-    with pytest.raises(ValueError, match=told):
+    described = f"{policy.name}' needs {said}.*: task 'hover' observes .*; use the task"
+    with pytest.raises(ValueError, match=described):
         bulletuav.evaluate("hover", policy, episodes=1, **FLY)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=described):
         list(DatasetJob("hover", policy, 1, 0, FLY).fly([range(1)]))
     aviary = bulletuav.Aviary("hover", 1, **FLY)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=described):
         fly_episode(aviary, find_policy(policy)(aviary), 0)
     aviary.close()
 

@@ -176,7 +176,7 @@ def test_a_signal_meanwhile_is_told_after_it(monkeypatch, caplog, number, handle
 
 
 def test_whoever_gets_no_answer_asks_again(monkeypatch):
-    find_address, asked, told = DeferredEntry.address, [], []
+    find_address, asked, returned = DeferredEntry.address, [], []
 
     def ask(entry):
         asked.append(entry.name)
@@ -185,10 +185,10 @@ def test_whoever_gets_no_answer_asks_again(monkeypatch):
         return find_address(entry)
 
     monkeypatch.setattr(DeferredEntry, "address", ask)
-    monkeypatch.setattr(sys, "unraisablehook", lambda one: told.append(one.exc_type))
+    monkeypatch.setattr(sys, "unraisablehook", lambda one: returned.append(one.exc_type))
     numbers = np.ones(1, dtype=np.int16)
     call_grow(numbers, True)
-    assert (numbers[0], asked, told) == (10, ["grow"] * 2, [SystemExit])
+    assert (numbers[0], asked, returned) == (10, ["grow"] * 2, [SystemExit])
 
 
 def test_threads_compile_them_too():

@@ -74,8 +74,8 @@ def package(tmp_path, run_in):
             before + "from small.caller import caller; "
             "print(caller(1), sum(caller.stats.cache_hits.values()))"
         )
-        told = run_in(tmp_path, *[code] * at_once, kind=kind)
-        found = [tuple(int(number) for number in out.split()) for out in told]
+        reported = run_in(tmp_path, *[code] * at_once, kind=kind)
+        found = [tuple(int(number) for number in out.split()) for out in reported]
         return found if at_once > 1 else found[0]
 
     return folder, run
@@ -146,9 +146,9 @@ def test_where_nothing_can_be_kept_it_is_told_once(monkeypatch, caplog, tmp_path
     monkeypatch.setattr(kernel, "_CACHE", tmp_path)
     squared = kernel.kernel(lambda x: x * x)
     assert (squared(3), squared(0.5)) == (9, 0.25)
-    (told,) = [one.message for one in caplog.records]
+    (reported,) = [one.message for one in caplog.records]
     assert (
-        told
+        reported
         == "[Errno 28] No space left on device: compiled functions are not stored for later runs"
     )
 

@@ -1,7 +1,6 @@
 """Vehicles of AirSim's API in one airspace: motions, contacts and states, without a network."""
 
 import math
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from bulletuav.bridges.setpoints import (
     make_airspace,
 )
 from bulletuav.earth import Origin
-from bulletuav.errors import as_int, as_sequence, points_of, shown, unknown
+from bulletuav.errors import as_int, as_sequence, former_names, points_of, shown, unknown
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.lidar import Lidar
 from bulletuav.vehicle.airframes import load_airframe
@@ -397,18 +396,4 @@ def _make_names(drones: int | Sequence[str]) -> tuple[str, ...]:
     return names
 
 
-def __getattr__(name: str) -> Any:
-    """Return `AirsimWorld` for its old name `World`, with a DeprecationWarning.
-
-    Raises:
-        AttributeError: If the module has no such name.
-    """
-    if name == "World":
-        warnings.warn(
-            "bulletuav.bridges.airsim_world.World was renamed to AirsimWorld; "
-            "the old name will be removed in the next release",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        return AirsimWorld
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = former_names(__name__, {"World": "AirsimWorld"})

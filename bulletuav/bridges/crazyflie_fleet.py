@@ -1,7 +1,6 @@
 """Fleet of virtual Crazyflies in one airspace, without sockets: CRTP packets in, packets out."""
 
 import functools
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +12,7 @@ from bulletuav.bridges.setpoints import apply_commands, euler, get_states, make_
 from bulletuav.bridges.starts import make_start_positions
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.earth import pressure
+from bulletuav.errors import former_names
 from bulletuav.vehicle.airframes import load_airframe
 
 DECISION_HZ = 1000 // TICK_MS
@@ -147,13 +147,4 @@ def _pressure(height: float) -> float:
     return float(pressure(height))
 
 
-def __getattr__(name: str) -> Any:
-    """Return `CrazyflieFleet` for its former name `Fleet`, with a DeprecationWarning."""
-    if name == "Fleet":
-        warnings.warn(
-            "Fleet is now CrazyflieFleet; the old name will be removed in the next release",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        return CrazyflieFleet
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = former_names(__name__, {"Fleet": "CrazyflieFleet"})

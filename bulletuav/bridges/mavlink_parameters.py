@@ -8,7 +8,6 @@ from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, Refused
 
 INT32, REAL32 = 6, 9
 """Parameter types (MAV_PARAM_TYPE)"""
-MAX_INT32 = 2**31 - 1
 
 
 class MavlinkParameter(NamedTuple):

@@ -25,7 +25,7 @@ CAPABILITIES = sum(1 << bit for bit in (2, 3, 4, 6, 7, 8, 11, 13, 14))
 attitude and of local and global positions, termination, MAVLink 2, geofence"""
 VERSION = 1 << 24 | 14 << 16 | 3 << 8 | 255
 """Firmware version PX4 1.14.3, as clients require a minimum version"""
-UINT16_UNKNOWN, UINT8_UNKNOWN = 2**16 - 1, 255
+UINT16_UNKNOWN = 2**16 - 1
 FULL_VOLTAGE = 16.2
 """Battery voltage, V"""
 

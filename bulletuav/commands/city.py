@@ -234,7 +234,7 @@ def _report_table(report: ImportReport) -> Table:
         beyond = max(one.beyond for one in report.splits)
         table.add_row(
             str(len(report.splits)),
-            f"meshes split into convex pieces: volume error at most {excess:.2%}, "
+            f"meshes split into convex pieces: at most {excess:.2%} error in volume, "
             f"at most {beyond:.2g} m outside the mesh",
             ", ".join(one.where for one in report.splits[:FIRST_SHOWN]),
         )

@@ -6,12 +6,11 @@ positions (..., N, 3) use `pair_offsets`. SI units.
 
 import cmath
 import math
-import warnings
-from typing import Any
 
 import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
+from bulletuav.errors import former_names
 from bulletuav.geometry.rotation import Vec3, point
 
 _TILT = 0.5
@@ -301,10 +300,4 @@ def _term(t: float, saddle: float, width: float, square: Vec3, variance: Vec3) -
     return cmath.exp(z * exponent) / root * stretch * 0.5 * (turn + 1.0 / turn)
 
 
-def __getattr__(name: str) -> Any:
-    """Return `pair_offsets` by its former name, `offsets`, for one release."""
-    if name == "offsets":
-        message = "bulletuav.conflict.measures.offsets is now pair_offsets; the old name goes with "
-        warnings.warn(message + "the next release", DeprecationWarning, stacklevel=2)
-        return pair_offsets
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = former_names(__name__, {"offsets": "pair_offsets"})

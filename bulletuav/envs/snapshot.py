@@ -330,7 +330,7 @@ def require_snapshot(snapshot: Any, kind: type, worlds: int | None = 1) -> None:
         if worlds is not None and len(snapshot) != worlds:
             raise ValueError(
                 f"the snapshot has {len(snapshot)} worlds, and {worlds} are to be written: "
-                f"select some of them, snapshot[0], or list the worlds"
+                f"choose some of them, snapshot[0], or list the worlds"
             )
 
 

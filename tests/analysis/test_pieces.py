@@ -48,9 +48,9 @@ def test_an_evaluation_of_pieces_has_the_bytes_of_one_process(tmp_path, capsys):
     for piece in ("3/3", "1/3", "2/3"):
         capsys.readouterr()
         main([*command, "--out", str(tmp_path / "apart"), "--piece", piece])
-        told = capsys.readouterr().out
-        assert f"finished piece {piece[0]} of 3" in told
-        assert f"bulletuav merge {tmp_path / 'apart'}" in told.replace("\n", "")
+        printed = capsys.readouterr().out
+        assert f"finished piece {piece[0]} of 3" in printed
+        assert f"bulletuav merge {tmp_path / 'apart'}" in printed.replace("\n", "")
         assert not (tmp_path / "apart" / "summary.json").exists()
         if piece == "1/3":
             with pytest.raises(SystemExit):

@@ -54,9 +54,9 @@ class Client:
 
     def begin(self, name, *arguments):
         """Begin a motion; returns the list that its outcome comes into."""
-        told = []
-        self.calls.start_motion(name, list(arguments), told.append)
-        return told
+        reported = []
+        self.calls.start_motion(name, list(arguments), reported.append)
+        return reported
 
     def fly(self, seconds):
         for _ in range(self.calls.parse_steps("simContinueForTime", [seconds])):
@@ -64,10 +64,10 @@ class Client:
 
     def join(self, name, *arguments, most=30.0):
         """Do a motion to its end; returns the outcome and how long it took."""
-        begin, told = self.world.time, self.begin(name, *arguments)
-        while not told and self.world.time - begin < most:
+        begin, reported = self.world.time, self.begin(name, *arguments)
+        while not reported and self.world.time - begin < most:
             self.world.step()
-        return told[0], self.world.time - begin
+        return reported[0], self.world.time - begin
 
     def ready(self, vehicle=""):
         self("enableApiControl", True, vehicle)
@@ -80,8 +80,8 @@ class Client:
         self("simSetVehiclePose", pose(place, yaw), True, vehicle)
 
     def read(self, *keys, vehicle=""):
-        told = self("getMultirotorState", vehicle)["kinematics_estimated"]
-        return [told[key][axis] for key in keys for axis in VECTOR]
+        reported = self("getMultirotorState", vehicle)["kinematics_estimated"]
+        return [reported[key][axis] for key in keys for axis in VECTOR]
 
     def place(self, vehicle=""):
         return self.read("position", vehicle=vehicle)
@@ -128,8 +128,8 @@ def test_poses_go_both_ways():
     for k in range(10):
         turn = Rotation.random(random_state=k).as_quat()
         place = np.random.default_rng(k).normal(size=3)
-        told = write_pose(place, turn)
-        down, orientation = read_pose(told)
+        reported = write_pose(place, turn)
+        down, orientation = read_pose(reported)
         np.testing.assert_allclose(enu_to_ned(down), place)
         np.testing.assert_allclose(attitude_from_airsim(orientation), turn, atol=1e-12)
 
@@ -176,13 +176,13 @@ def test_it_takes_off_moves_and_lands(client):
 def test_it_flies_home_along_a_path_and_looks_ahead(client):
     client.at((0, 0, -4))
     path = [vector(4, 0, -4), vector(4, 4, -5)]
-    told = client.begin("moveOnPath", path, 2.0, 60.0, 1, RATE, -1, 1, "")
+    reported = client.begin("moveOnPath", path, 2.0, 60.0, 1, RATE, -1, 1, "")
     client.fly(1.5)
     assert client.yaw() == pytest.approx(0, abs=5)
     client.fly(2.5)
     assert client.yaw() == pytest.approx(90, abs=25)
     client.fly(2.0)
-    assert told == [True]
+    assert reported == [True]
     assert client.place() == pytest.approx([4, 4, -5], abs=0.35)
     assert client.join("goHome", 60.0, "")[0] is True
     assert client.place() == pytest.approx([0, 0, -5], abs=0.35)
@@ -275,10 +275,10 @@ def test_a_newer_motion_ends_the_older_one(client):
 
 def test_who_gives_control_back_stays_where_it_is(client):
     client.at((0, 0, -5))
-    told = client.begin("moveByVelocity", 1.0, 0.0, 0.0, 60.0, *FREE, "")
+    reported = client.begin("moveByVelocity", 1.0, 0.0, 0.0, 60.0, *FREE, "")
     client.fly(1.0)
     client("enableApiControl", False, "")
-    assert told == [False]
+    assert reported == [False]
     client.fly(3.0)
     assert client.velocity() == pytest.approx([0, 0, 0], abs=0.05)
 
@@ -340,12 +340,12 @@ def test_what_was_hit_is_told_until_it_is_read(make_client):
     client.begin("moveByVelocity", 3.0, 0.0, 0.0, 3.0, *FREE, "")
     client.fly(2.5)
     assert client("getMultirotorState", "")["collision"]["has_collided"]
-    told = client("simGetCollisionInfo", "")
-    assert told["has_collided"]
-    assert told["object_name"] == "Obstacle0"
-    assert told["normal"]["x_val"] < -0.9
-    assert told["impact_point"]["x_val"] == pytest.approx(2.75, abs=0.3)
-    assert told["time_stamp"] > 0
+    reported = client("simGetCollisionInfo", "")
+    assert reported["has_collided"]
+    assert reported["object_name"] == "Obstacle0"
+    assert reported["normal"]["x_val"] < -0.9
+    assert reported["impact_point"]["x_val"] == pytest.approx(2.75, abs=0.3)
+    assert reported["time_stamp"] > 0
     client("simSetVehiclePose", pose((0, 0, -2)), True, "")
     assert not client("simGetCollisionInfo", "")["has_collided"]
 
@@ -375,9 +375,9 @@ def test_poses_are_relative_to_each_vehicles_start(make_client):
     np.testing.assert_allclose(
         client.world.airspace.swarm.position[1, :2], (3.0 + 2.0, 1.0 + 1.0), atol=1e-12
     )
-    told = client("simGetVehiclePose", "Drone2")
-    told["position"]["z_val"] = math.nan
-    client("simSetVehiclePose", told, True, "Drone2")
+    reported = client("simGetVehiclePose", "Drone2")
+    reported["position"]["z_val"] = math.nan
+    client("simSetVehiclePose", reported, True, "Drone2")
     assert client.place("Drone2") == pytest.approx([1, 2, -3])
     with pytest.raises(ValueError, match="drone 0 at .* would overlap the ground"):
         client("simSetVehiclePose", pose((0, 0, 1)), True, "")
@@ -447,8 +447,8 @@ def test_pictures(make_client):
     assert slant[143, 255] > 1.3 * depth[143, 255]
     (share,) = client("simGetImages", [request("0", 3, pixels_as_float=True)], "")
     np.testing.assert_allclose(share["image_data_float"], np.minimum(depth.ravel() / 100, 1))
-    told = Image.open(io.BytesIO(grey["image_data_uint8"]))
-    assert told.getpixel((128, 72))[0] == pytest.approx(255 * 3 / 100, abs=1.0)
+    reported = Image.open(io.BytesIO(grey["image_data_uint8"]))
+    assert reported.getpixel((128, 72))[0] == pytest.approx(255 * 3 / 100, abs=1.0)
     labels = np.array(Image.open(io.BytesIO(client("simGetImage", "0", 5, ""))))
     assert labels[72, 128].tolist() == [220, 60, 50]
     assert labels[143, 128].tolist() == [80, 120, 60]
@@ -690,12 +690,14 @@ def test_all_calls_check_all_their_arguments(make_client):
         assert try_call(client.calls, name, [GOOD[kind] for kind in kinds]) is None
         for arguments, is_good in odd_arguments(kinds):
             client.ready()
-            told = try_call(client.calls, name, arguments)
+            reported = try_call(client.calls, name, arguments)
             if is_good is not None:
                 # Bounds of their own may be narrower
-                assert is_good or told is not None, (name, arguments)
-            assert told is None or (told.isprintable() and len(told) < 1000)
-            assert told is None or not re.search(r"array\(|Error|<.* object", told), told
+                assert is_good or reported is not None, (name, arguments)
+            assert reported is None or (reported.isprintable() and len(reported) < 1000)
+            assert reported is None or not re.search(r"array\(|Error|<.* object", reported), (
+                reported
+            )
         client.calls.call("simPause", [False])
 
 
@@ -720,7 +722,7 @@ def test_worlds_that_cannot_be_are_refused():
 
 
 def test_the_old_name_of_the_world_warns():
-    with pytest.warns(DeprecationWarning, match="renamed to AirsimWorld.*next release"):
+    with pytest.warns(DeprecationWarning, match="World is now AirsimWorld; .* next release"):
         assert airsim_world.World is AirsimWorld
     with pytest.raises(AttributeError, match="no attribute 'Worlds'"):
         _ = airsim_world.Worlds

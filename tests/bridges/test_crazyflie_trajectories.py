@@ -43,9 +43,9 @@ def test_a_smooth_plan_is_the_polynomial_that_scipy_finds(duration):
     ]
     other = BPoly.from_derivatives([0.0, duration], ends)
     for time in np.linspace(0, duration, 7):
-        told = plan.at(time)
-        np.testing.assert_allclose([*told.position, told.yaw], other(time), atol=1e-9)
-        np.testing.assert_allclose(told.acceleration, other(time, 2)[:3], atol=1e-8)
+        state = plan.at(time)
+        np.testing.assert_allclose([*state.position, state.yaw], other(time), atol=1e-9)
+        np.testing.assert_allclose(state.acceleration, other(time, 2)[:3], atol=1e-8)
     assert plan.end == duration
 
 
@@ -61,8 +61,8 @@ def test_from_rest_to_rest_the_middle_is_half_way_and_fastest():
 def test_a_straight_plan_has_one_speed():
     plan = plan_line(BEGIN.position, GOAL, 4.0)
     for time in (0.0, 1.0, 3.0):
-        told = plan.at(time)
-        np.testing.assert_allclose(told.velocity, (GOAL - BEGIN.position)[:3] / 4, atol=1e-12)
+        state = plan.at(time)
+        np.testing.assert_allclose(state.velocity, (GOAL - BEGIN.position)[:3] / 4, atol=1e-12)
     np.testing.assert_allclose(plan.at(1.0).position, (0.75 * BEGIN.position + 0.25 * GOAL)[:3])
 
 
@@ -78,12 +78,12 @@ def test_a_spiral_turns_about_its_centre(sideways, clockwise):
     left = np.array([-nose[1], nose[0]])
     centre = begin[:2] + 0.5 * (nose if sideways else side * left)
     for time in np.linspace(0, 4, 9):
-        told = plan.at(time)
-        radius = np.linalg.norm(told.position[:2] - centre)
-        share = (told.position[2] - 0.5) / 0.4
+        state = plan.at(time)
+        radius = np.linalg.norm(state.position[:2] - centre)
+        share = (state.position[2] - 0.5) / 0.4
         assert radius == pytest.approx(0.5 + 0.5 * share, abs=1e-4)
         turn = side * math.pi * share
-        assert told.yaw == pytest.approx(begin[3] + turn, abs=1e-6)
+        assert state.yaw == pytest.approx(begin[3] + turn, abs=1e-6)
     # Half a turn: on the other side of the centre, at the last radius
     np.testing.assert_allclose(last.position[:2], centre - 2 * (begin[:2] - centre), atol=1e-9)
     if not sideways:
@@ -137,9 +137,9 @@ def test_compressed_pieces_are_bezier_curves():
     curve = BPoly(np.array([[1.0], *([one / 1000] for one in x)]), [0, 2])
     turn = BPoly(np.radians([[90.0], *([one / 10] for one in yaw)]), [0, 2])
     for time in (0.0, 0.7, 2.0):
-        told = stored.evaluate(0, time)
+        state = stored.evaluate(0, time)
         wanted = (curve(time), -0.5 + 0.5 * time, 0.25, turn(time))
-        np.testing.assert_allclose(told, wanted, atol=1e-12)
+        np.testing.assert_allclose(state, wanted, atol=1e-12)
     np.testing.assert_allclose(
         stored.evaluate(1, 0.5), (3.0, 0.5, 0.25, math.radians(45)), atol=1e-9
     )

@@ -81,11 +81,11 @@ def test_a_client_of_pymavlink_flies(serve, connect):
     link.arducopter_arm()
     link.motors_armed_wait()
     assert command(link, 22, 0, 0, 0, NAN, NAN, NAN, NAN) == 0
-    expect(link, "LOCAL_POSITION_NED", lambda told: told.z < -2.3)
-    expect(link, "HEARTBEAT", lambda told: told.custom_mode == Mode.HOLD)
+    expect(link, "LOCAL_POSITION_NED", lambda report: report.z < -2.3)
+    expect(link, "HEARTBEAT", lambda report: report.custom_mode == Mode.HOLD)
     fields = (0, 2, 1, 8, VELOCITY_ONLY, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0)
     go_offboard(link, fields)
-    expect(link, "LOCAL_POSITION_NED", lambda told: told.x > 0.5)
+    expect(link, "LOCAL_POSITION_NED", lambda report: report.x > 0.5)
     assert command(link, 21) == 0
     link.motors_disarmed_wait()
     assert abs(server.fleet.airspace.swarm.position[0, 2]) < 0.1  # the other one still stands
@@ -101,21 +101,21 @@ def test_what_is_denied_is_logged_once(serve, connect, caplog):
         link.mav.mission_request_int_send(1, 1, 7)
         expect(link, "MISSION_ACK")
         link.mav.param_request_read_send(1, 1, b"NO_SUCH\n", -1)
-        expect(link, "STATUSTEXT", lambda told: "no parameter" in told.text)
+        expect(link, "STATUSTEXT", lambda report: "no parameter" in report.text)
     others = connect(server), connect(server)
     for other in others:
         other.mav.command_long_send(1, 1, 512, 0, 148, *[0.0] * 6)
         other.mav.command_long_send(1, 1, 512, 0, 148, *[0.0] * 6)
     until(lambda: server.refused >= 5)
     port = link.port.getsockname()[1]
-    told = [
+    report = [
         "COMMAND_LONG REPOSITION to vehicle 1 refused: result TEMPORARILY_REJECTED; "
         "not flying: arm and take off first",
         "COMMAND_LONG 31000 to vehicle 1 refused: result UNSUPPORTED",
         "MISSION_REQUEST_INT to vehicle 1 refused: mission result 13",
         "PARAM_REQUEST_READ to vehicle 1 refused: no parameter NO_SUCH\\n",
     ]
-    expected = [f"client 127.0.0.1:{port}: {line}" for line in told]
+    expected = [f"client 127.0.0.1:{port}: {line}" for line in report]
     room = "connection refused by vehicle 1: 1 others are connected, which is the limit"
     ports = [other.port.getsockname()[1] for other in others]
     expected += [f"client 127.0.0.1:{one}: {room}; close one first" for one in ports]
@@ -149,7 +149,7 @@ def test_clients_that_vanish_are_sent_nothing_more_and_the_vehicle_holds(serve, 
     link = connect(server)
     command(link, 400, 1)
     command(link, 22, 0, 0, 0, NAN, NAN, NAN, NAN)
-    expect(link, "LOCAL_POSITION_NED", lambda told: told.z < -2.3)
+    expect(link, "LOCAL_POSITION_NED", lambda report: report.z < -2.3)
     go_offboard(link, (0, 1, 1, 1, VELOCITY_ONLY, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0))
     link.close()
     skipped[0] = LIMITS.max_idle
@@ -170,8 +170,8 @@ def test_two_clients_both_hear_it_and_only_one_flies_it(serve, connect):
     first.mav.set_position_target_local_ned_send(*fields)
     time.sleep(0.1)
     second.mav.set_position_target_local_ned_send(*fields)
-    told = expect(second, "STATUSTEXT")
-    assert told.text == "setpoints denied: another client sends setpoints"
+    report = expect(second, "STATUSTEXT")
+    assert report.text == "setpoints denied: another client sends setpoints"
     assert command(second, 512, 242) == 0  # commands are everybody's
 
 

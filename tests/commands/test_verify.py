@@ -105,9 +105,9 @@ def test_a_sealed_lie_is_found_by_the_flight(folders, tmp_path, capsys):
     """Whoever seals a changed file anew does not make drones fly so."""
     shutil.copytree(folders / "flight", tmp_path / "copy")
     path = tmp_path / "copy" / "run.json"
-    told = json.loads(path.read_text())
-    told["call"] = told["call"].replace("'seed': 0", "'seed': 1")
-    path.write_text(json.dumps(add_seal({k: v for k, v in told.items() if k != "seal"})))
+    document = json.loads(path.read_text())
+    document["call"] = document["call"].replace("'seed': 0", "'seed': 1")
+    path.write_text(json.dumps(add_seal({k: v for k, v in document.items() if k != "seal"})))
     assert not verified(path)
     shown = capsys.readouterr().out
     assert "NO" in next(line for line in shown.splitlines() if "flight" in line)
@@ -128,9 +128,9 @@ def test_a_sealed_lie_in_a_dataset_is_found_by_the_flights(folders, what, tmp_pa
         ends[-1]["state_hash"] = ends[0]["state_hash"]
         table = table.replace_schema_metadata({"bulletuav": json.dumps(ends)})
     pq.write_table(table, copy / TABLE)
-    told = json.loads((copy / "dataset.json").read_text())
-    told["files"] = hash_files(copy, [TABLE])
-    (copy / "dataset.json").write_text(json.dumps(add_seal({**told, "seal": ""})))
+    document = json.loads((copy / "dataset.json").read_text())
+    document["files"] = hash_files(copy, [TABLE])
+    (copy / "dataset.json").write_text(json.dumps(add_seal({**document, "seal": ""})))
     different = [check.what for check in Verifier().verify(copy) if not check.same]
     assert different == [f"episodes-000000: {what}"]
 
@@ -138,8 +138,8 @@ def test_a_sealed_lie_in_a_dataset_is_found_by_the_flights(folders, what, tmp_pa
 def test_tables_of_leaderboards_tell_hashes(folders):
     text = (folders / "leaderboard" / "leaderboard.md").read_text()
     rows = (folders / "leaderboard" / "leaderboard.csv").read_text().splitlines()
-    told = json.loads((folders / "leaderboard" / "leaderboard.json").read_text())
-    hashes = [case["hash"] for case in told["cases"]]
+    document = json.loads((folders / "leaderboard" / "leaderboard.json").read_text())
+    hashes = [case["hash"] for case in document["cases"]]
     assert len(set(hashes)) == 2
     for one in hashes:
         assert f"| {one[:8]} |" in text
@@ -196,15 +196,15 @@ def test_calls_are_literals_and_name_no_code():
 
 def test_hashes_tell_numbers_names_and_types_apart():
     arrays = {"a": np.arange(4.0), "b": np.arange(4)}
-    told = hash_arrays(arrays)
-    assert hash_arrays(dict(reversed(arrays.items()))) == told
+    document = hash_arrays(arrays)
+    assert hash_arrays(dict(reversed(arrays.items()))) == document
     for other in (
         {"a": np.arange(4.0), "c": np.arange(4)},
         {"a": np.arange(4.0), "b": np.arange(4.0)},
         {"a": np.arange(4.0).reshape(2, 2), "b": np.arange(4)},
         {"a": np.nextafter(np.arange(4.0), 9), "b": np.arange(4)},
     ):
-        assert hash_arrays(other) != told
+        assert hash_arrays(other) != document
     rows = [{"x": 1.0, "y": float("nan")}, {"x": 2.0, "y": 0.0}]
     assert hash_rows(rows) == hash_rows([{"y": float("nan"), "x": 1}, {"x": 2, "y": 0}])
     assert hash_rows(rows) != hash_rows(rows[::-1])

@@ -98,7 +98,7 @@ def test_nothing_is_put_before_a_reset():
     assert not SharedInfos(np.zeros((3, 5, 4))).write(FIRST)
 
 
-def told(rng, rows):
+def reported(rng, rows):
     """What a decision of three worlds told, of which nobody has asked for infos."""
     table = rng.integers(0, 2, (len(rows), 3, 4)).astype(float)
     more = {"dwell_time": rng.normal(size=(3, 4))}
@@ -109,7 +109,7 @@ def told(rng, rows):
 @pytest.mark.parametrize("name", [None, "goal_distance"])
 def test_a_table_of_a_decision_goes_as_the_infos_that_are_made_of_it(name):
     rows = [("reward/goal", float), (name, float), ("success", bool), ("conflicts", np.int64)]
-    decision = told(np.random.default_rng(3), rows)
+    decision = reported(np.random.default_rng(3), rows)
     infos = lazy_infos(decision)
     shared = SharedInfos(np.zeros((3, 5, 4)))
     shared.set_types(decision())
@@ -123,4 +123,4 @@ def test_a_table_of_a_decision_goes_as_the_infos_that_are_made_of_it(name):
     # What infos tell can be written into, though the decision's own array cannot
     infos["dwell_time"][:] = 0.0
     assert decision.more["dwell_time"].any()
-    assert not shared.write(lazy_infos(told(np.random.default_rng(4), rows[::-1])))
+    assert not shared.write(lazy_infos(reported(np.random.default_rng(4), rows[::-1])))

@@ -80,15 +80,15 @@ def random_actions(aviary, rng):
 
 def flown(aviary, decisions, seed, worlds=slice(None)):
     """Fly, with resets of worlds that are over; list all that is told of some worlds."""
-    rng, told = np.random.default_rng(seed), []
+    rng, reported = np.random.default_rng(seed), []
     for _ in range(decisions):
         step = aviary.step(random_actions(aviary, rng))
         parts = [step.rewards, step.terminated, step.truncated, *step.info.values()]
-        told += [np.array(part[worlds]) for part in parts]
+        reported += [np.array(part[worlds]) for part in parts]
         over = ~aviary.alive.any(axis=1)
         seen = aviary.reset(over) if over.any() else step.observations
-        told.append(np.array(seen[worlds]))
-    return told
+        reported.append(np.array(seen[worlds]))
+    return reported
 
 
 def sent(snapshot):
@@ -206,10 +206,10 @@ def test_flights_go_on_in_another_process(tmp_path):
     path.write_bytes(pickle.dumps(aviary.save_state()))
     for k in range(20):
         aviary.step(np.full((2, 4, 3), 0.1 * k - 1.0))
-    told = subprocess.run(
+    reported = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(path)], capture_output=True, text=True, check=True
     )
-    assert tuple(told.stdout.split()) == aviary.state_hash()
+    assert tuple(reported.stdout.split()) == aviary.state_hash()
     aviary.close()
 
 
@@ -302,8 +302,8 @@ def test_worlds_of_several_processes_save_and_load():
     assert spread.state_hash([1, 2]) == alone.state_hash([1, 2])
     np.testing.assert_array_equal(seen[1:], alone.aviary.observations()[1:])
     for mine, one in zip(first, actions, strict=True):
-        told = spread.step(one[[1, 2, 0]])[:4]
-        for a, b in zip(mine, told, strict=True):
+        reported = spread.step(one[[1, 2, 0]])[:4]
+        for a, b in zip(mine, reported, strict=True):
             np.testing.assert_array_equal(a[[2, 0]], b[1:])
     with pytest.raises(ValueError, match="has 2 worlds, and 3"):
         spread.load_state(saved)
@@ -322,12 +322,12 @@ def test_worlds_of_several_processes_save_and_load():
 
 def test_turns_go_on_from_a_snapshot():
     def flown(env, turns):
-        told = []
+        reported = []
         for _ in env.agent_iter(turns):
             seen, reward, ended, cut, info = env.last()
-            told += [seen, reward, ended, cut, info.get("success", -1.0)]
+            reported += [seen, reward, ended, cut, info.get("success", -1.0)]
             env.step(None if ended or cut else np.full(3, 0.5))
-        return told
+        return reported
 
     options = {"num_drones": 3, "dynamics": "point_mass", "horizon": 6}
     env = bulletuav.aec_env("crossing", **options)
@@ -380,14 +380,14 @@ def test_curricula_go_on_from_a_snapshot():
     saved = env.save_state()
 
     def flown():
-        told = []
+        reported = []
         for _ in range(3):
             while env.agents:
                 results = env.step({one: np.ones(3) for one in env.agents})
-                told += [np.array(list(part.values())) for part in results[:4]]
+                reported += [np.array(list(part.values())) for part in results[:4]]
             env.curriculum.record(1.0)  # to the next stage
-            told += [np.array(list(env.reset()[0].values())), np.array(env.curriculum.stage)]
-        return told
+            reported += [np.array(list(env.reset()[0].values())), np.array(env.curriculum.stage)]
+        return reported
 
     first = flown()
     assert env.curriculum.stage == 1
@@ -422,14 +422,14 @@ def test_airspaces_go_on_from_a_snapshot(dynamics):
         )
 
     def flown(airspace, steps):
-        told = []
+        reported = []
         for k in range(steps):
             if k == 10:
                 airspace.command(0, "velocity", (1.0, 0.2, -0.5), yaw_rate=0.3)
             airspace.step()
-            told += [array.copy() for array in airspace.swarm]
-            told += list(airspace.readings.values())
-        return told
+            reported += [array.copy() for array in airspace.swarm]
+            reported += list(airspace.readings.values())
+        return reported
 
     airspace = made()
     airspace.command(None, "velocity", (0.5, 0.0, 0.0))
@@ -644,7 +644,7 @@ def test_snapshots_of_classes_that_were_put_together_by_hand_are_refused():
     env = bulletuav.aec_env("hover", num_drones=2, dynamics="point_mass")
     env.reset(seed=0)
     saved = env.save_state()
-    for forged, told in (
+    for forged, reported in (
         (EnvironmentSnapshot.__new__(EnvironmentSnapshot), "has of None instead of a str"),
         (
             EnvironmentSnapshot("aec_env", None, saved.beside),
@@ -657,7 +657,7 @@ def test_snapshots_of_classes_that_were_put_together_by_hand_are_refused():
             "'step'., or must",
         ),
     ):
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=reported):
             env.load_state(forged)
 
 
@@ -812,10 +812,10 @@ def test_a_snapshot_of_another_simulation_is_refused_with_what_differs():
         return aviary
 
     saved = made().save_state()
-    for more, told in DIFFERENCES:
+    for more, reported in DIFFERENCES:
         other = made(**more)
         hashed = other.state_hash()
-        with pytest.raises(ValueError, match=f"another simulation than .*: {told}"):
+        with pytest.raises(ValueError, match=f"another simulation than .*: {reported}"):
             other.load_state(saved)
         assert other.state_hash() == hashed
         other.close()
@@ -839,7 +839,7 @@ def test_an_airspace_refuses_a_snapshot_of_another_one():
     airspace = bulletuav.Airspace(place, "cf2x", obstacles=(ball,), **options)
     airspace.step()
     saved = airspace.save_state()
-    for airframe, obstacle, more, told in (
+    for airframe, obstacle, more, reported in (
         ("iris", ball, {}, "airframe is 'cf2x' in the snapshot and 'iris' here"),
         ("cf2x", box, {}, "obstacles is .* in the snapshot and"),
         ("cf2x", ball, {"gravity": 1.62}, "gravity is 9.80665 in the snapshot and 1.62 here"),
@@ -847,7 +847,7 @@ def test_an_airspace_refuses_a_snapshot_of_another_one():
     ):
         other = bulletuav.Airspace(place, airframe, obstacles=(obstacle,), **options, **more)
         hashed = other.state_hash()
-        with pytest.raises(ValueError, match=f"another simulation than this airspace: {told}"):
+        with pytest.raises(ValueError, match=f"another simulation than this airspace: {reported}"):
             other.load_state(saved)
         assert other.state_hash() == hashed
         other.close()
@@ -860,8 +860,10 @@ def test_an_airspace_refuses_a_snapshot_of_another_one():
 def test_equal_values_have_equal_texts_in_every_process():
     field = lambda place, time: place * 0.0  # noqa: E731
     again = "from bulletuav.envs import descriptions as d; print(d.canonical_text({'b', 'a', 'c'}))"
-    told = subprocess.run([sys.executable, "-c", again], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == canonical_text({"c", "a", "b"})
+    reported = subprocess.run(
+        [sys.executable, "-c", again], capture_output=True, text=True, check=True
+    )
+    assert reported.stdout.strip() == canonical_text({"c", "a", "b"})
     assert canonical_text(Imperfect(Imu(), noise=0.1)) == canonical_text(
         Imperfect(Imu(), noise=0.1)
     )
@@ -887,8 +889,8 @@ def test_snapshots_that_do_not_fit_are_refused():
         ({"snapshot": saved[0], "worlds": 0.5}, "worlds is 0.5"),
         ({"snapshot": Snapshot(saved.data, "other")}, "result of save_state of this version"),
     )
-    for keywords, told in refused:
-        with pytest.raises(ValueError, match=told):
+    for keywords, reported in refused:
+        with pytest.raises(ValueError, match=reported):
             aviary.load_state(**keywords)
         assert aviary.state_hash() == hashed
     with pytest.raises(RuntimeError, match="reset"):

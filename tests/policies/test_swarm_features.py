@@ -131,7 +131,7 @@ def test_layers_for_other_numbers_are_refused():
     layers = {"neighbour": flown(layer, 2)._layers["neighbour"]}
     with pytest.raises(ValueError, match="features of each target expect 0 numbers, not 6"):
         NumpySwarmFeatures(find_layout(labels(2)), layers)
-    with pytest.raises(ValueError, match="features of each neighbour expect 15 numbers"):
+    with pytest.raises(ValueError, match="features of each neighbour expect 15 numbers, not"):
         Network(
             {
                 "action_net.weight": np.ones((1, 3)),

@@ -97,8 +97,8 @@ def test_a_page_holds_the_flight(run, tmp_path):
     ]
     assert about["charts"][1]["mark"] == about["d_safe"] == 5
     terms = [title for group, title, _ in titles if group == "Reward"]
-    told = [name[7:] for name in recording.info if name.startswith("reward/")]
-    assert terms == ["reward", *(name.replace("_", " ") for name in told)]
+    document = [name[7:] for name in recording.info if name.startswith("reward/")]
+    assert terms == ["reward", *(name.replace("_", " ") for name in document)]
     (speed,) = about["charts"][2]["lines"]
     read, step = block.series(speed["series"])
     wanted = np.linalg.norm(recording.velocity, axis=-1)
@@ -121,18 +121,18 @@ def test_the_page_is_whole_and_asks_for_nothing(run, tmp_path):
 
 
 def test_three_js_is_as_it_was_published():
-    told = dict(re.findall(r"- `(.*)`: `(.*)`", (ROOT / "THIRD_PARTY.md").read_text()))
-    assert set(told) == {path.name for path in WEB.glob("three.*.js")}
-    for name, digest in told.items():
+    document = dict(re.findall(r"- `(.*)`: `(.*)`", (ROOT / "THIRD_PARTY.md").read_text()))
+    assert set(document) == {path.name for path in WEB.glob("three.*.js")}
+    for name, digest in document.items():
         assert hashlib.sha256((WEB / name).read_bytes()).hexdigest() == digest
 
 
 def test_names_from_a_recording_are_data_in_the_page(run, copied):
     evil = "</script><script>alert(1)</script>"
     path = copied / "run.json"
-    told = json.loads(path.read_text())
-    told["policy"] = evil
-    path.write_text(json.dumps(add_seal({k: v for k, v in told.items() if k != "seal"})))
+    document = json.loads(path.read_text())
+    document["policy"] = evil
+    path.write_text(json.dumps(add_seal({k: v for k, v in document.items() if k != "seal"})))
     text = replay_run(copied).read_text()
     assert evil not in text
     assert "&lt;/script&gt;" in text
@@ -180,17 +180,17 @@ def test_obstacles_are_kept_with_their_shapes(tmp_path):
     recording = flown(tmp_path, "race", "stay", num_drones=1, difficulty="medium", horizon=200)
     about = json.loads(str(recording.scene["about"]))
     assert len(about["obstacles"]) == recording.obstacle.shape[1]
-    for told, axis, turn in zip(
+    for document, axis, turn in zip(
         about["obstacles"],
         recording.obstacle_axis,
         recording.scene["obstacle_quaternion"][0],
         strict=True,
     ):
-        assert told["kind"] == 2  # a box
-        assert max(told["half"]) == pytest.approx(np.linalg.norm(axis))
+        assert document["kind"] == 2  # a box
+        assert max(document["half"]) == pytest.approx(np.linalg.norm(axis))
         assert np.linalg.norm(turn) == pytest.approx(1)
     colour = Obstacle("sphere", (1.0,)).colour
-    assert all(len(told["colour"]) == len(colour) for told in about["obstacles"])
+    assert all(len(document["colour"]) == len(colour) for document in about["obstacles"])
 
 
 @pytest.mark.parametrize("task", bulletuav.list_tasks())
@@ -245,13 +245,13 @@ def test_recordings_of_version_4_verify_but_do_not_replay(copied, capsys):
     np.savez_compressed(path, **{**arrays, "version": np.array(4)})
     old = load(copied)
     assert (old.version, dict(old.scene), dict(old.reading)) == (4, {}, {})
-    told = json.loads((copied / "run.json").read_text())
-    told["hash"] = old.hash()
-    assert told["hash"] != recording.hash()
-    assert told["hash"] == recording.hash(like=old)
-    told["files"] = hash_files(copied, told["files"])
-    del told["seal"]
-    (copied / "run.json").write_text(json.dumps(add_seal(told)))
+    document = json.loads((copied / "run.json").read_text())
+    document["hash"] = old.hash()
+    assert document["hash"] != recording.hash()
+    assert document["hash"] == recording.hash(like=old)
+    document["files"] = hash_files(copied, document["files"])
+    del document["seal"]
+    (copied / "run.json").write_text(json.dumps(add_seal(document)))
     checks = Verifier().verify(copied)
     assert [check.what for check in checks if not check.same] == []
     assert checks[-1].what == "flight"
@@ -309,10 +309,10 @@ def test_a_damaged_scene_is_told(copied, capsys):
         ("scene/hull_size", np.array([9, 9])),
     ):
         np.savez_compressed(path, **{**arrays, name: value})
-        told = json.loads((copied / "run.json").read_text())
-        del told["seal"]
-        told["files"] = hash_files(copied, told["files"])
-        (copied / "run.json").write_text(json.dumps(add_seal(told)))
+        document = json.loads((copied / "run.json").read_text())
+        del document["seal"]
+        document["files"] = hash_files(copied, document["files"])
+        (copied / "run.json").write_text(json.dumps(add_seal(document)))
         refused(["replay", str(copied)], capsys, "the scene of the recording is damaged")
 
 

@@ -31,7 +31,7 @@ ENDING = 10.0
 REMEDY = re.compile(
     r"need|must|choose|call |make |use |give|lower|at (least|most)|from .* to|did you mean|leave|"
     r"load it|raise|or more|name |cannot|has no|is no|are no|not |unknown|in use|takes|write|only|"
-    r"too |select |set |omit |must|remove |add |increase|pass |take |overlap|twice"
+    r"too |take |overlap|twice"
 )
 MOST_CLIENTS = 64
 

@@ -43,8 +43,8 @@ def ends_outside(task, spec):
 def test_the_text_says_each_thing_once(printed):
     _, spec, said = printed
     d_safe = spec.task.config.d_safe
-    told = re.findall(r"d_safe(?: =| is|:)? (\d+(?:\.\d+)?)(?= m|,)", said)
-    assert all(float(one) == d_safe for one in told)
+    described = re.findall(r"d_safe(?: =| is|:)? (\d+(?:\.\d+)?)(?= m|,)", said)
+    assert all(float(one) == d_safe for one in described)
     for far, near in re.findall(r"from 0 at (\d+) m to 1 at (\d+) m", said):
         assert (float(far), float(near)) == (spec.task.zone, d_safe)
     horizons = re.findall(r"(?:[Tt]runcated a|A)fter (\d+) decisions", said)
@@ -101,10 +101,10 @@ def test_tables_hold_what_the_code_does(name):
 
 
 def test_options_are_told_by_the_nearest_class():
-    told = option_texts(find_task("los").Config)
-    assert told["boundary"].startswith("Behaviour at the bounds, by default")
-    assert told["contact_ends"].endswith('or of its whole "world".')
-    assert "d_safe" in told
+    described = option_texts(find_task("los").Config)
+    assert described["boundary"].startswith("Behaviour at the bounds, by default")
+    assert described["contact_ends"].endswith('or of its whole "world".')
+    assert "d_safe" in described
 
 
 def test_bases_are_not_printed(printed):

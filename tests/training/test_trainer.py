@@ -630,7 +630,7 @@ def test_features_of_a_swarm_are_learned_and_fly_among_any_number(tmp_path):
     train(learned, tmp_path)
     many = {"num_drones": 5, "num_neighbours": 4, "horizon": 5, "dynamics": "point_mass"}
     assert bulletuav.evaluate("converge", tmp_path, 1, 0, **many).estimates()["length"].mean == 0.5
-    with pytest.raises(ValueError, match="features of each intruder expect 19 numbers"):
+    with pytest.raises(ValueError, match="features of each intruder expect 19 numbers, not"):
         bulletuav.evaluate(
             "converge", tmp_path, 1, 0, **many, observation=["velocity", "intruders"]
         )
