@@ -35,7 +35,7 @@ class _Call(NamedTuple):
     Attributes:
         kernel: The compiled function; None if the callbacks always run.
         arguments: Arguments of the function.
-        turns: Python callbacks that run if the function returns True, or if there is no function.
+        callbacks: Callbacks that run if the function returns True, or if there is no function.
     """
 
     kernel: Callable[..., Any] | None

@@ -106,7 +106,7 @@ def find_time_of_impact(
         has_touched: True if the pair touched before in this substep; a looser tolerance is used.
         dt: Length of the substep, s.
         guess: Direction of an earlier separation, or zeros.
-        scratch: Work array, see `bulletuav.geometry.gjk.make_room`.
+        scratch: Work array, see `bulletuav.geometry.minkowski.make_scratch`.
         gjk_only: True to measure with `gjk_distance`, whose bits kinematic flights keep.
 
     Returns:

@@ -76,7 +76,7 @@ class Decision(NamedTuple):
 
 @func
 def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Surroundings:
-    """Return the surroundings of drone i of world w in the wakes (N, 4), as input of `wrench`."""
+    """Return the surroundings of drone i of world w in the wakes (N, 4), for `compute_wrench`."""
     blown = (wake[i, 0], wake[i, 1], wake[i, 2], wake[i, 3])
     wind, force, torque = vec3(air.wind, w, i), vec3(air.force, w, i), vec3(air.torque, w, i)
     return make_surroundings(wind, air.surface[w, i], air.gravity, force, torque, blown)
@@ -335,7 +335,7 @@ class Dynamics(ABC):
         return list_contacts(self.contact)
 
     def overlaps(self, swarm: Swarm, moved: np.ndarray, alive: np.ndarray) -> Contacts:
-        """Find the overlaps of drones that were moved elsewhere; see `contacts.overlaps`."""
+        """Find the overlaps of drones that were moved elsewhere; see `contacts.find_overlaps`."""
         return find_overlaps(self.contact, DroneArrays(swarm, alive, self.flight.parameters), moved)
 
     def _advance_decision(self, decision: Decision) -> None:
