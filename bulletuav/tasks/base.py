@@ -473,7 +473,10 @@ class Task(ABC, Generic[ConfigT]):
 
 
 def _merge_tables(tables: Iterable[Mapping[str, Value]]) -> dict[str, Value]:
-    return {name: value for table in tables for name, value in table.items()}
+    merged: dict[str, Value] = {}
+    for table in tables:
+        merged.update(table)
+    return merged
 
 
 def merge_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:

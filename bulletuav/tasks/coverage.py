@@ -177,7 +177,7 @@ class Coverage(Task[CoverageConfig]):
 
     def _served(self, frame: Frame) -> np.ndarray:
         """Compute the fraction of squares seen by at least one living drone, (W, N)."""
-        return get_served_fraction(frame, self.active_targets(frame.scene))
+        return get_served_fraction(self, frame)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Return the infos of the city, and the covered fraction as "served"."""

@@ -13,7 +13,7 @@ from bulletuav.tasks.config import REBOUND, TaskConfig
 from bulletuav.tasks.ends import affected_drones
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
-from bulletuav.tasks.parts.base import Rngs, Starts
+from bulletuav.tasks.parts.base import Part, Rngs, Starts
 from bulletuav.tasks.parts.draws import get_random_source
 from bulletuav.tasks.parts.headings import draw_velocities
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
@@ -104,6 +104,22 @@ class FlightConfig(ObstacleOptions, TaskConfig):
 FlightConfigT = TypeVar("FlightConfigT", bound=FlightConfig)
 
 
+class GoalCount(Part):
+    """Number of goals that each drone reached, as memory and info "goals" if goals respawn."""
+
+    def __init__(self, num_drones: int) -> None:
+        """Count the goals of the drones of each world."""
+        self._num_drones = num_drones
+
+    def memory(self) -> Mapping[str, tuple[int, ...]]:
+        """Return the shape of the counts."""
+        return {"goals": (self._num_drones,)}
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Return the counts, (W, N)."""
+        return {"goals": frame.scene.memory["goals"].copy()}
+
+
 class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
     """Base class of flights to goals in one airspace. Subclasses define starts and goals.
 
@@ -184,6 +200,8 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         """
         super().__init__(config, context)
         self.field = self.add(ObstacleField(self))
+        if self.respawns:
+            self.add(GoalCount(context.num_drones))
         config.check(context)
         self.rebound = REBOUND.get(config.boundary)
         self.zone = config.warning_zone * config.d_safe
@@ -236,8 +254,6 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         """
         drones = self.context.num_drones
         shapes = {"reached": (drones,), "first_way": (drones,), **super().memory()}
-        if self.respawns:
-            shapes["goals"] = (drones,)
         if self.weights.get("concession"):
             shapes["encounter"] = (drones, drones)
             shapes["effort"] = (drones, drones)
@@ -385,11 +401,6 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         frame.derived["terminated"] = ended
         frame.derived["ended"] = ended | frame.last[:, None]
         return ended
-
-    def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Return the infos of the parts and, if goals respawn, the number of goals reached."""
-        goals = {"goals": frame.scene.memory["goals"].copy()} if self.respawns else {}
-        return {**super().info(frame), **goals}
 
     def compute_terms(
         self, frame: Frame, terms: Mapping[str, np.ndarray]

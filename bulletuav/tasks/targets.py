@@ -1,26 +1,30 @@
 """Fractions of targets in sight: users on the ground, or cells of it."""
 
+from typing import Any
+
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating
+from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame
 
 SERVED = "served share"
 """Key of `Frame.derived` for the result of `get_served_fraction`"""
 
 
-def get_served_fraction(frame: Frame, active: np.ndarray) -> np.ndarray:
+def get_served_fraction(task: Task[Any], frame: Frame) -> np.ndarray:
     """Return the fraction of active targets seen by at least one living drone, cached in the frame.
 
     Args:
+        task: The task, with targets.
         frame: The decision.
-        active: (W, U) bool, targets that count.
 
     Returns:
         (W, N), the same for all drones of a world.
     """
     known = frame.derived.get(SERVED)
     if known is None:
+        active = task.active_targets(frame.scene)
         known = compute_served_fraction(frame.readings["sight"], frame.alive, active)
         frame.derived[SERVED] = known
     return known

@@ -98,7 +98,7 @@ class Users(Part):
 
     def served(self, frame: Frame) -> np.ndarray:
         """Compute the fraction of users seen by at least one living drone, (W, N)."""
-        return get_served_fraction(frame, self._task.active_targets(frame.scene))
+        return get_served_fraction(self._task, frame)
 
     def quantities(self) -> Mapping[str, Any]:
         """Return the fraction of users in sight, and the mean time in sight, s."""
