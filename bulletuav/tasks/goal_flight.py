@@ -166,6 +166,11 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
     - extreme: all parameters in `UNCERTAINTY` are randomized, with light turbulence.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
+
+    Attributes:
+        field: Obstacles among the drones.
+        starts: Draws starts and goals, unless the task overrides `spawn`.
+        respawns: Whether drones that reach their goals get new ones.
     """
 
     defaults: ClassVar = {
@@ -200,6 +205,8 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         """
         super().__init__(config, context)
         self.field = self.add(ObstacleField(self))
+        at_goal: str = config.at_goal  # tasks in cities have "respawn", too
+        self.respawns = at_goal == "respawn"
         if self.respawns:
             self.add(GoalCount(context.num_drones))
         config.check(context)
@@ -208,12 +215,6 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         self.lands = self.takes_off or config.at_goal == "land"
         if not config.num_obstacles:
             self.weights["obstacle_warning"] = 0.0
-
-    @property
-    def respawns(self) -> bool:
-        """Whether drones that reach their goals get new ones."""
-        at_goal: str = self.config.at_goal
-        return at_goal == "respawn"
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw starts and goals by `starts`, with drones in flight."""

@@ -2,7 +2,7 @@
 
 import contextlib
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
@@ -102,12 +102,13 @@ def test_goals_respawn_where_starts_draw_further_ones_alone():
 
     @dataclass(frozen=True)
     class AgainConfig(FlightConfig):
-        """As those of flights to goals."""
+        """As those of flights to goals, which respawn."""
+
+        at_goal: Literal["leave", "respawn"] = "respawn"
 
     class Again(GoalFlight[AgainConfig]):
         name = "again"
         defaults: ClassVar = {**GoalFlight.defaults, "num_drones": 1, "difficulty": "easy"}
-        respawns = True
 
         def __init__(self, config, context):
             super().__init__(config, context)
