@@ -14,6 +14,7 @@ import reprlib
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -403,7 +404,7 @@ def former_names(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
 
     Args:
         module: Name of the module, `__name__`.
-        names: Present names by former ones.
+        names: Present names by former ones. A name with dots is in the module before its last dot.
 
     Returns:
         A function that returns the object of a former name with a DeprecationWarning, and raises
@@ -419,6 +420,7 @@ def former_names(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
             DeprecationWarning,
             stacklevel=2,
         )
-        return getattr(sys.modules[module], names[name])
+        home, _, present = names[name].rpartition(".")
+        return getattr(import_module(home or module), present)
 
     return find

@@ -18,7 +18,7 @@ RANK = {name: rank for rank, names in enumerate(rooms.ROOMS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))
 PARTS = {"__init__", "frame_measures", "base", "check", "config", "ends", "frame", "given"}
 PARTS |= {"goal_flight", "user_service"}
-PARTS |= {"ingredients", "loops", "spawns", "stages", "starts", "targets"}
+PARTS |= {"families", "ingredients", "loops", "spawns", "stages", "starts", "targets"}
 """Files beside the tasks of which these are made"""
 EXTRAS = {
     "argcomplete",
