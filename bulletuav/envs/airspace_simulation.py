@@ -27,7 +27,9 @@ class AirspaceSimulation:
 
     def insert(self, stage: Stage, after: str | None = None, *, before: str | None = None) -> None:
         """Insert a custom stage; see `Simulation.insert`."""
-        self.stages, self.program = insert_stage(self.stages, stage, after, before), None
+        arrays = self.world.state.named()
+        self.stages = insert_stage(self.stages, stage, arrays, after, before)
+        self.program = None
 
     def update_scene(self) -> None:
         """Update the program if bodies changed since it was made."""

@@ -230,8 +230,15 @@ def _validate_config(config: TaskConfig) -> TaskConfig:
         ValueError: If a value is invalid.
     """
     kinds = typing.get_type_hints(type(config))  # also where annotations are postponed
+    # A field that a subclass declares again, for another default, keeps its bounds
+    bounds: dict[str, dict[str, Any]] = {}
+    for kind in reversed(type(config).__mro__):
+        for name, field in vars(kind).get("__dataclass_fields__", {}).items():
+            bounds.setdefault(name, {}).update(field.metadata)
     stored = {
-        field.name: _validate(field, kinds[field.name], getattr(config, field.name))
+        field.name: _validate(
+            field.name, kinds[field.name], getattr(config, field.name), **bounds[field.name]
+        )
         for field in dataclasses.fields(config)
         if field.init
     }
@@ -240,18 +247,20 @@ def _validate_config(config: TaskConfig) -> TaskConfig:
     return dataclasses.replace(config, **stored)
 
 
-def _validate(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
-    """Validate the value of a field by its type.
+def _validate(name: str, kind: Any, value: Any, least: int = 1, most: Any = None) -> Any:
+    """Validate the value of a field by its type; float fields are sizes, so not negative.
 
-    The metadata of a field may have its bounds "least" and "most". Float fields are sizes, so not
-    negative.
+    Args:
+        name: Name of the field.
+        kind: Its type.
+        value: Its value.
+        least: Minimum of an integer.
+        most: Maximum of a number; by default `MAX_COUNT` or `MAX_SIZE`.
     """
-    # Bounds of the field override the defaults
-    name = field.name
-    usual_most = MAX_COUNT if kind is int else MAX_SIZE
-    most = field.metadata.get("most", usual_most)
+    if most is None:
+        most = MAX_COUNT if kind is int else MAX_SIZE
     if kind is int:
-        return as_int(name, value, field.metadata.get("least", 1), most)
+        return as_int(name, value, least, most)
     if kind is bool and not isinstance(value, bool):
         raise ValueError(f"{name} is {shown(value)}: True or False is needed")
     # Values of other types are validated where they are used

@@ -60,10 +60,12 @@ class Simulation:
             before: name of the stage that it precedes.
 
         Raises:
-            ValueError: If none or both of these are given, there is no such stage, or the name of
-                the new stage is in use.
+            ValueError: If none or both of these are given, there is no such stage, the name of
+                the new stage is in use, or it declares an unknown array.
         """
-        self.stages, self.program = insert_stage(self.stages, stage, after, before), None
+        arrays = self.worlds.state.named()
+        self.stages = insert_stage(self.stages, stage, arrays, after, before)
+        self.program = None
 
     def decide(self) -> None:
         """Simulate one decision with the actions in `state.given`.

@@ -3,6 +3,7 @@
 import typing
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from inspect import isfunction, unwrap
 from itertools import chain
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, TypeVar
@@ -173,7 +174,20 @@ class Task(ABC, Generic[ConfigT]):
         self._named_terms: dict[str, Bound] | None = None
 
     def add(self, part: PartT) -> PartT:
-        """Append a part to the task's parts and return it."""
+        """Append a part to the task's parts and return it.
+
+        Raises:
+            TypeError: If a method of the task hides a method of the part, as it does not call
+                `super()`.
+        """
+        kind = type(part)
+        for name in vars(Part).keys() & vars(Task).keys():
+            hiding = _hiding_class(type(self), name)
+            if hiding and getattr(kind, name) is not getattr(Part, name):
+                raise TypeError(
+                    f"{hiding}.{name} hides that of the part {kind.__name__}: "
+                    f"call super().{name}(...) in it and use the result"
+                )
         self.parts.append(part)
         return part
 
@@ -197,8 +211,19 @@ class Task(ABC, Generic[ConfigT]):
 
         Raises:
             ValueError: If an ingredient requests an unknown name, or a term is unknown.
+            TypeError: If `ends` or `success` has no effect.
         """
         kind = type(self)
+        for given, condition, method in (
+            (kind.ends, "ends", "terminated"),
+            (kind.success, "success", "succeeded"),
+        ):
+            hiding = _hiding_class(kind, method)
+            if given and hiding:
+                raise TypeError(
+                    f"{condition} of task {self.name!r} has no effect, as {hiding}.{method} does "
+                    f"not call super().{method}(...): override {method} instead"
+                )
         numbers = {**numeric_fields(self.context), **numeric_fields(self.config), "zone": self.zone}
         corners = np.ravel([self.arena_high, self.arena_low]).tolist()
         bounds = {f"bound_{side}": bound for side, bound in zip(SIDES, corners, strict=False)}
@@ -472,9 +497,29 @@ class Task(ABC, Generic[ConfigT]):
         return StepResult(self.reward_terms(frame), terminated, success)
 
 
+def _hiding_class(kind: type[Task[Any]], method: str) -> str:
+    """Return the name of the class whose override of a method of `Task` does not call it, or ""."""
+    for owner in kind.__mro__[: kind.__mro__.index(Task)]:
+        function = vars(owner).get(method)
+        if isfunction(function):
+            used = {"super", *(base.__name__ for base in kind.__mro__)}
+            names = unwrap(function).__code__.co_names
+            if method not in names or used.isdisjoint(names):
+                return owner.__name__
+    return ""
+
+
 def _merge_tables(tables: Iterable[Mapping[str, Value]]) -> dict[str, Value]:
+    """Merge the tables of all parts.
+
+    Raises:
+        ValueError: If two parts use the same name.
+    """
     merged: dict[str, Value] = {}
     for table in tables:
+        both = merged.keys() & table.keys()
+        if both:
+            raise ValueError(f"two parts define {min(both)!r}: rename that of one of them")
         merged.update(table)
     return merged
 

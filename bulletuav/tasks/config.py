@@ -29,7 +29,8 @@ class TaskConfig:
     """Options of a task. Subclass it as a frozen dataclass to add options.
 
     Float fields are sizes: finite and not negative. The metadata of a field may set "least", the
-    minimum of an integer (default 1), and "most", the maximum of any number (default 1e9).
+    minimum of an integer (default 1), and "most", the maximum of any number (default 1e9). A field
+    that a subclass declares again keeps both.
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.

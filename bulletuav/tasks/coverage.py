@@ -173,7 +173,8 @@ class Coverage(Task[CoverageConfig]):
     def quantities(self) -> Mapping[str, Any]:
         """Return the fractions of ground in sight, and the number of drones that are too close."""
         near = self._drones_too_near
-        return {"served": self._served, "seen_share": self._seen_share, "drones_too_near": near}
+        own = {"served": self._served, "seen_share": self._seen_share, "drones_too_near": near}
+        return {**super().quantities(), **own}
 
     def _served(self, frame: Frame) -> np.ndarray:
         """Compute the fraction of squares seen by at least one living drone, (W, N)."""

@@ -381,6 +381,8 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
     def terminated(self, frame: Frame) -> np.ndarray:
         """Return which drones' episodes terminate, and derive the events that reward terms read.
 
+        Subclasses declare further conditions in `ends`, so that these events include them.
+
         Returns:
             (W, N) bool. Sets "finished", "reached", "terminated" and "ended" in `frame.derived`.
         """
@@ -396,6 +398,8 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         if config.conflict_ends != "nothing":
             in_conflict = frame.conflict.separation < config.d_safe
             ended = ended | affected_drones(in_conflict, frame, config.conflict_ends)
+        if self.ends:
+            ended = ended | super().terminated(frame)
         reached = frame.scene.memory["reached"]
         frame.derived["finished"] = finished
         frame.derived["reached"] = (reached > 0) & (reached == frame.time[:, None])

@@ -197,11 +197,11 @@ class Race(Task[RaceConfig]):
         of_gates = {"gate": (3,), "gate_before": (3,), "gate_velocity": (3,), "gate_axis": (3, 3)}
         of_gates |= {"gate_size": (), "gate_phase": (), "leg": ()}
         counts = ("passed", "passing", "missing", "missed", "overtaken", "overtakes", "contacts")
-        make_drone_block = dict.fromkeys(
+        of_drones = dict.fromkeys(
             (*counts, "touching", "way", "way_before", "rank", "rank_before"), drones
         )
         shapes = {name: (gates, *shape) for name, shape in of_gates.items()}
-        return {**shapes, **make_drone_block, "split": (*drones, self.turns)}
+        return {**shapes, **of_drones, "split": (*drones, self.turns)}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a track, unless one is given, and place drones on its starting blocks."""

@@ -97,7 +97,7 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
         return start._replace(memory=self.users.start(layout, rng))
 
     def terminated(self, frame: Frame) -> np.ndarray:
-        """Return which drones' episodes end by contact or, if `boundary` is "end", outside.
+        """Return which drones' episodes end by contact, outside (`boundary` "end") or by `ends`.
 
         Returns:
             (W, N) bool.
@@ -105,6 +105,8 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
         ended = affected_drones(frame.collision, frame, self.config.contact_ends)
         if self.config.boundary == "end":
             ended = ended | self.outside(frame)
+        if self.ends:
+            ended = ended | super().terminated(frame)
         return ended
 
     def links(self, frame: Frame) -> np.ndarray:

@@ -274,6 +274,9 @@ def test_stages_that_cannot_be_are_refused():
         simulation.insert(Log())
     with pytest.raises(ValueError, match="after is 'fly' and before is 'wind': exactly one"):
         simulation.insert(Log(), after="fly", before="wind")
+    wrong = type("Wrong", (Log,), {"writes": ("swarm.rotr_speed",)})()
+    with pytest.raises(ValueError, match=r"array of stage 'log' 'swarm.rotr_speed': did you mean"):
+        simulation.insert(wrong, after="fly")
     assert simulation.stages == stages
     simulation.insert(Log(), after="fly")
     with pytest.raises(ValueError, match="stage 'log' exists already"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.tasks import Spawn, Task
+from bulletuav.tasks import Spawn, Task, end, find_task
 from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
 from bulletuav.tasks.observations.base import make_drone_block
 from bulletuav.tasks.parts.base import Part, Starts
@@ -118,3 +118,116 @@ def test_goals_respawn_where_starts_draw_further_ones_alone():
         aviary.reset(seeds=0)
         with pytest.raises(ValueError, match="draws no further goals"):
             aviary.step(np.zeros((1, 1, 3)))
+
+
+HIDDEN = (
+    ("move_scene", lambda self, scene, time, flying, rngs: False),
+    ("memory", lambda self: {}),
+    ("update_memory", lambda self, frame, rngs: None),
+    ("payload_power", lambda self, scene: 1.0),
+    ("quantities", lambda self: {}),
+    ("info", lambda self, frame: {}),
+)
+
+
+@pytest.mark.parametrize(("method", "function"), HIDDEN)
+def test_a_method_that_forgets_its_parts_is_refused(method, function):
+    forgetful = type("Forgetful", (Counting,), {"name": "forgetful", method: function})
+    message = rf"Forgetful\.{method} hides that of the part Counter: call super\(\)\.{method}"
+    with pytest.raises(TypeError, match=message):
+        bulletuav.Aviary(forgetful, **QUICK)
+
+
+def test_methods_that_no_part_has_need_no_super():
+    class Bounded(Counting):
+        name = "bounded"
+
+        def memory_bounds(self):
+            return {"one": (0, 10)}
+
+    with contextlib.closing(bulletuav.Aviary(Bounded, **QUICK)) as aviary:
+        assert aviary.task.memory_bounds() == {"one": (0, 10)}
+
+
+def test_two_parts_of_one_name_are_refused():
+    class Twice(Counting):
+        name = "twice"
+
+        def __init__(self, config, context):
+            super().__init__(config, context)
+            self.add(Counter("one", 2.0))
+
+    with pytest.raises(ValueError, match="two parts define 'one'"):
+        bulletuav.Aviary(Twice, **QUICK)
+
+
+@end
+def too_low(position):
+    """Return True below 30 m."""
+    return position[2] < 30.0
+
+
+@pytest.mark.parametrize(("base", "speed"), [("crossing", 20.0), ("los", 15.0)])
+def test_ends_of_a_task_on_a_base_end_episodes_as_its_own(base, speed):
+    kind = find_task(base)
+    low = type("Low", (kind,), {"name": "low", "ends": (too_low,)})
+    options = {**QUICK, "difficulty": "easy", "action": "velocity", "num_drones": 2}
+    with contextlib.closing(bulletuav.Aviary(low, **options)) as aviary:
+        aviary.reset(seeds=0)
+        for _ in range(100):
+            step = aviary.step(np.full((1, 2, 3), (0.0, 0.0, -1.0)))
+            if step.terminated.any():
+                break
+        below = aviary.swarm.position[..., 2] < 30.0
+        np.testing.assert_array_equal(step.terminated, below)
+        assert below.any()
+
+
+def test_a_reward_for_time_counts_an_early_end_that_a_task_adds():
+    low = type("Low", (find_task("crossing"),), {"name": "low", "ends": (too_low,)})
+    options = {**QUICK, "difficulty": "easy", "num_drones": 2, "max_speed": 20.0}
+    with contextlib.closing(bulletuav.Aviary(low, **options)) as aviary:
+        aviary.reset(seeds=0)
+        decisions = [aviary.step(np.full((1, 2, 3), (0.0, 0.0, -1.0))) for _ in range(7)]
+        count = next(k for k, step in enumerate(decisions, 1) if step.terminated[0, 0])
+        assert count > 1
+        costs = [step.info["reward/time"][0, 0] for step in decisions]
+        assert costs[0] == -0.5
+        assert costs[count - 1] == pytest.approx(-0.5 * (1 + aviary.options.horizon - count))
+
+
+@pytest.mark.parametrize(
+    ("declared", "method"),
+    [({"success": too_low}, "succeeded"), ({"ends": (too_low,)}, "terminated")],
+)
+def test_conditions_without_effect_are_refused(declared, method):
+    def nothing(self, frame):
+        return np.zeros(frame.alive.shape, dtype=bool)
+
+    lost = type("Lost", (Counting,), {"name": "lost", method: nothing, **declared})
+    message = rf"{next(iter(declared))} of task 'lost' has no effect, as Lost\.{method}"
+    with pytest.raises(TypeError, match=message):
+        bulletuav.Aviary(lost, **QUICK)
+
+
+@pytest.mark.parametrize("base", ["crossing", "los", "pursuit_evasion"])
+def test_success_that_a_base_replaces_is_refused(base):
+    other = type("Other", (find_task(base),), {"name": "other", "success": too_low})
+    with pytest.raises(TypeError, match="success of task 'other' has no effect"):
+        bulletuav.Aviary(other, **QUICK)
+
+
+def test_a_new_default_of_an_option_keeps_its_bounds():
+    crossing = find_task("crossing")
+
+    @dataclass(frozen=True)
+    class ManyConfig(crossing.Config):
+        """Options of `crossing`, with obstacles."""
+
+        num_obstacles: int = 10
+
+    many = type("Many", (crossing,), {"name": "many", "Config": ManyConfig})
+    with contextlib.closing(bulletuav.Aviary(many, num_obstacles=0, **QUICK)) as aviary:
+        assert aviary.task.config.num_obstacles == 0
+    with pytest.raises(ValueError, match="num_obstacles is 20000: .* 10000"):
+        bulletuav.Aviary(many, num_obstacles=20_000, **QUICK)

@@ -2,10 +2,14 @@
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
 from bulletuav.compiled.program import Program
+from bulletuav.errors import unknown
+
+COMPONENTS = ("dynamics", "energy", "engine", "readings", "account", "results", "rng")
+"""Names that stages declare for all arrays of a component of `Worlds`"""
 
 
 class Stage(ABC):
@@ -13,9 +17,8 @@ class Stage(ABC):
 
     Attributes:
         name: Name of the stage, unique in a simulation.
-        reads: Names of the arrays that the stage reads: names of `State.named`, or a component of
-            `Worlds` for all its arrays: "dynamics", "energy", "engine", "readings", "account",
-            "results", "rng".
+        reads: Names of the arrays that the stage reads: names of `State.named`, or one of
+            `COMPONENTS`.
         writes: Names of the arrays that the stage writes. Arrays that it reads and writes are in
             both.
     """
@@ -41,20 +44,29 @@ class Stage(ABC):
 
 
 def insert_stage(
-    stages: Sequence[Stage], stage: Stage, after: str | None, before: str | None
+    stages: Sequence[Stage],
+    stage: Stage,
+    arrays: Iterable[str],
+    after: str | None,
+    before: str | None,
 ) -> tuple[Stage, ...]:
     """Return the stages with one more.
 
     Args:
         stages: The stages.
         stage: The new stage.
+        arrays: Names of all arrays, `State.named`.
         after: Name of the stage that it follows; or
         before: name of the stage that it precedes.
 
     Raises:
-        ValueError: If none or both of these are given, there is no such stage, or the name of the
-            new stage is in use.
+        ValueError: If none or both of these are given, there is no such stage, the name of the new
+            stage is in use, or it declares an unknown array.
     """
+    known = {*arrays, *COMPONENTS}.union(*((*one.reads, *one.writes) for one in stages))
+    for array in (*stage.reads, *stage.writes):
+        if array not in known:
+            raise unknown(f"array of stage {stage.name!r}", array, known)
     names = [one.name for one in stages]
     if stage.name in names:
         raise ValueError(f"stage {stage.name!r} exists already: choose another name")

@@ -19,7 +19,8 @@ class Part:
 
     A task registers its parts by `Task.add`, and delegates to them in this order. The methods
     correspond to those of `Task` of the same names, where arguments and results are documented; by
-    default all do nothing.
+    default all do nothing. Observation blocks, reward terms and ends stay with the task; they read
+    the part's `memory` and `quantities` by name.
     """
 
     def obstacles(self) -> Sequence[Obstacle]:
