@@ -51,7 +51,7 @@ __all__ = [
     "LivingRollouts",
     "Symlog",
     "algorithm",
-    "own_random",
+    "preserve_random_state",
     "single_thread",
 ]
 
@@ -66,7 +66,7 @@ def algorithm(name: str) -> Any:
 
 
 @contextlib.contextmanager
-def own_random() -> Iterator[None]:
+def preserve_random_state() -> Iterator[None]:
     """Restore the global random states of Python, NumPy and PyTorch at the end.
 
     Stable-baselines3 seeds them when it creates a model.

@@ -80,7 +80,7 @@ def _split_component(
         pieces = [piece for piece, size in zip(pieces, sizes, strict=True) if size > 0]
         if not pieces:
             raise ValueError(f"{notes.path}, {where}: its pieces have no volume: {REMEDY}")
-        beyond = max(float(_outside_in_chunks(closed, piece).max()) for piece in pieces)
+        beyond = max(float(_outside_distances(closed, piece).max()) for piece in pieces)
         notes.splits.append(Split(where, len(pieces), filled, sum(sizes), beyond))
         yield from pieces
 
@@ -95,7 +95,7 @@ def _hull_volume(points: np.ndarray) -> float:
         return 0.0
 
 
-def _outside_in_chunks(mesh: Mesh, piece: np.ndarray) -> np.ndarray:
+def _outside_distances(mesh: Mesh, piece: np.ndarray) -> np.ndarray:
     """Return the outside distances (K,) of a piece's surface samples from a mesh, m."""
     samples = _surface_samples(piece)
     chunks = np.array_split(samples, len(samples) // CHUNK + 1)

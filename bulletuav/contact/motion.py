@@ -87,8 +87,8 @@ Attributes:
     momentum_change: Change of angular momentum by torques over the substep, world axes, N m s.
     impacts: Number of impacts of the drone in this substep.
     is_started: Whether the fields above are set.
-    is_due: Whether the drone is checked, because its budget is or soon will be used up, or it is
-        touched.
+    is_due: Whether the drone has to be checked, because its budget is or soon will be used up, or
+        because it is touched.
     in_island: Whether the drone belongs to the present island.
     is_static: Whether the drone sleeps, and supports others like the ground does.
     load: Impulse (N s) and angular impulse (N m s) that the drones on it exert on it.
@@ -96,8 +96,9 @@ Attributes:
     reach: Distance from there within which its pairs were collected, m.
     inverse_mass: 1 / kg.
     inverse_inertia: In world axes, 1 / (kg m^2).
-    saved_velocities: Velocity and spin before passes of the solver that may gain energy.
-    unlimited_velocities: Velocity and spin after them, before energy is limited.
+    saved_velocities: Velocity and angular velocity before passes of the solver that may gain
+        energy.
+    unlimited_velocities: Velocity and angular velocity after them, before energy is limited.
     free_position: Position at the end of the substep if the drone touches nothing, m.
     free_quaternion: Attitude at the end of the substep if the drone touches nothing.
     free_rotation_offset: Rotation from the attitude that `start_segment` alone would reach to
@@ -234,7 +235,7 @@ def start_segment(motion: np.record, dt: float, row: np.record) -> None:
         )
     part = motion.end_time - motion.time
     there, turn = integrate_free_rotation(here, spin, part * dt, row)
-    way = plus((0.0, 0.0, 0.0), part * dt, read_vec3(motion.velocity))
+    displacement = plus((0.0, 0.0, 0.0), part * dt, read_vec3(motion.velocity))
     if motion.impacts == 0:
         there = rotate_by_fraction(read_vec3(motion.free_rotation_offset), part, there)
         if motion.end_time == 1.0:
@@ -242,17 +243,17 @@ def start_segment(motion: np.record, dt: float, row: np.record) -> None:
             there = (q[0], q[1], q[2], q[3])
         turn = compute_rotation_between(here, there)
         share = part / left if left > 0.0 else 0.0
-        way = minus(read_vec3(motion.free_position), read_vec3(motion.position))
-        way = (share * way[0], share * way[1], share * way[2])
+        displacement = minus(read_vec3(motion.free_position), read_vec3(motion.position))
+        displacement = (share * displacement[0], share * displacement[1], share * displacement[2])
     write_vec3(motion.rotation, turn)
-    write_vec3(motion.displacement, way)
+    write_vec3(motion.displacement, displacement)
 
 
 @func
 def is_at_impact_limit(motion: np.record) -> bool:
     """Check whether a drone had `MAX_IMPACTS` impacts, so that it no longer moves by itself."""
-    spent: bool = motion.impacts >= MAX_IMPACTS
-    return spent
+    reached: bool = motion.impacts >= MAX_IMPACTS
+    return reached
 
 
 @func

@@ -92,7 +92,7 @@ class InfoTable:
             name: (value.copy() if is_immutable(value) else value)[self.world]
             for name, value in self.more.items()
         }
-        return columns_of_table(self.table[:, self.world], self.rows) | more
+        return rows_by_name(self.table[:, self.world], self.rows) | more
 
 
 def is_immutable(value: Any) -> bool:
@@ -100,7 +100,7 @@ def is_immutable(value: Any) -> bool:
     return type(value) is np.ndarray and value.base is None and not value.flags.writeable
 
 
-def columns_of_table(
+def rows_by_name(
     table: np.ndarray, names: Iterable[tuple[str | None, Any]]
 ) -> dict[str, np.ndarray]:
     """Return the rows of a table as infos.
