@@ -23,7 +23,8 @@ def split_mesh(
     """Split a mesh into convex pieces.
 
     Each closed component is one piece if it is convex. Upright prisms are cut exactly, all others
-    by CoACD. Components that are not closed are replaced by their convex hulls.
+    by CoACD. Components that are not closed are replaced by their convex hulls. Flat components
+    next to solid ones are skipped; if all are flat, they form one hull together.
 
     Args:
         mesh: The mesh.
@@ -61,9 +62,9 @@ def split_mesh(
 
 
 def _split_component(
-    mesh: Mesh, hull: float, where: str, notes: Notebook, decompose: Decomposer
+    mesh: Mesh, hull_volume: float, where: str, notes: Notebook, decompose: Decomposer
 ) -> Iterator[np.ndarray]:
-    """Split a mesh with a hull volume, m^3, into convex pieces."""
+    """Split a mesh whose convex hull has the volume `hull_volume`, m^3, into convex pieces."""
     closed = outward(mesh)
     if closed is None:
         notes.add("hull", where, "its mesh is not closed")
@@ -71,7 +72,7 @@ def _split_component(
         return
     check_extent(notes.path, mesh.points[:, :2].min(axis=0), mesh.points[:, :2].max(axis=0), None)
     filled = volume(closed)
-    if filled >= (1 - FILLED) * hull:
+    if filled >= (1 - FILLED) * hull_volume:
         yield mesh.points
     else:
         pieces = prism_pieces(closed, filled) or decompose(closed, f"{notes.path}, {where}")
@@ -96,7 +97,7 @@ def _hull_volume(points: np.ndarray) -> float:
 
 
 def _outside_distances(mesh: Mesh, piece: np.ndarray) -> np.ndarray:
-    """Return the outside distances (K,) of a piece's surface samples from a mesh, m."""
+    """Return the distances (K,) of a piece's surface samples outside a mesh, m; 0 inside."""
     samples = _surface_samples(piece)
     chunks = np.array_split(samples, len(samples) // CHUNK + 1)
     return np.concatenate([outside(mesh, chunk) for chunk in chunks])

@@ -194,16 +194,19 @@ _BUILTINS = {"max": _lane_max, "min": _lane_min, "float": np.float64, _product._
 
 
 def _without_errors(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap a function of `math` to return inf or NaN instead of raising, as NumPy numbers."""
+    """Wrap a function of `math` to return inf or NaN instead of raising.
+
+    The signs are those of compiled code, such as -inf for `sinh(-1000)` and `log(0)`. Functions
+    that NumPy does not have return NaN.
+    """
+    in_numpy = getattr(np, function.__name__, None)
 
     def wrapped(*numbers: Any) -> Any:
         try:
             return as_compiled(function(*numbers))
-        except OverflowError:
-            return np.float64(math.inf)
-        except ValueError:
-            is_pole = function in (math.log, math.log2, math.log10) and numbers[0] == 0.0
-            return np.float64(-math.inf if is_pole else math.nan)
+        except (OverflowError, ValueError):
+            with np.errstate(all="ignore"):
+                return np.float64(math.nan if in_numpy is None else in_numpy(*numbers))
 
     return wrapped
 

@@ -245,7 +245,9 @@ class Aviary(Environment):
     def observations(self) -> Observation:
         """Return a copy of the observations of the last decision."""
         vector = self.worlds.vector.copy()
-        return vector if self.observer.is_plain else self.observer.shown(self.worlds.frame, vector)
+        return (
+            vector if self.observer.is_plain else self.observer.assemble(self.worlds.frame, vector)
+        )
 
     def info_table(self, world: Any = ...) -> InfoTable:
         """Copy the results of the last decision; calling the returned object makes infos.

@@ -22,9 +22,9 @@ from bulletuav.tasks.parts.formations import Course, Leader, in_world, off_place
 
 
 @reward
-def approach(way: float, way_before: float) -> float:
+def approach(remaining_distance: float, remaining_distance_before: float) -> float:
     """Decrease of the distance to the place, m, including the motion of the place."""
-    return way_before - way
+    return remaining_distance_before - remaining_distance
 
 
 def leader_labels(task: Any) -> tuple[Label, ...]:

@@ -36,6 +36,12 @@ Ingredient = TypeVar("Ingredient", bound=Callable[..., Any])
 ALL = "all_"
 WHOLE = "frame"
 """Argument of functions that process all drones at once"""
+FORMER_NAMES = {
+    "way": "remaining_distance",
+    "way_before": "remaining_distance_before",
+    "first_way": "initial_distance",
+}
+"""Present name of each renamed argument, for messages"""
 PRESENT = "present"
 """Argument of blocks: whether each drone is still present after the frame"""
 
@@ -162,9 +168,10 @@ class Binding:
             return ArgumentSource(lambda frame: number)
         known = {*FIELDS, *self.readings, *self.memory, *self.quantities, *self.events}
         choices = {*known, *(ALL + one for one in known), *self.numbers, "i", "out", PRESENT, WHOLE}
+        present = (ALL if whole_world else "") + FORMER_NAMES.get(key, key)
         raise ValueError(
             f"{title} of task {self.task!r} asks for {name!r}, which is no field, reading, memory "
-            f"or number of the task: {suggest_names(name, choices)}"
+            f"or number of the task: {suggest_names(present, choices)}"
         )
 
 

@@ -17,12 +17,12 @@ cell"""
 
 
 class Raster(NamedTuple):
-    """Free cells of L layouts; columns along x, rows along y.
+    """Free cells of L layouts, of C columns along x and C rows along y.
 
     Free cells are entirely in bounds, and at least `MARGIN` m from footprints of buildings.
 
     Attributes:
-        free: Whether (L, C, C) each cell is free.
+        free: Whether each cell is free, (L, C, C), indexed [layout, column, row].
         sides: Lengths (L, 2) of the ground of each layout along x and y, m.
         cell: Edge length of a cell, m.
         reach: Half of the side of the raster, m: cells cover [-reach, reach]^2.
@@ -65,12 +65,13 @@ def block_outline(free: np.ndarray, outline: np.ndarray, cell: float, reach: flo
     """Mark the cells that are nearer than `MARGIN` m to a convex outline as not free, in place.
 
     The test is a separating axis test of each cell, inflated by the margin, against the outline.
+    At the corners of the outline, some cells up to sqrt(2) `MARGIN` away are marked, too.
 
     References:
         S. Gottschalk, M. Lin, D. Manocha, OBBTree, SIGGRAPH 1996.
 
     Args:
-        free: Whether (C, C) each cell is free; modified.
+        free: Whether each cell is free, (C, C), indexed [column, row]; modified.
         outline: Corners (V, 2) of the outline, counter-clockwise, m.
         cell: Edge length of a cell, m.
         reach: Half of the side of the raster, m.

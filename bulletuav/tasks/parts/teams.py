@@ -107,11 +107,11 @@ def measure_chase(
             for j in range(before.shape[1]):
                 if team[j] == 0 and flown[w, j]:
                     later = offset(after, w, i, j)
-                    start, way = closest_squared_distances(offset(before, w, i, j), later)
+                    start, least = closest_squared_distances(offset(before, w, i, j), later)
                     first = min(first, start)
                     last = min(last, dot(later, later))
-                    if way < nearest:
-                        nearest = way
+                    if least < nearest:
+                        nearest = least
                         by[w, i] = j
             if by[w, i] != NO_OPPONENT:
                 min_distance[w, i] = math.sqrt(nearest)
