@@ -88,11 +88,6 @@ def parses_text(distance):
     return float(str(distance))
 
 
-@reward
-def of_former_names(all_way):
-    return all_way[0]
-
-
 NEAR = "reward term 'near' of task 'perch'"
 
 

@@ -93,7 +93,7 @@ class LivingReplay(ReplayBuffer):
         """
         if kwargs.get("optimize_memory_usage"):
             raise ValueError(
-                "optimize_memory_usage is True: transitions of living drones alone do not follow "
+                "optimize_memory_usage is True: transitions of active drones alone do not follow "
                 "each other"
             )
         settings = {**kwargs, "n_envs": 1}

@@ -114,7 +114,7 @@ def collect_pairs(
 
     Args:
         scenery: All shapes.
-        motions: (N,) rows of `MOTION`; `start_position`, `reach` and `is_due` are read.
+        motions: (N,) rows of `MOTION`; `start_position`, `range` and `is_due` are read.
         alive: (W, N) bool, drones that can be touched.
         w: Index of the world.
         order: (N,) drones of the world sorted by x, then y, then z.
@@ -130,7 +130,7 @@ def collect_pairs(
     """
     i = order[rank]
     here = read_vec3(motions[i].start_position)
-    far = scenery.table.radius[i] + motions[i].reach + CONTACT_DISTANCE
+    far = scenery.table.radius[i] + motions[i].range + CONTACT_DISTANCE
     known = 0 if again else num_pairs
     # Static shapes: ground, bodies and building pieces
     if here[2] < far:
@@ -159,7 +159,7 @@ def collect_pairs(
         if j == i or not alive[w, j] or is_paired:
             continue
         between = minus(read_vec3(motions[j].start_position), here)
-        within = far + scenery.table.radius[j] + motions[j].reach
+        within = far + scenery.table.radius[j] + motions[j].range
         if dot(between, between) < within * within:
             if place < rank:
                 pairs, num_pairs = _add_pair(pairs, num_pairs, known, j, i)
@@ -206,13 +206,17 @@ def are_swept_bounds_apart(
         where = vec3(scenery.place, w, k)
         drift = vec3(scenery.velocity, w, k)
         begun = motions[a].time * dt
-        rest = (motions[a].end_time - motions[a].time) * dt
+        remaining = (motions[a].end_time - motions[a].time) * dt
         before = (
             here[0] - where[0] - begun * drift[0],
             here[1] - where[1] - begun * drift[1],
             here[2] - where[2] - begun * drift[2],
         )
-        change = (move[0] - rest * drift[0], move[1] - rest * drift[1], move[2] - rest * drift[2])
+        change = (
+            move[0] - remaining * drift[0],
+            move[1] - remaining * drift[1],
+            move[2] - remaining * drift[2],
+        )
         turn = quat4(scenery.quaternion, w, k)
         return _is_sweep_clear_of_box(table.centre[b], table.half[b], margin, turn, before, change)
     p = b - scenery.first_piece

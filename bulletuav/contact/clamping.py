@@ -38,8 +38,8 @@ def remove_forces(motion: np.record, time: float) -> None:
     square = dot(push, push)
     against = -dot(read_vec3(motion.velocity), push)
     if against > 0.0:
-        share = min(1.0 - time, against / square)
-        write_vec3(motion.velocity, plus(read_vec3(motion.velocity), share, push))
+        fraction = min(1.0 - time, against / square)
+        write_vec3(motion.velocity, plus(read_vec3(motion.velocity), fraction, push))
     write_vec3(motion.velocity_change, (0.0, 0.0, 0.0))
     write_vec3(motion.momentum_change, (0.0, 0.0, 0.0))
 

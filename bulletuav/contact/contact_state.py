@@ -221,10 +221,10 @@ def stays_asleep(
     if first:
         # Without a safe support, the drone must have been at rest for `TIME_TO_SLEEP`
         return bool(contact.quiet[w, i] >= TIME_TO_SLEEP)
-    reach = contact.scenery.table.radius[i]
+    radius = contact.scenery.table.radius[i]
     for k in range(3):
         if abs(load[k] - acceleration[k]) > MAX_LOAD_CHANGE:
             return False
-        if reach * abs(load[3 + k] - spinning[k]) > MAX_LOAD_CHANGE:
+        if radius * abs(load[3 + k] - spinning[k]) > MAX_LOAD_CHANGE:
             return False
     return True

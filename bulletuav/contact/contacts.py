@@ -48,11 +48,11 @@ def place_world_obstacles(contact: ContactState, w: int, substep: int, step: Tim
         substep: Index of the substep in the decision.
         step: Division of the decision into substeps.
     """
-    share, period = substep / step.substeps, step.substeps * step.dt
+    fraction, period = substep / step.substeps, step.substeps * step.dt
     for k in range(contact.before.shape[1]):
         for m in range(3):
             change = contact.after[w, k, m] - contact.before[w, k, m]
-            contact.scenery.place[w, k, m] = contact.before[w, k, m] + share * change
+            contact.scenery.place[w, k, m] = contact.before[w, k, m] + fraction * change
             contact.scenery.velocity[w, k, m] = change / period
 
 
@@ -323,7 +323,7 @@ def _record_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarr
         )
         for i in range(alive.shape[1]):
             space.motions[i].is_due = moved[w, i] and alive[w, i]
-            space.motions[i].reach = 0.0
+            space.motions[i].range = 0.0
             space.motions[i].is_started = False
         sort_drones(space.order, swarm.position, w)
         pairs, num_pairs = find_pairs(space, world, swarm, space.order)

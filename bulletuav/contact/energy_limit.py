@@ -78,10 +78,10 @@ def accumulate_impulses(points: np.ndarray, num_points: int) -> None:
 
 
 @func
-def _interpolate(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
+def _interpolate(one: Vec3Like, two: Vec3Like, fraction: float) -> Vec3:
     """Interpolate linearly between two vectors."""
     start = read_vec3(one)
-    return plus(start, share, minus(read_vec3(two), start))
+    return plus(start, fraction, minus(read_vec3(two), start))
 
 
 @func
@@ -103,14 +103,16 @@ def compute_kinetic_energy(
 
 @func
 def _compute_work(
-    space: ContactWorkspace, world: ContactWorld, num_members: int, frame: Vec3, rest: float
+    space: ContactWorkspace, world: ContactWorld, num_members: int, frame: Vec3, remaining: float
 ) -> float:
     """Return the work of forces on an island in a fraction of the substep, in a moving frame, J."""
     total = 0.0
     for m in range(num_members):
         motion = space.motions[space.island[m]]
         mass = world.parameters[world.w, space.island[m]].mass
-        total += mass * rest * dot(motion.velocity_change, minus(read_vec3(motion.velocity), frame))
+        total += (
+            mass * remaining * dot(motion.velocity_change, minus(read_vec3(motion.velocity), frame))
+        )
     return total
 
 
@@ -123,7 +125,7 @@ def limit_energy(
     num_points: int,
     frame: Vec3,
     had: float,
-    rest: float,
+    remaining: float,
 ) -> None:
     """Remove the energy that the passes since `save_velocities` added, if any.
 
@@ -138,11 +140,11 @@ def limit_energy(
         num_points: Number of points in use.
         frame: Velocity of the reference frame, m/s.
         had: Energy before, without forces, J.
-        rest: Fraction of the substep in which forces have acted since.
+        remaining: Fraction of the substep in which forces have acted since.
     """
     motions = space.motions
     full = compute_kinetic_energy(space, world, num_members, frame, 0.0)
-    if full <= had + _compute_work(space, world, num_members, frame, rest):
+    if full <= had + _compute_work(space, world, num_members, frame, remaining):
         return
     for m in range(num_members):
         motion = motions[space.island[m]]
@@ -154,7 +156,7 @@ def limit_energy(
     for k in range(num_points):
         points[k].target_velocity = min(points[k].target_velocity, 0.0)
     solve_constraints(points, num_points, motions, world.dt, TIGHT_TOLERANCE, COLD_START)
-    had += _compute_work(space, world, num_members, frame, rest)
+    had += _compute_work(space, world, num_members, frame, remaining)
     calm = compute_kinetic_energy(space, world, num_members, frame, 0.0)
     half = 0.0
     for m in range(num_members):
@@ -168,21 +170,21 @@ def limit_energy(
     square = 2.0 * (full + calm) - 4.0 * half
     linear = full - calm - square
     left = had - calm
-    share = 0.0
+    fraction = 0.0
     if left > 0.0 and square > 0.0:
         root = math.sqrt(linear * linear + 4.0 * square * left)
-        share = min(1.0, max(0.0, 2.0 * left / (linear + root)))
+        fraction = min(1.0, max(0.0, 2.0 * left / (linear + root)))
     for m in range(num_members):
         motion = motions[space.island[m]]
         write_vec3(
-            motion.velocity, _interpolate(motion.velocity, motion.unlimited_velocities[0], share)
+            motion.velocity, _interpolate(motion.velocity, motion.unlimited_velocities[0], fraction)
         )
-        write_vec3(motion.spin, _interpolate(motion.spin, motion.unlimited_velocities[1], share))
+        write_vec3(motion.spin, _interpolate(motion.spin, motion.unlimited_velocities[1], fraction))
     for k in range(num_points):
         point = points[k]
         for m in range(3):
             stopping = point.saved_impulse[m] + point.impulse[m]
-            point.total_impulse[m] = stopping + share * (point.total_impulse[m] - stopping)
-            point.total_rolling_impulse[m] = point.rolling_impulse[m] + share * (
+            point.total_impulse[m] = stopping + fraction * (point.total_impulse[m] - stopping)
+            point.total_rolling_impulse[m] = point.rolling_impulse[m] + fraction * (
                 point.total_rolling_impulse[m] - point.rolling_impulse[m]
             )

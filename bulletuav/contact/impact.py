@@ -165,13 +165,13 @@ def apply_forces(space: ContactWorkspace, num_members: int, time: float, sign: f
         time: Present time, as a fraction of the substep.
         sign: 1 to add the change, -1 to subtract it.
     """
-    rest = sign * (1.0 - time)
+    remaining = sign * (1.0 - time)
     for m in range(num_members):
         motion = space.motions[space.island[m]]
         angular_change = apply_inverse_inertia(motion, read_vec3(motion.momentum_change))
         for k in range(3):
-            motion.velocity[k] += rest * motion.velocity_change[k]
-            motion.spin[k] += rest * angular_change[k]
+            motion.velocity[k] += remaining * motion.velocity_change[k]
+            motion.spin[k] += remaining * angular_change[k]
 
 
 @func
@@ -180,11 +180,11 @@ def _use_mean_velocity(motion: np.record, time: float, dt: float) -> None:
 
     `start_segment` uses the end velocity, which is 1 % too far at the start of a slide.
     """
-    rest = 1.0 - time
-    share = (motion.end_time - time) / rest if rest > 0.0 else 0.0
+    remaining = 1.0 - time
+    fraction = (motion.end_time - time) / remaining if remaining > 0.0 else 0.0
     for k in range(3):
-        began = motion.saved_velocities[0, k] - rest * motion.velocity_change[k]
-        mean = began + 0.5 * share * (motion.velocity[k] - began)
+        began = motion.saved_velocities[0, k] - remaining * motion.velocity_change[k]
+        mean = began + 0.5 * fraction * (motion.velocity[k] - began)
         motion.displacement[k] = (motion.end_time - time) * dt * mean
 
 

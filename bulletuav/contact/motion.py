@@ -62,7 +62,7 @@ MOTION = record_type(
         ("is_static", "?"),
         ("load", "f8", (2, 3)),
         ("start_position", "f8", 3),
-        ("reach", "f8"),
+        ("range", "f8"),
         ("inverse_mass", "f8"),
         ("inverse_inertia", "f8", (3, 3)),
         ("saved_velocities", "f8", (2, 3)),
@@ -93,7 +93,7 @@ Attributes:
     is_static: Whether the drone sleeps, and supports others like the ground does.
     load: Impulse (N s) and angular impulse (N m s) that the drones on it exert on it.
     start_position: Position at the beginning of the substep, m.
-    reach: Distance from there within which its pairs were collected, m.
+    range: Distance from there within which its pairs were collected, m.
     inverse_mass: 1 / kg.
     inverse_inertia: In world axes, 1 / (kg m^2).
     saved_velocities: Velocity and angular velocity before passes of the solver that may gain
@@ -181,17 +181,17 @@ def start_motion(
 @func
 def _compute_path_fraction(motion: np.record, time: float) -> float:
     """Return the fraction of the path segment that a drone has covered at a time."""
-    rest = motion.end_time - motion.time
-    return (time - motion.time) / rest if rest > 0.0 else 0.0
+    remaining = motion.end_time - motion.time
+    return (time - motion.time) / remaining if remaining > 0.0 else 0.0
 
 
 @func
 def advance_motion(motion: np.record, time: float, row: np.record) -> None:
     """Advance a drone along its path segment to a time within the substep."""
-    share = _compute_path_fraction(motion, time)
+    fraction = _compute_path_fraction(motion, time)
     elapsed = time - motion.time
     here = read_quaternion(motion)
-    there = normalise_quaternion(rotate_by_fraction(read_vec3(motion.rotation), share, here))
+    there = normalise_quaternion(rotate_by_fraction(read_vec3(motion.rotation), fraction, here))
     spin = read_vec3(motion.spin)
     angular = compute_angular_momentum(here, spin, row)
     held = compute_angular_velocity(there, angular, row)
@@ -203,7 +203,7 @@ def advance_motion(motion: np.record, time: float, row: np.record) -> None:
         held = (scale * held[0], scale * held[1], scale * held[2])
     twisted = compute_angular_velocity(there, read_vec3(motion.momentum_change), row)
     write_vec3(
-        motion.position, plus(read_vec3(motion.position), share, read_vec3(motion.displacement))
+        motion.position, plus(read_vec3(motion.position), fraction, read_vec3(motion.displacement))
     )
     _write_quaternion(motion.quaternion, there)
     write_vec3(
@@ -212,8 +212,8 @@ def advance_motion(motion: np.record, time: float, row: np.record) -> None:
     )
     write_vec3(motion.spin, plus(held, elapsed, twisted))
     for k in range(3):
-        motion.displacement[k] *= 1.0 - share
-        motion.rotation[k] *= 1.0 - share
+        motion.displacement[k] *= 1.0 - fraction
+        motion.rotation[k] *= 1.0 - fraction
     motion.time = time
 
 
@@ -242,9 +242,13 @@ def start_segment(motion: np.record, dt: float, row: np.record) -> None:
             q = motion.free_quaternion
             there = (q[0], q[1], q[2], q[3])
         turn = compute_rotation_between(here, there)
-        share = part / left if left > 0.0 else 0.0
+        fraction = part / left if left > 0.0 else 0.0
         displacement = minus(read_vec3(motion.free_position), read_vec3(motion.position))
-        displacement = (share * displacement[0], share * displacement[1], share * displacement[2])
+        displacement = (
+            fraction * displacement[0],
+            fraction * displacement[1],
+            fraction * displacement[2],
+        )
     write_vec3(motion.rotation, turn)
     write_vec3(motion.displacement, displacement)
 
@@ -287,10 +291,10 @@ def interpolate_pose(
     level = (0.0, 0.0, 0.0, 1.0)
     if shape < scenery.first_body:
         motion = motions[shape]
-        share = _compute_path_fraction(motion, time)
-        position = plus(read_vec3(motion.position), share, read_vec3(motion.displacement))
+        fraction = _compute_path_fraction(motion, time)
+        position = plus(read_vec3(motion.position), fraction, read_vec3(motion.displacement))
         return position, rotate_by_fraction(
-            read_vec3(motion.rotation), share, read_quaternion(motion)
+            read_vec3(motion.rotation), fraction, read_quaternion(motion)
         )
     if shape < scenery.first_piece:
         k = shape - scenery.first_body
@@ -316,8 +320,8 @@ def compute_path_rates(
     still = (0.0, 0.0, 0.0)
     if shape < scenery.first_body:
         motion = motions[shape]
-        rest = motion.end_time - motion.time
-        scale = 1.0 / rest if rest > 0.0 else 0.0
+        remaining = motion.end_time - motion.time
+        scale = 1.0 / remaining if remaining > 0.0 else 0.0
         return plus(still, scale, read_vec3(motion.displacement)), plus(
             still, scale, read_vec3(motion.rotation)
         )

@@ -156,7 +156,7 @@ def are_bounds_clear(
     bounding spheres of other drones.
 
     Args:
-        space: Arrays to work on; of its motions, `is_due` (the drone has to be checked) and `reach`
+        space: Arrays to work on; of its motions, `is_due` (the drone has to be checked) and `range`
             (the distance that it may move, m) are read.
         world: The world, with the state at the beginning of the substep.
         end: State at the end of the substep.
@@ -175,7 +175,7 @@ def are_bounds_clear(
         if end.position[w, i, 2] < radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN:
             return False
         budget[w, i] = compute_budget(scenery, end, uses_rotation, w, i)
-        if budget[w, i] < motion.reach + world.obstacle_displacement:
+        if budget[w, i] < motion.range + world.obstacle_displacement:
             return False
         for j in range(drones):
             if j == i or not world.alive[w, j]:

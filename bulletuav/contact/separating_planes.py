@@ -176,16 +176,16 @@ def bound_planes(
 
 
 @func
-def find_longest_plane(planes: SeparatingPlanes, left: float) -> tuple[SeparatingPlane, float]:
-    """Find the plane that separates a pair longest, `left` being its present distance, m.
+def find_longest_plane(planes: SeparatingPlanes, distance: float) -> tuple[SeparatingPlane, float]:
+    """Find the plane that separates a pair longest that is at a distance, m, from contact.
 
     Returns:
         The plane, and the fraction of the substep that `compute_safe_time` returns for it.
     """
     plane = planes[2]
-    time = compute_safe_time(plane, left)
+    time = compute_safe_time(plane, distance)
     for k in range(2):
-        other = compute_safe_time(planes[k], left)
+        other = compute_safe_time(planes[k], distance)
         if other > time:
             plane = planes[k]
             time = other
@@ -193,19 +193,19 @@ def find_longest_plane(planes: SeparatingPlanes, left: float) -> tuple[Separatin
 
 
 @func
-def compute_safe_time(plane: SeparatingPlane, left: float) -> float:
-    """Compute the fraction of a substep within which a distance of `left` metres cannot close."""
+def compute_safe_time(plane: SeparatingPlane, distance: float) -> float:
+    """Compute the fraction of a substep within which a distance, m, cannot close."""
     bound, growth, _, _ = plane
-    return 2.0 * left / (bound + math.sqrt(bound * bound + 2.0 * growth * left))
+    return 2.0 * distance / (bound + math.sqrt(bound * bound + 2.0 * growth * distance))
 
 
 @func
-def rotate_normal(plane: SeparatingPlane, normal: Vec3, share: float) -> Vec3:
+def rotate_normal(plane: SeparatingPlane, normal: Vec3, fraction: float) -> Vec3:
     """Return the normal of a plane after a fraction of the substep."""
     turn = plane[3]
     if turn == (0.0, 0.0, 0.0):
         return normal
-    return to_world(rotate_by_fraction(turn, share, (0.0, 0.0, 0.0, 1.0)), normal)
+    return to_world(rotate_by_fraction(turn, fraction, (0.0, 0.0, 0.0, 1.0)), normal)
 
 
 @func
@@ -223,7 +223,7 @@ def find_time_apart(
     distance: float,
     min_distance: float,
     step: float,
-    rest: float,
+    remaining: float,
 ) -> float:
     """Find how long a separating plane keeps a pair apart, up to the end of the substep.
 
@@ -241,7 +241,7 @@ def find_time_apart(
         distance: Distance of the pair at `time`, m; more than `min_distance`.
         min_distance: Distance that the pair must keep, m.
         step: Fraction of the substep for which the pair is already known to keep it.
-        rest: Remaining fraction of the substep.
+        remaining: Remaining fraction of the substep.
 
     Returns:
         Fraction of the substep, at least `step`.
@@ -253,8 +253,8 @@ def find_time_apart(
         # Without curved paths `step` is exact
         if deviation == 0.0:
             continue
-        reach = math.sqrt(0.5 * left / deviation)
-        span = rest
+        max_span = math.sqrt(0.5 * left / deviation)
+        span = remaining
         while span > step:
             ahead = rotate_normal(plane, normal, span)
             later, _, _ = measure_along_direction(scenery, motions, w, a, b, time + span, dt, ahead)
@@ -266,7 +266,7 @@ def find_time_apart(
                 break
             # A pair that is too close there gets so along a parabola, or earlier
             part = 0.5 if later >= min_distance else 0.9 * math.sqrt(left / (distance - later))
-            span = min(reach, part * span)
+            span = min(max_span, part * span)
     return step
 
 

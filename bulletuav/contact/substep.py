@@ -125,7 +125,7 @@ def _compute_distance(one: np.ndarray, two: np.ndarray, w: int, i: int) -> float
 
 
 @func
-def _set_reach(
+def _set_ranges(
     space: ContactWorkspace, world: ContactWorld, end: Swarm, budget: np.ndarray
 ) -> None:
     """Set how far drones move in the substep, and which of them have to be checked (`is_due`).
@@ -138,10 +138,10 @@ def _set_reach(
         motion = space.motions[i]
         motion.is_started = False
         motion.is_due = False
-        motion.reach = PAIR_MARGIN
+        motion.range = PAIR_MARGIN
         if world.alive[w, i] and not world.asleep[w, i]:
-            motion.reach += _compute_distance(end.position, world.start.position, w, i)
-            motion.is_due = budget[w, i] < motion.reach
+            motion.range += _compute_distance(end.position, world.start.position, w, i)
+            motion.is_due = budget[w, i] < motion.range
 
 
 @allocating
@@ -223,8 +223,8 @@ def _extend_pairs(
         here = minus(read_vec3(motion.position), read_vec3(motion.start_position))
         there = plus(here, 1.0, read_vec3(motion.displacement))
         distance = math.sqrt(max(dot(here, here), dot(there, there)))
-        if distance > motion.reach or not motion.is_due:
-            motion.reach = max(motion.reach, 1.5 * distance + PAIR_MARGIN)
+        if distance > motion.range or not motion.is_due:
+            motion.range = max(motion.range, 1.5 * distance + PAIR_MARGIN)
             motion.is_due = True
             pairs, num_pairs = _collect_drone_pairs(
                 space, world, end, order, rank, True, pairs, num_pairs
@@ -339,7 +339,7 @@ def resolve_contacts(
     """
     w = world.w
     order = space.order
-    _set_reach(space, world, end, budget)
+    _set_ranges(space, world, end, budget)
     sort_drones(order, world.start.position, w)
     any_impact = False
     if not are_bounds_clear(space, world, end, budget, uses_rotation):

@@ -163,7 +163,7 @@ def find_time_of_impact(
         )
         in_contact = in_contact or (time == start and distance <= MAX_CONTACT_DISTANCE)
         left = distance - target_distance
-        rest = end - time
+        remaining = end - time
         # Bound the closing speed, and the curvature of the paths
         between = plus(minus(on_b, on_a), distance, normal)
         num_planes = 3 if uses_rotating_planes and left > 0.0 else 1
@@ -178,7 +178,7 @@ def find_time_of_impact(
             if before - target_distance < 4.0 * deviation * (time - apart) ** 2:
                 time = safe
                 continue
-        if left > (bound + 0.5 * growth * rest) * rest:
+        if left > (bound + 0.5 * growth * remaining) * remaining:
             return NO_IMPACT, normal, in_contact
         if left <= tolerance and (time == start or left >= -tolerance):
             return (time if bound + growth > 0.0 else NO_IMPACT), normal, in_contact
@@ -198,9 +198,9 @@ def find_time_of_impact(
                 distance,
                 target_distance,
                 step,
-                rest,
+                remaining,
             )
-            if step >= rest:
+            if step >= remaining:
                 return NO_IMPACT, normal, in_contact
         else:
             overlapping = time

@@ -60,7 +60,7 @@ def warm_start_impulses(
     points: np.ndarray,
     pairs: np.ndarray,
     num_points: int,
-    rest: float,
+    remaining: float,
 ) -> None:
     """Initialise the impulse of each point with the closest cached impulse of the same pair.
 
@@ -72,7 +72,7 @@ def warm_start_impulses(
         points: Rows of `CONTACT_POINT`; impulses are written.
         pairs: Rows of `PAIR`.
         num_points: Number of points in use.
-        rest: Remaining fraction of the substep.
+        remaining: Remaining fraction of the substep.
     """
     for k in range(num_points):
         point = points[k]
@@ -97,12 +97,12 @@ def warm_start_impulses(
             continue
         rows[best].free = False
         force = to_world(turn, read_vec3(rows[best].force))
-        point.impulse[0] = max(0.0, rest * dot(force, read_vec3(point.normal)))
+        point.impulse[0] = max(0.0, remaining * dot(force, read_vec3(point.normal)))
         # The drone has turned since: without friction the solver could not remove a tangential part
         if point.friction == 0.0:
             continue
-        point.impulse[1] = rest * dot(force, read_vec3(point.tangent[0]))
-        point.impulse[2] = rest * dot(force, read_vec3(point.tangent[1]))
+        point.impulse[1] = remaining * dot(force, read_vec3(point.tangent[0]))
+        point.impulse[2] = remaining * dot(force, read_vec3(point.tangent[1]))
 
 
 @func
@@ -115,7 +115,7 @@ def store_impulses(
     points: np.ndarray,
     pairs: np.ndarray,
     num_points: int,
-    rest: float,
+    remaining: float,
 ) -> None:
     """Cache the impulses of an island for the next substep.
 
@@ -131,7 +131,7 @@ def store_impulses(
         points: Rows of `CONTACT_POINT`.
         pairs: Rows of `PAIR`.
         num_points: Number of points in use.
-        rest: Remaining fraction of the substep.
+        remaining: Remaining fraction of the substep.
     """
     max_impulse = 0.0
     for m in range(num_members):
@@ -146,7 +146,7 @@ def store_impulses(
                 memory.rows[w, i, k].free = True
         else:
             memory.number[w, i] = 0
-    if rest < MIN_CACHED_FRACTION:
+    if remaining < MIN_CACHED_FRACTION:
         return
     for k in range(num_points):
         point = points[k]
@@ -155,7 +155,7 @@ def store_impulses(
             continue
         row = memory.rows[w, point.a, num_cached]
         turn = read_quaternion(motions[point.a])
-        scale = 1.0 / rest
+        scale = 1.0 / remaining
         if scale * point.impulse[0] > max_impulse:
             scale = max_impulse / point.impulse[0]
         normal = scale * point.impulse[0]

@@ -178,7 +178,7 @@ class Aviary(Environment):
             actions: (W, N, A), clipped to their bounds.
 
         Raises:
-            ValueError: If the actions have a wrong shape, or an action of a living drone is not
+            ValueError: If the actions have a wrong shape, or an action of an active drone is not
                 finite. The worlds are unchanged.
             RuntimeError: If called before the first reset or after `close`.
         """
@@ -203,7 +203,7 @@ class Aviary(Environment):
         `truncated`, `observations` and `info_table`.
 
         Raises:
-            ValueError: If an action of a living drone is invalid. The worlds are unchanged.
+            ValueError: If an action of an active drone is invalid. The worlds are unchanged.
         """
         self.simulation.decide()
         if self.viewer is not None:

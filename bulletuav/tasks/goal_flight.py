@@ -310,7 +310,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         super().update_memory(frame, rngs)
         memory = frame.scene.memory
         # Zero before the first decision of an episode
-        initial_distance = memory["first_way"]
+        initial_distance = memory["initial_distance"]
         np.copyto(
             initial_distance, self.remaining_distance_before(frame), where=initial_distance == 0
         )

@@ -59,7 +59,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
     the goal is no success. Drone 0 leads and is the slowest.
 
     Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, the goal's velocity, the nearest living drones,
+    velocity, direction and distance of the goal, the goal's velocity, the nearest active drones,
     and the nearest obstacles. Drones and obstacles are relative to the drone, sorted by distance,
     and padded with zeros.
 

@@ -61,7 +61,7 @@ class Race(Task[RaceConfig]):
 
     Observation, Box(48) per drone with the defaults: velocity in body axes (forward, left, up);
     attitude as a quaternion, body to world; the next two gates in body axes: position, direction to
-    fly, velocity, width of the opening; the nearest living drones, in world axes.
+    fly, velocity, width of the opening; the nearest active drones, in world axes.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
     max_speed = 15 m/s, in world axes. Its norm is limited to max_speed. There are 20 decisions a

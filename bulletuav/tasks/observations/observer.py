@@ -284,8 +284,8 @@ def _make(
     made = block if isinstance(block, Block) else block(task)
     if not isinstance(made, Block):
         raise ValueError(
-            f"{title} gave {shown(made)} for the task: a Block is needed; decorate a function "
-            f"of one drone's numbers with @block(labels)"
+            f"{title} gave {shown(made)} for the task: a Block is needed; decorate a "
+            f"per-drone function with @block(labels)"
         )
     return _checked(made.labels, title), _BlockWriter(title, made)
 

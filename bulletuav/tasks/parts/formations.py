@@ -33,7 +33,7 @@ class Course:
 
     Attributes:
         turn: Absolute turn rate, rad/s.
-        reach: Maximum distance of the leader from the origin, m.
+        radius: Maximum distance of the leader from the origin, m.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Course:
         path = self._displacement(time, np.zeros(len(time)), np.full(len(time), turn))
         self._middle = (path.max(axis=0) + path.min(axis=0)) / 2
         offset = path - self._middle
-        self.reach = float(hypot(offset[:, 0], offset[:, 1]).max())
+        self.radius = float(hypot(offset[:, 0], offset[:, 1]).max())
 
     def _displacement(self, time: np.ndarray, course: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Compute the displacements (K, 2) from the start, m, as chords of arcs."""

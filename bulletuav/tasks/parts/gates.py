@@ -135,7 +135,7 @@ def cross_gates(
     Args:
         before: (W, N, 3) positions before the decision, m.
         after: (W, N, 3) positions after the decision, m.
-        flown: (W, N) bool, drones that flew the decision.
+        flown: (W, N) bool, drones active before the decision.
         time: (W,) time at the end of the decision, s.
         period: Length of the decision, s.
         gate_before: (W, G, 3) centres of the gates before the decision, m.

@@ -87,7 +87,7 @@ def measure_chase(
     Args:
         before: (W, N, 3) positions before the decision, m.
         after: (W, N, 3) positions after the decision, m.
-        flown: (W, N) bool, drones that flew the decision; others are ignored.
+        flown: (W, N) bool, drones active before the decision; others are ignored.
         team: (N,) 0 for chasers, 1 for evaders.
         min_distance: (W, N) output: minimum distance from a chaser, m; infinite if there is none.
         by: (W, N) output: index of this chaser, or NO_OPPONENT.
