@@ -276,19 +276,16 @@ def test_a_reward_that_is_not_finite_is_an_error_and_no_empty_slot():
     env.close()
 
 
-HOVER = {"dynamics": "single_integrator", "action": "velocity", "max_speed": 20.0}
-
-
 def test_a_seed_waits_for_a_reset_while_single_worlds_start_again():
-    env, other = (DroneVecEnv("hover", 2, **HOVER) for _ in range(2))
+    env, other = (DroneVecEnv("converge", 2, **BREAK) for _ in range(2))
     env.reset()
     env.seed(5)
-    # One drone leaves the arena, and its world starts again
+    # The drones of one world leave the arena, and the world starts again
     for _ in range(100):
-        dones = env.step(np.float32([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))[2]
-        if dones.any():
+        dones = env.step(np.float32([[1.0, 0.0, 0.0]] * 3 + [[0.0, 0.0, 0.0]] * 3))[2]
+        if dones[:3].all():
             break
-    assert dones.tolist() == [True, False]
+    assert dones.tolist() == [True] * 3 + [False] * 3
     other.seed(5)
     np.testing.assert_array_equal(env.reset(), other.reset())
     env.close()
